@@ -1,0 +1,1 @@
+"""OpenCL C sources of clmorph, as package data."""

@@ -1,0 +1,64 @@
+// Vector type, sentinel and base-2 exponential shared by every kernel.
+//
+// -D WIDTH=w       lanes of one work-item: 1 on GPUs, the native vector on CPUs.
+//                  CPU compilers need the explicit vector; GPU compilers the scalar.
+// -D EXP2_BUILTIN  1: the device's exp2(); 0 (default): a polynomial, which CPU
+//                  compilers keep in vector registers.
+// -D SENTINEL=x    stands for minus infinity; finite, so that the difference of two
+//                  sentinels is a number.
+
+#ifndef WIDTH
+#error "WIDTH (lanes per work-item) must be given"
+#endif
+#ifndef SENTINEL
+#error "SENTINEL (the finite stand-in for minus infinity) must be given"
+#endif
+#ifndef EXP2_BUILTIN
+#define EXP2_BUILTIN 0
+#endif
+
+#define CONCAT_(a, b) a##b
+#define CONCAT(a, b) CONCAT_(a, b)
+
+#if WIDTH == 1
+typedef float vreal;
+typedef int vint;
+#define VLOAD(offset, p) ((p)[offset])
+#define VSTORE(v, offset, p) ((p)[offset] = (v))
+#define AS_VINT(v) as_int(v)
+#define AS_VREAL(v) as_float(v)
+#define ANY(v) (v)
+#define IS_TRUE 1
+#else
+typedef CONCAT(float, WIDTH) vreal;
+typedef CONCAT(int, WIDTH) vint;
+#define VLOAD(offset, p) CONCAT(vload, WIDTH)(0, (p) + (offset))
+#define VSTORE(v, offset, p) CONCAT(vstore, WIDTH)((v), 0, (p) + (offset))
+#define AS_VINT(v) CONCAT(as_int, WIDTH)(v)
+#define AS_VREAL(v) CONCAT(as_float, WIDTH)(v)
+#define ANY(v) any(v)
+#define IS_TRUE -1
+#endif
+
+// 2^x for x <= 0. Arguments under -125 give a number below 2^-124 instead of zero:
+// every sum this feeds holds a term 1, or is compared with one.
+// Polynomial: degree 5, minimax in relative error (2.3e-7 in float32) on [-1/2, 1/2];
+// the nearest integer comes from adding 1.5 * 2^23, whose low bits then are that integer.
+static inline vreal exp2_nonpositive(vreal x)
+{
+#if EXP2_BUILTIN
+    return exp2(x);
+#else
+    const float magic = 12582912.0f;
+    x = max(x, (vreal)(-125.0f));
+    const vreal shifted = x + magic;
+    const vreal r = x - (shifted - magic);
+    vreal p = 1.3276472454890609e-3f;
+    p = p * r + 9.675541892647743e-3f;
+    p = p * r + 5.550713092088699e-2f;
+    p = p * r + 2.4022120237350464e-1f;
+    p = p * r + 6.931469440460205e-1f;
+    p = p * r + 1.0f;
+    return AS_VREAL(AS_VINT(p) + (AS_VINT(shifted) << 23));
+#endif
+}

@@ -1,0 +1,223 @@
+// Streaming reductions over the columns of every row of the log-kernel
+//
+//     e_ij = log2(e) * [ (g_j - C_ij) / epsilon + log b_j ] - (a constant of row i),
+//     C_ij = |X_i - Y_j|^2 / 2,
+//
+// without an N x M array. Points come sorted into compact tiles of TILE; with p, q the
+// centers of i's and j's tiles, u = X_i - p, v = Y_j - q and k = log2(e) / epsilon,
+//
+//     e_ij = level_pq + h_j + k u.(v - (p - q)) + k [(p - q).v - |v|^2 / 2]:
+//
+// level_pq holds the large numbers and is formed in float64 on the host, so float32
+// adds only small ones. The row's own -k |u|^2 / 2 and the level's offset are constants
+// of the row and are added on the host as well.
+//
+// Launch: get_global_id(0) is a group of WIDTH consecutive rows, WIDTH * GROUP divides
+// TILE; get_global_id(1) is a share of the column tiles (log_sum_exp only). A launch
+// covers rows [first_row, first_row + n_rows): row tiles from first_row / TILE on.
+//
+// -D DIM     dimension of the points
+// -D TILE    points of one tile, a multiple of WIDTH * GROUP
+// -D GROUP   work-items of a work-group along dimension 0
+// -D UNROLL  columns taken together in the inner loop, divides TILE (speed only)
+
+#include "common.cl"
+
+#ifndef DIM
+#error "DIM (dimension of the points) must be given"
+#endif
+#ifndef TILE
+#error "TILE (points of one tile) must be given"
+#endif
+#ifndef GROUP
+#define GROUP 1 // a CPU core runs one work-item at a time
+#endif
+#ifndef UNROLL
+#define UNROLL 8 // enough independent chains to hide the latency of a multiply-add
+#endif
+
+// A work-group of one needs no barrier, and CPU compilers vectorize better without.
+#if GROUP > 1
+#define GROUP_BARRIER() barrier(CLK_LOCAL_MEM_FENCE)
+#else
+#define GROUP_BARRIER()
+#endif
+
+#define CLOUD_ARGUMENTS                                                                        \
+    const uint first_row, const uint row_stride, const uint column_stride,                     \
+    const uint n_column_tiles, const float k,                                                  \
+    const __global float* restrict row_offsets,       /* (DIM, row_stride): u */               \
+    const __global float* restrict row_centers,       /* (row_stride / TILE, DIM): p */        \
+    const __global float* restrict column_offsets,    /* (DIM, column_stride): v */            \
+    const __global float* restrict column_centers,    /* (n_column_tiles, DIM): q */           \
+    const __global float* restrict column_potentials, /* (column_stride,): h */                \
+    const __global float* restrict levels             /* (row tiles, n_column_tiles) */
+
+// Put column tile q, recentered for the row tile, into local memory:
+// staged[d][j] = k (v - (p - q))_d for d < DIM, staged[DIM][j] = the part without u.
+static inline void stage_columns(
+    const uint q, const uint row_tile, const uint column_stride, const float k,
+    const __global float* restrict row_centers, const __global float* restrict column_offsets,
+    const __global float* restrict column_centers,
+    const __global float* restrict column_potentials, const float level,
+    __local float* restrict staged)
+{
+    float shift[DIM];
+    for (int d = 0; d < DIM; ++d)
+        shift[d] = row_centers[row_tile * DIM + d] - column_centers[q * DIM + d];
+    for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
+        vreal quadratic = (vreal)(0.0f);
+        for (int d = 0; d < DIM; ++d) {
+            const vreal v = VLOAD((size_t)d * column_stride + q * TILE + j, column_offsets);
+            quadratic += v * (shift[d] - 0.5f * v);
+            VSTORE(k * (v - shift[d]), d * TILE + j, staged);
+        }
+        const vreal h = VLOAD(q * TILE + j, column_potentials);
+        VSTORE(h + level + k * quadratic, DIM * TILE + j, staged);
+    }
+}
+
+// e_ij of WIDTH rows and staged column j.
+static inline vreal exponent(const vreal* u, const __local float* staged, const uint j)
+{
+    vreal e = u[0] * staged[j] + staged[DIM * TILE + j];
+#pragma unroll
+    for (int d = 1; d < DIM; ++d)
+        e += u[d] * staged[d * TILE + j];
+    return e;
+}
+
+static inline void load_rows(
+    const __global float* restrict row_offsets, const uint row_stride, const uint row, vreal* u)
+{
+    for (int d = 0; d < DIM; ++d)
+        u[d] = VLOAD((size_t)d * row_stride + row, row_offsets);
+}
+
+// Online maximum m_i = max_j e_ij and s_i = sum_j 2^(e_ij - m_i), over the column tiles
+// of this share; the host joins the shares.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void log_sum_exp(
+    CLOUD_ARGUMENTS, const uint n_rows, const uint tiles_per_share,
+    __global float* restrict maxima, // (shares, n_rows)
+    __global float* restrict sums)   // (shares, n_rows)
+{
+    __local float staged[(DIM + 1) * TILE];
+    const uint local_row = get_global_id(0) * WIDTH;
+    const uint row = first_row + local_row;
+    const uint row_tile = row / TILE;
+    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles;
+    const uint share = get_global_id(1);
+    const uint q_end = min(n_column_tiles, (share + 1) * tiles_per_share);
+
+    vreal u[DIM];
+    load_rows(row_offsets, row_stride, row, u);
+    vreal m = (vreal)(SENTINEL);
+    vreal s = (vreal)(0.0f);
+    for (uint q = share * tiles_per_share; q < q_end; ++q) {
+        stage_columns(q, row_tile, column_stride, k, row_centers, column_offsets,
+                      column_centers, column_potentials, levels[level_row + q], staged);
+        GROUP_BARRIER();
+        for (uint j = 0; j < TILE; j += UNROLL) {
+            vreal e[UNROLL];
+            vreal m_new = m;
+#pragma unroll
+            for (int c = 0; c < UNROLL; ++c) {
+                e[c] = exponent(u, staged, j + c);
+                m_new = max(m_new, e[c]);
+            }
+            s *= exp2_nonpositive(m - m_new);
+#pragma unroll
+            for (int c = 0; c < UNROLL; ++c)
+                s += exp2_nonpositive(e[c] - m_new);
+            m = m_new;
+        }
+        GROUP_BARRIER();
+    }
+    VSTORE(m, (size_t)share * n_rows + local_row, maxima);
+    VSTORE(s, (size_t)share * n_rows + local_row, sums);
+}
+
+// A pair is kept when log2 pi_ij = e_ij + base_i exceeds the smaller of its row's and
+// its column's threshold.
+#define KEEP(e) ((e) + base > min(row_threshold, (vreal)(column_thresholds[q * TILE + j])))
+
+// Number of kept pairs of each row.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void count_plan_rows(
+    CLOUD_ARGUMENTS,
+    const __global float* restrict row_bases,         // (row_stride,)
+    const __global float* restrict row_thresholds,    // (row_stride,)
+    const __global float* restrict column_thresholds, // (column_stride,)
+    __global int* restrict counts)                    // (n_rows,) of this launch
+{
+    __local float staged[(DIM + 1) * TILE];
+    const uint local_row = get_global_id(0) * WIDTH;
+    const uint row = first_row + local_row;
+    const uint row_tile = row / TILE;
+    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles;
+
+    vreal u[DIM];
+    load_rows(row_offsets, row_stride, row, u);
+    const vreal base = VLOAD(row, row_bases);
+    const vreal row_threshold = VLOAD(row, row_thresholds);
+    vint count = (vint)(0);
+    for (uint q = 0; q < n_column_tiles; ++q) {
+        stage_columns(q, row_tile, column_stride, k, row_centers, column_offsets,
+                      column_centers, column_potentials, levels[level_row + q], staged);
+        GROUP_BARRIER();
+        for (uint j = 0; j < TILE; ++j)
+            count += IS_TRUE * KEEP(exponent(u, staged, j));
+        GROUP_BARRIER();
+    }
+    VSTORE(count, local_row, counts);
+}
+
+// Column index and e_ij of the kept pairs, each row at its own place.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void fill_plan_rows(
+    CLOUD_ARGUMENTS,
+    const __global float* restrict row_bases,         // (row_stride,)
+    const __global float* restrict row_thresholds,    // (row_stride,)
+    const __global float* restrict column_thresholds, // (column_stride,)
+    const __global uint* restrict starts,             // (n_rows,) first slot of each row
+    __global int* restrict columns,                   // (kept pairs of this launch,)
+    __global float* restrict exponents)               // (kept pairs of this launch,)
+{
+    __local float staged[(DIM + 1) * TILE];
+    const uint local_row = get_global_id(0) * WIDTH;
+    const uint row = first_row + local_row;
+    const uint row_tile = row / TILE;
+    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles;
+
+    vreal u[DIM];
+    load_rows(row_offsets, row_stride, row, u);
+    const vreal base = VLOAD(row, row_bases);
+    const vreal row_threshold = VLOAD(row, row_thresholds);
+    uint slot[WIDTH];
+    for (int lane = 0; lane < WIDTH; ++lane)
+        slot[lane] = starts[local_row + lane];
+    for (uint q = 0; q < n_column_tiles; ++q) {
+        stage_columns(q, row_tile, column_stride, k, row_centers, column_offsets,
+                      column_centers, column_potentials, levels[level_row + q], staged);
+        GROUP_BARRIER();
+        for (uint j = 0; j < TILE; ++j) {
+            const vreal e = exponent(u, staged, j);
+            const vint keep = KEEP(e);
+            if (ANY(keep)) {
+                float e_lane[WIDTH];
+                int keep_lane[WIDTH];
+                VSTORE(e, 0, e_lane);
+                VSTORE(keep, 0, keep_lane);
+                for (int lane = 0; lane < WIDTH; ++lane) {
+                    if (keep_lane[lane]) {
+                        columns[slot[lane]] = q * TILE + j;
+                        exponents[slot[lane]] = e_lane[lane];
+                        ++slot[lane];
+                    }
+                }
+            }
+        }
+        GROUP_BARRIER();
+    }
+}

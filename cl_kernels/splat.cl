@@ -1,0 +1,185 @@
+// From particles to the two sums of a Nadaraya-Watson frame,
+//
+//     numerator(p) = sum_k w_k K(p - p_k) c_k,   denominator(p) = sum_k w_k K(p - p_k),
+//     K(d) = exp(-|d|^2 / (2 sigma^2)) where |d_x|, |d_y| <= radius, else 0,
+//
+// in four steps without atomics, so that the result does not depend on scheduling:
+// place the particles at time t, count them by bin, sort them into bins (the order
+// inside a bin is the particles' own), and let every tile of pixels gather the bins
+// within its reach. Bins are squares of BIN pixels; bin (0, 0) begins MARGIN bins
+// outside the canvas, and particles farther out fall into the outermost ones.
+//
+// -D BIN         side of a bin in pixels, a power of two
+// -D CHUNK       particles added up before they join the total (bounds rounding)
+// -D TILE_GROUP  work-items of a splatting work-group along x and y
+
+#include "common.cl"
+
+#ifndef BIN
+#error "BIN (side of a bin in pixels) must be given"
+#endif
+#ifndef CHUNK
+#define CHUNK 256 // rounding grows with CHUNK + n / CHUNK
+#endif
+#ifndef TILE_GROUP
+#define TILE_GROUP 1
+#endif
+
+// Position, weight and color of every particle at time t. One work-item a particle.
+__kernel void place(
+    const uint first, const float t, const float2 scale, const float2 center,
+    const __global float* restrict table,       // (points, 5): x, y in the frame, color
+    const __global uint2* restrict links,       // (particles,): where it starts, where it ends
+    const __global float2* restrict weights,    // (particles,): weight at t = 0 and at t = 1
+    __global float2* restrict positions,        // (particles,): pixels
+    __global float4* restrict samples)          // (particles,): weight, color
+{
+    const size_t i = (size_t)first + get_global_id(0);
+    const uint2 link = links[i];
+    const __global float* a = table + 5 * (size_t)link.x;
+    const __global float* b = table + 5 * (size_t)link.y;
+    const float s = 1.0f - t;
+    const float2 z = (float2)(s * a[0] + t * b[0], s * a[1] + t * b[1]);
+    positions[i] = (z - 0.5f) * scale + center;
+    samples[i] = (float4)(s * weights[i].x + t * weights[i].y, s * a[2] + t * b[2],
+                          s * a[3] + t * b[3], s * a[4] + t * b[4]);
+}
+
+// Which bin a pixel position falls into. (n_bins_x, n_bins_y) include the margins.
+static inline uint bin_of(const float2 position, const int margin, const int2 n_bins)
+{
+    const int bx = (int)clamp(floor(position.x * (1.0f / BIN)) + margin, 0.0f, n_bins.x - 1.0f);
+    const int by = (int)clamp(floor(position.y * (1.0f / BIN)) + margin, 0.0f, n_bins.y - 1.0f);
+    return (uint)(by * n_bins.x + bx);
+}
+
+// counts[bin][slice] = particles of this slice in the bin. One work-item a slice of
+// consecutive particles; counts are zero before.
+__kernel void count_bins(
+    const uint n_particles, const uint slice_size, const int margin, const int2 n_bins,
+    const __global float2* restrict positions, // (n_particles,)
+    __global uint* restrict counts)            // (bins, slices)
+{
+    const uint slice = get_global_id(0);
+    const uint n_slices = get_global_size(0);
+    const uint end = min(n_particles, (slice + 1) * slice_size);
+    for (uint i = slice * slice_size; i < end; ++i)
+        ++counts[(size_t)bin_of(positions[i], margin, n_bins) * n_slices + slice];
+}
+
+// Sort into bins: slots[bin][slice] is where the slice's first particle of the bin goes.
+__kernel void fill_bins(
+    const uint n_particles, const uint slice_size, const int margin, const int2 n_bins,
+    const __global float2* restrict positions, // (n_particles,)
+    const __global float4* restrict samples,   // (n_particles,)
+    __global uint* restrict slots,             // (bins, slices)
+    __global uint* restrict order,             // (n_particles,)
+    __global float2* restrict sorted_positions,
+    __global float4* restrict sorted_samples)
+{
+    const uint slice = get_global_id(0);
+    const uint n_slices = get_global_size(0);
+    const uint end = min(n_particles, (slice + 1) * slice_size);
+    for (uint i = slice * slice_size; i < end; ++i) {
+        const uint slot =
+            slots[(size_t)bin_of(positions[i], margin, n_bins) * n_slices + slice]++;
+        order[slot] = i;
+        sorted_positions[slot] = positions[i];
+        sorted_samples[slot] = samples[i];
+    }
+}
+
+// One-dimensional kernel at WIDTH pixels. nearest: the box of one pixel, half open, in
+// which every particle falls into exactly one pixel.
+static inline vreal kernel_1d(
+    const vreal d, const float exponent_scale, const float radius, const int nearest)
+{
+    const vreal one = (vreal)(1.0f);
+    const vreal zero = (vreal)(0.0f);
+    if (nearest) {
+        const vint inside = (d >= -0.5f) & (d < 0.5f);
+        return select(zero, one, inside);
+    }
+    const vreal value = exp2_nonpositive(d * d * exponent_scale);
+    const vint inside = fabs(d) <= radius;
+    return select(zero, value, inside);
+}
+
+#if WIDTH == 1
+#define RAMP 0.0f
+#elif WIDTH == 2
+#define RAMP (float2)(0, 1)
+#elif WIDTH == 4
+#define RAMP (float4)(0, 1, 2, 3)
+#elif WIDTH == 8
+#define RAMP (float8)(0, 1, 2, 3, 4, 5, 6, 7)
+#else
+#define RAMP (float16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
+#endif
+
+// Gather. A work-item owns WIDTH x WIDTH pixels; get_global_id(0), (1) count them along
+// x and, from first_block_row on, along y. The output is padded to whole work-groups.
+__kernel __attribute__((reqd_work_group_size(TILE_GROUP, TILE_GROUP, 1)))
+void splat(
+    const uint first_block_row, const uint padded_width, const int margin, const int2 n_bins,
+    const float exponent_scale, // -log2(e) / (2 sigma^2)
+    const float radius, const int nearest,
+    const __global uint* restrict bin_starts,     // (bins + 1,)
+    const __global float2* restrict positions,    // sorted into bins
+    const __global float4* restrict samples,      // sorted into bins: weight, color
+    const ulong plane,                            // padded height * padded width
+    __global float* restrict sums)                // (4, padded height, padded width)
+{
+    const uint block_y = first_block_row + get_global_id(1);
+    const float x0 = (float)(get_global_id(0) * WIDTH);
+    const float y0 = (float)(block_y * WIDTH);
+    const vreal pixel_x = x0 + RAMP;
+    const vreal pixel_y = y0 + RAMP;
+    const float last = WIDTH - 1.0f;
+
+    vreal total[4 * WIDTH];
+    for (int i = 0; i < 4 * WIDTH; ++i)
+        total[i] = (vreal)(0.0f);
+
+    const float2 low = (float2)(x0 - radius, y0 - radius);
+    const float2 high = (float2)(x0 + last + radius, y0 + last + radius);
+    const uint bin_low = bin_of(low, margin, n_bins);
+    const uint bin_high = bin_of(high, margin, n_bins);
+    const int bin_width = (int)(bin_high % n_bins.x) - (int)(bin_low % n_bins.x);
+    for (uint row = bin_low; row <= bin_high; row += n_bins.x) {
+        const uint end = bin_starts[row + bin_width + 1];
+        for (uint chunk = bin_starts[row]; chunk < end; chunk += CHUNK) {
+            vreal partial[4 * WIDTH];
+            for (int i = 0; i < 4 * WIDTH; ++i)
+                partial[i] = (vreal)(0.0f);
+            const uint chunk_end = min(end, chunk + CHUNK);
+            for (uint i = chunk; i < chunk_end; ++i) {
+                const float2 p = positions[i];
+                if (p.x < low.x || p.y < low.y || p.x > high.x || p.y > high.y)
+                    continue;
+                const float4 sample = samples[i];
+                const vreal kx = sample.x * kernel_1d(pixel_x - p.x, exponent_scale, radius, nearest);
+                const vreal kr = kx * sample.y;
+                const vreal kg = kx * sample.z;
+                const vreal kb = kx * sample.w;
+                float ky[WIDTH];
+                VSTORE(kernel_1d(pixel_y - p.y, exponent_scale, radius, nearest), 0, ky);
+                const int y_begin = max(0, (int)floor(p.y - y0 - radius));
+                const int y_end = min(WIDTH, (int)floor(p.y - y0 + radius) + 1);
+                for (int y = y_begin; y < y_end; ++y) {
+                    partial[4 * y] += ky[y] * kx;
+                    partial[4 * y + 1] += ky[y] * kr;
+                    partial[4 * y + 2] += ky[y] * kg;
+                    partial[4 * y + 3] += ky[y] * kb;
+                }
+            }
+            for (int i = 0; i < 4 * WIDTH; ++i)
+                total[i] += partial[i];
+        }
+    }
+    for (int y = 0; y < WIDTH; ++y) {
+        const size_t pixel = (size_t)(block_y * WIDTH + y) * padded_width + get_global_id(0) * WIDTH;
+        for (int channel = 0; channel < 4; ++channel)
+            VSTORE(total[4 * y + channel], (size_t)(channel * plane) + pixel, sums);
+    }
+}

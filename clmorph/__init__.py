@@ -1,0 +1,43 @@
+"""Morph one image into another by unbalanced optimal transport, on any OpenCL device."""
+
+from importlib.metadata import version
+
+from clmorph import reference
+from clmorph.backends import get_backend
+from clmorph.errors import (
+    ClmorphError,
+    ConvergenceWarning,
+    DeviceError,
+    InputError,
+    OutputError,
+)
+from clmorph.images import fit, read_image
+from clmorph.interpolation import Particles, particles
+from clmorph.measures import Measure, lift
+from clmorph.morph import Morph, morph
+from clmorph.plan import Plan, transport_plan
+from clmorph.sinkhorn import Potentials, sinkhorn
+
+__version__ = version("clmorph")
+
+__all__ = [
+    "ClmorphError",
+    "ConvergenceWarning",
+    "DeviceError",
+    "InputError",
+    "Measure",
+    "Morph",
+    "OutputError",
+    "Particles",
+    "Plan",
+    "Potentials",
+    "fit",
+    "get_backend",
+    "lift",
+    "morph",
+    "particles",
+    "read_image",
+    "reference",
+    "sinkhorn",
+    "transport_plan",
+]

@@ -1,0 +1,57 @@
+"""From what a user writes as ``backend=`` to the operations that do the work."""
+
+import os
+from functools import cache
+
+from clmorph.errors import InputError
+from clmorph.operations import Operations
+from clmorph.reference.operations import NumPyOperations
+
+#: What `backend` may be: see `get_backend`.
+Backend = str | Operations
+
+
+def get_backend(backend: Backend = "auto") -> Operations:
+    """Return the operations that a backend's name stands for.
+
+    Parameters
+    ----------
+    backend : str or Operations
+        "auto": what ``CLMORPH_DEVICE`` names, else what ``PYOPENCL_CTX`` names, else the
+        best usable OpenCL device (GPUs first, then the faster). "opencl": the same without
+        ``CLMORPH_DEVICE``. "numpy": no device, float64. An index such as "0:1" or part of a
+        device's or platform's name ("pocl", "intel", "nvidia"). An object with the
+        operations is returned as it is.
+
+    Raises
+    ------
+    InputError
+        If `backend` is neither a text nor such an object.
+    DeviceError
+        If there is no such device or it does not work.
+    """
+    if not isinstance(backend, str):
+        if hasattr(backend, "softmin"):
+            return backend
+        raise InputError(
+            f"backend={backend!r}: expected 'auto', 'numpy', 'opencl', a device's name or "
+            "index, or a backend object"
+        )
+    name = backend.strip() or "auto"
+    if name == "auto":
+        name = os.environ.get("CLMORPH_DEVICE", "").strip() or "auto"
+    return _named_backend(name, os.environ.get("PYOPENCL_CTX", ""))
+
+
+@cache
+def _named_backend(name: str, pyopencl_ctx: str) -> Operations:
+    # pyopencl_ctx is part of the cache's key: choose_device reads it for "auto".
+    if name == "numpy":
+        return NumPyOperations()
+    # OpenCL is touched only where it is used, so that the package imports without a driver.
+    from clmorph.opencl.device import choose_device
+
+    device = choose_device(name)
+    from clmorph.opencl.operations import OpenCLOperations
+
+    return OpenCLOperations(device.handle)

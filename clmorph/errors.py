@@ -1,0 +1,24 @@
+"""Exceptions and warnings of clmorph.
+
+Every message is one line that says what was wrong, what was expected, and what to do.
+"""
+
+
+class ClmorphError(Exception):
+    """Base class of every error that clmorph raises on purpose."""
+
+
+class InputError(ClmorphError, ValueError):
+    """A value given by the caller cannot be used: wrong shape, range, name or file."""
+
+
+class DeviceError(ClmorphError, RuntimeError):
+    """No OpenCL device fits the request, or the device failed."""
+
+
+class OutputError(ClmorphError, RuntimeError):
+    """A result cannot be written where it was asked for."""
+
+
+class ConvergenceWarning(UserWarning):
+    """The transport solver stopped before it reached the tolerance."""

@@ -1,0 +1,216 @@
+"""The composition: two images in, a morph out."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clmorph import defaults
+from clmorph.backends import Backend, get_backend
+from clmorph.checks import check_integer, check_number, check_reach
+from clmorph.interpolation import Particles, particles
+from clmorph.measures import Measure, lift
+from clmorph.operations import Operations
+from clmorph.plan import Plan, transport_plan
+from clmorph.rendering import Canvas, KernelWidth, canvas_at, effective_count, render
+from clmorph.sinkhorn import Potentials, sinkhorn
+
+#: Called with the name of a stage and the share of it that is done.
+StageProgress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Morph:
+    """A morph between two images; frames are rendered when asked for.
+
+    Attributes
+    ----------
+    source, target : Measure
+    potentials : Potentials
+    plan : Plan
+    particles : Particles
+    times : (n_frames,) array
+        From 0 to 1.
+    kernel_width : KernelWidth
+    operations : Operations
+        What renders the frames.
+    """
+
+    source: Measure
+    target: Measure
+    potentials: Potentials
+    plan: Plan
+    particles: Particles
+    times: NDArray[np.float64]
+    kernel_width: KernelWidth
+    operations: Operations = field(repr=False)
+
+    @cached_property
+    def _uploaded(self) -> Any:
+        moving = self.particles
+        return self.operations.upload_particles(moving.table, moving.links, moving.weights)
+
+    def canvas(self, t: float) -> Canvas:
+        """Return the canvas at time t."""
+        return canvas_at(t, self.source.shape, self.target.shape, self.source.extent)
+
+    @cached_property
+    def sigma(self) -> NDArray[np.float64]:
+        """(n_frames,) kernel width at `times`, in pixels; 0 where there is no kernel."""
+        return np.array([self.kernel_width.at(t, self.canvas(t)) for t in self.times])
+
+    def frame(self, t: float) -> NDArray[np.float32]:
+        """Render the frame at time t.
+
+        Parameters
+        ----------
+        t : float in [0, 1]
+
+        Returns
+        -------
+        (H(t), W(t), 3) float32 array
+            sRGB in [0, 1].
+        """
+        return self._render(t)[0]
+
+    def coverage(self, t: float) -> NDArray[np.float32]:
+        """Return how well the particles cover each pixel at time t, before filling.
+
+        Returns
+        -------
+        (H(t), W(t)) float32 array
+            Kernel mass as a share of what an even spread would give; under
+            `clmorph.rendering.HOLE_COVERAGE` a pixel is a hole.
+        """
+        return self._render(t)[1]
+
+    def _render(self, t: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        t = check_number("t", t, 0.0, 1.0)
+        canvas = self.canvas(t)
+        sigma = self.kernel_width.at(t, canvas)
+        return render(
+            self.operations, self._uploaded, self.particles.mass(t), t, canvas, sigma
+        )
+
+    def iter_frames(self) -> Iterator[NDArray[np.float32]]:
+        """Render the frames one by one, without keeping them."""
+        return (self.frame(t) for t in self.times)
+
+    @cached_property
+    def frames(self) -> list[NDArray[np.float32]]:
+        """All frames, at `times`; rendered at the first access, then kept."""
+        return list(self.iter_frames())
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the morph to a file chosen by its ending, see `clmorph.export.save`.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written there.
+        """
+        from clmorph.export import save
+
+        save(self.frames, self.times, path)
+
+
+def morph(
+    image_a: ArrayLike,
+    image_b: ArrayLike,
+    n_frames: int = defaults.N_FRAMES,
+    blur: float = defaults.BLUR,
+    reach: float | None = defaults.REACH,
+    color_weight: float = defaults.COLOR_WEIGHT,
+    sigma_start: float = defaults.SIGMA_START,
+    sigma_end: float = defaults.SIGMA_END,
+    gamma: float = defaults.GAMMA,
+    backend: Backend = "auto",
+    *,
+    tol: float = defaults.TOL,
+    max_iter: int = defaults.MAX_ITER,
+    extent: str = "true",
+    splatting: str = "adaptive",
+    unmatched: str = "fade",
+    progress: StageProgress | None = None,
+) -> Morph:
+    """Morph one image into another by unbalanced optimal transport.
+
+    Parameters
+    ----------
+    image_a, image_b : arrays
+        See `clmorph.images.as_rgb`; of any sizes. The work grows with the product of
+        their numbers of pixels: reduce photographs with `clmorph.fit`.
+    n_frames : int
+        At least 2; both ends are included.
+    blur : float
+        Entropic length scale, in image sides (epsilon = blur^2).
+    reach : float or None
+        Length scale beyond which mass fades rather than moves, in image sides
+        (rho = reach^2); None is balanced.
+    color_weight : float
+        lambda, the weight of color against position.
+    sigma_start, sigma_end, gamma : float
+        Kernel width at both ends and its bulge between, in canvas pixels (Eq. 4).
+    backend : str or Operations
+        See `clmorph.get_backend`.
+    tol, max_iter
+        See `clmorph.sinkhorn`.
+    extent : {"true", "unit"}
+        Keep the aspect ratio in the cost and the motion, or stretch both axes to [0, 1].
+    splatting : {"adaptive", "fixed", "none"}
+        Kernel width of Eq. 4; `sigma_start` throughout; or each particle into its
+        nearest pixel.
+    unmatched : {"fade", "drop"}
+        Draw mass that does not travel as it dies and is born, or leave it out.
+    progress : callable, optional
+        Called with a stage's name and the share of it done.
+
+    Returns
+    -------
+    Morph
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+    DeviceError
+        If the device cannot be found or fails.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If the solver stops before `tol`.
+    """
+    n_frames = check_integer("n_frames", n_frames, 2, 100_000)
+    # Checked before the solve rather than after it.
+    widths = KernelWidth(sigma_start, sigma_end, gamma, 1.0, 1.0, splatting)
+    reach = check_reach(reach)
+    report = progress or (lambda stage, share: None)
+    operations = get_backend(backend)
+
+    source = lift(image_a, color_weight, extent=extent)
+    target = lift(image_b, color_weight, extent=extent)
+    potentials = sinkhorn(
+        source, target, blur, reach, tol, max_iter, operations,
+        progress=lambda share: report("transport", share),
+    )  # fmt: skip
+    report("plan", 0.0)
+    plan = transport_plan(source, target, potentials, backend=operations)
+    report("plan", 1.0)
+    return Morph(
+        source=source,
+        target=target,
+        potentials=potentials,
+        plan=plan,
+        particles=particles(source, target, plan, unmatched=unmatched),
+        times=np.linspace(0.0, 1.0, n_frames),
+        kernel_width=KernelWidth(
+            widths.sigma_start, widths.sigma_end, widths.gamma,
+            effective_count(plan.row_mass), effective_count(plan.column_mass), splatting,
+        ),
+        operations=operations,
+    )  # fmt: skip

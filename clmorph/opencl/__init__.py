@@ -1,0 +1,1 @@
+"""OpenCL: find and choose devices, build the kernels, launch them."""

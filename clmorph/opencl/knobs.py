@@ -1,0 +1,106 @@
+"""Build-time constants of the kernels, chosen by the kind of device."""
+
+from dataclasses import dataclass
+
+import pyopencl as cl
+
+#: Stands for minus infinity in float32 exponents: far under any of them, yet the sum of
+#: a few is still finite.
+SENTINEL = -1e30
+
+
+@dataclass(frozen=True)
+class Knobs:
+    """Sizes that change speed only; see the headers of ``cl_kernels/*.cl``.
+
+    Attributes
+    ----------
+    width : int
+        Lanes of one work-item.
+    tile : int
+        Points of one tile of a cloud.
+    group : int
+        Work-items of a work-group in the row reductions.
+    unroll : int
+        Columns taken together in the log-sum-exp.
+    exp2_builtin : int
+        1: the device's own exp2; 0: the polynomial.
+    bin : int
+        Side of a bin of particles, in pixels.
+    chunk : int
+        Particles added up before they join the total.
+    tile_group : int
+        Work-items along each side of a splatting work-group.
+    slices_per_unit : int
+        Slices of the particle list sorted at once, for every compute unit.
+    """
+
+    width: int
+    tile: int
+    group: int
+    unroll: int
+    exp2_builtin: int
+    bin: int
+    chunk: int
+    tile_group: int
+    slices_per_unit: int
+
+    def rows_constants(self, dimension: int) -> dict[str, int | float]:
+        """Return the macros of ``rows.cl``."""
+        return {
+            "DIM": dimension,
+            "EXP2_BUILTIN": self.exp2_builtin,
+            "GROUP": self.group,
+            "SENTINEL": SENTINEL,
+            "TILE": self.tile,
+            "UNROLL": self.unroll,
+            "WIDTH": self.width,
+        }
+
+    def splat_constants(self) -> dict[str, int | float]:
+        """Return the macros of ``splat.cl``."""
+        return {
+            "BIN": self.bin,
+            "CHUNK": self.chunk,
+            "EXP2_BUILTIN": self.exp2_builtin,
+            "SENTINEL": SENTINEL,
+            "TILE_GROUP": self.tile_group,
+            "WIDTH": self.width,
+        }
+
+
+def choose_knobs(device: cl.Device) -> Knobs:
+    """Return constants for a device, by its type and limits."""
+    if device.type & cl.device_type.CPU:
+        return cpu_knobs(max(1, min(16, int(device.native_vector_width_float))))
+    group = min(64, device.max_work_group_size)
+    group = 1 << (group.bit_length() - 1)
+    side = 16 if device.max_work_group_size >= 256 else 8
+    if device.max_work_group_size < 64:
+        side = 1
+    return Knobs(
+        width=1,
+        tile=64,
+        group=group,
+        unroll=8,
+        exp2_builtin=1,
+        bin=8,
+        chunk=256,
+        tile_group=side,
+        slices_per_unit=64,
+    )
+
+
+def cpu_knobs(width: int) -> Knobs:
+    """Return constants for a CPU with vectors of `width` floats (a power of two)."""
+    return Knobs(
+        width=width,
+        tile=64,
+        group=1,
+        unroll=16 if width == 16 else 8,
+        exp2_builtin=0,
+        bin=8,
+        chunk=256,
+        tile_group=1,
+        slices_per_unit=16,
+    )

@@ -1,0 +1,39 @@
+"""Keep every launch short: a desktop GPU's watchdog kills long ones, and progress and
+Ctrl-C live between them.
+"""  # noqa: D205
+
+import contextlib
+import time
+from collections.abc import Iterator
+
+#: Length that launches aim at, in seconds; well under the limit of 0.2 s.
+TARGET_SECONDS = 0.08
+
+
+class LaunchBudget:
+    """How much work one launch may take, learned from the launches before it.
+
+    Parameters
+    ----------
+    first : int
+        Work of the first launch, in point pairs; small, for an unknown device.
+    """
+
+    def __init__(self, first: int = 1 << 22) -> None:
+        self._pairs = first
+        self.longest = 0.0  #: seconds, over all launches measured
+
+    def pairs(self) -> int:
+        """Return the number of point pairs for the next launch."""
+        return self._pairs
+
+    @contextlib.contextmanager
+    def measure(self, pairs: int) -> Iterator[None]:
+        """Time a launch over this many pairs and adapt the next one's size."""
+        began = time.perf_counter()
+        yield
+        elapsed = time.perf_counter() - began
+        self.longest = max(self.longest, elapsed)
+        affordable = pairs * TARGET_SECONDS / max(elapsed, 1e-6)
+        # Slow steps up: a short launch is mostly overhead and says little about a long one.
+        self._pairs = int(min(affordable, 4 * self._pairs))

@@ -1,0 +1,171 @@
+"""The few expensive operations that every backend implements.
+
+`clmorph.reference.NumPyOperations` and `clmorph.opencl.operations.OpenCLOperations` have
+these methods with these signatures. All the mathematics of the package is written once
+over them, so a disagreement between two backends names one operation.
+"""
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+
+class PlanRows(NamedTuple):
+    """Kept pairs of a plan, row after row, columns ascending inside a row."""
+
+    indptr: NDArray[np.int64]  #: (N + 1,) where each row begins
+    indices: NDArray[np.int32]  #: (kept,) column of each pair
+    mass: Float64  #: (kept,) mass of each pair
+
+
+class Bins(NamedTuple):
+    """Particles sorted into square bins of the canvas and its margin."""
+
+    shape: tuple[int, int]  #: bins along y and x, margins included
+    starts: NDArray[np.int64]  #: (bins + 1,) where each bin begins in `order`
+    order: NDArray[np.int64]  #: (K,) particles by bin; inside a bin in their own order
+
+
+class Operations(Protocol):
+    """What a backend does. Clouds, particles and splats are the backend's own handles."""
+
+    #: What the user is told: the device, its platform and driver.
+    description: str
+    #: Side of a bin in pixels.
+    bin_size: int
+
+    def upload(self, points: Float64, weights: Float64) -> Any:
+        """Take a weighted cloud.
+
+        Parameters
+        ----------
+        points : (N, D) array
+            Coordinates in any unit; costs are in that unit squared.
+        weights : (N,) array
+            Masses, at least 0, of positive sum.
+        """
+
+    def softmin(self, rows: Any, columns: Any, potential: Float64, epsilon: float) -> Float64:
+        """Return the soft minimum of cost minus potential, T(g) of the paper's section 3.1.
+
+        -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon), C_ij = |X_i - Y_j|^2 / 2.
+
+        Parameters
+        ----------
+        rows, columns : clouds of N and M points
+        potential : (M,) array, cost units
+        epsilon : float, cost units
+
+        Returns
+        -------
+        (N,) array, cost units
+        """
+
+    def row_maxima(self, rows: Any, columns: Any, potential: Float64, epsilon: float) -> Float64:
+        """Return max_j [(g_j - C_ij) / epsilon + log b_j]: (N,) array, in nats."""
+
+    def plan_rows(
+        self,
+        rows: Any,
+        columns: Any,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+    ) -> PlanRows:
+        """Return the pairs of the plan (Eq. 2) above a threshold, without a dense plan.
+
+        log pi_ij = (f_i + g_j - C_ij) / epsilon + log a_i + log b_j is kept when it
+        exceeds the smaller of `row_thresholds[i]` and `column_thresholds[j]`.
+
+        Parameters
+        ----------
+        rows, columns : clouds of N and M points
+        f, g : (N,) and (M,) arrays, cost units
+        epsilon : float, cost units
+        row_thresholds, column_thresholds : (N,) and (M,) arrays, in nats
+            +inf never keeps, -inf always does.
+        """
+
+    def upload_particles(
+        self,
+        table: Float64,
+        links: NDArray[np.uint32],
+        weights: Float64,
+    ) -> Any:
+        """Take moving particles.
+
+        Parameters
+        ----------
+        table : (P, 5) array
+            Positions in the common frame and colors of the points particles travel between.
+        links : (K, 2) array
+            Rows of `table` where each particle starts and ends.
+        weights : (K, 2) array
+            Its mass at t = 0 and at t = 1.
+        """
+
+    def place(
+        self,
+        particles: Any,
+        t: float,
+        scale: tuple[float, float],
+        center: tuple[float, float],
+    ) -> Any:
+        """Move particles to time t and onto a canvas: (z - 1/2) * scale + center, in pixels.
+
+        Returns
+        -------
+        splats
+        """
+
+    def upload_splats(self, positions: Float32, colors: Float32, weights: Float32) -> Any:
+        """Take resting particles: (K, 2) pixel positions, (K, 3) colors, (K,) masses."""
+
+    def bin_splats(self, splats: Any, shape: tuple[int, int], margin: int) -> Bins:
+        """Sort splats into bins.
+
+        Parameters
+        ----------
+        splats
+        shape : (height, width) of the canvas, in pixels
+        margin : int
+            Bins added on every side; splats farther out fall into the outermost ones.
+        """
+
+    def splat(
+        self, splats: Any, shape: tuple[int, int], sigma: float, radius: float
+    ) -> tuple[Float64, Float64]:
+        """Return the two sums of a Nadaraya-Watson frame (paper, section 3.3).
+
+        Parameters
+        ----------
+        splats
+        shape : (height, width) of the canvas, in pixels
+        sigma : float
+            Kernel width in pixels. 0 gives each splat to its nearest pixel instead.
+        radius : float
+            Where the kernel is cut: it counts while |dx| and |dy| are at most this.
+
+        Returns
+        -------
+        numerator : (height, width, 3) array
+            sum_k w_k K(p - p_k) c_k
+        denominator : (height, width) array
+            sum_k w_k K(p - p_k)
+        """
+
+
+def bin_grid(shape: tuple[int, int], margin: int, size: int) -> tuple[int, int]:
+    """Return the number of bins along y and x for a canvas and its margin."""
+    return -(-shape[0] // size) + 2 * margin, -(-shape[1] // size) + 2 * margin
+
+
+def bin_margin(radius: float, size: int) -> int:
+    """Return the bins that a kernel of this radius can reach outside the canvas."""
+    return int(-(-radius // size)) + 1

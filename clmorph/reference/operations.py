@@ -1,0 +1,166 @@
+"""NumPy twins, in float64, of the operations that run on a device."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.operations import Bins, Float32, Float64, PlanRows, bin_grid
+
+#: Entries of a dense block of rows, so that memory stays bounded (128 MB of float64).
+BLOCK_ENTRIES = 1 << 24
+
+
+class Cloud(NamedTuple):
+    """A weighted cloud: (N, D) points and the logarithms of its (N,) masses."""
+
+    points: Float64
+    log_weights: Float64
+
+
+class ParticleSet(NamedTuple):
+    """Moving particles, as given to `NumPyOperations.upload_particles`."""
+
+    table: Float64
+    links: NDArray[np.uint32]
+    weights: Float64
+
+
+class Splats(NamedTuple):
+    """Resting particles: (K, 2) pixel positions, (K, 3) colors, (K,) masses."""
+
+    positions: Float64
+    colors: Float64
+    weights: Float64
+
+
+class NumPyOperations:
+    """The operations of `clmorph.operations.Operations`, obvious rather than fast."""
+
+    description = "NumPy float64"
+    bin_size = 8
+
+    def upload(self, points: Float64, weights: Float64) -> Cloud:
+        """Take a weighted cloud."""
+        with np.errstate(divide="ignore"):
+            return Cloud(np.asarray(points, float), np.log(np.asarray(weights, float)))
+
+    def softmin(self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float) -> Float64:
+        """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
+        result = np.empty(len(rows.points))
+        for block, exponents in _exponent_blocks(rows, columns, potential, epsilon):
+            largest = exponents.max(axis=1)
+            total = np.exp(exponents - largest[:, None]).sum(axis=1)
+            result[block] = -epsilon * (largest + np.log(total))
+        return result
+
+    def row_maxima(
+        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
+    ) -> Float64:
+        """Return max_j [(g_j - C_ij) / epsilon + log b_j], in nats."""
+        result = np.empty(len(rows.points))
+        for block, exponents in _exponent_blocks(rows, columns, potential, epsilon):
+            result[block] = exponents.max(axis=1)
+        return result
+
+    def plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+    ) -> PlanRows:
+        """Return the pairs of the plan (Eq. 2) above a threshold."""
+        counts = np.zeros(len(rows.points) + 1, np.int64)
+        indices, mass = [], []
+        for block, exponents in _exponent_blocks(rows, columns, g, epsilon):
+            log_plan = exponents + (f[block] / epsilon + rows.log_weights[block])[:, None]
+            keep = log_plan > np.minimum(row_thresholds[block][:, None], column_thresholds)
+            keep &= log_plan > -np.inf
+            counts[1:][block] = keep.sum(axis=1)
+            indices.append(np.nonzero(keep)[1].astype(np.int32))
+            mass.append(np.exp(log_plan[keep]))
+        return PlanRows(np.cumsum(counts), np.concatenate(indices), np.concatenate(mass))
+
+    def upload_particles(
+        self,
+        table: Float64,
+        links: NDArray[np.uint32],
+        weights: Float64,
+    ) -> ParticleSet:
+        """Take moving particles."""
+        return ParticleSet(table, links, weights)
+
+    def place(
+        self,
+        particles: ParticleSet,
+        t: float,
+        scale: tuple[float, float],
+        center: tuple[float, float],
+    ) -> Splats:
+        """Move particles to time t and onto a canvas."""
+        start, end = particles.table[particles.links[:, 0]], particles.table[particles.links[:, 1]]
+        moved = (1 - t) * start + t * end
+        weights = (1 - t) * particles.weights[:, 0] + t * particles.weights[:, 1]
+        positions = (moved[:, :2] - 0.5) * np.asarray(scale) + np.asarray(center)
+        return Splats(positions, moved[:, 2:], weights)
+
+    def upload_splats(self, positions: Float32, colors: Float32, weights: Float32) -> Splats:
+        """Take resting particles."""
+        return Splats(positions.astype(float), colors.astype(float), weights.astype(float))
+
+    def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:
+        """Sort splats into bins."""
+        grid = bin_grid(shape, margin, self.bin_size)
+        last = np.array([grid[1] - 1, grid[0] - 1])
+        xy = np.clip(np.floor(splats.positions / self.bin_size) + margin, 0, last).astype(np.int64)
+        bins = xy[:, 1] * grid[1] + xy[:, 0]
+        starts = np.concatenate(([0], np.cumsum(np.bincount(bins, minlength=grid[0] * grid[1]))))
+        return Bins(grid, starts, np.argsort(bins, kind="stable"))
+
+    def splat(
+        self, splats: Splats, shape: tuple[int, int], sigma: float, radius: float
+    ) -> tuple[Float64, Float64]:
+        """Return the two sums of a Nadaraya-Watson frame."""
+        height, width = shape
+        sums = np.zeros((4, height, width))
+        chunk = max(1, BLOCK_ENTRIES // (4 * (height + width)))
+        for first in range(0, len(splats.weights), chunk):
+            part = slice(first, first + chunk)
+            x = np.arange(width) - splats.positions[part, 0, None]
+            y = np.arange(height) - splats.positions[part, 1, None]
+            along_x = _kernel(x, sigma, radius)
+            # The kernel is a product, so the sum over particles is a matrix product.
+            along_y = _kernel(y, sigma, radius) * splats.weights[part, None]
+            sums[0] += along_y.T @ along_x
+            for channel in range(3):
+                sums[channel + 1] += (along_y * splats.colors[part, channel, None]).T @ along_x
+        return np.moveaxis(sums[1:], 0, -1), sums[0]
+
+
+def _exponent_blocks(
+    rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
+) -> Iterator[tuple[slice, Float64]]:
+    """Yield (g_j - C_ij) / epsilon + log b_j for blocks of rows."""
+    step = max(1, BLOCK_ENTRIES // max(1, len(columns.points)))
+    for first in range(0, len(rows.points), step):
+        block = slice(first, first + step)
+        x, y = rows.points[block], columns.points
+        exponents = np.zeros((len(x), len(y)))
+        for d in range(x.shape[1]):
+            exponents -= 0.5 * (x[:, d, None] - y[:, d]) ** 2
+        exponents += potential
+        exponents /= epsilon
+        exponents += columns.log_weights
+        yield block, exponents
+
+
+def _kernel(d: Float64, sigma: float, radius: float) -> Float64:
+    """One-dimensional kernel at distances d (pixels): cut Gaussian, or the pixel's box."""
+    if sigma == 0:
+        return ((d >= -0.5) & (d < 0.5)).astype(float)
+    return np.where(np.abs(d) <= radius, np.exp(-0.5 * (d / sigma) ** 2), 0.0)

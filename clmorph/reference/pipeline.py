@@ -1,0 +1,264 @@
+"""The paper from images to frames in plain NumPy float64: dense, textbook, independent.
+
+Plain Sinkhorn iteration from zero, the whole plan, the whole sum over all particles. It
+shares no mathematics with the accelerated path, so it can judge it; it needs N x M
+memory, so images should stay under about 64 x 64 pixels. Equations are those of the paper.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clmorph import defaults
+from clmorph.images import as_rgb
+from clmorph.measures import Measure
+from clmorph.sinkhorn import Potentials
+
+Array = NDArray[np.float64]
+
+
+# --- 2.1 and 3.1: unbalanced transport in the log domain --------------------------------
+
+
+def cost_matrix(source: Measure, target: Measure) -> Array:
+    """Return C_ij = |X_i - Y_j|^2 / 2 (Eq. 1 with the factor 1/2): (N, M) array."""
+    x, y = source.points, target.points
+    return 0.5 * np.sum((x[:, None, :] - y[None, :, :]) ** 2, axis=2)
+
+
+def _log_sum_exp(values: Array, axis: int) -> Array:
+    largest = values.max(axis=axis, keepdims=True)
+    total = np.log(np.sum(np.exp(values - largest), axis=axis))
+    return total + np.squeeze(largest, axis=axis)
+
+
+def _log(weights: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        return np.log(weights)
+
+
+def sinkhorn(
+    source: Measure,
+    target: Measure,
+    blur: float = defaults.BLUR,
+    reach: float | None = defaults.REACH,
+    tol: float = defaults.TOL,
+    max_iter: int = defaults.MAX_ITER,
+) -> Potentials:
+    """Alternate f = Delta T(g), g = Delta T(f) from zero until the residual is `tol`.
+
+    Parameters and result as `clmorph.sinkhorn`.
+    """
+    epsilon = blur**2
+    damping = 1.0 if reach is None else reach**2 / (reach**2 + epsilon)
+    cost = cost_matrix(source, target)
+    log_a, log_b = _log(source.weights), _log(target.weights)
+    f, g = np.zeros(len(source)), np.zeros(len(target))
+    n_iter, residual = 0, np.inf
+    while n_iter < max_iter and residual > tol:
+        f = -damping * epsilon * _log_sum_exp((g - cost) / epsilon + log_b, 1)
+        g = -damping * epsilon * _log_sum_exp((f[:, None] - cost) / epsilon + log_a[:, None], 0)
+        # g is exact for this f; what is left is f's own error.
+        f_next = -damping * epsilon * _log_sum_exp((g - cost) / epsilon + log_b, 1)
+        residual = float(np.max(np.abs(f_next - f)[source.weights > 0])) / epsilon
+        n_iter += 1
+    return Potentials(f, g, blur, reach, residual <= tol, n_iter, residual, "plain iteration")
+
+
+def transport_plan(source: Measure, target: Measure, potentials: Potentials) -> Array:
+    """Return the whole plan, Eq. 2: (N, M) array."""
+    exponent = potentials.f[:, None] + potentials.g - cost_matrix(source, target)
+    log_plan = exponent / potentials.epsilon
+    log_plan += _log(source.weights)[:, None] + _log(target.weights)
+    return np.exp(log_plan)
+
+
+# --- 3.3: canvas, kernel width, Nadaraya-Watson -----------------------------------------
+
+
+def canvas_shape(t: float, source: Measure, target: Measure) -> tuple[int, int]:
+    """Return (H(t), W(t)): sides between the source's and the target's, rounded down."""
+    (hs, ws), (ht, wt) = source.shape, target.shape
+    return (
+        hs + int(np.floor(t * (ht - hs) + 1e-9)),
+        ws + int(np.floor(t * (wt - ws) + 1e-9)),
+    )
+
+
+def kernel_width(
+    t: float,
+    shape: tuple[int, int],
+    plan: Array,
+    sigma_start: float,
+    sigma_end: float,
+    gamma: float,
+) -> float:
+    """Return sigma(t) in pixels, Eq. 4, with the floor of Eq. 3."""
+    r, c = plan.sum(axis=1), plan.sum(axis=0)
+    n_eff = (1 - t) * r.sum() ** 2 / np.sum(r**2) + t * c.sum() ** 2 / np.sum(c**2)
+    sigma_min = 0.5 * np.sqrt(shape[0] * shape[1] / n_eff)
+    sigma = (1 - t) * sigma_start + t * sigma_end + gamma * 4 * t * (1 - t)
+    return float(max(sigma_min, sigma))
+
+
+def render(
+    source: Measure,
+    target: Measure,
+    plan: Array,
+    t: float,
+    sigma: float,
+    unmatched: str = "fade",
+) -> tuple[Array, Array]:
+    """Sum the kernels of all particles, none left out and none cut.
+
+    Parameters
+    ----------
+    source, target : Measure
+    plan : (N, M) array
+    t : float
+    sigma : float
+        Kernel width, pixels.
+    unmatched : {"fade", "drop"}
+
+    Returns
+    -------
+    numerator : (H, W, 3) array
+    denominator : (H, W) array
+        The frame is numerator / denominator.
+    """
+    height, width = canvas_shape(t, source, target)
+    numerator, denominator = np.zeros((height, width, 3)), np.zeros((height, width))
+    a, b = source.weights, target.weights
+    r, c = plan.sum(axis=1), plan.sum(axis=0)
+
+    def add(positions: Array, colors: Array, weights: Array) -> None:
+        x, y = _to_pixels(positions, t, source, target)
+        along_x = np.exp(-((np.arange(width) - x[:, None]) ** 2) / (2 * sigma**2))
+        along_y = np.exp(-((np.arange(height) - y[:, None]) ** 2) / (2 * sigma**2))
+        along_y *= weights[:, None]
+        denominator[...] += along_y.T @ along_x
+        for channel in range(3):
+            numerator[..., channel] += (along_y * colors[:, channel, None]).T @ along_x
+
+    for i in range(len(source)):
+        weights = plan[i]
+        if unmatched == "fade":
+            scale_a = min(1.0, a[i] / r[i]) if r[i] > 0 else 0.0
+            scale_b = np.minimum(1.0, b / np.where(c > 0, c, np.inf))
+            weights = plan[i] * ((1 - t) * scale_a + t * scale_b)
+        add(
+            (1 - t) * source.positions[i] + t * target.positions,
+            (1 - t) * source.colors[i] + t * target.colors,
+            weights,
+        )
+    if unmatched == "fade":
+        add(source.positions, source.colors, (1 - t) * np.maximum(0.0, a - r))
+        add(target.positions, target.colors, t * np.maximum(0.0, b - c))
+    return numerator, denominator
+
+
+def _to_pixels(
+    positions: Array, t: float, source: Measure, target: Measure
+) -> tuple[Array, Array]:
+    height, width = canvas_shape(t, source, target)
+    if source.extent == "unit":
+        return positions[:, 0] * (width - 1), positions[:, 1] * (height - 1)
+    scale = (1 - t) * (max(source.shape) - 1) + t * (max(target.shape) - 1)
+    return (
+        (positions[:, 0] - 0.5) * scale + (width - 1) / 2,
+        (positions[:, 1] - 0.5) * scale + (height - 1) / 2,
+    )
+
+
+# --- the whole --------------------------------------------------------------------------
+
+
+def _lift(image: ArrayLike, color_weight: float, extent: str) -> Measure:
+    """Lift an image with uniform weights (2.3)."""
+    pixels = as_rgb(image)
+    height, width, _ = pixels.shape
+    longer = max(height, width)
+    positions = np.empty((height, width, 2))
+    for row in range(height):
+        for column in range(width):
+            if extent == "unit":
+                x = column / (width - 1) if width > 1 else 0.5
+                y = row / (height - 1) if height > 1 else 0.5
+            else:
+                x = 0.5 + (column - (width - 1) / 2) / max(1, longer - 1)
+                y = 0.5 + (row - (height - 1) / 2) / max(1, longer - 1)
+            positions[row, column] = x, y
+    n = height * width
+    return Measure(
+        positions=positions.reshape(n, 2),
+        colors=pixels.reshape(n, 3),
+        weights=np.full(n, 1 / n),
+        shape=(height, width),
+        color_weight=color_weight,
+        extent=extent,
+    )
+
+
+@dataclass(frozen=True)
+class ReferenceMorph:
+    """What `morph` returns; attributes as `clmorph.Morph`, `plan` dense."""
+
+    source: Measure
+    target: Measure
+    potentials: Potentials
+    plan: Array
+    times: Array
+    sigma_start: float
+    sigma_end: float
+    gamma: float
+    unmatched: str
+
+    @property
+    def sigma(self) -> Array:
+        """(n_frames,) kernel widths at `times`, in pixels."""
+        return np.array([self._sigma(t) for t in self.times])
+
+    def _sigma(self, t: float) -> float:
+        shape = canvas_shape(t, self.source, self.target)
+        return kernel_width(t, shape, self.plan, self.sigma_start, self.sigma_end, self.gamma)
+
+    def frame(self, t: float) -> Array:
+        """Return the (H(t), W(t), 3) frame at time t."""
+        sigma = self._sigma(t)
+        numerator, denominator = render(
+            self.source, self.target, self.plan, t, sigma, self.unmatched
+        )
+        tiny = np.finfo(float).tiny
+        return np.clip(numerator / np.maximum(denominator, tiny)[..., None], 0, 1)
+
+    @property
+    def frames(self) -> list[Array]:
+        """The frames at `times`."""
+        return [self.frame(t) for t in self.times]
+
+
+def morph(
+    image_a: ArrayLike,
+    image_b: ArrayLike,
+    n_frames: int = defaults.N_FRAMES,
+    blur: float = defaults.BLUR,
+    reach: float | None = defaults.REACH,
+    color_weight: float = defaults.COLOR_WEIGHT,
+    sigma_start: float = defaults.SIGMA_START,
+    sigma_end: float = defaults.SIGMA_END,
+    gamma: float = defaults.GAMMA,
+    *,
+    tol: float = defaults.TOL,
+    max_iter: int = defaults.MAX_ITER,
+    extent: str = "true",
+    unmatched: str = "fade",
+) -> ReferenceMorph:
+    """Morph one image into another; parameters as `clmorph.morph`."""
+    source, target = (_lift(image, color_weight, extent) for image in (image_a, image_b))
+    potentials = sinkhorn(source, target, blur, reach, tol, max_iter)
+    plan = transport_plan(source, target, potentials)
+    times = np.linspace(0, 1, n_frames)
+    return ReferenceMorph(
+        source, target, potentials, plan, times, sigma_start, sigma_end, gamma, unmatched
+    )
