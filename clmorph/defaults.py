@@ -21,12 +21,22 @@ TOL = 1e-3
 MAX_ITER = 2000
 #: A pair is kept from this share of its row's or its column's largest on.
 PLAN_RELATIVE = 1e-4
-#: Longer side, in pixels, to which the command line reduces images.
-SIZE = 96
-
-#: Named sets of options of ``clmorph morph``. "paper": section 4 of the paper, with its
-#: axes (each stretched to [0, 1]) and its particles (nothing drawn for unmatched mass).
-PRESETS: dict[str, dict[str, float | int | str]] = {
+#: Named sets of options of ``clmorph morph``. "photo" (the default) looks well on arbitrary
+#: pictures: sharp ends, and colors that rather change than fade. "paper" is section 4 of the
+#: paper, with its axes (each stretched to [0, 1]) and its particles (nothing drawn for
+#: unmatched mass). `size` is the longer side, in pixels, to which images are reduced.
+PRESETS: dict[str, dict[str, float | int | str | None]] = {
+    "photo": {
+        "size": 128,
+        "blur": 0.03,
+        "reach": 0.3,
+        "color_weight": 0.5,
+        "sigma_start": 0.6,
+        "sigma_end": 0.5,
+        "gamma": 0.4,
+        "extent": "true",
+        "unmatched": "fade",
+    },
     "paper": {
         "size": 48,
         "blur": BLUR,

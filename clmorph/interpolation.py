@@ -1,6 +1,7 @@
 """Particles that travel along the plan, births and deaths included."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,9 +39,13 @@ class Particles:
     def __len__(self) -> int:
         return len(self.links)
 
+    @cached_property
+    def _end_masses(self) -> NDArray[np.float64]:
+        return np.asarray(self.weights.sum(axis=0))
+
     def mass(self, t: float) -> float:
         """Total mass at time t."""
-        start, end = self.weights.sum(axis=0)
+        start, end = self._end_masses
         return float((1 - t) * start + t * end)
 
 

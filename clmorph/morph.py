@@ -194,6 +194,7 @@ def morph(
 
     source = lift(image_a, color_weight, extent=extent)
     target = lift(image_b, color_weight, extent=extent)
+    report("transport", 0.0)
     potentials = sinkhorn(
         source, target, blur, reach, tol, max_iter, operations,
         progress=lambda share: report("transport", share),

@@ -1,0 +1,171 @@
+"""The command ``clmorph``.
+
+Exit codes: 0 done; 2 a mistake in the command line, a file or the choice of device, told
+in one line; 130 interrupted.
+"""
+
+import os
+import sys
+import time
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from clmorph import __version__
+from clmorph.defaults import N_FRAMES, PRESETS
+from clmorph.errors import ClmorphError, ConvergenceWarning, InputError
+from clmorph.terminal import NOTES, Stages
+
+#: Value of ``--reach`` that stands for no creation or destruction of mass.
+BALANCED = "balanced"
+
+
+class _Reach(click.ParamType):
+    """A number, or "balanced"."""
+
+    name = "number|balanced"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float | str:
+        if value == BALANCED:
+            return BALANCED
+        try:
+            return float(value)
+        except ValueError:
+            self.fail(f"{value!r} is neither a number nor {BALANCED!r}.", param, ctx)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="clmorph")
+def cli() -> None:
+    """Morph one image into another by unbalanced optimal transport.
+
+    \b
+    clmorph demo                            a first look: a sprite becomes a photograph
+    clmorph morph a.png b.jpg -o out.gif    your own two pictures
+    """
+
+
+def _device_options(command: Any) -> Any:
+    command = click.option(
+        "--device", metavar="NAME", help="OpenCL device: an index (0:1) or part of a name."
+    )(command)
+    return click.option(
+        "--backend",
+        metavar="NAME",
+        help="auto, opencl, numpy, or what --device takes.  [default: auto]",
+    )(command)
+
+
+def _open_backend(device: str | None, backend: str | None) -> Any:
+    """Choose the device and say which it is."""
+    if device is not None and backend not in (None, "auto", "opencl"):
+        raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
+    from clmorph.backends import get_backend
+
+    with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
+        operations = get_backend(device or backend or "auto")
+    NOTES.print(f"device: {operations.description}", markup=False)
+    return operations
+
+
+@cli.command()
+@click.argument("image_a", metavar="A", type=click.Path(path_type=Path))
+@click.argument("image_b", metavar="B", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="out.gif; out.png for a contact sheet; no ending for a folder of PNG frames.",
+)
+@click.option("--preset", default="photo", show_default=True, type=click.Choice(list(PRESETS)))
+@click.option("--frames", type=int, default=N_FRAMES, show_default=True, help="Number of frames.")
+@click.option("--size", type=int, help="Reduce images to this longer side, in pixels.")
+@click.option("--blur", type=float, help="Entropic length scale, in image sides.")
+@click.option("--reach", type=_Reach(), help="How far mass moves before it rather fades.")
+@click.option("--color-weight", type=float, help="Weight of color against position.")
+@click.option("--sigma-start", type=float, help="Kernel width at the start, in pixels.")
+@click.option("--sigma-end", type=float, help="Kernel width at the end, in pixels.")
+@click.option("--gamma", type=float, help="Bulge of the kernel width in between, in pixels.")
+@_device_options
+def morph(
+    image_a: Path,
+    image_b: Path,
+    output: Path,
+    preset: str,
+    frames: int,
+    device: str | None,
+    backend: str | None,
+    **options: Any,
+) -> None:
+    """Morph image A into image B.
+
+    Options that are not given are those of the preset.
+    """
+    from clmorph.export import output_writer
+    from clmorph.images import fit, read_image
+    from clmorph.morph import morph as run
+
+    began = time.perf_counter()
+    writer = output_writer(output)
+    given = {name: value for name, value in options.items() if value is not None}
+    parameters: dict[str, Any] = PRESETS[preset] | given
+    if parameters["reach"] == BALANCED:
+        parameters["reach"] = None
+    size = parameters.pop("size")
+    source, target = (fit(read_image(path), size) for path in (image_a, image_b))
+    operations = _open_backend(device, backend)
+    with Stages() as stages, warnings.catch_warnings():
+        # Said in the last line.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        result = run(
+            source, target, frames, backend=operations, progress=stages, **parameters
+        )
+        pictures = []
+        for number, picture in enumerate(result.iter_frames()):
+            pictures.append(picture)
+            stages("frames", (number + 1) / frames)
+        writer(pictures, result.times)
+    click.echo(
+        f"{output}: {len(pictures)} frames in {time.perf_counter() - began:.1f} s, "
+        f"{result.potentials.message}"
+    )
+
+
+@cli.command()
+@_device_options
+def demo(device: str | None, backend: str | None) -> None:
+    """Morph a bundled sprite into a photograph: clmorph-demo.gif and clmorph-demo.png."""
+    from clmorph.demo import run_demo
+
+    operations = _open_backend(device, backend)
+    with Stages() as stages:
+        report = run_demo(operations, Path.cwd(), stages)
+    for line in report:
+        click.echo(line)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    try:
+        cli.main(arguments, prog_name="clmorph", standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.ctx.get_help())
+        return 2
+    except click.ClickException as error:
+        message = " ".join(error.format_message().split())
+        click.echo(f"clmorph: error: {message} (clmorph --help shows the usage)", err=True)
+        return 2
+    except ClmorphError as error:
+        click.echo(f"clmorph: error: {error}", err=True)
+        return 2
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("clmorph: interrupted, nothing was written", err=True)
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return 0

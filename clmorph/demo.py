@@ -1,0 +1,79 @@
+"""What ``clmorph demo`` shows: a pixel-art cat becomes a photograph of one."""
+
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.defaults import PRESETS
+from clmorph.export import output_writer
+from clmorph.images import as_rgb, fit, read_image
+from clmorph.morph import morph
+from clmorph.operations import Operations
+from clmorph.terminal import Stages
+
+#: Pixels for each block of the sprite, and the photograph's side.
+SPRITE_ZOOM = 3
+PHOTO_SIDE = 128
+N_FRAMES = 40
+#: A little more blur than the preset: few colors meet many.
+PARAMETERS = {name: PRESETS["photo"][name] for name in ("reach", "sigma_start", "sigma_end")} | {
+    "blur": 0.04,
+    "color_weight": 1.0,
+    "gamma": 0.4,
+}
+
+
+def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the sprite (96 x 96) and the photograph (128 x 128)."""
+    from skimage.data import chelsea
+
+    with resources.as_file(resources.files("clmorph.data") / "cat.png") as file:
+        sprite = read_image(file)
+    blocks = np.ones((SPRITE_ZOOM, SPRITE_ZOOM, 1))
+    return np.kron(sprite, blocks), fit(as_rgb(chelsea()[:, 85:385]), PHOTO_SIDE)
+
+
+def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
+    """Make the demo's files.
+
+    Parameters
+    ----------
+    operations : Operations
+    folder : Path
+        Where ``clmorph-demo.gif`` and ``clmorph-demo.png`` go.
+    stages : Stages
+
+    Returns
+    -------
+    list of str
+        What to tell the user: parameters, times, files.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written to.
+    """
+    files = [folder / "clmorph-demo.gif", folder / "clmorph-demo.png"]
+    writers = [output_writer(file) for file in files]
+    sprite, photo = demo_images()
+    result = morph(sprite, photo, N_FRAMES, backend=operations, progress=stages, **PARAMETERS)  # type: ignore[arg-type]
+    frames = []
+    for number, frame in enumerate(result.iter_frames()):
+        frames.append(frame)
+        stages("frames", (number + 1) / N_FRAMES)
+    for number, writer in enumerate(writers):
+        stages("files", number / len(writers))
+        writer(frames, result.times)
+        stages("files", (number + 1) / len(writers))
+    options = ", ".join(f"{name} {value:g}" for name, value in PARAMETERS.items())  # type: ignore[str-format]
+    times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in stages.seconds.items())
+    return [
+        f"images: {sprite.shape[1]}x{sprite.shape[0]} to {photo.shape[1]}x{photo.shape[0]}, "
+        f"{N_FRAMES} frames, {len(result.particles)} particles",
+        f"parameters: {options}",
+        f"solver: {result.potentials.message}",
+        f"times: {times}",
+        *(f"wrote {file.name}" for file in files),
+    ]

@@ -1,0 +1,58 @@
+"""What the command line shows while it works, and how long each stage took."""
+
+import time
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+#: Progress, notes and errors; results go to standard output.
+NOTES = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+class Stages:
+    """Progress bars, one a stage; silent where standard error is not a terminal.
+
+    Calling it with a stage's name and the share done opens, moves or closes its bar.
+
+    Attributes
+    ----------
+    seconds : dict
+        Time from a stage's first call to its last.
+    """
+
+    def __init__(self) -> None:
+        self._bars = Progress(
+            TextColumn("{task.description:10}"),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeElapsedColumn(),
+            console=NOTES,
+            disable=not NOTES.is_terminal,
+            transient=True,
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._began: dict[str, float] = {}
+        self.seconds: dict[str, float] = {}
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bars.stop()
+
+    def __call__(self, stage: str, share: float) -> None:
+        """Show that `share` (0 to 1) of a stage is done."""
+        now = time.perf_counter()
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(stage, total=1.0)
+            self._began[stage] = now
+        self._bars.update(self._tasks[stage], completed=share)
+        self.seconds[stage] = now - self._began[stage]
