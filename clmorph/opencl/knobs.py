@@ -72,27 +72,13 @@ class Knobs:
 def choose_knobs(device: cl.Device) -> Knobs:
     """Return constants for a device, by its type and limits."""
     if device.type & cl.device_type.CPU:
-        return cpu_knobs(max(1, min(16, int(device.native_vector_width_float))))
-    group = min(64, device.max_work_group_size)
-    group = 1 << (group.bit_length() - 1)
-    side = 16 if device.max_work_group_size >= 256 else 8
-    if device.max_work_group_size < 64:
-        side = 1
-    return Knobs(
-        width=1,
-        tile=64,
-        group=group,
-        unroll=8,
-        exp2_builtin=1,
-        bin=8,
-        chunk=256,
-        tile_group=side,
-        slices_per_unit=64,
-    )
+        return cpu_knobs(int(device.native_vector_width_float))
+    return gpu_knobs(device.max_work_group_size)
 
 
-def cpu_knobs(width: int) -> Knobs:
-    """Return constants for a CPU with vectors of `width` floats (a power of two)."""
+def cpu_knobs(vector: int) -> Knobs:
+    """Return constants for a CPU with vectors of `vector` floats."""
+    width = next(width for width in (16, 8, 4, 2, 1) if width <= max(1, vector))
     return Knobs(
         width=width,
         tile=64,
@@ -103,4 +89,19 @@ def cpu_knobs(width: int) -> Knobs:
         chunk=256,
         tile_group=1,
         slices_per_unit=16,
+    )
+
+
+def gpu_knobs(largest_group: int) -> Knobs:
+    """Return constants for a GPU whose work-groups have at most `largest_group` items."""
+    return Knobs(
+        width=1,
+        tile=64,
+        group=next(group for group in (64, 32, 16, 8, 4, 2, 1) if group <= largest_group),
+        unroll=8,
+        exp2_builtin=1,
+        bin=8,
+        chunk=256,
+        tile_group=next(side for side in (16, 8, 4, 2, 1) if side**2 <= largest_group),
+        slices_per_unit=64,
     )

@@ -54,13 +54,14 @@ def sinkhorn(
     damping = 1.0 if reach is None else reach**2 / (reach**2 + epsilon)
     cost = cost_matrix(source, target)
     log_a, log_b = _log(source.weights), _log(target.weights)
-    f, g = np.zeros(len(source)), np.zeros(len(target))
+    g = np.zeros(len(target))
+    f_next = -damping * epsilon * _log_sum_exp((g - cost) / epsilon + log_b, 1)
     n_iter, residual = 0, np.inf
     while n_iter < max_iter and residual > tol:
-        f = -damping * epsilon * _log_sum_exp((g - cost) / epsilon + log_b, 1)
+        f = f_next
         g = -damping * epsilon * _log_sum_exp((f[:, None] - cost) / epsilon + log_a[:, None], 0)
-        # g is exact for this f; what is left is f's own error.
         f_next = -damping * epsilon * _log_sum_exp((g - cost) / epsilon + log_b, 1)
+        # g is exact for this f; what is left is f's own error.
         residual = float(np.max(np.abs(f_next - f)[source.weights > 0])) / epsilon
         n_iter += 1
     return Potentials(f, g, blur, reach, residual <= tol, n_iter, residual, "plain iteration")

@@ -1,0 +1,77 @@
+"""Random and nasty clouds, and the tolerance a float32 device is held to."""
+
+import numpy as np
+
+#: Unit roundoff of float32.
+UNIT = 2.0**-24
+
+
+def log_sum_exp_tolerance(rows, columns, epsilon):
+    """Nats by which a float32 log-sum-exp may be off.
+
+    A few roundings of each term (8 units, the polynomial's error included), the random
+    walk of a sum of M terms, and one rounding of an exponent of size C / epsilon; several
+    happen, but tiles make the numbers smaller.
+    """
+    (x, _), (y, _) = rows, columns
+    low = np.minimum(x.min(axis=0), y.min(axis=0))
+    high = np.maximum(x.max(axis=0), y.max(axis=0))
+    largest = 0.5 * np.sum((high - low) ** 2) / epsilon
+    return UNIT * (8 + 2 * np.sqrt(len(y)) + largest)
+
+
+def _cloud(rng, n, scale=(1, 1, 2, 2, 2), weights=None):
+    points = rng.random((n, 5)) * scale
+    return points, np.full(n, 1 / n) if weights is None else weights
+
+
+def _image_cloud(rng, side):
+    """A smooth picture, lifted."""
+    y, x = np.meshgrid(*[np.linspace(0, 1, side)] * 2, indexing="ij")
+    colors = [0.5 + 0.5 * np.sin(k * x + 3 * y + rng.random() * 6) for k in (2, 5, 7)]
+    points = np.column_stack([x.ravel(), y.ravel()] + [2 * c.ravel() for c in colors])
+    return points, np.full(side * side, side**-2.0)
+
+
+def _zeroed(rng, n):
+    weights = rng.random(n)
+    weights[rng.random(n) < 0.4] = 0
+    weights[0] = 1
+    return weights
+
+
+#: name -> function of a generator that returns two clouds (points, weights).
+PAIRS = {
+    "random": lambda rng: (_cloud(rng, 257), _cloud(rng, 403)),
+    "images": lambda rng: (_image_cloud(rng, 24), _image_cloud(rng, 21)),
+    "whole tiles": lambda rng: (_cloud(rng, 256), _cloud(rng, 128)),
+    "one point each": lambda rng: (_cloud(rng, 1), _cloud(rng, 1)),
+    "one and many": lambda rng: (_cloud(rng, 1), _cloud(rng, 130)),
+    "many and one": lambda rng: (_cloud(rng, 130), _cloud(rng, 1)),
+    "primes": lambda rng: (_cloud(rng, 61), _cloud(rng, 67)),
+    "all equal": lambda rng: (
+        (np.full((100, 5), 0.3), np.full(100, 0.01)),
+        (np.full((70, 5), 0.3), np.full(70, 0.01)),
+    ),
+    "duplicates": lambda rng: tuple(
+        (np.repeat(points[:20], 8, axis=0), np.full(160, 1 / 160))
+        for points in (rng.random((20, 5)), rng.random((20, 5)))
+    ),
+    "zero weights": lambda rng: (
+        _cloud(rng, 200, weights=_zeroed(rng, 200)),
+        _cloud(rng, 300, weights=_zeroed(rng, 300)),
+    ),
+    "one mass among zeros": lambda rng: (
+        _cloud(rng, 90),
+        _cloud(rng, 200, weights=np.eye(200)[137]),
+    ),
+    "ten orders of mass": lambda rng: (
+        _cloud(rng, 150, weights=10 ** rng.uniform(-10, 0, 150)),
+        _cloud(rng, 220, weights=10 ** rng.uniform(-10, 0, 220)),
+    ),
+    "a line": lambda rng: (_cloud(rng, 99, scale=(1, 0, 0, 0, 0)), _cloud(rng, 140)),
+    "two far clusters": lambda rng: (
+        _cloud(rng, 130, scale=(0.01,) * 5),
+        (rng.random((150, 5)) * 0.01 + 0.9, np.full(150, 1 / 150)),
+    ),
+}

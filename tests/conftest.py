@@ -1,0 +1,64 @@
+"""Every usable OpenCL device of this machine is a test parameter; none is a failure."""
+
+import os
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph.opencl.device import Device, find_devices
+from clmorph.opencl.knobs import cpu_knobs, gpu_knobs
+from clmorph.opencl.operations import OpenCLOperations
+
+DEVICES = find_devices()
+USABLE = [device for device in DEVICES if device.usable]
+#: Comma-separated parts of names that CI requires among the usable devices.
+REQUIRED = [name for name in os.environ.get("CLMORPH_TEST_REQUIRE", "").split(",") if name]
+
+
+def pytest_report_header() -> list[str]:
+    lines = [f"OpenCL device {device}" for device in DEVICES]
+    return lines or ["OpenCL devices: none"]
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    if not USABLE:
+        raise pytest.UsageError(
+            "no usable OpenCL device: install one, for example with pip install '.[cpu,test]'"
+        )
+    for name in REQUIRED:
+        if not any(device.matches(name) for device in USABLE):
+            raise pytest.UsageError(f"no usable OpenCL device matches the required {name!r}")
+
+
+def _label(device: Device) -> str:
+    return f"{device.platform} {device.driver}".replace(" ", "-")
+
+
+#: Each device with its own build-time constants, and with the other kind's: a CPU runs what
+#: a GPU would (scalars, work-groups, barriers, shares of the columns), and the reverse.
+VARIANTS = [pytest.param((device, False), id=_label(device)) for device in USABLE]
+VARIANTS += [pytest.param((device, True), id=_label(device) + "-swapped") for device in USABLE]
+
+
+@pytest.fixture(scope="session", params=VARIANTS)
+def variant(request: pytest.FixtureRequest) -> OpenCLOperations:
+    """Operations on each usable device, built in both ways."""
+    device, swapped = request.param
+    if not swapped:
+        return OpenCLOperations(device.handle)
+    knobs = gpu_knobs(256) if device.kind == "CPU" else cpu_knobs(4)
+    return OpenCLOperations(device.handle, knobs)
+
+
+@pytest.fixture(scope="session", params=USABLE, ids=_label)
+def device(request: pytest.FixtureRequest) -> OpenCLOperations:
+    """Operations on each usable device in turn."""
+    operations = clmorph.get_backend(request.param.index)
+    assert isinstance(operations, OpenCLOperations)
+    return operations
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20261121)

@@ -1,0 +1,263 @@
+"""Each operation on each device against its NumPy twin."""
+
+import inspect
+
+import numpy as np
+import pytest
+from clouds import PAIRS, UNIT, log_sum_exp_tolerance
+
+from clmorph.opencl.operations import OpenCLOperations
+from clmorph.operations import Operations, bin_margin
+from clmorph.reference import NumPyOperations
+
+REFERENCE = NumPyOperations()
+BLURS = [1.0, 0.3, 0.1, 0.05, 0.02, 0.01, 0.003]
+
+
+def _upload(operations, pair):
+    return [operations.upload(*cloud) for cloud in pair]
+
+
+def _potential(rng, n, epsilon):
+    """Potentials of the size that solutions have, rough by a few epsilon."""
+    return 0.2 * rng.random() + epsilon * rng.normal(size=n)
+
+
+def test_twins_have_the_protocols_signatures():
+    names = [name for name in vars(Operations) if not name.startswith("_")]
+    operations = [name for name in names if callable(getattr(Operations, name, None))]
+    assert len(operations) == 9
+    for name in operations:
+        wanted = list(inspect.signature(getattr(Operations, name)).parameters)
+        for backend in (NumPyOperations, OpenCLOperations):
+            assert list(inspect.signature(getattr(backend, name)).parameters) == wanted, name
+
+
+@pytest.mark.parametrize("blur", BLURS)
+@pytest.mark.parametrize("name", PAIRS)
+def test_softmin_and_row_maxima(variant, rng, name, blur):
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    g = _potential(rng, len(pair[1][0]), epsilon)
+    tolerance = log_sum_exp_tolerance(*pair, epsilon)
+    rows, columns = _upload(variant, pair)
+    exact_rows, exact_columns = _upload(REFERENCE, pair)
+
+    got = variant.softmin(rows, columns, g, epsilon)
+    want = REFERENCE.softmin(exact_rows, exact_columns, g, epsilon)
+    assert np.all(np.isfinite(got))
+    assert np.abs(got - want).max() / epsilon <= tolerance
+
+    got = variant.row_maxima(rows, columns, g, epsilon)
+    want = REFERENCE.row_maxima(exact_rows, exact_columns, g, epsilon)
+    assert np.abs(got - want).max() <= tolerance
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3, 8])
+def test_softmin_in_other_dimensions(variant, rng, dimension):
+    pair = [(rng.random((n, dimension)), np.full(n, 1 / n)) for n in (100, 150)]
+    epsilon = 0.01
+    g = _potential(rng, 150, epsilon)
+    got = variant.softmin(*_upload(variant, pair), g, epsilon)
+    want = REFERENCE.softmin(*_upload(REFERENCE, pair), g, epsilon)
+    assert np.abs(got - want).max() / epsilon <= log_sum_exp_tolerance(*pair, epsilon)
+
+
+def test_softmin_survives_huge_potentials(variant, rng):
+    pair = PAIRS["random"](rng)
+    g = np.zeros(403)
+    g[::7] = 1e4
+    g[1::7] = -1e4
+    got = variant.softmin(*_upload(variant, pair), g, 0.01)
+    want = REFERENCE.softmin(*_upload(REFERENCE, pair), g, 0.01)
+    assert np.abs(got - want).max() / 0.01 <= log_sum_exp_tolerance(*pair, 0.01)
+
+
+def test_softmin_of_one_pair_is_its_cost(variant):
+    x, y = np.array([[0.1, 0.2, 0.3, 0.4, 0.5]]), np.array([[0.9, 0.1, 0.7, 0.2, 0.6]])
+    cost = 0.5 * np.sum((x - y) ** 2)
+    one = np.ones(1)
+    got = variant.softmin(
+        variant.upload(x, one), variant.upload(y, one), np.array([0.07]), 0.0025
+    )
+    assert got[0] == pytest.approx(cost - 0.07, abs=1e-7)
+
+
+def test_launches_are_cut_without_changing_a_bit(variant, rng):
+    pair = [(rng.random((n, 5)), np.full(n, 1 / n)) for n in (700, 900)]
+    rows, columns = _upload(variant, pair)
+    g = rng.random(900)
+    budget = variant._budget
+    whole = variant.softmin(rows, columns, g, 0.01)
+    budget._pairs = 1
+    cut = variant.softmin(rows, columns, g, 0.01)
+    assert np.array_equal(whole, cut)
+
+
+@pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("name", PAIRS)
+def test_plan_rows(variant, rng, name, blur):
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    exact = _upload(REFERENCE, pair)
+    f = _potential(rng, len(pair[0][0]), epsilon)
+    g = REFERENCE.softmin(exact[1], exact[0], f, epsilon)
+    f = REFERENCE.softmin(exact[0], exact[1], g, epsilon)
+    largest = REFERENCE.row_maxima(*exact, g, epsilon) + f / epsilon + exact[0].log_weights
+    row_thresholds = largest + np.log(1e-3)
+    column_thresholds = np.full(len(g), largest.max() - 3.0)
+    arguments = f, g, epsilon, row_thresholds, column_thresholds
+    tolerance = log_sum_exp_tolerance(*pair, epsilon)
+
+    got = variant.plan_rows(*_upload(variant, pair), *arguments)
+    want = REFERENCE.plan_rows(*exact, *arguments)
+    assert got.indptr[0] == 0
+    assert got.indptr[-1] == len(got.mass) == len(got.indices)
+    got_mass, want_mass = (_dense(rows, len(g)) for rows in (got, want))
+    both = (got_mass > 0) & (want_mass > 0)
+    assert both.any()
+    ratio = np.log(got_mass[both] / want_mass[both])
+    assert np.abs(ratio).max() <= 2 * tolerance
+    # Kept by one only: the pair must lie on the threshold.
+    threshold = np.minimum(row_thresholds[:, None], column_thresholds)
+    for mass, other in ((got_mass, want_mass), (want_mass, got_mass)):
+        alone = (mass > 0) & (other == 0)
+        assert np.all(np.log(mass[alone]) - threshold[alone] <= 4 * tolerance)
+    for row in range(len(f)):
+        columns = got.indices[got.indptr[row] : got.indptr[row + 1]]
+        assert np.all(np.diff(columns) > 0)
+
+
+def _dense(rows, n_columns):
+    mass = np.zeros((len(rows.indptr) - 1, n_columns))
+    mass[np.repeat(np.arange(len(mass)), np.diff(rows.indptr)), rows.indices] = rows.mass
+    return mass
+
+
+def test_plan_rows_keeps_everything_or_nothing(variant, rng):
+    pair = PAIRS["zero weights"](rng)
+    n, m = len(pair[0][0]), len(pair[1][0])
+    everything = variant.plan_rows(
+        *_upload(variant, pair), np.zeros(n), np.zeros(m), 0.1,
+        np.full(n, -np.inf), np.full(m, -np.inf),
+    )  # fmt: skip
+    massive = np.count_nonzero(pair[0][1]) * np.count_nonzero(pair[1][1])
+    assert len(everything.mass) == massive
+    nothing = variant.plan_rows(
+        *_upload(variant, pair), np.zeros(n), np.zeros(m), 0.1,
+        np.full(n, np.inf), np.full(m, np.inf),
+    )  # fmt: skip
+    assert len(nothing.mass) == 0
+    assert nothing.indptr.tolist() == [0] * (n + 1)
+
+
+# --- particles --------------------------------------------------------------------------
+
+SPLATS = {
+    "spread": lambda rng: rng.uniform(-0.5, 40.5, (3000, 2)),
+    "one": lambda rng: np.array([[17.25, 3.5]]),
+    "on pixels": lambda rng: rng.integers(0, 40, (500, 2)),
+    "on bin edges": lambda rng: 8.0 * rng.integers(-1, 6, (200, 2)),
+    "all in one place": lambda rng: np.full((5000, 2), 11.3),
+    "outside": lambda rng: rng.uniform(-200, 200, (2000, 2)),
+    "far outside": lambda rng: rng.uniform(-1e9, 1e9, (300, 2)),
+}
+SHAPES = [(33, 41), (1, 1), (16, 16), (5, 70)]
+
+
+def _splats(rng, name, operations):
+    positions = np.asarray(SPLATS[name](rng), np.float32)
+    rng = np.random.default_rng(7)
+    colors = rng.random((len(positions), 3)).astype(np.float32)
+    weights = (10 ** rng.uniform(-10, 0, len(positions))).astype(np.float32)
+    return [backend.upload_splats(positions, colors, weights) for backend in operations]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("name", SPLATS)
+def test_bins_are_exact(variant, rng, name, shape):
+    splats, exact = _splats(rng, name, (variant, REFERENCE))
+    assert variant.bin_size == REFERENCE.bin_size
+    got, want = variant.bin_splats(splats, shape, 2), REFERENCE.bin_splats(exact, shape, 2)
+    assert got.shape == want.shape
+    assert np.array_equal(got.starts, want.starts)
+    assert np.array_equal(got.order, want.order)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.3, 1.2, 6.0, 40.0])
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("name", SPLATS)
+def test_splat(variant, rng, name, shape, sigma):
+    splats, exact = _splats(rng, name, (variant, REFERENCE))
+    radius = 4.5 * sigma
+    got = variant.splat(splats, shape, sigma, radius)
+    want = REFERENCE.splat(exact, shape, sigma, radius)
+    n = len(exact.weights)
+    # A chunk of 256 additions, the sum of the chunks, and an exponent of up to
+    # 2 * 4.5^2 / 2 * log2(e) = 29 that is rounded a few times.
+    relative = UNIT * (256 + n / 256 + 4 * 30)
+    # Far-out positions are rounded to float32 before the distance is taken; the kernel
+    # then is where the reference puts it, because the reference has the same positions.
+    for numerator, denominator in (got, want):
+        assert numerator.shape == (*shape, 3)
+        assert denominator.shape == shape
+    assert np.all(np.abs(got[1] - want[1]) <= relative * want[1])
+    assert np.all(np.abs(got[0] - want[0]) <= relative * want[1][..., None])
+
+
+@pytest.mark.parametrize("radius_in_sigmas", [2.0, 3.0, 4.5])
+def test_the_cut_stays_within_its_bound(variant, rng, radius_in_sigmas):
+    splats, exact = _splats(rng, "spread", (variant, REFERENCE))
+    shape, sigma = (41, 41), 1.4
+    cut = variant.splat(splats, shape, sigma, radius_in_sigmas * sigma)
+    uncut = REFERENCE.splat(exact, shape, sigma, np.inf)
+    bound = exact.weights.sum() * np.exp(-0.5 * radius_in_sigmas**2)
+    missing = uncut[1] - cut[1]
+    assert missing.max() <= bound
+    assert missing.min() >= -1e-4 * bound
+    assert np.abs(uncut[0] - cut[0]).max() <= bound
+
+
+def test_nearest_pixel_gives_each_splat_to_one_pixel(variant, rng):
+    positions = rng.uniform(-0.5, 19.499, (400, 2)).astype(np.float32)
+    ones = np.ones(400, np.float32)
+    splats = variant.upload_splats(positions, np.ones((400, 3), np.float32), ones)
+    _, counts = variant.splat(splats, (20, 20), 0.0, 0.0)
+    pixels = np.floor(positions + np.float32(0.5)).astype(int)
+    want = np.zeros((20, 20))
+    np.add.at(want, (pixels[:, 1], pixels[:, 0]), 1)
+    assert np.array_equal(counts, want)
+
+
+@pytest.mark.parametrize("t", [0.0, 0.37, 1.0])
+def test_place(variant, rng, t):
+    table = rng.random((90, 5))
+    links = rng.integers(0, 90, (700, 2)).astype(np.uint32)
+    weights = rng.random((700, 2))
+    shape, scale, center = (50, 60), (59.0, 49.0), (29.5, 24.5)
+    sums = []
+    for operations in (variant, REFERENCE):
+        moving = operations.upload_particles(table, links, weights)
+        splats = operations.place(moving, t, scale, center)
+        sums.append(operations.splat(splats, shape, 1.5, 6.75))
+    # Positions are off by up to a few units of the canvas's size; the kernel's slope is
+    # at most 4.5 / sigma of its height there.
+    tolerance = UNIT * (256 + 120 + 4.5 / 1.5 * 4 * 60)
+    scale_of_sums = sums[1][1] + 700 * np.exp(-0.5 * 4.4**2)
+    assert np.all(np.abs(sums[0][1] - sums[1][1]) <= tolerance * scale_of_sums)
+    assert np.all(np.abs(sums[0][0] - sums[1][0]) <= tolerance * scale_of_sums[..., None])
+
+
+def test_splatting_launches_are_cut_without_changing_a_bit(variant, rng):
+    splats, _ = _splats(rng, "spread", (variant, REFERENCE))
+    whole = variant.splat(splats, (300, 41), 2.0, 9.0)
+    variant._splatting._budget._pairs = 1
+    cut = variant.splat(splats, (300, 41), 2.0, 9.0)
+    assert np.array_equal(whole[0], cut[0])
+    assert np.array_equal(whole[1], cut[1])
+
+
+def test_margin_covers_the_radius():
+    assert bin_margin(0.5, 8) == 2
+    assert bin_margin(8.0, 8) == 2
+    assert bin_margin(8.1, 8) == 3
