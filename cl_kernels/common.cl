@@ -27,8 +27,8 @@ typedef int vint;
 #define VSTORE(v, offset, p) ((p)[offset] = (v))
 #define AS_VINT(v) as_int(v)
 #define AS_VREAL(v) as_float(v)
+#define CONVERT_VINT(v) convert_int(v)
 #define ANY(v) (v)
-#define IS_TRUE 1
 #else
 typedef CONCAT(float, WIDTH) vreal;
 typedef CONCAT(int, WIDTH) vint;
@@ -36,8 +36,8 @@ typedef CONCAT(int, WIDTH) vint;
 #define VSTORE(v, offset, p) CONCAT(vstore, WIDTH)((v), 0, (p) + (offset))
 #define AS_VINT(v) CONCAT(as_int, WIDTH)(v)
 #define AS_VREAL(v) CONCAT(as_float, WIDTH)(v)
+#define CONVERT_VINT(v) CONCAT(convert_int, WIDTH)(v)
 #define ANY(v) any(v)
-#define IS_TRUE -1
 #endif
 
 // 2^x for x <= 0. Arguments under -125 give a number below 2^-124 instead of zero:

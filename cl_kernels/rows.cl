@@ -161,16 +161,16 @@ void count_plan_rows(
     load_rows(row_offsets, row_stride, row, u);
     const vreal base = VLOAD(row, row_bases);
     const vreal row_threshold = VLOAD(row, row_thresholds);
-    vint count = (vint)(0);
+    vreal count = (vreal)(0.0f); // exact: a cloud has at most 2^24 points
     for (uint q = 0; q < n_column_tiles; ++q) {
         stage_columns(q, row_tile, column_stride, k, row_centers, column_offsets,
                       column_centers, column_potentials, levels[level_row + q], staged);
         GROUP_BARRIER();
         for (uint j = 0; j < TILE; ++j)
-            count += IS_TRUE * KEEP(exponent(u, staged, j));
+            count += select((vreal)(0.0f), (vreal)(1.0f), KEEP(exponent(u, staged, j)));
         GROUP_BARRIER();
     }
-    VSTORE(count, local_row, counts);
+    VSTORE(CONVERT_VINT(count), local_row, counts);
 }
 
 // Column index and e_ij of the kept pairs, each row at its own place.

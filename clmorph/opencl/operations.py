@@ -18,6 +18,8 @@ from clmorph.tiles import tile_order
 
 LOG2_E = float(np.log2(np.e))
 
+#: Points of one cloud: kernels count columns in float32, exactly up to here.
+MAX_POINTS = 1 << 24
 #: Kept pairs that one launch may write (12 bytes each on the device).
 FILL_PAIRS = 1 << 24
 
@@ -95,8 +97,8 @@ class OpenCLOperations:
         points = np.asarray(points, float)
         tile = self.knobs.tile
         n, dimension = points.shape
-        if n >= 2**31 - tile:
-            raise DeviceError(f"{n} points are too many: expected fewer than 2^31")
+        if n > MAX_POINTS:
+            raise DeviceError(f"{n} points are too many: expected at most 2^24; reduce the image")
         order = tile_order(points, tile)
         n_tiles = -(-n // tile)
         padded = np.pad(points[order], ((0, n_tiles * tile - n), (0, 0)), mode="edge")
