@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+from PIL import Image
+
+from clmorph import InputError, fit, read_image
+from clmorph.images import as_rgb
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.full((4, 5), 255, np.uint8),
+        np.full((4, 5, 1), 65535, np.uint16),
+        np.ones((4, 5, 3), bool),
+        np.ones((4, 5, 3), np.float32),
+        np.ones((4, 5, 4)),
+        np.ones((4, 5, 3)).tolist(),
+    ],
+)
+def test_kinds_of_arrays(array):
+    pixels = as_rgb(array)
+    assert pixels.shape == (4, 5, 3)
+    assert pixels.dtype == np.float64
+    assert np.all(pixels == 1)
+
+
+def test_transparency_is_laid_on_white():
+    image = np.zeros((1, 2, 4), np.uint8)
+    image[0, 1] = 0, 0, 0, 255
+    assert as_rgb(image).tolist() == [[[1, 1, 1], [0, 0, 0]]]
+
+
+@pytest.mark.parametrize(
+    ("array", "words"),
+    [
+        (np.zeros(5), "shape"),
+        (np.zeros((4, 4, 2)), "shape"),
+        (np.zeros((0, 4, 3)), "shape"),
+        (np.zeros((4, 4, 3), int), "dtype"),
+        (np.zeros((4, 4, 3), complex), "dtype"),
+        (np.full((4, 4, 3), np.nan), "NaN"),
+        (np.full((4, 4, 3), np.inf), "NaN"),
+        (np.full((4, 4, 3), 2.0), "values from 2"),
+        (np.full((4, 4, 3), -1.0), "values from -1"),
+        ("photo.png", "shape"),
+        ([[1, 2], [3]], "not an array"),
+        (np.broadcast_to(np.uint8(0), (20000, 20000, 3)), "20000 x 20000"),
+    ],
+)
+def test_what_is_no_image(array, words):
+    with pytest.raises(InputError, match=words):
+        as_rgb(array)
+
+
+def test_fit_keeps_the_aspect_and_smooths():
+    stripes = np.zeros((100, 200, 3))
+    stripes[:, ::2] = 1
+    small = fit(stripes, 20)
+    assert small.shape == (10, 20, 3)
+    # Nearest or plain bilinear sampling would give black or white stripes.
+    assert np.abs(small - 0.5).max() < 0.05
+
+
+def test_fit_leaves_small_images_alone():
+    image = np.random.default_rng(0).random((7, 9, 3))
+    assert fit(image, 9) is image
+
+
+def test_a_thin_image_keeps_a_row():
+    assert fit(np.zeros((1, 500, 3)), 20).shape == (1, 20, 3)
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "L", "LA", "P", "1", "CMYK", "I;16"])
+def test_files(tmp_path, mode):
+    gradient = np.linspace(0, 1, 16 * 12).reshape(12, 16)
+    if mode == "I;16":
+        picture = Image.fromarray((gradient * 65535).astype(np.uint16))
+    else:
+        picture = Image.fromarray((gradient * 255).astype(np.uint8)).convert(mode)
+    file = tmp_path / ("image.jpg" if mode == "CMYK" else "image.png")
+    picture.save(file)
+    pixels = read_image(file)
+    assert pixels.shape == (12, 16, 3)
+    if mode != "1":
+        assert np.abs(pixels.mean(axis=2) - gradient).max() < 0.03
+
+
+def test_orientation_is_applied(tmp_path):
+    picture = Image.new("RGB", (6, 4), "red")
+    exif = picture.getexif()
+    exif[0x0112] = 6  # turn by 90 degrees
+    picture.save(tmp_path / "turned.jpg", exif=exif)
+    assert read_image(tmp_path / "turned.jpg").shape == (6, 4, 3)
+
+
+def test_unreadable_files(tmp_path):
+    whole = tmp_path / "whole.png"
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)).save(whole)
+    (tmp_path / "cut.png").write_bytes(whole.read_bytes()[:3000])
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "text.png").write_text("not a picture")
+    for name, words in [
+        ("missing.png", "no such file"),
+        ("", "not a file"),
+        ("cut.png", "cannot be decoded"),
+        ("empty.png", "not an image"),
+        ("text.png", "not an image"),
+    ]:
+        with pytest.raises(InputError, match=words) as caught:
+            read_image(tmp_path / name)
+        assert "\n" not in str(caught.value)

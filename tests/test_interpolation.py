@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+
+from clmorph import InputError, lift, particles, sinkhorn, transport_plan
+
+
+@pytest.fixture(scope="module", params=[0.05, 0.3, 1.0, None])
+def parts(request):
+    rng = np.random.default_rng(5)
+    source, target = lift(rng.random((9, 8, 3))), lift(rng.random((7, 11, 3)))
+    potentials = sinkhorn(source, target, 0.1, request.param, backend="numpy")
+    return source, target, transport_plan(source, target, potentials, backend="numpy")
+
+
+def test_both_ends_have_the_images_masses(parts):
+    source, target, plan = parts
+    moving = particles(source, target, plan)
+    for column, measure, offset in ((0, source, 0), (1, target, len(source))):
+        points = moving.links[:, column].astype(int)
+        here = moving.weights[:, column] > 0
+        mass = np.bincount(points[here] - offset, moving.weights[here, column], len(measure))
+        assert np.allclose(mass, measure.weights, rtol=1e-9)
+        assert moving.mass(float(column)) == pytest.approx(measure.mass)
+    assert np.all(moving.weights >= 0)
+
+
+def test_both_ends_stand_on_the_pixels(parts):
+    source, target, plan = parts
+    moving = particles(source, target, plan)
+    ends = moving.table[moving.links[:, 0]][: len(plan)]
+    assert np.array_equal(ends[:, :2], source.positions[plan.rows])
+    assert np.array_equal(ends[:, 2:], source.colors[plan.rows])
+    assert np.array_equal(
+        moving.table[moving.links[: len(plan), 1], 2:], target.colors[plan.indices]
+    )
+
+
+def test_unmatched_mass_rests(parts):
+    source, target, plan = parts
+    moving = particles(source, target, plan)
+    assert np.array_equal(moving.links[len(plan) :, 0], moving.links[len(plan) :, 1])
+
+
+def test_dropping_unmatched_mass_leaves_the_plan(parts):
+    source, target, plan = parts
+    moving = particles(source, target, plan, unmatched="drop")
+    assert len(moving) == len(plan)
+    assert np.array_equal(moving.weights, np.column_stack((plan.mass, plan.mass)))
+    with pytest.raises(InputError, match="fade"):
+        particles(source, target, plan, unmatched="forget")

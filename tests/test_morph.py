@@ -1,0 +1,164 @@
+"""The whole path, against the reference and against itself."""
+
+import inspect
+
+import numpy as np
+import pytest
+import skimage.data
+
+import clmorph
+from clmorph import InputError, fit, morph, reference
+from clmorph.images import as_rgb
+from clmorph.rendering import HOLE_COVERAGE, uniform_density
+
+
+@pytest.fixture(scope="module")
+def photographs():
+    """Two photographs at 48 x 48, the paper's size."""
+    return (
+        fit(as_rgb(skimage.data.astronaut()), 48),
+        fit(as_rgb(skimage.data.chelsea()[:, 75:375]), 48),
+    )
+
+
+@pytest.fixture(scope="module")
+def expected(photographs):
+    """The reference's morph with the paper's parameters, and its frames with coverage."""
+    result = reference.morph(*photographs, n_frames=5)
+    frames = []
+    for t, sigma in zip(result.times, result.sigma, strict=True):
+        numerator, denominator = reference.render(
+            result.source, result.target, result.plan, t, sigma
+        )
+        frames.append((numerator / denominator[..., None], denominator))
+    return result, frames
+
+
+def test_paper_parameters_agree_with_the_reference(device, photographs, expected):
+    want, frames = expected
+    got = morph(*photographs, n_frames=5, backend=device)
+    assert got.potentials.converged
+    assert want.potentials.converged
+    assert np.array_equal(got.times, want.times)
+    assert np.allclose(got.sigma, want.sigma, rtol=1e-3)
+    assert got.plan.total_mass == pytest.approx(want.plan.sum(), rel=1e-3)
+    for t, sigma, frame, (exact, density) in zip(
+        got.times, got.sigma, got.frames, frames, strict=True
+    ):
+        even = uniform_density(got.particles.mass(t), got.canvas(t), sigma)
+        covered = density / even >= HOLE_COVERAGE
+        assert covered.mean() > 0.99
+        assert np.abs(frame - exact)[covered].max() <= 2 / 255
+
+
+def _small(rng, shape):
+    y, x = np.mgrid[: shape[0], : shape[1]] / max(shape)
+    return np.stack([0.5 + 0.5 * np.sin(6 * x + k * y + rng.random()) for k in (1, 3, 5)], -1)
+
+
+CASES = {
+    "other sizes and aspects": ((10, 14), (15, 6), {}),
+    "one pixel to many": ((1, 1), (9, 9), {}),
+    "one row": ((1, 12), (7, 7), {}),
+    "balanced": ((9, 9), (9, 9), {"reach": None}),
+    "small reach": ((9, 9), (11, 8), {"reach": 0.05}),
+    "unit extent": ((10, 14), (15, 6), {"extent": "unit"}),
+    "dropped": ((9, 9), (9, 9), {"unmatched": "drop"}),
+    "wide blur": ((9, 9), (9, 9), {"blur": 1.0}),
+    "no color": ((9, 9), (9, 9), {"color_weight": 0.0}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_variants_agree_with_the_reference(device, rng, case):
+    shape_a, shape_b, options = CASES[case]
+    images = _small(rng, shape_a), _small(rng, shape_b)
+    got = morph(*images, n_frames=4, tol=1e-4, backend=device, **options)
+    want = reference.morph(*images, n_frames=4, tol=1e-5, **options)
+    for t, frame, exact in zip(got.times, got.frames, want.frames, strict=True):
+        covered = got.coverage(t) >= HOLE_COVERAGE
+        assert frame.shape == exact.shape
+        assert np.abs(frame - exact)[covered].max() <= 2 / 255
+
+
+def test_numpy_and_devices_agree(device, rng):
+    images = _small(rng, (12, 10)), _small(rng, (8, 16))
+    ours = morph(*images, n_frames=3, backend=device)
+    theirs = morph(*images, n_frames=3, backend="numpy")
+    assert ours.potentials.n_iter == theirs.potentials.n_iter
+    for a, b in zip(ours.frames, theirs.frames, strict=True):
+        assert np.abs(a - b).max() < 1e-3
+
+
+def test_the_same_bytes_twice(device, photographs):
+    first, second = (morph(*photographs, n_frames=3, backend=device) for _ in range(2))
+    assert np.array_equal(first.potentials.f, second.potentials.f)
+    for a, b in zip(first.frames, second.frames, strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_result(device, rng):
+    images = _small(rng, (10, 12)), _small(rng, (20, 8))
+    result = morph(*images, n_frames=6, backend=device)
+    assert result.times.tolist() == np.linspace(0, 1, 6).tolist()
+    assert result.sigma.shape == (6,)
+    assert len(result.frames) == 6
+    assert result.frames[0].shape == (10, 12, 3)
+    assert result.frames[-1].shape == (20, 8, 3)
+    middle = result.frame(0.5)
+    assert middle.shape == (15, 10, 3)
+    assert middle.dtype == np.float32
+    assert 0 <= middle.min() <= middle.max() <= 1
+    # A blurred copy of each image stands at its end.
+    for frame, image in ((result.frames[0], images[0]), (result.frames[-1], images[1])):
+        assert np.abs(frame - image).mean() < 0.1
+    for t in (-0.1, 1.1, np.nan, "half"):
+        with pytest.raises(InputError, match=r"t="):
+            result.frame(t)
+
+
+def test_baselines(device, rng):
+    images = _small(rng, (12, 12)), _small(rng, (12, 12))
+    fixed = morph(*images, n_frames=3, splatting="fixed", sigma_start=0.8, backend=device)
+    assert fixed.sigma.tolist() == [0.8] * 3
+    none = morph(*images, n_frames=3, splatting="none", backend=device)
+    assert none.sigma.tolist() == [0] * 3
+    # Without a kernel both ends are the images themselves.
+    assert np.abs(none.frames[0] - images[0]).max() < 1e-5
+    assert np.abs(none.frames[-1] - images[1]).max() < 1e-5
+
+
+def test_constant_and_equal_images(device):
+    gray = np.full((8, 8, 3), 0.5)
+    for frame in morph(gray, gray, n_frames=3, backend=device).frames:
+        assert np.abs(frame - 0.5).max() < 1e-5
+
+
+def test_public_signatures_are_mirrored():
+    for name in ("sinkhorn", "transport_plan", "morph"):
+        ours = inspect.signature(getattr(clmorph, name)).parameters
+        theirs = inspect.signature(getattr(reference, name)).parameters
+        for parameter, value in theirs.items():
+            assert parameter in ours
+            assert value.default == ours[parameter].default
+            assert value.kind == ours[parameter].kind
+        # What the reference lacks is about where and how the work is done.
+        beyond = set(ours) - set(theirs)
+        assert beyond <= {"backend", "progress", "relative", "log_threshold", "splatting"}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"n_frames": 1}, {"n_frames": 2.5}, {"n_frames": "many"}, {"blur": 0}, {"reach": 0},
+        {"color_weight": -1}, {"sigma_start": 0}, {"sigma_end": -1}, {"gamma": -1},
+        {"gamma": np.nan}, {"tol": 0}, {"max_iter": 0}, {"extent": "x"}, {"splatting": "x"},
+        {"unmatched": "x"},
+    ],
+)  # fmt: skip
+def test_wrong_options(options):
+    image = np.zeros((3, 3, 3))
+    with pytest.raises(InputError) as caught:
+        morph(image, image, backend="numpy", **options)
+    assert "\n" not in str(caught.value)
+    assert next(iter(options)) in str(caught.value)

@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+
+from clmorph import InputError, lift
+from clmorph.rendering import HOLE_COVERAGE, Canvas, KernelWidth, canvas_at, render
+
+
+@pytest.mark.parametrize("sides", [(48, 48), (64, 16), (16, 64), (3, 1000), (1, 7)])
+def test_canvas_sides(sides):
+    start, end = sides
+    for t in np.linspace(0, 1, 101):
+        height, width = canvas_at(t, (start, 5), (end, 5)).shape
+        assert width == 5
+        exact = (1 - t) * start + t * end
+        assert exact - 1 - 1e-6 < height < exact + 1e-6
+    assert canvas_at(0.0, (start, 5), (end, 5)).shape[0] == start
+    assert canvas_at(1.0, (start, 5), (end, 5)).shape[0] == end
+
+
+@pytest.mark.parametrize("extent", ["true", "unit"])
+@pytest.mark.parametrize("shapes", [((5, 9), (12, 4)), ((1, 1), (7, 3)), ((6, 6), (1, 8))])
+def test_both_ends_map_onto_the_pixels(shapes, extent):
+    for t, shape in zip((0.0, 1.0), shapes, strict=True):
+        canvas = canvas_at(t, *shapes, extent)
+        positions = lift(np.zeros(shape), extent=extent).positions
+        pixels = (positions - 0.5) * canvas.scale + canvas.center
+        y, x = np.mgrid[: shape[0], : shape[1]]
+        assert np.allclose(pixels, np.column_stack((x.ravel(), y.ravel())))
+
+
+def test_kernel_width():
+    canvas = Canvas((40, 40), (39.0, 39.0))
+    width = KernelWidth(1.2, 0.5, 0.5, 1e9, 1e9)
+    assert width.at(0.0, canvas) == 1.2
+    assert width.at(1.0, canvas) == 0.5
+    assert width.at(0.5, canvas) == pytest.approx(0.85 + 0.5)
+    few = KernelWidth(1.2, 0.5, 0.5, 16, 4)
+    assert few.at(0.0, canvas) == pytest.approx(0.5 * np.sqrt(1600 / 16))
+    assert few.at(0.5, canvas) == pytest.approx(0.5 * np.sqrt(1600 / 10))
+    assert KernelWidth(1.2, 0.5, 0.5, 16, 4, "fixed").at(0.5, canvas) == 1.2
+    assert KernelWidth(1.2, 0.5, 0.5, 16, 4, "none").at(0.5, canvas) == 0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        (0, 0.5, 0.5), (-1, 0.5, 0.5), (1, np.nan, 0.5), (1, 0.5, -0.1), (1, 0.5, np.inf),
+        (1, 1, 1, 1, 1, "sharp"),
+    ],
+)  # fmt: skip
+def test_wrong_widths(options):
+    with pytest.raises(InputError):
+        KernelWidth(*(*options, 1.0, 1.0)[: max(5, len(options))])
+
+
+def _upload(operations, positions, colors):
+    """Resting particles of equal mass, positions in the common frame."""
+    table = np.column_stack((positions, colors))
+    links = np.repeat(np.arange(len(table)), 2).reshape(-1, 2).astype(np.uint32)
+    return operations.upload_particles(table, links, np.full((len(table), 2), 1 / len(table)))
+
+
+def test_a_constant_image_stays_constant(device):
+    measure = lift(np.full((20, 30, 3), 0.25))
+    moving = _upload(device, measure.positions, measure.colors)
+    canvas = canvas_at(0.0, (20, 30), (20, 30))
+    for sigma in (0.3, 1.0, 5.0):
+        frame, coverage = render(device, moving, 1.0, 0.0, canvas, sigma)
+        assert frame.shape == (20, 30, 3)
+        assert frame.dtype == np.float32
+        assert np.abs(frame - 0.25).max() < 1e-5
+        # Narrow kernels gather more on the pixels than an even spread, wide ones lose
+        # some over the edges.
+        assert 0.2 < coverage.min() <= coverage.max() < 2
+
+
+def test_resolution_does_not_darken(device):
+    """Relative denominators: no absolute clamp turns many small masses into black."""
+    for side in (8, 64, 256):
+        measure = lift(np.ones((side, side, 3)))
+        moving = _upload(device, measure.positions, measure.colors)
+        canvas = canvas_at(0.0, (side, side), (side, side))
+        frame, _ = render(device, moving, 1.0, 0.0, canvas, 0.5)
+        assert frame.min() > 0.9999
+
+
+def test_holes_are_filled(device):
+    """Particles in one corner: the far corner is a hole, filled with the nearest color."""
+    positions = np.random.default_rng(0).random((200, 2)) * 0.1
+    moving = _upload(device, positions, np.tile([0.8, 0.4, 0.2], (200, 1)))
+    canvas = canvas_at(0.0, (40, 40), (40, 40))
+    frame, coverage = render(device, moving, 1.0, 0.0, canvas, 0.7)
+    assert coverage[-1, -1] < HOLE_COVERAGE
+    assert np.abs(frame - [0.8, 0.4, 0.2]).max() < 1e-4
+
+
+def test_without_a_kernel_holes_stay_black(device):
+    moving = _upload(device, np.array([[0.5, 0.5]]), np.ones((1, 3)))
+    frame, coverage = render(device, moving, 1.0, 0.0, canvas_at(0.0, (5, 5), (5, 5)), 0.0)
+    assert frame.sum() == 3
+    assert frame[2, 2].tolist() == [1, 1, 1]
+    assert coverage[2, 2] == 25

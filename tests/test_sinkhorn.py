@@ -1,0 +1,184 @@
+"""The solver on every device and on NumPy: closed forms, the reference, nasty measures."""
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+import clmorph
+from clmorph import ConvergenceWarning, InputError, lift, reference, sinkhorn
+from clmorph.measures import Measure
+
+
+def measure(points, weights):
+    points = np.asarray(points, float)
+    return Measure(
+        points[:, :2], points[:, 2:], np.asarray(weights, float), (1, len(points)), 1.0, "true"
+    )
+
+
+@pytest.fixture(params=["numpy", "device"])
+def backend(request):
+    if request.param == "numpy":
+        return "numpy"
+    return "opencl"
+
+
+def random_pair(rng, n=60, m=75, equal=False):
+    a, b = rng.random(n), rng.random(m)
+    if equal:
+        a, b = a / a.sum(), b / b.sum()
+    scale = [1, 1, 0.5, 0.5, 0.5]
+    return measure(rng.random((n, 5)) * scale, a), measure(rng.random((m, 5)) * scale, b)
+
+
+def dense_plan(source, target, potentials):
+    return reference.transport_plan(source, target, potentials)
+
+
+@pytest.mark.parametrize("reach", [0.05, 0.3, 2.0])
+@pytest.mark.parametrize(("a", "b"), [(1, 1), (0.2, 5), (1e-5, 1e5)])
+def test_two_diracs(backend, a, b, reach):
+    """log m = ((rho + eps)(log a + log b) - C) / (2 rho + eps)."""
+    source = measure([[0.1, 0.2, 0.3, 0.4, 0.5]], [a])
+    target = measure([[0.4, 0.1, 0.3, 0.6, 0.2]], [b])
+    cost = 0.5 * np.sum((source.points - target.points) ** 2)
+    potentials = sinkhorn(source, target, 0.05, reach, tol=1e-6, backend=backend)
+    assert potentials.converged
+    epsilon, rho = potentials.epsilon, potentials.rho
+    want = ((rho + epsilon) * (np.log(a) + np.log(b)) - cost) / (2 * rho + epsilon)
+    assert np.log(dense_plan(source, target, potentials).sum()) == pytest.approx(want, abs=1e-5)
+
+
+def test_equal_measures_have_equal_potentials(backend, rng):
+    source, _ = random_pair(rng)
+    potentials = sinkhorn(source, source, 0.1, 0.3, tol=1e-5, backend=backend)
+    assert np.abs(potentials.f - potentials.g).max() < 1e-4 * potentials.epsilon
+
+
+@pytest.mark.parametrize("reach", [0.1, 0.3, 1.0])
+def test_optimality(backend, rng, reach):
+    """At the optimum pi 1 = a exp(-f / rho), pi^T 1 = b exp(-g / rho)."""
+    source, target = random_pair(rng)
+    potentials = sinkhorn(source, target, 0.1, reach, tol=1e-5, backend=backend)
+    plan = dense_plan(source, target, potentials)
+    rho = potentials.rho
+    assert np.allclose(plan.sum(1), source.weights * np.exp(-potentials.f / rho), rtol=1e-3)
+    assert np.allclose(plan.sum(0), target.weights * np.exp(-potentials.g / rho), rtol=1e-3)
+
+
+def test_balanced_marginals(backend, rng):
+    source, target = random_pair(rng, equal=True)
+    potentials = sinkhorn(source, target, 0.1, None, tol=1e-4, backend=backend)
+    assert potentials.converged
+    plan = dense_plan(source, target, potentials)
+    assert np.allclose(plan.sum(1), source.weights, rtol=5e-4)
+    assert np.allclose(plan.sum(0), target.weights, rtol=5e-4)
+
+
+@pytest.mark.parametrize("reach", [0.3, None])
+def test_against_the_plain_iteration(device, rng, reach):
+    source, target = random_pair(rng, equal=reach is None)
+    got = sinkhorn(source, target, 0.1, reach, tol=1e-5, backend=device)
+    want = reference.sinkhorn(source, target, 0.1, reach, tol=1e-7)
+    difference_f, difference_g = got.f - want.f, got.g - want.g
+    if reach is None:  # then potentials are defined up to a constant
+        shift = difference_f.mean()
+        difference_f, difference_g = difference_f - shift, difference_g + shift
+    assert np.abs(difference_f).max() < 2e-3 * got.epsilon
+    assert np.abs(difference_g).max() < 2e-3 * got.epsilon
+
+
+@pytest.mark.parametrize("reach", [0.2, None])
+def test_the_residual_is_that_of_the_returned_potentials(backend, rng, reach):
+    source, target = random_pair(rng, equal=reach is None)
+    potentials = sinkhorn(source, target, 0.1, reach, tol=1e-2, backend=backend)
+    epsilon = potentials.epsilon
+    cost = reference.pipeline.cost_matrix(source, target)
+    damping = 1.0 if reach is None else potentials.rho / (potentials.rho + epsilon)
+    b, a = target.weights, source.weights[:, None]
+    f = -damping * epsilon * logsumexp((potentials.g - cost) / epsilon, axis=1, b=b)
+    g = -damping * epsilon * logsumexp((potentials.f[:, None] - cost) / epsilon, axis=0, b=a)
+    residual = max(np.abs(f - potentials.f).max(), np.abs(g - potentials.g).max()) / epsilon
+    assert residual == pytest.approx(potentials.residual, abs=1e-4)
+    assert residual <= 1e-2 + 1e-4
+
+
+def test_zero_weights_change_nothing(backend, rng):
+    source, target = random_pair(rng)
+    a, b = source.weights.copy(), target.weights.copy()
+    a[::3], b[::4] = 0, 0
+    whole = sinkhorn(measure(source.points, a), measure(target.points, b), 0.1, backend=backend)
+    less = sinkhorn(
+        measure(source.points[a > 0], a[a > 0]), measure(target.points[b > 0], b[b > 0]), 0.1,
+        backend=backend,
+    )  # fmt: skip
+    assert np.all(np.isfinite(whole.f))
+    assert np.all(np.isfinite(whole.g))
+    assert np.abs(whole.f[a > 0] - less.f).max() < 5e-3 * whole.epsilon
+
+
+@pytest.mark.parametrize("blur", [0.003, 0.02, 0.3, 1.0])
+def test_masses_over_ten_orders(backend, rng, blur):
+    source, target = random_pair(rng, 30, 40)
+    a = 10 ** rng.uniform(-10, 0, 30)
+    potentials = sinkhorn(
+        measure(source.points, a), target, blur, 0.3, tol=0.05, max_iter=5000, backend=backend
+    )
+    assert potentials.converged
+    assert np.all(np.isfinite(potentials.f))
+
+
+def test_without_convergence_there_is_a_warning(rng):
+    source, target = random_pair(rng)
+    with pytest.warns(ConvergenceWarning, match="raise max_iter") as caught:
+        potentials = sinkhorn(source, target, 0.02, 1.0, max_iter=3, backend="numpy")
+    assert not potentials.converged
+    assert potentials.n_iter == 3
+    assert potentials.residual > 1e-3
+    assert caught[0].filename == __file__
+
+
+def test_progress_ends_at_one(rng):
+    source, target = random_pair(rng)
+    shares = []
+    sinkhorn(source, target, 0.1, backend="numpy", progress=shares.append)
+    assert shares[-1] == 1
+    assert all(0 <= share <= 1 for share in shares)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"blur": 0}, {"blur": -1}, {"blur": np.nan}, {"blur": "x"}, {"blur": np.inf},
+        {"reach": 0}, {"reach": -0.1}, {"reach": np.nan}, {"reach": "far"},
+        {"tol": 0}, {"tol": -1}, {"tol": np.nan}, {"max_iter": 0}, {"max_iter": 2.5},
+        {"backend": 3},
+    ],
+)  # fmt: skip
+def test_wrong_options(options):
+    one = lift(np.zeros((2, 2)))
+    with pytest.raises(InputError) as caught:
+        sinkhorn(one, one, **({"backend": "numpy"} | options))
+    assert "\n" not in str(caught.value)
+
+
+def test_infinite_reach_is_balanced(rng):
+    source, target = random_pair(rng, equal=True)
+    assert sinkhorn(source, target, 0.2, np.inf, backend="numpy").reach is None
+
+
+def test_measures_must_fit_together():
+    one = lift(np.zeros((2, 2)))
+    with pytest.raises(InputError, match="Measure"):
+        sinkhorn(np.zeros((4, 5)), one, backend="numpy")
+    with pytest.raises(InputError, match="color_weight"):
+        sinkhorn(one, lift(np.zeros((2, 2)), 1.0), backend="numpy")
+    with pytest.raises(InputError, match="extent"):
+        sinkhorn(one, lift(np.zeros((2, 2)), extent="unit"), backend="numpy")
+
+
+def test_balanced_transport_needs_equal_masses():
+    one, two = lift(np.zeros((2, 2))), lift(np.zeros((2, 2)), weights=np.ones((2, 2)))
+    with pytest.raises(InputError, match="give a reach"):
+        sinkhorn(one, two, reach=None, backend="numpy")
+    assert clmorph.sinkhorn(one, two, backend="numpy").converged

@@ -1,0 +1,31 @@
+import numpy as np
+import pytest
+
+from clmorph.tiles import tile_order
+
+
+@pytest.mark.parametrize("n", [1, 2, 63, 64, 65, 127, 129, 1000, 4096])
+def test_order_is_a_permutation(rng, n):
+    order = tile_order(rng.random((n, 5)), 64)
+    assert sorted(order) == list(range(n))
+
+
+def test_equal_points_keep_their_order():
+    assert tile_order(np.zeros((500, 5)), 64).tolist() == list(range(500))
+
+
+def test_tiles_are_compact(rng):
+    points = rng.random((4096, 2))
+    tiles = points[tile_order(points, 64)].reshape(64, 64, 2)
+    sides = tiles.max(axis=1) - tiles.min(axis=1)
+    # 64 tiles of a unit square: an eighth of the side each.
+    assert sides.mean() < 0.15
+    assert sides.max() < 0.3
+
+
+def test_only_the_last_tile_is_partly_filled(rng):
+    """Two far clusters of 64 and 36 points fall into tiles of their own."""
+    points = np.concatenate((rng.random((36, 3)) + 9, rng.random((64, 3))))
+    ordered = points[tile_order(points, 64)]
+    assert np.all(ordered[:64] < 2)
+    assert np.all(ordered[64:] > 8)
