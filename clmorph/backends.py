@@ -5,7 +5,6 @@ from functools import cache
 
 from clmorph.errors import InputError
 from clmorph.operations import Operations
-from clmorph.reference.operations import NumPyOperations
 
 #: What `backend` may be: see `get_backend`.
 Backend = str | Operations
@@ -46,9 +45,11 @@ def get_backend(backend: Backend = "auto") -> Operations:
 @cache
 def _named_backend(name: str, pyopencl_ctx: str) -> Operations:
     # pyopencl_ctx is part of the cache's key: choose_device reads it for "auto".
+    # Backends are imported where they are used, so that the package needs no driver.
     if name == "numpy":
+        from clmorph.reference.operations import NumPyOperations
+
         return NumPyOperations()
-    # OpenCL is touched only where it is used, so that the package imports without a driver.
     from clmorph.opencl.device import choose_device
 
     device = choose_device(name)

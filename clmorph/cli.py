@@ -40,7 +40,7 @@ class _Reach(click.ParamType):
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="clmorph")
 def cli() -> None:
-    """Morph one image into another by unbalanced optimal transport.
+    r"""Morph one image into another by unbalanced optimal transport.
 
     \b
     clmorph demo                            a first look: a sprite becomes a photograph
@@ -121,9 +121,7 @@ def morph(
     with Stages() as stages, warnings.catch_warnings():
         # Said in the last line.
         warnings.simplefilter("ignore", ConvergenceWarning)
-        result = run(
-            source, target, frames, backend=operations, progress=stages, **parameters
-        )
+        result = run(source, target, frames, backend=operations, progress=stages, **parameters)
         pictures = []
         for number, picture in enumerate(result.iter_frames()):
             pictures.append(picture)

@@ -32,7 +32,7 @@ def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     with resources.as_file(resources.files("clmorph.data") / "cat.png") as file:
         sprite = read_image(file)
     blocks = np.ones((SPRITE_ZOOM, SPRITE_ZOOM, 1))
-    return np.kron(sprite, blocks), fit(as_rgb(chelsea()[:, 85:385]), PHOTO_SIDE)
+    return np.asarray(np.kron(sprite, blocks), float), fit(as_rgb(chelsea()[:, 85:385]), PHOTO_SIDE)
 
 
 def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
@@ -67,7 +67,7 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
         stages("files", number / len(writers))
         writer(frames, result.times)
         stages("files", (number + 1) / len(writers))
-    options = ", ".join(f"{name} {value:g}" for name, value in PARAMETERS.items())  # type: ignore[str-format]
+    options = ", ".join(f"{name} {value:g}" for name, value in PARAMETERS.items())
     times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in stages.seconds.items())
     return [
         f"images: {sprite.shape[1]}x{sprite.shape[0]} to {photo.shape[1]}x{photo.shape[0]}, "

@@ -122,9 +122,7 @@ def lift(
     else:
         masses = np.asarray(weights, dtype=float)
         if masses.shape != shape:
-            raise InputError(
-                f"weights have shape {masses.shape}: expected the image's, {shape}"
-            )
+            raise InputError(f"weights have shape {masses.shape}: expected the image's, {shape}")
         masses = masses.ravel()
         if not np.all(np.isfinite(masses)) or masses.min() < 0 or masses.sum() <= 0:
             raise InputError(

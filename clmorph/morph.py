@@ -92,9 +92,7 @@ class Morph:
         t = check_number("t", t, 0.0, 1.0)
         canvas = self.canvas(t)
         sigma = self.kernel_width.at(t, canvas)
-        return render(
-            self.operations, self._uploaded, self.particles.mass(t), t, canvas, sigma
-        )
+        return render(self.operations, self._uploaded, self.particles.mass(t), t, canvas, sigma)
 
     def iter_frames(self) -> Iterator[NDArray[np.float32]]:
         """Render the frames one by one, without keeping them."""

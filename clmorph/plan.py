@@ -53,12 +53,12 @@ class Plan:
     @cached_property
     def row_mass(self) -> NDArray[np.float64]:
         """(N,) kept mass that leaves each source point: the first marginal."""
-        return np.bincount(self.rows, self.mass, self.shape[0])
+        return np.asarray(np.bincount(self.rows, self.mass, self.shape[0]), float)
 
     @cached_property
     def column_mass(self) -> NDArray[np.float64]:
         """(M,) kept mass that arrives at each target point: the second marginal."""
-        return np.bincount(self.indices, self.mass, self.shape[1])
+        return np.asarray(np.bincount(self.indices, self.mass, self.shape[1]), float)
 
     @property
     def dropped_mass(self) -> float:

@@ -77,9 +77,7 @@ def test_softmin_of_one_pair_is_its_cost(variant):
     x, y = np.array([[0.1, 0.2, 0.3, 0.4, 0.5]]), np.array([[0.9, 0.1, 0.7, 0.2, 0.6]])
     cost = 0.5 * np.sum((x - y) ** 2)
     one = np.ones(1)
-    got = variant.softmin(
-        variant.upload(x, one), variant.upload(y, one), np.array([0.07]), 0.0025
-    )
+    got = variant.softmin(variant.upload(x, one), variant.upload(y, one), np.array([0.07]), 0.0025)
     assert got[0] == pytest.approx(cost - 0.07, abs=1e-7)
 
 

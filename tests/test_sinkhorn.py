@@ -117,13 +117,11 @@ def test_zero_weights_change_nothing(backend, rng):
     assert np.abs(whole.f[a > 0] - less.f).max() < 5e-3 * whole.epsilon
 
 
-@pytest.mark.parametrize("blur", [0.003, 0.02, 0.3, 1.0])
-def test_masses_over_ten_orders(backend, rng, blur):
+@pytest.mark.parametrize(("blur", "reach"), [(0.003, 0.03), (0.02, 0.3), (0.3, 0.3), (1.0, 2.0)])
+def test_masses_over_ten_orders(backend, rng, blur, reach):
     source, target = random_pair(rng, 30, 40)
     a = 10 ** rng.uniform(-10, 0, 30)
-    potentials = sinkhorn(
-        measure(source.points, a), target, blur, 0.3, tol=0.05, max_iter=5000, backend=backend
-    )
+    potentials = sinkhorn(measure(source.points, a), target, blur, reach, tol=0.02, backend=backend)
     assert potentials.converged
     assert np.all(np.isfinite(potentials.f))
 

@@ -1,8 +1,8 @@
-"""Run every kernel at small sizes on one device, in every kind of build.
+r"""Run every kernel at small sizes on one device, in every kind of build.
 
 Meant for a simulator that watches memory, races and uninitialized reads:
 
-    PYOPENCL_NO_CACHE=1 oclgrind --log LOG --data-races --uninitialized \\
+    PYOPENCL_NO_CACHE=1 oclgrind --log LOG --data-races --uninitialized \
         python tools/exercise_kernels.py Oclgrind
 
 The simulator exits 0 whatever it finds: LOG must be empty. Results are compared with NumPy.
@@ -40,9 +40,7 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         operations.softmin(rows, columns, g, 0.01),
         operations.softmin(columns, rows, f, 0.01),
         operations.row_maxima(rows, columns, g, 0.01),
-        operations.plan_rows(
-            rows, columns, f, g, 0.01, np.full(n, -9.0), np.full(m, np.inf)
-        ).mass,
+        operations.plan_rows(rows, columns, f, g, 0.01, np.full(n, -9.0), np.full(m, np.inf)).mass,
     ]
     moving = operations.upload_particles(
         rng.random((40, 5)), rng.integers(0, 40, (150, 2)).astype(np.uint32), rng.random((150, 2))

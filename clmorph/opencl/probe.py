@@ -13,6 +13,7 @@ import numpy as np
 from clmorph.errors import ClmorphError
 from clmorph.opencl.device import raw_devices
 from clmorph.opencl.operations import OpenCLOperations
+from clmorph.operations import Operations
 from clmorph.reference.operations import NumPyOperations
 
 #: Points of the timed log-sum-exp; small enough for any device.
@@ -25,7 +26,8 @@ def _wrong_result(operations: OpenCLOperations) -> str:
     points = [random.random((n, 5)) for n in (130, 70)]
     potential = 0.1 * random.random(70)
     values, sums = [], []
-    for backend in (operations, NumPyOperations()):
+    backends: tuple[Operations, ...] = (operations, NumPyOperations())
+    for backend in backends:
         rows, columns = (backend.upload(cloud, np.full(len(cloud), 0.01)) for cloud in points)
         values.append(backend.softmin(rows, columns, potential, 0.01))
         splats = backend.upload_splats(

@@ -159,9 +159,7 @@ def render(
     return numerator, denominator
 
 
-def _to_pixels(
-    positions: Array, t: float, source: Measure, target: Measure
-) -> tuple[Array, Array]:
+def _to_pixels(positions: Array, t: float, source: Measure, target: Measure) -> tuple[Array, Array]:
     height, width = canvas_shape(t, source, target)
     if source.extent == "unit":
         return positions[:, 0] * (width - 1), positions[:, 1] * (height - 1)

@@ -1,0 +1,184 @@
+"""The command line through its real entry point."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import clmorph
+from clmorph.cli import main
+
+COMMAND = Path(sys.executable).with_name("clmorph")
+
+
+@pytest.fixture
+def pictures(tmp_path, monkeypatch, rng):
+    """Two small pictures in the current folder: a.png, 20 x 12, and b.jpg, 9 x 15."""
+    monkeypatch.chdir(tmp_path)
+    for name, shape in (("a.png", (12, 20, 3)), ("b.jpg", (15, 9, 3))):
+        Image.fromarray(rng.integers(0, 255, shape, np.uint8)).save(name)
+    return tmp_path
+
+
+def size(file):
+    with Image.open(file) as picture:
+        return picture.size
+
+
+def run(*arguments, **options):
+    return subprocess.run(
+        [COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, **options
+    )
+
+
+def test_a_gif(device, pictures):
+    index = next(d.index for d in clmorph.opencl.device.find_devices() if d.handle == device.device)
+    done = run("morph", "a.png", "b.jpg", "-o", "out.gif", "--frames", 5, "--device", index)
+    assert done.returncode == 0, done.stderr
+    assert device.description in done.stderr
+    lines = done.stdout.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("out.gif: 5 frames in ")
+    assert "converged" in lines[0]
+    with Image.open("out.gif") as gif:
+        assert gif.n_frames == 5
+    assert sorted(path.name for path in pictures.iterdir()) == ["a.png", "b.jpg", "out.gif"]
+
+
+def test_a_folder_and_a_sheet(pictures):
+    assert main(["morph", "a.png", "b.jpg", "-o", "frames", "--frames", "4"]) == 0
+    files = sorted(path.name for path in Path("frames").iterdir())
+    assert files == [f"frame-{i:04d}.png" for i in range(4)]
+    assert size("frames/frame-0000.png") == (20, 12)
+    assert size("frames/frame-0003.png") == (9, 15)
+    assert main(["morph", "a.png", "b.jpg", "-o", "sheet.png", "--frames", "4"]) == 0
+    assert size("sheet.png")[0] > 700
+
+
+def test_options_reach_the_morph(pictures, monkeypatch):
+    seen = {}
+
+    def spy(source, target, n_frames, **options):
+        seen.update(options, shapes=(source.shape, target.shape), n_frames=n_frames)
+        raise clmorph.InputError("seen")
+
+    # clmorph.morph is the function; the module of that name is reached like this.
+    monkeypatch.setattr(sys.modules["clmorph.morph"], "morph", spy)
+    arguments = "morph a.png b.jpg -o x.gif --backend numpy --frames 7 --size 6 --blur 0.1"
+    arguments += " --reach balanced --color-weight 3 --sigma-start 2 --sigma-end 1 --gamma 0.1"
+    assert main(arguments.split()) == 2
+    assert seen["n_frames"] == 7
+    assert seen["shapes"] == ((4, 6, 3), (6, 4, 3))
+    wanted = {
+        "blur": 0.1, "reach": None, "color_weight": 3, "sigma_start": 2, "sigma_end": 1,
+        "gamma": 0.1, "extent": "true", "unmatched": "fade",
+    }  # fmt: skip
+    assert {name: seen[name] for name in wanted} == wanted
+    arguments = "morph a.png b.jpg -o x.gif --backend numpy --preset paper"
+    assert main(arguments.split()) == 2
+    wanted = {
+        "blur": 0.05, "reach": 0.3, "color_weight": 2, "sigma_start": 1.2, "sigma_end": 0.5,
+        "gamma": 0.5, "extent": "unit", "unmatched": "drop",
+    }  # fmt: skip
+    assert {name: seen[name] for name in wanted} == wanted
+
+
+MISTAKES = [
+    ("missing.png b.jpg -o x.gif", "missing.png: no such file"),
+    (". b.jpg -o x.gif", "is not a file"),
+    ("empty.png b.jpg -o x.gif", "not an image"),
+    ("cut.png b.jpg -o x.gif", "cannot be decoded"),
+    ("a.png b.jpg", "--output"),
+    ("a.png -o x.gif", "Missing argument"),
+    ("a.png b.jpg c.png -o x.gif", "unexpected extra argument"),
+    ("a.png b.jpg -o x.mp3", "unknown ending"),
+    ("a.png b.jpg -o no/x.gif", "no folder"),
+    ("a.png b.jpg -o full", "exists already"),
+    ("a.png b.jpg -o x.gif --frames 1", "n_frames"),
+    ("a.png b.jpg -o x.gif --frames many", "--frames"),
+    ("a.png b.jpg -o x.gif --size 0", "size"),
+    ("a.png b.jpg -o x.gif --size 10000000", "size"),
+    ("a.png b.jpg -o x.gif --blur 0", "blur"),
+    ("a.png b.jpg -o x.gif --blur nan", "blur"),
+    ("a.png b.jpg -o x.gif --blur inf", "blur"),
+    ("a.png b.jpg -o x.gif --blur x", "--blur"),
+    ("a.png b.jpg -o x.gif --reach 0", "reach"),
+    ("a.png b.jpg -o x.gif --reach -1", "reach"),
+    ("a.png b.jpg -o x.gif --reach far", "balanced"),
+    ("a.png b.jpg -o x.gif --color-weight -1", "color_weight"),
+    ("a.png b.jpg -o x.gif --sigma-start 0", "sigma_start"),
+    ("a.png b.jpg -o x.gif --sigma-end -3", "sigma_end"),
+    ("a.png b.jpg -o x.gif --gamma -1", "gamma"),
+    ("a.png b.jpg -o x.gif --preset lovely", "--preset"),
+    ("a.png b.jpg -o x.gif --device warp-drive", "warp-drive"),
+    ("a.png b.jpg -o x.gif --backend warp-drive", "warp-drive"),
+    ("a.png b.jpg -o x.gif --device 9:9", "9:9"),
+    ("a.png b.jpg -o x.gif --device pocl --backend numpy", "contradict"),
+    ("a.png b.jpg -o x.gif --colour 3", "--colour"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), MISTAKES)
+def test_mistakes_are_told_in_one_line(pictures, capfd, arguments, words):
+    Path("empty.png").write_bytes(b"")
+    Path("cut.png").write_bytes(Path("a.png").read_bytes()[:300])
+    Path("full").mkdir()
+    Path("full/thing").write_text("")
+    before = sorted(pictures.rglob("*"))
+    assert main(["morph", *arguments.split()]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    told = [line for line in err.splitlines() if not line.startswith("device: ")]
+    assert len(told) == 1
+    assert told[0].startswith("clmorph: error: ")
+    assert words in told[0]
+    assert sorted(pictures.rglob("*")) == before
+
+
+def test_a_mistake_in_a_process_of_its_own(pictures):
+    done = run("morph", "missing.png", "b.jpg", "-o", "x.gif")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
+
+
+def test_unconverged_is_said(pictures, capfd, monkeypatch):
+    monkeypatch.setitem(clmorph.morph.__kwdefaults__, "max_iter", 2)
+    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3"]) == 0
+    assert "not converged after 2 iterations" in capfd.readouterr().out
+
+
+def test_interruption_leaves_nothing(pictures, monkeypatch, capfd):
+    def interrupt(*args, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("clmorph.export._write_gif", interrupt)
+    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3"]) == 130
+    assert sorted(path.name for path in pictures.iterdir()) == ["a.png", "b.jpg"]
+
+
+def test_demo(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("clmorph.demo.PHOTO_SIDE", 24)
+    monkeypatch.setattr("clmorph.demo.SPRITE_ZOOM", 1)
+    assert main(["demo"]) == 0
+    out, err = capfd.readouterr()
+    for words in ("parameters: ", "blur 0.04", "times: transport ", "frames ", "clmorph-demo.gif"):
+        assert words in out
+    assert err.startswith("device: ")
+    with Image.open("clmorph-demo.gif") as gif:
+        assert gif.n_frames == 40
+    assert size("clmorph-demo.png")[0] > 1000
+
+
+def test_version_and_help():
+    assert run("--version").stdout.strip().endswith(clmorph.__version__)
+    assert "clmorph demo" in run("--help").stdout
+    assert "--color-weight" in run("morph", "--help").stdout
+    module = subprocess.run(
+        [sys.executable, "-m", "clmorph", "--version"], capture_output=True, text=True, check=True
+    )
+    assert clmorph.__version__ in module.stdout

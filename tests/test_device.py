@@ -1,0 +1,225 @@
+"""Finding, judging and choosing devices."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import USABLE
+
+import clmorph
+from clmorph import DeviceError, InputError, backends
+from clmorph.opencl import device as devices
+from clmorph.opencl import program, runtimes
+from clmorph.opencl.device import Device, choose_device, find_devices, run_probe
+from clmorph.opencl.operations import OpenCLOperations
+from clmorph.reference import NumPyOperations
+
+
+def made(index="0:0", name="Thing", kind="CPU", usable=True, speed=1e9, platform="Works"):
+    reason = "" if usable else "its driver crashed"
+    return Device(
+        index, name, platform, "OpenCL 3.0", "1.0", kind, 2, 1 << 30, usable, reason, speed, None
+    )  # fmt: skip
+
+
+@pytest.fixture
+def pretend(monkeypatch):
+    """Replace the machine's devices by made-up ones."""
+
+    def replace(*found):
+        monkeypatch.setattr(devices, "find_devices", lambda: found)
+        monkeypatch.delenv("PYOPENCL_CTX", raising=False)
+
+    return replace
+
+
+def test_gpus_come_first_then_the_faster(pretend):
+    slow, fast = made("0:0", speed=1e9), made("1:0", speed=5e9)
+    gpu = made("2:0", kind="GPU", speed=5e8)
+    broken = made("3:0", kind="GPU", usable=False, speed=0)
+    pretend(slow, fast, broken)
+    assert choose_device() is fast
+    pretend(slow, fast, gpu, broken)
+    assert choose_device("auto") is gpu
+    assert choose_device("opencl") is gpu
+
+
+def test_by_index_and_by_name(pretend):
+    pretend(made("0:0", "EPYC", platform="PoCL"), made("1:0", "EPYC", platform="Intel(R) OpenCL"))
+    assert choose_device("1:0").index == "1:0"
+    assert choose_device("intel").index == "1:0"
+    assert choose_device("pocl").index == "0:0"
+    with pytest.raises(DeviceError, match="nvidia"):
+        choose_device("nvidia")
+
+
+def test_unusable_devices_are_never_chosen(pretend):
+    pretend(made("0:0", usable=False), made("1:0", usable=True, speed=1.0))
+    assert choose_device().index == "1:0"
+    with pytest.raises(DeviceError, match="its driver crashed"):
+        choose_device("0:0")
+    pretend(made(usable=False))
+    with pytest.raises(DeviceError, match=r"no OpenCL device is usable.*its driver crashed"):
+        choose_device()
+
+
+def test_without_devices_the_remedy_is_named(pretend):
+    pretend()
+    for spec in ("auto", "intel"):
+        with pytest.raises(DeviceError, match="backend 'numpy'"):
+            choose_device(spec)
+
+
+def test_backend_specs(device, monkeypatch):
+    monkeypatch.delenv("CLMORPH_DEVICE", raising=False)
+    assert isinstance(clmorph.get_backend("numpy"), NumPyOperations)
+    assert isinstance(clmorph.get_backend("auto"), OpenCLOperations)
+    assert isinstance(clmorph.get_backend("opencl"), OpenCLOperations)
+    assert clmorph.get_backend(device) is device
+    index = next(d.index for d in USABLE if d.handle == device.device)
+    assert clmorph.get_backend(index) is device
+    for wrong in (3, None, object()):
+        with pytest.raises(InputError, match="backend="):
+            clmorph.get_backend(wrong)
+
+
+def test_environment_variables(device, monkeypatch):
+    index = next(d.index for d in USABLE if d.handle == device.device)
+    monkeypatch.setenv("CLMORPH_DEVICE", index)
+    assert clmorph.get_backend("auto") is device
+    monkeypatch.setenv("CLMORPH_DEVICE", "numpy")
+    assert isinstance(clmorph.get_backend(), NumPyOperations)
+    monkeypatch.delenv("CLMORPH_DEVICE")
+    monkeypatch.setenv("PYOPENCL_CTX", index)
+    backends._named_backend.cache_clear()
+    assert clmorph.get_backend("auto").device == device.device
+    monkeypatch.setenv("PYOPENCL_CTX", "77:0")
+    with pytest.raises(DeviceError, match="PYOPENCL_CTX"):
+        clmorph.get_backend("auto")
+
+
+def test_the_probe_finds_a_working_device():
+    verdict = run_probe(USABLE[0].index)
+    assert verdict["usable"], verdict
+    assert verdict["pairs_per_second"] > 1e6
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("import os; os.abort()", "crashed"),
+        ("import time; time.sleep(60)", "within 2 s"),
+        ("raise SystemExit(3)", "status 3"),
+        ("print('noise')", "status 0"),
+    ],
+)
+def test_a_broken_driver_breaks_only_the_probe(monkeypatch, tmp_path, body, words):
+    script = tmp_path / "probe.py"
+    script.write_text(body)
+    real = subprocess.run
+    monkeypatch.setattr(
+        subprocess, "run", lambda command, **options: real([sys.executable, script], **options)
+    )
+    verdict = run_probe("0:0", seconds=2)
+    assert not verdict["usable"]
+    assert words in verdict["reason"]
+
+
+def test_verdicts_are_remembered(monkeypatch, tmp_path):
+    monkeypatch.setattr("clmorph.opencl.storage.cache_folder", lambda: tmp_path)
+    asked = []
+
+    def probe(index):
+        asked.append(index)
+        return {"usable": True, "reason": "", "pairs_per_second": 1.0, "final": True}
+
+    monkeypatch.setattr(devices, "run_probe", probe)
+    first = find_devices.__wrapped__()
+    assert asked == [device.index for device in first]
+    assert find_devices.__wrapped__() == first
+    assert len(asked) == len(first)
+    # A damaged record is as good as none.
+    (tmp_path / "devices.json").write_text("{")
+    find_devices.__wrapped__()
+    assert len(asked) == 2 * len(first)
+    record = json.loads((tmp_path / "devices.json").read_text())
+    # Another driver is another verdict.
+    monkeypatch.setattr(devices, "_cpu_identity", lambda: "another processor")
+    find_devices.__wrapped__()
+    assert len(asked) == 3 * len(first)
+    assert len(json.loads((tmp_path / "devices.json").read_text())) == 2 * len(record)
+
+
+def test_every_listed_device_has_a_verdict():
+    for device in find_devices():
+        assert device.usable == (not device.reason)
+        assert "\n" not in str(device)
+
+
+@pytest.mark.skipif(runtimes.intel_runtime() is None, reason="Intel's runtime is not installed")
+def test_pip_runtimes_hide_nothing():
+    """Platforms with Intel's registered are those without it, and Intel's."""
+    listing = "print(sorted({d.platform.version for _, d in raw_devices()}))"
+    import_it = "from clmorph.opencl.device import raw_devices;"
+    without = "import clmorph.opencl.runtimes as r; r.intel_runtime = lambda: None;"
+    found = [
+        set(eval(subprocess.check_output([sys.executable, "-c", code + listing], text=True)))
+        for code in (import_it, without + import_it)
+    ]
+    assert found[1] < found[0]
+    assert len(found[0]) == len(found[1]) + 1
+
+
+def test_a_users_vendor_folder_is_respected(tmp_path):
+    code = "from clmorph.opencl.device import raw_devices; print(len(raw_devices()))"
+    environment = dict(devices.os.environ, OCL_ICD_VENDORS=str(tmp_path))
+    count = subprocess.check_output([sys.executable, "-c", code], text=True, env=environment)
+    listed = {d.platform for d in find_devices()}
+    assert int(count) < len(find_devices()) or "Intel(R) OpenCL" not in listed
+
+
+def test_import_needs_no_driver():
+    """Not even pyopencl is imported before a device is asked for."""
+    code = "import sys, clmorph; print('pyopencl' in sys.modules, 'skimage' in sys.modules)"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).split() == ["False"] * 2
+
+
+def test_without_any_driver_the_answer_is_one_line(tmp_path):
+    code = "import clmorph.cli as c; c.main(['demo'])"
+    block = "import sys; sys.modules['pyopencl'] = None;"
+    done = subprocess.run(
+        [sys.executable, "-c", block + code], capture_output=True, text=True, check=False,
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert done.stderr.count("\n") == 1
+    assert "no OpenCL device was found" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_sources_are_expanded():
+    text = program.source("rows.cl")
+    assert "#include" not in text
+    assert '#line 1 "common.cl"' in text
+    line = text.splitlines().index("#ifndef DIM")
+    marker = [i for i, row in enumerate(text.splitlines()) if row.startswith("#line")][-1]
+    number = int(text.splitlines()[marker].split()[1])
+    original = (program.resources.files("clmorph.cl_kernels") / "rows.cl").read_text()
+    assert original.splitlines()[number + (line - marker) - 2] == "#ifndef DIM"
+
+
+def test_a_build_failure_is_one_line(device):
+    with pytest.raises(DeviceError, match=r"cannot build rows\.cl") as caught:
+        program.build(device.context, "rows.cl", {"WIDTH": 1, "SENTINEL": -1e30})
+    assert "\n" not in str(caught.value)
+    assert "DIM" in str(caught.value)
+
+
+def test_too_many_points(device):
+    class Many:
+        shape = (1 << 25, 5)
+
+    points = np.broadcast_to(0.0, Many.shape)
+    with pytest.raises(DeviceError, match=r"2\^24"):
+        device.upload(points, np.broadcast_to(1.0, Many.shape[0]))
