@@ -169,7 +169,8 @@ def run_probe(index: str, seconds: float = PROBE_SECONDS) -> dict[str, Any]:
     root = str(Path(__file__).parents[2])
     search_path = [root, environment.get("PYTHONPATH", "")]
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, search_path))
-    command = [sys.executable, "-W", "ignore", "-m", "clmorph.opencl.probe", index]
+    # -P: the current folder may hold another clmorph, such as a source tree.
+    command = [sys.executable, "-P", "-W", "ignore", "-m", "clmorph.opencl.probe", index]
     failed = {"usable": False, "pairs_per_second": 0.0, "final": True}
     try:
         done = subprocess.run(
@@ -233,14 +234,14 @@ def choose_device(spec: str = "auto") -> Device:
     """
     devices = find_devices()
     if not devices:
-        raise DeviceError(f"no OpenCL device was found; {_installation_hint()}")
+        raise DeviceError(f"no OpenCL device was found; {_installation_hint(devices)}")
     if spec in ("auto", "opencl"):
         if os.environ.get("PYOPENCL_CTX"):
             return _from_pyopencl_ctx(devices)
         usable = [device for device in devices if device.usable]
         if not usable:
             listed = "; ".join(str(device) for device in devices)
-            raise DeviceError(f"no OpenCL device is usable ({listed}); {_installation_hint()}")
+            raise DeviceError(f"no OpenCL device is usable ({listed}); {_installation_hint(devices)}")
         return min(usable, key=preference)
     named = [device for device in devices if device.matches(spec)]
     if not named:
@@ -273,7 +274,10 @@ def _from_pyopencl_ctx(devices: tuple[Device, ...]) -> Device:
     return device
 
 
-def _installation_hint() -> str:
+def _installation_hint(devices: tuple[Device, ...]) -> str:
+    """Say how to get a device that works, given those that were found."""
+    if any("Intel" in device.platform for device in devices):
+        return "update the drivers, or use the backend 'numpy'"
     if sys.platform == "linux" and platform.machine() == "x86_64":
         if intel_runtime() is not None:
             return (
