@@ -241,7 +241,9 @@ def choose_device(spec: str = "auto") -> Device:
         usable = [device for device in devices if device.usable]
         if not usable:
             listed = "; ".join(str(device) for device in devices)
-            raise DeviceError(f"no OpenCL device is usable ({listed}); {_installation_hint(devices)}")
+            raise DeviceError(
+                f"no OpenCL device is usable ({listed}); {_installation_hint(devices)}"
+            )
         return min(usable, key=preference)
     named = [device for device in devices if device.matches(spec)]
     if not named:
