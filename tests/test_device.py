@@ -1,10 +1,13 @@
 """Finding, judging and choosing devices."""
 
+import hashlib
 import json
+import os
 import subprocess
 import sys
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from conftest import USABLE
 
@@ -223,3 +226,66 @@ def test_too_many_points(device):
     points = np.broadcast_to(0.0, Many.shape)
     with pytest.raises(DeviceError, match=r"2\^24"):
         device.upload(points, np.broadcast_to(1.0, Many.shape[0]))
+
+
+@pytest.fixture
+def empty_cache(monkeypatch, tmp_path):
+    monkeypatch.setattr(program, "cache_folder", lambda: tmp_path)
+    monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
+    return tmp_path / "kernels"
+
+
+def test_builds_are_kept_and_damage_is_survived(device, empty_cache, monkeypatch):
+    constants = device.knobs.rows_constants(5)
+    program.build(device.context, "rows.cl", constants)
+    (file,) = empty_cache.iterdir()
+    whole = file.read_bytes()
+
+    # A kept build needs no source.
+    with monkeypatch.context() as patch:
+        patch.setattr(program, "_from_source", None)
+        program.build(device.context, "rows.cl", constants)
+    for damaged in (b"", whole[:20], whole[:-1], whole[:-1] + b"x", b"x" * 1000):
+        file.write_bytes(damaged)
+        program.build(device.context, "rows.cl", constants)
+        assert file.read_bytes()[:32] == hashlib.sha256(file.read_bytes()[32:]).digest()
+    # A driver that refuses the binary: whole by its digest, but no program.
+    file.write_bytes(hashlib.sha256(b"not a program").digest() + b"not a program")
+    built = program.build(device.context, "rows.cl", constants)
+    assert "log_sum_exp" in built.get_info(cl.program_info.KERNEL_NAMES)
+    # Other constants, another file.
+    program.build(device.context, "rows.cl", device.knobs.rows_constants(3))
+    assert len(list(empty_cache.iterdir())) == 2
+
+
+def test_two_processes_build_at_once(device, tmp_path):
+    index = next(d.index for d in USABLE if d.handle == device.device)
+    code = (
+        "import clmorph, numpy as np; o = clmorph.get_backend('%s');"
+        "c = o.upload(np.zeros((3, 5)), np.ones(3)); print(o.softmin(c, c, np.zeros(3), 1.0)[0])"
+    )
+    environment = dict(os.environ, XDG_CACHE_HOME=str(tmp_path))
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", code % index], env=environment, stdout=subprocess.PIPE
+        )
+        for _ in range(3)
+    ]
+    answers = {process.communicate()[0] for process in running}
+    assert len(answers) == 1
+    assert float(answers.pop()) == pytest.approx(-np.log(3), abs=1e-6)
+
+
+def test_without_a_writable_cache_everything_works(device, tmp_path):
+    (tmp_path / "file").write_text("")
+    index = next(d.index for d in USABLE if d.handle == device.device)
+    # PoCL itself cannot do without a cache folder of its own.
+    environment = dict(
+        os.environ, XDG_CACHE_HOME=str(tmp_path / "file"), POCL_CACHE_DIR=str(tmp_path)
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", f"import clmorph; print(clmorph.get_backend('{index}'))"],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert device.description in done.stdout
