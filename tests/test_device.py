@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -14,7 +15,7 @@ from conftest import USABLE
 import clmorph
 from clmorph import DeviceError, InputError, backends
 from clmorph.opencl import device as devices
-from clmorph.opencl import program, runtimes
+from clmorph.opencl import program, runtimes, storage
 from clmorph.opencl.device import Device, choose_device, find_devices, run_probe
 from clmorph.opencl.operations import OpenCLOperations
 from clmorph.reference import NumPyOperations
@@ -136,7 +137,7 @@ def test_verdicts_are_remembered(monkeypatch, tmp_path):
 
     def probe(index):
         asked.append(index)
-        return {"usable": True, "reason": "", "pairs_per_second": 1.0, "final": True}
+        return {"usable": True, "reason": "", "pairs_per_second": 1.0}
 
     monkeypatch.setattr(devices, "run_probe", probe)
     first = find_devices.__wrapped__()
@@ -265,6 +266,8 @@ def test_two_processes_build_at_once(device, tmp_path):
         "c = o.upload(np.zeros((3, 5)), np.ones(3)); print(o.softmin(c, c, np.zeros(3), 1.0)[0])"
     )
     environment = dict(os.environ, XDG_CACHE_HOME=str(tmp_path))
+    (tmp_path / "clmorph").mkdir()
+    shutil.copy(storage.cache_folder() / "devices.json", tmp_path / "clmorph")
     running = [
         subprocess.Popen(
             [sys.executable, "-c", code % index], env=environment, stdout=subprocess.PIPE

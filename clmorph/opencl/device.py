@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clmorph.errors import DeviceError
-from clmorph.opencl.runtimes import intel_runtime, register_pip_runtimes
+from clmorph.opencl.runtimes import import_pyopencl, intel_runtime, register_pip_runtimes
 from clmorph.opencl.storage import load_record, save_record
 
 if TYPE_CHECKING:
     import pyopencl as cl
 
 #: Seconds that a device may take to build and run the probe.
-PROBE_SECONDS = 120
+PROBE_SECONDS = 30
 _VERDICTS = "devices.json"
 
 
@@ -73,9 +73,11 @@ class Device:
 def raw_devices() -> tuple[tuple[str, "cl.Device"], ...]:
     """Enumerate (index, device) over all platforms; empty where OpenCL has none."""
     try:
-        import pyopencl as cl
+        import_pyopencl()
     except ImportError:
         return ()
+    import pyopencl as cl
+
     with register_pip_runtimes():
         try:
             platforms = cl.get_platforms()
@@ -162,8 +164,7 @@ def run_probe(index: str, seconds: float = PROBE_SECONDS) -> dict[str, Any]:
     Returns
     -------
     dict
-        usable (bool), reason (str), pairs_per_second (float), final (bool: whether to
-        remember it).
+        usable (bool), reason (str), pairs_per_second (float).
     """
     environment = dict(os.environ)
     root = str(Path(__file__).parents[2])
@@ -171,7 +172,7 @@ def run_probe(index: str, seconds: float = PROBE_SECONDS) -> dict[str, Any]:
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, search_path))
     # -P: the current folder may hold another clmorph, such as a source tree.
     command = [sys.executable, "-P", "-W", "ignore", "-m", "clmorph.opencl.probe", index]
-    failed = {"usable": False, "pairs_per_second": 0.0, "final": True}
+    failed = {"usable": False, "pairs_per_second": 0.0}
     try:
         done = subprocess.run(
             command, env=environment, timeout=seconds, capture_output=True, text=True,
@@ -179,11 +180,11 @@ def run_probe(index: str, seconds: float = PROBE_SECONDS) -> dict[str, Any]:
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         reason = f"did not build and run a small kernel within {seconds:g} s"
-        return failed | {"reason": reason, "final": False}
+        return failed | {"reason": reason}
     lines = done.stdout.strip().splitlines()
     if done.returncode == 0 and lines:
         try:
-            return dict(json.loads(lines[-1]), final=True)
+            return dict(json.loads(lines[-1]))
         except ValueError:
             pass
     if done.returncode < 0:
@@ -207,8 +208,7 @@ def find_devices() -> tuple[Device, ...]:
         verdict = verdicts.get(key)
         if not isinstance(verdict, dict) or {"usable", "reason", "pairs_per_second"} - set(verdict):
             verdict = run_probe(index)
-            if verdict.pop("final"):
-                save_record(_VERDICTS, load_record(_VERDICTS) | {key: verdict})
+            save_record(_VERDICTS, load_record(_VERDICTS) | {key: verdict})
         devices.append(_describe(index, handle, verdict))
     return tuple(devices)
 

@@ -5,6 +5,9 @@ Ctrl-C live between them.
 import contextlib
 import time
 from collections.abc import Iterator
+from typing import Any
+
+import pyopencl as cl
 
 #: Length that launches aim at, in seconds; well under the limit of 0.2 s.
 TARGET_SECONDS = 0.08
@@ -37,3 +40,21 @@ class LaunchBudget:
         affordable = pairs * TARGET_SECONDS / max(elapsed, 1e-6)
         # Slow steps up: a short launch is mostly overhead and says little about a long one.
         self._pairs = int(min(affordable, 4 * self._pairs))
+
+
+def launch(
+    queue: cl.CommandQueue,
+    kernel: cl.Kernel,
+    size: tuple[int, ...],
+    group: tuple[int, ...] | None,
+    *arguments: Any,
+) -> None:
+    """Run a kernel and wait for it.
+
+    Arguments are NumPy scalars and buffers; holding them here keeps buffers alive until
+    the launch has ended, which a kernel does not. They are set one by one: pyopencl's
+    `set_args` generates code for each kernel, which costs more at start than it saves.
+    """
+    for number, argument in enumerate(arguments):
+        kernel.set_arg(number, argument)
+    cl.enqueue_nd_range_kernel(queue, kernel, size, group).wait()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clmorph.errors import DeviceError
 from clmorph.opencl import program
 from clmorph.opencl.knobs import SENTINEL, Knobs, choose_knobs
-from clmorph.opencl.launches import LaunchBudget
+from clmorph.opencl.launches import LaunchBudget, launch
 from clmorph.opencl.splatting import ParticleSet, Splats, Splatting
 from clmorph.operations import Bins, Float32, Float64, PlanRows
 from clmorph.tiles import tile_order
@@ -289,19 +289,15 @@ class OpenCLOperations:
         levels = _levels(rows.centers[section], columns.centers, tops, k)
         levels -= tops_of_rows[section, None]
         n_rows = len(part) * self.knobs.tile
-        # Held until the launch has ended: a kernel does not keep its arguments alive.
-        level_buffer = self._constant(np.maximum(levels, SENTINEL))
-        kernel.set_args(
-            np.uint32(part.start * self.knobs.tile), np.uint32(rows.stride),
-            np.uint32(columns.stride), np.uint32(len(columns.centers)), np.float32(k),
-            rows.offsets_buffer, rows.centers_buffer, columns.offsets_buffer,
-            columns.centers_buffer, heights, level_buffer,
-            *arguments,
-        )  # fmt: skip
         with self._budget.measure(n_rows * columns.stride):
-            cl.enqueue_nd_range_kernel(
-                self.queue, kernel, (n_rows // self.knobs.width, shares), (self.knobs.group, 1)
-            ).wait()
+            launch(
+                self.queue, kernel, (n_rows // self.knobs.width, shares), (self.knobs.group, 1),
+                np.uint32(part.start * self.knobs.tile), np.uint32(rows.stride),
+                np.uint32(columns.stride), np.uint32(len(columns.centers)), np.float32(k),
+                rows.offsets_buffer, rows.centers_buffer, columns.offsets_buffer,
+                columns.centers_buffer, heights, self._constant(np.maximum(levels, SENTINEL)),
+                *arguments,
+            )  # fmt: skip
 
     def _row_kernels(self, rows: Cloud) -> dict[str, cl.Kernel]:
         dimension = rows.centers.shape[1]

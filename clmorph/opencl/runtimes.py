@@ -15,10 +15,30 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
+import platformdirs
+
 from clmorph.opencl.storage import cache_folder, write_atomically
 
 #: Where a Linux loader looks by default.
 SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
+
+
+def import_pyopencl() -> None:
+    """Import pyopencl, without its caches where their folder cannot be written to.
+
+    Raises
+    ------
+    ImportError
+        If it is not installed or cannot be loaded.
+    """
+    if "pyopencl" not in sys.modules:
+        try:
+            Path(platformdirs.user_cache_dir("pytools", "pytools")).mkdir(
+                parents=True, exist_ok=True
+            )
+        except OSError:
+            os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
+    import pyopencl  # noqa: F401
 
 
 def intel_runtime() -> Path | None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clmorph.errors import DeviceError
 from clmorph.opencl import program
 from clmorph.opencl.knobs import Knobs
-from clmorph.opencl.launches import LaunchBudget
+from clmorph.opencl.launches import LaunchBudget, launch
 from clmorph.operations import Bins, Float32, Float64, bin_grid, bin_margin
 
 #: Entries of the (bins, slices) table of counts; fewer slices are used on large canvases.
@@ -190,9 +190,7 @@ class Splatting:
     def _run(
         self, name: str, size: tuple[int, ...], group: tuple[int, ...] | None, *arguments: Any
     ) -> None:
-        kernel = self._kernels[name]
-        kernel.set_args(*arguments)
-        cl.enqueue_nd_range_kernel(self.queue, kernel, size, group).wait()
+        launch(self.queue, self._kernels[name], size, group, *arguments)
 
     def _buffer(self, values: NDArray[Any], dtype: Any = np.float32) -> cl.Buffer:
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
