@@ -1,6 +1,7 @@
 """The command ``clmorph``.
 
-Exit codes: 0 done; 2 a mistake in the command line, a file or the choice of device, told
+Exit codes: 0 done; 1 a device is out of tolerance, or none is usable (``check``,
+``devices``); 2 a mistake in the command line, a file or the choice of device, told
 in one line; 130 interrupted.
 """
 
@@ -146,10 +147,36 @@ def demo(device: str | None, backend: str | None) -> None:
         click.echo(line)
 
 
+@cli.command()
+@click.option("--json", "as_json", is_flag=True, help="For programs.")
+@click.option("--again", is_flag=True, help="Try every device anew.")
+def devices(as_json: bool, again: bool) -> int:
+    """List OpenCL devices: which work, why others do not, which one "auto" takes."""
+    from clmorph.device_commands import list_devices
+
+    return list_devices(as_json, again)
+
+
+@cli.command()
+@click.option("--device", metavar="NAME", help="The device to check.  [default: auto's]")
+@click.option("--all", "every", is_flag=True, help="Check every usable device.")
+@click.option("--report", type=click.Path(path_type=Path), help="Write a JSON file to share.")
+def check(device: str | None, every: bool, report: Path | None) -> int:
+    """Compare a device with NumPy: every operation and one whole morph.
+
+    Ends with 0 if all is within tolerance, else with 1.
+    """
+    from clmorph.device_commands import check_devices
+
+    if device is not None and every:
+        raise InputError(f"--device {device} and --all contradict: give one of them")
+    return check_devices(device, every, report)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     try:
-        cli.main(arguments, prog_name="clmorph", standalone_mode=False)
+        code = cli.main(arguments, prog_name="clmorph", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help())
         return 2
@@ -166,4 +193,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    return 0
+    return code if isinstance(code, int) else 0

@@ -1,5 +1,6 @@
 """What the command line shows while it works, and how long each stage took."""
 
+import sys
 import time
 from types import TracebackType
 from typing import Self
@@ -9,6 +10,8 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 #: Progress, notes and errors; results go to standard output.
 NOTES = Console(stderr=True, highlight=False, soft_wrap=True)
+#: Tables: as wide as they must be where nobody's terminal says otherwise.
+RESULTS = Console(highlight=False, width=None if sys.stdout.isatty() else 200)
 
 
 class Stages:

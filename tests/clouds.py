@@ -1,23 +1,6 @@
-"""Random and nasty clouds, and the tolerance a float32 device is held to."""
+"""Random and nasty clouds."""
 
 import numpy as np
-
-#: Unit roundoff of float32.
-UNIT = 2.0**-24
-
-
-def log_sum_exp_tolerance(rows, columns, epsilon):
-    """Nats by which a float32 log-sum-exp may be off.
-
-    A few roundings of each term (8 units, the polynomial's error included), the random
-    walk of a sum of M terms, and one rounding of an exponent of size C / epsilon; several
-    happen, but tiles make the numbers smaller.
-    """
-    (x, _), (y, _) = rows, columns
-    low = np.minimum(x.min(axis=0), y.min(axis=0))
-    high = np.maximum(x.max(axis=0), y.max(axis=0))
-    largest = 0.5 * np.sum((high - low) ** 2) / epsilon
-    return UNIT * (8 + 2 * np.sqrt(len(y)) + largest)
 
 
 def _cloud(rng, n, scale=(1, 1, 2, 2, 2), weights=None):

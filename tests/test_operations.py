@@ -4,8 +4,9 @@ import inspect
 
 import numpy as np
 import pytest
-from clouds import PAIRS, UNIT, log_sum_exp_tolerance
+from clouds import PAIRS
 
+from clmorph.check import UNIT, log_sum_exp_tolerance, splat_tolerance
 from clmorph.opencl.operations import OpenCLOperations
 from clmorph.operations import Operations, bin_margin
 from clmorph.reference import NumPyOperations
@@ -190,10 +191,7 @@ def test_splat(variant, rng, name, shape, sigma):
     radius = 4.5 * sigma
     got = variant.splat(splats, shape, sigma, radius)
     want = REFERENCE.splat(exact, shape, sigma, radius)
-    n = len(exact.weights)
-    # A chunk of 256 additions, the sum of the chunks, and an exponent of up to
-    # 2 * 4.5^2 / 2 * log2(e) = 29 that is rounded a few times.
-    relative = UNIT * (256 + n / 256 + 4 * 30)
+    relative = splat_tolerance(len(exact.weights))
     # Far-out positions are rounded to float32 before the distance is taken; the kernel
     # then is where the reference puts it, because the reference has the same positions.
     for numerator, denominator in (got, want):

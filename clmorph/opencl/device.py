@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clmorph.errors import DeviceError
+from clmorph.installation import advice
 from clmorph.opencl.runtimes import import_pyopencl, intel_runtime, register_pip_runtimes
 from clmorph.opencl.storage import load_record, save_record
 
@@ -61,6 +62,19 @@ class Device:
     def __str__(self) -> str:
         state = "" if self.usable else f", unusable: {self.reason}"
         return f"[{self.index}] {self.name} ({self.platform}, driver {self.driver}{state})"
+
+    def record(self) -> dict[str, Any]:
+        """Return what is known of the device, ready for JSON."""
+        from clmorph.opencl.quirks import find_quirks, has_float64
+
+        known = {name: value for name, value in vars(self).items() if name != "handle"}
+        return known | {
+            "float64": has_float64(self.handle),
+            "max_work_group_size": self.handle.max_work_group_size,
+            "local_memory": self.handle.local_mem_size,
+            "largest_buffer": self.handle.max_mem_alloc_size,
+            "quirks": sorted(find_quirks(self.handle)),
+        }
 
     def matches(self, text: str) -> bool:
         """Whether `text` is this device's index or part of its or its platform's name."""
@@ -213,6 +227,12 @@ def find_devices() -> tuple[Device, ...]:
     return tuple(devices)
 
 
+def forget_verdicts() -> None:
+    """Forget which devices worked, so that the next search tries them again."""
+    save_record(_VERDICTS, {})
+    find_devices.cache_clear()
+
+
 def preference(device: Device) -> tuple[int, float]:
     """Sort key: GPUs before others before CPUs, then the faster."""
     return {"GPU": 0, "CPU": 2}.get(device.kind, 1), -device.pairs_per_second
@@ -279,12 +299,10 @@ def _from_pyopencl_ctx(devices: tuple[Device, ...]) -> Device:
 def _installation_hint(devices: tuple[Device, ...]) -> str:
     """Say how to get a device that works, given those that were found."""
     if any("Intel" in device.platform for device in devices):
-        return "update the drivers, or use the backend 'numpy'"
-    if sys.platform == "linux" and platform.machine() == "x86_64":
-        if intel_runtime() is not None:
-            return (
-                "Intel's CPU runtime is installed but was not found: use clmorph before other "
-                "OpenCL code in the process, or unset OCL_ICD_VENDORS; or use the backend 'numpy'"
-            )
-        return "pip install 'clmorph[cpu]' brings one for the CPU; or use the backend 'numpy'"
-    return "install your graphics card's OpenCL driver, or use the backend 'numpy'"
+        return "update the drivers (clmorph devices --again), or use the backend 'numpy'"
+    if intel_runtime() is not None:
+        return (
+            "Intel's CPU runtime is installed but was not found: use clmorph before other "
+            "OpenCL code in the process, or unset OCL_ICD_VENDORS; or use the backend 'numpy'"
+        )
+    return f"{advice()[0]}; or use the backend 'numpy' (clmorph devices tells more)"

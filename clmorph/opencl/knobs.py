@@ -1,8 +1,10 @@
 """Build-time constants of the kernels, chosen by the kind of device."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pyopencl as cl
+
+from clmorph.opencl.quirks import find_quirks
 
 #: Stands for minus infinity in float32 exponents: far under any of them, yet the sum of
 #: a few is still finite.
@@ -69,11 +71,34 @@ class Knobs:
         }
 
 
-def choose_knobs(device: cl.Device) -> Knobs:
-    """Return constants for a device, by its type and limits."""
+def choose_knobs(device: cl.Device, quirks: frozenset[str] | None = None) -> Knobs:
+    """Return constants for a device, by its type, limits and quirks.
+
+    Parameters
+    ----------
+    device : pyopencl.Device
+    quirks : set of str, optional
+        Names from `clmorph.opencl.quirks.QUIRKS`; found out if not given.
+    """
+    if quirks is None:
+        quirks = find_quirks(device)
     if device.type & cl.device_type.CPU:
-        return cpu_knobs(int(device.native_vector_width_float))
-    return gpu_knobs(device.max_work_group_size)
+        knobs = cpu_knobs(int(device.native_vector_width_float))
+    else:
+        knobs = gpu_knobs(device.max_work_group_size)
+    return apply_quirks(knobs, quirks)
+
+
+def apply_quirks(knobs: Knobs, quirks: frozenset[str]) -> Knobs:
+    """Return constants that work around quirks."""
+    if "small_groups" in quirks:
+        knobs = replace(knobs, group=min(knobs.group, 16), tile_group=min(knobs.tile_group, 4))
+    if "inexact_exp2" in quirks:
+        knobs = replace(knobs, exp2_builtin=0)
+    if "small_local_memory" in quirks:
+        tile = max(16, knobs.width)
+        knobs = replace(knobs, tile=tile, group=min(knobs.group, tile // knobs.width))
+    return knobs
 
 
 def cpu_knobs(vector: int) -> Knobs:

@@ -5,11 +5,11 @@ Prints one line of JSON: usable, reason, pairs_per_second.
 
 import json
 import sys
-import time
 from typing import Any
 
 import numpy as np
 
+from clmorph.check import throughput
 from clmorph.errors import ClmorphError
 from clmorph.opencl.device import raw_devices
 from clmorph.opencl.operations import OpenCLOperations
@@ -43,27 +43,13 @@ def _wrong_result(operations: OpenCLOperations) -> str:
     return ""
 
 
-def _pairs_per_second(operations: OpenCLOperations) -> float:
-    random = np.random.default_rng(0)
-    cloud = operations.upload(
-        random.random((TIMED_POINTS, 5)), np.full(TIMED_POINTS, 1 / TIMED_POINTS)
-    )
-    potential = np.zeros(TIMED_POINTS)
-    best = np.inf
-    for _ in range(8):
-        began = time.perf_counter()
-        operations.softmin(cloud, cloud, potential, 0.01)
-        best = min(best, time.perf_counter() - began)
-    return float(TIMED_POINTS**2 / best)
-
-
 def probe(index: str) -> dict[str, Any]:
     """Return the verdict on the device of this index."""
     device = dict(raw_devices())[index]
     try:
         operations = OpenCLOperations(device)
         reason = _wrong_result(operations)
-        speed = 0.0 if reason else _pairs_per_second(operations)
+        speed = 0.0 if reason else throughput(operations, TIMED_POINTS)
     except ClmorphError as error:
         return {"usable": False, "reason": str(error).split(";")[0], "pairs_per_second": 0.0}
     except Exception as error:  # a driver's errors come in any class; the reason is shown

@@ -1,0 +1,205 @@
+"""Compare a device with NumPy: every operation, and one whole morph."""
+
+import platform
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.measures import Measure, lift
+from clmorph.morph import morph
+from clmorph.operations import Operations
+from clmorph.reference.operations import NumPyOperations
+
+#: Unit roundoff of float32.
+UNIT = 2.0**-24
+
+Cloud = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def log_sum_exp_tolerance(rows: Cloud, columns: Cloud, epsilon: float) -> float:
+    """Return by how many nats a float32 log-sum-exp may be off.
+
+    A few roundings of each term (8 units, the exponential's error included), the random
+    walk of a sum of M terms, and one rounding of an exponent of size C / epsilon; several
+    happen, but tiles make the numbers smaller.
+
+    Parameters
+    ----------
+    rows, columns : (points (N, D), weights (N,))
+    epsilon : float
+    """
+    (x, _), (y, _) = rows, columns
+    low = np.minimum(x.min(axis=0), y.min(axis=0))
+    high = np.maximum(x.max(axis=0), y.max(axis=0))
+    largest = 0.5 * np.sum((high - low) ** 2) / epsilon
+    return float(UNIT * (8 + 2 * np.sqrt(len(y)) + largest))
+
+
+def splat_tolerance(count: int, chunk: int = 256) -> float:
+    """Return the relative error that float32 sums of `count` splats may have.
+
+    The additions of a chunk, the sum of the chunks, and an exponent of up to 30 rounded a
+    few times.
+    """
+    return UNIT * (chunk + count / chunk + 4 * 30)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One comparison.
+
+    Attributes
+    ----------
+    name : str
+    error, tolerance : float
+        Largest error and what it may be, in `unit`.
+    unit : str
+    """
+
+    name: str
+    error: float
+    tolerance: float
+    unit: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the error is within the tolerance."""
+        return bool(self.error <= self.tolerance)
+
+
+def _picture(side: int, phase: float) -> NDArray[np.float64]:
+    """Draw a smooth test picture."""
+    y, x = np.mgrid[:side, :side] / side
+    waves = [np.sin(5 * x + k * y + phase) * np.cos(3 * y - k * phase) for k in (1, 3, 6)]
+    return 0.5 + 0.5 * np.stack(waves, axis=-1)
+
+
+def _cloud(measure: Measure) -> Cloud:
+    return measure.points, measure.weights
+
+
+def check(operations: Operations) -> Iterator[Finding]:
+    """Compare a backend with NumPy, one operation after the other.
+
+    Parameters
+    ----------
+    operations : Operations
+
+    Yields
+    ------
+    Finding
+    """
+    exact = NumPyOperations()
+    source, target = lift(_picture(37, 0.2)), lift(_picture(31, 1.7))
+    pair = _cloud(source), _cloud(target)
+    ours = operations.upload(*pair[0]), operations.upload(*pair[1])
+    theirs = exact.upload(*pair[0]), exact.upload(*pair[1])
+    rng = np.random.default_rng(0)
+    for blur in (1.0, 0.05, 0.003):
+        epsilon = blur**2
+        g = epsilon * rng.normal(size=len(target))
+        tolerance = log_sum_exp_tolerance(*pair, epsilon)
+        for name in ("softmin", "row_maxima"):
+            unit = epsilon if name == "softmin" else 1.0
+            got = getattr(operations, name)(*ours, g, epsilon)
+            want = getattr(exact, name)(*theirs, g, epsilon)
+            error = float(np.abs(got - want).max() / unit)
+            yield Finding(f"{name}, blur {blur:g}", error, tolerance, "nats")
+    yield _check_plan(operations, exact, ours, theirs, pair)
+    yield from _check_splats(operations, exact)
+    yield _check_morph(operations)
+
+
+def _check_plan(
+    operations: Operations,
+    exact: Operations,
+    ours: tuple[Any, Any],
+    theirs: tuple[Any, Any],
+    pair: tuple[Cloud, Cloud],
+) -> Finding:
+    epsilon, share = 0.0025, 1e-4
+    f = exact.softmin(*theirs, np.zeros(len(pair[1][1])), epsilon)
+    g = exact.softmin(theirs[1], theirs[0], f, epsilon)
+    largest = exact.row_maxima(*theirs, g, epsilon) + f / epsilon + np.log(pair[0][1])
+    thresholds = (largest + np.log(share), np.full(len(g), np.inf))
+    plans = []
+    for backend, clouds in ((operations, ours), (exact, theirs)):
+        rows = backend.plan_rows(*clouds, f, g, epsilon, *thresholds)
+        plan = np.zeros((len(f), len(g)))
+        plan[np.repeat(np.arange(len(f)), np.diff(rows.indptr)), rows.indices] = rows.mass
+        plans.append(plan)
+    # A pair on the threshold may be kept by one side only: it has `share` of the largest.
+    error = float(np.max(np.abs(plans[0] - plans[1]) / np.exp(largest)[:, None]))
+    tolerance = share + 2 * log_sum_exp_tolerance(*pair, epsilon)
+    return Finding("plan_rows", error, tolerance, "of a row's largest")
+
+
+def _check_splats(operations: Operations, exact: Operations) -> Iterator[Finding]:
+    rng = np.random.default_rng(1)
+    count, shape = 20_000, (61, 83)
+    positions = rng.uniform(-2, 84, (count, 2)).astype(np.float32)
+    colors = rng.random((count, 3)).astype(np.float32)
+    weights = (10 ** rng.uniform(-10, 0, count)).astype(np.float32)
+    backends = (operations, exact)
+    ours, theirs = (backend.upload_splats(positions, colors, weights) for backend in backends)
+    got, want = operations.bin_splats(ours, shape, 2), exact.bin_splats(theirs, shape, 2)
+    wrong = np.count_nonzero(got.starts != want.starts) + np.count_nonzero(got.order != want.order)
+    yield Finding("bin_splats", float(wrong), 0.0, "entries")
+    for sigma in (0.0, 0.6, 5.0):
+        sums = operations.splat(ours, shape, sigma, 4.5 * sigma)
+        truth = exact.splat(theirs, shape, sigma, 4.5 * sigma)
+        scale = np.maximum(truth[1], np.finfo(float).tiny)
+        errors = np.abs(sums[1] - truth[1]) / scale, np.abs(sums[0] - truth[0]) / scale[..., None]
+        error = float(max(part.max() for part in errors))
+        yield Finding(f"splat, sigma {sigma:g}", error, splat_tolerance(count), "of the sum")
+
+
+def _check_morph(operations: Operations) -> Finding:
+    images = _picture(20, 0.4), _picture(24, 2.9)
+    ours, theirs = (
+        morph(*images, n_frames=3, backend=backend) for backend in (operations, NumPyOperations())
+    )
+    error = max(float(np.abs(a - b).max()) for a, b in zip(ours.frames, theirs.frames, strict=True))
+    return Finding("morph", 255 * error, 1.0, "of 255")
+
+
+def throughput(operations: Operations, points: int = 4096) -> float:
+    """Return point pairs per second through the log-sum-exp, the best of a few."""
+    rng = np.random.default_rng(0)
+    cloud = operations.upload(rng.random((points, 5)), np.full(points, 1 / points))
+    potential = np.zeros(points)
+    best = np.inf
+    for _ in range(8):
+        began = time.perf_counter()
+        operations.softmin(cloud, cloud, potential, 0.01)
+        best = min(best, time.perf_counter() - began)
+    return float(points * points / best)
+
+
+def report(device: Any, findings: list[Finding], pairs_per_second: float) -> dict[str, Any]:
+    """Bundle what others need to know of a device; nothing personal.
+
+    Parameters
+    ----------
+    device : clmorph.opencl.device.Device
+    findings : list of Finding
+    pairs_per_second : float
+
+    Returns
+    -------
+    dict
+        Ready for JSON.
+    """
+    from clmorph import __version__
+
+    return {
+        "clmorph": __version__,
+        "system": f"{platform.system()} {platform.machine()}",
+        "device": device.record(),
+        "pairs_per_second": pairs_per_second,
+        "findings": [asdict(finding) | {"passed": finding.passed} for finding in findings],
+    }
