@@ -8,6 +8,7 @@ from clmorph.errors import (
     ClmorphError,
     ConvergenceWarning,
     DeviceError,
+    ImageWarning,
     InputError,
     OutputError,
 )
@@ -24,6 +25,7 @@ __all__ = [
     "ClmorphError",
     "ConvergenceWarning",
     "DeviceError",
+    "ImageWarning",
     "InputError",
     "Measure",
     "Morph",

@@ -18,6 +18,7 @@ import click
 from clmorph import __version__
 from clmorph.defaults import N_FRAMES, PRESETS
 from clmorph.errors import ClmorphError, ConvergenceWarning, InputError
+from clmorph.images import MAX_PIXELS
 from clmorph.terminal import NOTES, Stages
 
 #: Value of ``--reach`` that stands for no creation or destruction of mass.
@@ -38,8 +39,32 @@ class _Reach(click.ParamType):
             self.fail(f"{value!r} is neither a number nor {BALANCED!r}.", param, ctx)
 
 
+def _print_version(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+    if not wanted:
+        return
+    import platform
+    from importlib.metadata import version
+
+    from clmorph.opencl.device import raw_devices
+
+    click.echo(f"clmorph {__version__}")
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("pyopencl", "numpy"))
+    click.echo(f"Python {platform.python_version()}, {libraries}")
+    for index, device in raw_devices():
+        driver = f"{device.platform.name.strip()}, driver {device.driver_version.strip()}"
+        click.echo(f"[{index}] {' '.join(device.name.split())} ({driver})")
+    context.exit()
+
+
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, prog_name="clmorph")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Versions of clmorph, of what it builds on, and of the OpenCL drivers.",
+)
 def cli() -> None:
     r"""Morph one image into another by unbalanced optimal transport.
 
@@ -58,6 +83,18 @@ def _device_options(command: Any) -> Any:
         metavar="NAME",
         help="auto, opencl, numpy, or what --device takes.  [default: auto]",
     )(command)
+
+
+def _read(path: Path, max_pixels: int) -> Any:
+    """Read an image and print what is to be noted."""
+    from clmorph.images import read_image
+
+    with warnings.catch_warnings(record=True) as notes:
+        warnings.simplefilter("always")
+        pixels = read_image(path, max_pixels=max_pixels)
+    for note in notes:
+        NOTES.print(f"note: {note.message}", markup=False)
+    return pixels
 
 
 def _open_backend(device: str | None, backend: str | None) -> Any:
@@ -85,6 +122,9 @@ def _open_backend(device: str | None, backend: str | None) -> Any:
 @click.option("--preset", default="photo", show_default=True, type=click.Choice(list(PRESETS)))
 @click.option("--frames", type=int, default=N_FRAMES, show_default=True, help="Number of frames.")
 @click.option("--size", type=int, help="Reduce images to this longer side, in pixels.")
+@click.option(
+    "--max-pixels", type=int, default=MAX_PIXELS, show_default=True, help="Refuse larger files."
+)
 @click.option("--blur", type=float, help="Entropic length scale, in image sides.")
 @click.option("--reach", type=_Reach(), help="How far mass moves before it rather fades.")
 @click.option("--color-weight", type=float, help="Weight of color against position.")
@@ -98,6 +138,7 @@ def morph(
     output: Path,
     preset: str,
     frames: int,
+    max_pixels: int,
     device: str | None,
     backend: str | None,
     **options: Any,
@@ -107,7 +148,7 @@ def morph(
     Options that are not given are those of the preset.
     """
     from clmorph.export import output_writer
-    from clmorph.images import fit, read_image
+    from clmorph.images import fit
     from clmorph.morph import morph as run
 
     began = time.perf_counter()
@@ -117,7 +158,7 @@ def morph(
     if parameters["reach"] == BALANCED:
         parameters["reach"] = None
     size = parameters.pop("size")
-    source, target = (fit(read_image(path), size) for path in (image_a, image_b))
+    source, target = (fit(_read(path, max_pixels), size) for path in (image_a, image_b))
     operations = _open_backend(device, backend)
     with Stages() as stages, warnings.catch_warnings():
         # Said in the last line.

@@ -22,3 +22,7 @@ class OutputError(ClmorphError, RuntimeError):
 
 class ConvergenceWarning(UserWarning):
     """The transport solver stopped before it reached the tolerance."""
+
+
+class ImageWarning(UserWarning):
+    """A file was read, but not all that it says about its colors was used."""

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph.checks import check_integer
-from clmorph.errors import InputError
+from clmorph.errors import ImageWarning, InputError
 
-#: Side in pixels above which an image is refused rather than lifted at full size.
-MAX_SIDE = 16384
+#: Pixels above which a file is refused before it is decoded, unless told otherwise.
+MAX_PIXELS = 64_000_000
 
 
 def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
@@ -39,11 +39,6 @@ def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
         array = array[..., None]
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or 0 in array.shape:
         raise InputError(f"{name} has shape {np.shape(image)}: {expected}")
-    if max(array.shape[:2]) > MAX_SIDE:
-        raise InputError(
-            f"{name} is {array.shape[1]} x {array.shape[0]} pixels: expected at most {MAX_SIDE} "
-            "along a side; reduce it first"
-        )
     if array.dtype == np.bool_:
         pixels = array.astype(float)
     elif array.dtype in (np.uint8, np.uint16):
@@ -69,6 +64,25 @@ def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
     return np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
 
 
+def block_size(image: NDArray[np.float64]) -> int:
+    """Return k if an image is made of k x k blocks of one color each, as enlarged sprites are.
+
+    Parameters
+    ----------
+    image : (H, W, C) array
+
+    Returns
+    -------
+    int
+        The largest such k; 1 for anything else, images of a single color included.
+    """
+    sides = list(image.shape[:2])
+    for axis in (0, 1):
+        changes = np.any(np.diff(image, axis=axis) != 0, axis=(1 - axis, 2))
+        sides += [int(place) + 1 for place in np.flatnonzero(changes)]
+    return 1 if len(sides) == 2 else int(np.gcd.reduce(sides))
+
+
 def fit(image: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     """Reduce an image so that its longer side has at most `size` pixels.
 
@@ -81,27 +95,35 @@ def fit(image: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     Returns
     -------
     (H', W', 3) array
-        Anti-aliased, the aspect ratio kept.
+        The aspect ratio kept. Anti-aliased; but a sprite, made of blocks of k x k pixels,
+        keeps its blocks at the largest whole number of pixels that fits.
     """
-    size = check_integer("size", size, 2, MAX_SIDE)
+    size = check_integer("size", size, 2, 1 << 16)
     height, width = image.shape[:2]
     longer = max(height, width)
     if longer <= size:
         return image
+    block = block_size(image)
+    if longer // block <= size:
+        zoom = size // (longer // block)
+        return np.kron(image[::block, ::block], np.ones((zoom, zoom, 1))).astype(float)
     from skimage.transform import resize
 
     shape = [max(1, round(side * size / longer)) for side in (height, width)]
     return np.clip(np.asarray(resize(image, (*shape, 3), order=1, anti_aliasing=True)), 0, 1)
 
 
-def read_image(path: str | PathLike[str]) -> NDArray[np.float64]:
+def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> NDArray[np.float64]:
     """Read an image file.
 
     Parameters
     ----------
     path : path
-        Any format Pillow reads; the first picture of an animation. EXIF orientation is
-        applied, transparent parts are laid on white.
+        PNG, JPEG, WebP, GIF, BMP, TIFF or what else Pillow reads; the first picture of an
+        animation. EXIF orientation is applied, transparent parts are laid on white, colors
+        are taken as sRGB.
+    max_pixels : int
+        A larger image is refused before it is decoded.
 
     Returns
     -------
@@ -111,29 +133,23 @@ def read_image(path: str | PathLike[str]) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If the file is missing, unreadable or not an image.
-    """
-    from PIL import Image, ImageOps, UnidentifiedImageError
+        If the file is missing, unreadable, too large or not an image.
 
+    Warns
+    -----
+    ImageWarning
+        If the file has a color profile other than sRGB.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    max_pixels = check_integer("max_pixels", max_pixels, 1, 1 << 40)
     file = Path(path)
-    if not file.exists():
-        raise InputError(f"{file}: no such file; expected an image such as a PNG or a JPEG")
-    if not file.is_file():
-        raise InputError(f"{file} is not a file; expected an image such as a PNG or a JPEG")
     try:
-        with warnings.catch_warnings():
-            # Past its first limit Pillow warns, past twice that it refuses; the size is
-            # judged below, in our words.
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            warnings.simplefilter("ignore", UserWarning)
-            with Image.open(file) as opened:
-                if max(opened.size) > MAX_SIDE:
-                    raise InputError(
-                        f"{file} is {opened.size[0]} x {opened.size[1]} pixels: expected at "
-                        f"most {MAX_SIDE} along a side; reduce it first"
-                    )
-                picture: Any = ImageOps.exif_transpose(opened)
-                return as_rgb(_to_array(picture), str(file))
+        if not file.exists():
+            raise InputError(f"{file}: no such file; expected an image such as a PNG or a JPEG")
+        if not file.is_file():
+            raise InputError(f"{file} is not a file; expected an image such as a PNG or a JPEG")
+        return as_rgb(_decode(file, max_pixels), str(file))
     except UnidentifiedImageError:
         raise InputError(
             f"{file} is not an image that can be read; expected a PNG, JPEG or similar"
@@ -142,16 +158,81 @@ def read_image(path: str | PathLike[str]) -> NDArray[np.float64]:
         raise InputError(f"{file} may not be read; change its permissions") from None
     except InputError:
         raise
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{file} cannot be decoded ({reason}); is it complete?") from None
+    except MemoryError:
+        raise InputError(f"{file} does not fit into memory; reduce it first") from None
+
+
+def _decode(file: Path, max_pixels: int) -> NDArray[Any]:
+    """Decode a file to an array that `as_rgb` takes."""
+    from PIL import Image, ImageOps
+
+    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # ours comes below
+    try:
+        with warnings.catch_warnings():
+            # Pillow's remarks on odd metadata; the pixels are judged by themselves.
+            warnings.simplefilter("ignore")
+            with Image.open(file) as opened:
+                width, height = opened.size
+                if width * height > max_pixels:
+                    raise InputError(
+                        f"{file} has {width} x {height} pixels: expected at most {max_pixels} "
+                        "in all; reduce it, or raise the limit (--max-pixels, max_pixels)"
+                    )
+                profile = _foreign_profile(opened.info.get("icc_profile"))
+                if opened.format == "TIFF":
+                    pixels = _decode_tiff(file)
+                else:
+                    pixels = _to_array(ImageOps.exif_transpose(opened))
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+    if profile:
+        warnings.warn(
+            f"{file} has the color profile {profile!r}: its colors are taken as sRGB; "
+            "convert it first for exact ones",
+            ImageWarning,
+            stacklevel=3,
+        )
+    return pixels
+
+
+def _foreign_profile(profile: bytes | None) -> str:
+    """Return the name of a color profile, '' if there is none or it is sRGB."""
+    if not profile:
+        return ""
+    from io import BytesIO
+
+    from PIL import ImageCms
+
+    try:
+        name = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(BytesIO(profile)))
+    except (ImageCms.PyCMSError, OSError):
+        return "unreadable"
+    return "" if "sRGB" in name else " ".join(name.split())
+
+
+def _decode_tiff(file: Path) -> NDArray[Any]:
+    """Decode the first page of a TIFF; Pillow knows neither 16-bit colors nor planes."""
+    from PIL import Image, ImageOps
+    from tifffile import TiffFile
+
+    with TiffFile(file) as tiff:
+        page = tiff.pages[0]
+        if page.dtype == np.uint8 or page.dtype is None or page.axes not in ("YX", "YXS"):
+            with Image.open(file) as opened:
+                return _to_array(ImageOps.exif_transpose(opened))
+        return np.asarray(page.asarray())
 
 
 def _to_array(picture: Any) -> NDArray[Any]:
-    """Decode a Pillow image to an array that `as_rgb` takes."""
+    """Turn a Pillow image into an array that `as_rgb` takes."""
     if picture.mode.startswith("I;16"):
         return np.asarray(picture).astype(np.uint16)
-    if picture.mode == "I":  # 16-bit grey PNGs in older versions of Pillow
+    if picture.mode == "I":  # 16-bit gray PNGs in older versions of Pillow
         return np.clip(np.asarray(picture), 0, 65535).astype(np.uint16)
+    if picture.mode == "F":
+        return np.asarray(picture)
     transparent = "A" in picture.mode or "transparency" in picture.info
     return np.asarray(picture.convert("RGBA" if transparent else "RGB"))

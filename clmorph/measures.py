@@ -10,6 +10,7 @@ from clmorph import defaults
 from clmorph.checks import check_choice, check_color_weight
 from clmorph.errors import InputError
 from clmorph.images import as_rgb
+from clmorph.operations import MAX_POINTS
 
 #: How pixels stand in the common frame: "true" keeps the aspect ratio, "unit" stretches
 #: each axis to [0, 1].
@@ -112,6 +113,12 @@ def lift(
     InputError
         If an argument cannot be used.
     """
+    sides = np.shape(image)[:2]
+    if np.prod(sides, dtype=float) > MAX_POINTS:
+        raise InputError(
+            f"the image has shape {sides}: expected at most {MAX_POINTS} pixels in all; "
+            "reduce it with clmorph.fit"
+        )
     pixels = as_rgb(image)
     color_weight = check_color_weight(color_weight)
     check_choice("extent", extent, EXTENTS)

@@ -10,6 +10,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+#: Points of one cloud: kernels count columns in float32, exactly up to here.
+MAX_POINTS = 1 << 24
+
 Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 

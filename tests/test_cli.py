@@ -10,6 +10,7 @@ from PIL import Image
 
 import clmorph
 from clmorph.cli import main
+from clmorph.opencl.device import find_devices
 
 COMMAND = Path(sys.executable).with_name("clmorph")
 
@@ -35,7 +36,7 @@ def run(*arguments, **options):
 
 
 def test_a_gif(device, pictures):
-    index = next(d.index for d in clmorph.opencl.device.find_devices() if d.handle == device.device)
+    index = next(d.index for d in find_devices() if d.handle == device.device)
     done = run("morph", "a.png", "b.jpg", "-o", "out.gif", "--frames", 5, "--device", index)
     assert done.returncode == 0, done.stderr
     assert device.description in done.stderr
@@ -175,7 +176,11 @@ def test_demo(tmp_path, monkeypatch, capfd):
 
 
 def test_version_and_help():
-    assert run("--version").stdout.strip().endswith(clmorph.__version__)
+    lines = run("--version").stdout.splitlines()
+    assert lines[0] == f"clmorph {clmorph.__version__}"
+    assert "pyopencl" in lines[1]
+    for device in find_devices():
+        assert any(device.index in line and device.driver in line for line in lines[2:])
     assert "clmorph demo" in run("--help").stdout
     assert "--color-weight" in run("morph", "--help").stdout
     module = subprocess.run(

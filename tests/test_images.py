@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 
-from clmorph import InputError, fit, read_image
-from clmorph.images import as_rgb
+from clmorph import ImageWarning, InputError, fit, read_image
+from clmorph.images import as_rgb, block_size
 
 
 @pytest.mark.parametrize(
@@ -44,7 +45,6 @@ def test_transparency_is_laid_on_white():
         (np.full((4, 4, 3), -1.0), "values from -1"),
         ("photo.png", "shape"),
         ([[1, 2], [3]], "not an array"),
-        (np.broadcast_to(np.uint8(0), (20000, 20000, 3)), "20000 x 20000"),
     ],
 )
 def test_what_is_no_image(array, words):
@@ -109,3 +109,91 @@ def test_unreadable_files(tmp_path):
         with pytest.raises(InputError, match=words) as caught:
             read_image(tmp_path / name)
         assert "\n" not in str(caught.value)
+
+
+FORMATS = {
+    "still.webp": {"lossless": True},
+    "moving.gif": {"save_all": True},
+    "moving.png": {"save_all": True},
+    "moving.webp": {"save_all": True, "lossless": True},
+    "plain.bmp": {},
+    "plain.tiff": {},
+    "packed.tiff": {"compression": "tiff_lzw"},
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_formats_give_their_first_picture(tmp_path, rng, name):
+    first = rng.integers(0, 6, (8, 9, 3)).astype(np.uint8) * 51
+    options = dict(FORMATS[name])
+    if "save_all" in options:
+        options["append_images"] = [Image.new("RGB", (9, 8), "blue")]
+    picture = Image.fromarray(first)
+    if name.endswith("gif"):
+        picture = picture.quantize(256)
+    picture.save(tmp_path / name, **options)
+    assert np.abs(read_image(tmp_path / name) - first / 255).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype"),
+    [((8, 9), np.uint16), ((8, 9, 3), np.uint16), ((8, 9), np.float32), ((8, 9, 3), np.float32)],
+)
+def test_deep_tiffs(tmp_path, rng, shape, dtype):
+    values = rng.random(shape)
+    data = values.astype(dtype) if dtype == np.float32 else (values * 65535).astype(dtype)
+    photometric = "rgb" if len(shape) == 3 else "minisblack"
+    tifffile.imwrite(tmp_path / "deep.tif", data, photometric=photometric)
+    want = np.broadcast_to(values.reshape(8, 9, -1), (8, 9, 3))
+    assert np.abs(read_image(tmp_path / "deep.tif") - want).max() < 1e-4
+
+
+def test_palette_transparency_is_laid_on_white(tmp_path):
+    picture = Image.new("P", (2, 1))
+    picture.putpalette([255, 0, 0, 0, 0, 255])
+    picture.putpixel((1, 0), 1)
+    picture.save(tmp_path / "p.png", transparency=0)
+    assert read_image(tmp_path / "p.png").tolist() == [[[1, 1, 1], [0, 0, 1]]]
+
+
+def test_foreign_profiles_are_noted(tmp_path):
+    from PIL import ImageCms
+
+    picture = Image.new("RGB", (4, 4), "red")
+    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    picture.save(tmp_path / "srgb.png", icc_profile=srgb)
+    assert read_image(tmp_path / "srgb.png")[0, 0].tolist() == [1, 0, 0]
+    lab = ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes()
+    picture.save(tmp_path / "lab.png", icc_profile=lab)
+    with pytest.warns(ImageWarning, match="taken as sRGB"):
+        assert read_image(tmp_path / "lab.png")[0, 0].tolist() == [1, 0, 0]
+
+
+def test_large_files_are_refused_before_they_are_decoded(tmp_path, monkeypatch):
+    Image.new("1", (20000, 20000)).save(tmp_path / "vast.png")
+    with monkeypatch.context() as patch:
+        patch.setattr(Image.Image, "load", None)  # decoding would fail
+        with pytest.raises(InputError, match=r"20000 x 20000 pixels.*max-pixels"):
+            read_image(tmp_path / "vast.png")
+    Image.new("1", (30, 30)).save(tmp_path / "small.png")
+    with pytest.raises(InputError, match="at most 100 in all"):
+        read_image(tmp_path / "small.png", max_pixels=100)
+    assert read_image(tmp_path / "small.png", max_pixels=900).shape == (30, 30, 3)
+
+
+@pytest.mark.parametrize("k", [2, 3, 7])
+def test_sprites_are_reduced_exactly(rng, k):
+    sprite = rng.random((6, 10, 3))
+    enlarged = np.kron(sprite, np.ones((k, k, 1)))
+    assert block_size(enlarged) == k
+    assert np.array_equal(fit(enlarged, 10), sprite)
+    if k == 7:
+        assert np.array_equal(fit(enlarged, 35), np.kron(sprite, np.ones((3, 3, 1))))
+    # One different pixel, and it is a picture like any other.
+    enlarged[0, 0] = 1 - enlarged[0, 0]
+    assert block_size(enlarged) == 1
+
+
+def test_one_color_is_no_sprite():
+    assert block_size(np.ones((8, 8, 3))) == 1
+    assert fit(np.ones((8, 8, 3)), 3).shape == (3, 3, 3)

@@ -67,3 +67,8 @@ def test_given_weights(rng):
 def test_wrong_options(options):
     with pytest.raises(InputError):
         lift(np.zeros((4, 4, 3)), **options)
+
+
+def test_more_points_than_any_backend_takes():
+    with pytest.raises(InputError, match=r"clmorph\.fit"):
+        lift(np.broadcast_to(np.uint8(0), (20000, 20000, 3)))

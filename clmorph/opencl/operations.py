@@ -13,13 +13,11 @@ from clmorph.opencl import program
 from clmorph.opencl.knobs import SENTINEL, Knobs, choose_knobs
 from clmorph.opencl.launches import LaunchBudget, launch
 from clmorph.opencl.splatting import ParticleSet, Splats, Splatting
-from clmorph.operations import Bins, Float32, Float64, PlanRows
+from clmorph.operations import MAX_POINTS, Bins, Float32, Float64, PlanRows
 from clmorph.tiles import tile_order
 
 LOG2_E = float(np.log2(np.e))
 
-#: Points of one cloud: kernels count columns in float32, exactly up to here.
-MAX_POINTS = 1 << 24
 #: Kept pairs that one launch may write (12 bytes each on the device).
 FILL_PAIRS = 1 << 24
 
