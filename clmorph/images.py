@@ -174,18 +174,13 @@ def _decode(file: Path, max_pixels: int) -> NDArray[Any]:
         with warnings.catch_warnings():
             # Pillow's remarks on odd metadata; the pixels are judged by themselves.
             warnings.simplefilter("ignore")
+            deep = _decode_deep_tiff(file, max_pixels)
+            if deep is not None:
+                return deep
             with Image.open(file) as opened:
-                width, height = opened.size
-                if width * height > max_pixels:
-                    raise InputError(
-                        f"{file} has {width} x {height} pixels: expected at most {max_pixels} "
-                        "in all; reduce it, or raise the limit (--max-pixels, max_pixels)"
-                    )
+                _check_size(file, opened.size, max_pixels)
                 profile = _foreign_profile(opened.info.get("icc_profile"))
-                if opened.format == "TIFF":
-                    pixels = _decode_tiff(file)
-                else:
-                    pixels = _to_array(ImageOps.exif_transpose(opened))
+                pixels = _to_array(ImageOps.exif_transpose(opened))
     finally:
         Image.MAX_IMAGE_PIXELS = limit
     if profile:
@@ -213,17 +208,31 @@ def _foreign_profile(profile: bytes | None) -> str:
     return "" if "sRGB" in name else " ".join(name.split())
 
 
-def _decode_tiff(file: Path) -> NDArray[Any]:
-    """Decode the first page of a TIFF; Pillow knows neither 16-bit colors nor planes."""
-    from PIL import Image, ImageOps
-    from tifffile import TiffFile
+def _check_size(file: Path, size: tuple[int, int], max_pixels: int) -> None:
+    width, height = size
+    if width * height > max_pixels:
+        raise InputError(
+            f"{file} has {width} x {height} pixels: expected at most {max_pixels} in all; "
+            "reduce it, or raise the limit (--max-pixels, max_pixels)"
+        )
 
-    with TiffFile(file) as tiff:
-        page = tiff.pages[0]
-        if page.dtype == np.uint8 or page.dtype is None or page.axes not in ("YX", "YXS"):
-            with Image.open(file) as opened:
-                return _to_array(ImageOps.exif_transpose(opened))
-        return np.asarray(page.asarray())
+
+def _decode_deep_tiff(file: Path, max_pixels: int) -> NDArray[Any] | None:
+    """Decode the first page of a TIFF of more than 8 bits, which Pillow mostly cannot."""
+    with file.open("rb") as stream:
+        if stream.read(4) not in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+            return None
+    from tifffile import TiffFile, TiffFileError
+
+    try:
+        with TiffFile(file) as tiff:
+            page = tiff.pages[0]
+            if page.dtype not in (np.uint16, np.float16, np.float32, np.float64):
+                return None
+            _check_size(file, (page.shape[1], page.shape[0]), max_pixels)
+            return np.asarray(page.asarray())
+    except (TiffFileError, IndexError) as error:
+        raise ValueError(str(error)) from None
 
 
 def _to_array(picture: Any) -> NDArray[Any]:

@@ -87,58 +87,6 @@ def test_options_reach_the_morph(pictures, monkeypatch):
     assert {name: seen[name] for name in wanted} == wanted
 
 
-MISTAKES = [
-    ("missing.png b.jpg -o x.gif", "missing.png: no such file"),
-    (". b.jpg -o x.gif", "is not a file"),
-    ("empty.png b.jpg -o x.gif", "not an image"),
-    ("cut.png b.jpg -o x.gif", "cannot be decoded"),
-    ("a.png b.jpg", "--output"),
-    ("a.png -o x.gif", "Missing argument"),
-    ("a.png b.jpg c.png -o x.gif", "unexpected extra argument"),
-    ("a.png b.jpg -o x.mp3", "unknown ending"),
-    ("a.png b.jpg -o no/x.gif", "no folder"),
-    ("a.png b.jpg -o full", "exists already"),
-    ("a.png b.jpg -o x.gif --frames 1", "n_frames"),
-    ("a.png b.jpg -o x.gif --frames many", "--frames"),
-    ("a.png b.jpg -o x.gif --size 0", "size"),
-    ("a.png b.jpg -o x.gif --size 10000000", "size"),
-    ("a.png b.jpg -o x.gif --blur 0", "blur"),
-    ("a.png b.jpg -o x.gif --blur nan", "blur"),
-    ("a.png b.jpg -o x.gif --blur inf", "blur"),
-    ("a.png b.jpg -o x.gif --blur x", "--blur"),
-    ("a.png b.jpg -o x.gif --reach 0", "reach"),
-    ("a.png b.jpg -o x.gif --reach -1", "reach"),
-    ("a.png b.jpg -o x.gif --reach far", "balanced"),
-    ("a.png b.jpg -o x.gif --color-weight -1", "color_weight"),
-    ("a.png b.jpg -o x.gif --sigma-start 0", "sigma_start"),
-    ("a.png b.jpg -o x.gif --sigma-end -3", "sigma_end"),
-    ("a.png b.jpg -o x.gif --gamma -1", "gamma"),
-    ("a.png b.jpg -o x.gif --preset lovely", "--preset"),
-    ("a.png b.jpg -o x.gif --device warp-drive", "warp-drive"),
-    ("a.png b.jpg -o x.gif --backend warp-drive", "warp-drive"),
-    ("a.png b.jpg -o x.gif --device 9:9", "9:9"),
-    ("a.png b.jpg -o x.gif --device pocl --backend numpy", "contradict"),
-    ("a.png b.jpg -o x.gif --colour 3", "--colour"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "words"), MISTAKES)
-def test_mistakes_are_told_in_one_line(pictures, capfd, arguments, words):
-    Path("empty.png").write_bytes(b"")
-    Path("cut.png").write_bytes(Path("a.png").read_bytes()[:300])
-    Path("full").mkdir()
-    Path("full/thing").write_text("")
-    before = sorted(pictures.rglob("*"))
-    assert main(["morph", *arguments.split()]) == 2
-    out, err = capfd.readouterr()
-    assert out == ""
-    told = [line for line in err.splitlines() if not line.startswith("device: ")]
-    assert len(told) == 1
-    assert told[0].startswith("clmorph: error: ")
-    assert words in told[0]
-    assert sorted(pictures.rglob("*")) == before
-
-
 def test_a_mistake_in_a_process_of_its_own(pictures):
     done = run("morph", "missing.png", "b.jpg", "-o", "x.gif")
     assert done.returncode == 2

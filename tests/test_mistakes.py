@@ -1,0 +1,176 @@
+"""What users get wrong: each answer is one line that names the value and the remedy, the
+exit code is 2, and nothing is written. In the library: our exceptions, the same words.
+"""
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import clmorph
+from clmorph.cli import main
+
+NUMBERS = {
+    "--frames": ["0", "1", "-3", "2.5", "nan", "inf", "1e9", "many", "1000000000"],
+    "--size": ["0", "1", "-5", "7.5", "nan", "huge", "100000000"],
+    "--max-pixels": ["0", "-1", "1", "lots", "99999999999999999"],
+    "--blur": ["0", "-0.1", "nan", "inf", "1e9", "1e-9", "soft"],
+    "--reach": ["0", "-1", "nan", "-inf", "1e9", "far"],
+    "--color-weight": ["-1", "nan", "inf", "1e9", "red"],
+    "--sigma-start": ["0", "-1", "nan", "inf", "1e9", "wide"],
+    "--sigma-end": ["0", "-1", "nan", "inf", "1e9", "narrow"],
+    "--gamma": ["-1", "nan", "inf", "1e9", "g"],
+}
+FILES = [
+    ("missing.png b.jpg -o x.gif", "missing.png: no such file"),
+    ("a.png missing.jpg -o x.gif", "missing.jpg: no such file"),
+    (". b.jpg -o x.gif", "is not a file"),
+    ("a.png full -o x.gif", "full is not a file"),
+    ("empty.png b.jpg -o x.gif", "not an image"),
+    ("text.png b.jpg -o x.gif", "not an image"),
+    ("cut.png b.jpg -o x.gif", "cannot be decoded"),
+    ("cut.jpg b.jpg -o x.gif", "cannot be decoded"),
+    ("cut.tif b.jpg -o x.gif", "cannot be decoded"),
+    ("vast.png b.jpg -o x.gif", "--max-pixels"),
+    ("negative.tif b.jpg -o x.gif", "expected [0, 1]"),
+    ("nan.tif b.jpg -o x.gif", "NaN"),
+]
+OUTPUTS = [
+    ("a.png b.jpg -o x.mp3", "unknown ending '.mp3'"),
+    ("a.png b.jpg -o x.jpeg", "expected .gif, .png"),
+    ("a.png b.jpg -o no/x.gif", "no folder"),
+    ("a.png b.jpg -o a.png/x.gif", "no folder"),
+    ("a.png b.jpg -o full", "exists already"),
+    ("a.png b.jpg -o full.gif", "is a folder"),
+    ("a.png b.jpg -o plain", "exists already"),
+]
+OPTIONS = [
+    ("a.png b.jpg", "--output"),
+    ("a.png -o x.gif", "Missing argument"),
+    ("-o x.gif", "Missing argument"),
+    ("a.png b.jpg c.png -o x.gif", "unexpected extra argument"),
+    ("a.png b.jpg -o x.gif --preset lovely", "--preset"),
+    ("a.png b.jpg -o x.gif --colour 3", "--colour"),
+    ("a.png b.jpg -o x.gif --blur", "--blur"),
+    ("a.png b.jpg -o x.gif --device warp-drive", "warp-drive"),
+    ("a.png b.jpg -o x.gif --backend warp-drive", "warp-drive"),
+    ("a.png b.jpg -o x.gif --device 9:9", "9:9"),
+    ("a.png b.jpg -o x.gif --device pocl --backend numpy", "contradict"),
+]
+CASES = FILES + OUTPUTS + OPTIONS
+CASES += [
+    (f"a.png b.jpg -o x.gif {option} {value}", "")
+    for option, values in NUMBERS.items()
+    for value in values
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two good images, and files and folders that are not."""
+    import tifffile
+
+    folder = tmp_path_factory.mktemp("mistakes")
+    rng = np.random.default_rng(0)
+    noise = Image.fromarray(rng.integers(0, 255, (40, 50, 3), np.uint8))
+    noise.save(folder / "a.png")
+    noise.save(folder / "b.jpg")
+    tifffile.imwrite(folder / "c.tif", rng.random((40, 50)).astype(np.float32))
+    for name, whole, size in (
+        ("cut.png", "a.png", 900), ("cut.jpg", "b.jpg", 700), ("cut.tif", "c.tif", 100),
+    ):  # fmt: skip
+        (folder / name).write_bytes((folder / whole).read_bytes()[:size])
+    tifffile.imwrite(folder / "negative.tif", -np.ones((4, 4), np.float32))
+    tifffile.imwrite(folder / "nan.tif", np.full((4, 4), np.nan, np.float32))
+    (folder / "empty.png").write_bytes(b"")
+    (folder / "text.png").write_text("a text with a picture's name")
+    (folder / "plain").write_text("")
+    Image.new("1", (20000, 20000)).save(folder / "vast.png")
+    for name in ("full", "full.gif"):
+        (folder / name).mkdir()
+        (folder / name / "thing").write_text("")
+    return folder
+
+
+def test_there_are_enough():
+    assert len(set(CASES)) >= 80
+
+
+@pytest.mark.parametrize(("arguments", "words"), CASES)
+def test_one_line(folder, monkeypatch, capfd, arguments, words):
+    monkeypatch.chdir(folder)
+    before = sorted(folder.rglob("*"))
+    assert main(["morph", *arguments.split()]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    told = [line for line in err.splitlines() if not line.startswith("device: ")]
+    assert len(told) == 1, err
+    assert told[0].startswith("clmorph: error: ")
+    if words:
+        assert words in told[0]
+    else:
+        option, value = arguments.split()[-2:]
+        written = {value}
+        with contextlib.suppress(ValueError):
+            written.add(repr(float(value)))
+        assert any(text in told[0] for text in written) or option == "--max-pixels"
+        assert option in told[0] or option[2:].replace("-", "_") in told[0] or "n_frames" in told[0]
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("environment", "words"),
+    [
+        ({"CLMORPH_DEVICE": "warp-drive"}, "warp-drive"),
+        ({"CLMORPH_DEVICE": "7:7"}, "7:7"),
+        ({"CLMORPH_QUIRKS": "grumpy"}, "grumpy"),
+        ({"PYOPENCL_CTX": "77"}, "PYOPENCL_CTX"),
+    ],
+)
+def test_the_environment(folder, monkeypatch, capfd, environment, words):
+    clmorph.backends._named_backend.cache_clear()
+    monkeypatch.chdir(folder)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "2"]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert words in err
+    assert not Path("x.gif").exists()
+
+
+SMALL = np.zeros((3, 4, 3))
+LIBRARY = [
+    (lambda: clmorph.lift(np.zeros(3)), "shape"),
+    (lambda: clmorph.lift(np.zeros((3, 3, 5))), "shape"),
+    (lambda: clmorph.lift(np.zeros((0, 3, 3))), "shape"),
+    (lambda: clmorph.lift(np.zeros((3, 3, 3), np.int64)), "dtype"),
+    (lambda: clmorph.lift(np.zeros((3, 3), "U3")), "dtype"),
+    (lambda: clmorph.lift(np.full((3, 3), np.nan)), "NaN"),
+    (lambda: clmorph.lift(np.full((3, 3), -np.inf)), "infinity"),
+    (lambda: clmorph.lift(np.full((3, 3), 255.0)), r"\[0, 1\]"),
+    (lambda: clmorph.lift("a.png"), "shape"),
+    (lambda: clmorph.lift(None), "shape"),
+    (lambda: clmorph.lift(SMALL, "heavy"), "color_weight"),
+    (lambda: clmorph.lift(SMALL, weights=np.zeros((3, 4))), "positive sum"),
+    (lambda: clmorph.lift(SMALL, weights=np.ones((4, 3))), "weights have shape"),
+    (lambda: clmorph.morph(SMALL, SMALL, 1, backend="numpy"), "n_frames"),
+    (lambda: clmorph.morph(SMALL, SMALL, backend="numpy", blur=True), "blur"),
+    (lambda: clmorph.morph(SMALL, SMALL, backend="numpy", reach=(0.1, 0.2)), "reach"),
+    (lambda: clmorph.morph(SMALL, SMALL, backend="warp-drive"), "warp-drive"),
+    (lambda: clmorph.morph(SMALL, SMALL, backend=7), "backend"),
+    (lambda: clmorph.fit(SMALL, 1), "size"),
+    (lambda: clmorph.read_image("missing.png"), "no such file"),
+    (lambda: clmorph.read_image("a.png", max_pixels=0), "max_pixels"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "words"), LIBRARY)
+def test_the_library(call, words):
+    with pytest.raises(clmorph.ClmorphError, match=words) as caught:
+        call()
+    assert isinstance(caught.value, (ValueError, RuntimeError))
+    assert "\n" not in str(caught.value)
