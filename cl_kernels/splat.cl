@@ -31,18 +31,19 @@ __kernel void place(
     const __global float* restrict table,       // (points, 5): x, y in the frame, color
     const __global uint2* restrict links,       // (particles,): where it starts, where it ends
     const __global float2* restrict weights,    // (particles,): weight at t = 0 and at t = 1
-    __global float2* restrict positions,        // (particles,): pixels
-    __global float4* restrict samples)          // (particles,): weight, color
+    __global float* restrict positions,         // (particles, 2): pixels
+    __global float* restrict samples)           // (particles, 4): weight, color
 {
     const size_t i = (size_t)first + get_global_id(0);
     const uint2 link = links[i];
     const __global float* a = table + 5 * (size_t)link.x;
     const __global float* b = table + 5 * (size_t)link.y;
     const float s = 1.0f - t;
-    const float2 z = (float2)(s * a[0] + t * b[0], s * a[1] + t * b[1]);
-    positions[i] = (z - 0.5f) * scale + center;
-    samples[i] = (float4)(s * weights[i].x + t * weights[i].y, s * a[2] + t * b[2],
-                          s * a[3] + t * b[3], s * a[4] + t * b[4]);
+    positions[2 * i] = (s * a[0] + t * b[0] - 0.5f) * scale.x + center.x;
+    positions[2 * i + 1] = (s * a[1] + t * b[1] - 0.5f) * scale.y + center.y;
+    samples[4 * i] = s * weights[i].x + t * weights[i].y;
+    for (int channel = 0; channel < 3; ++channel)
+        samples[4 * i + 1 + channel] = s * a[2 + channel] + t * b[2 + channel];
 }
 
 // Which bin a pixel position falls into. (n_bins_x, n_bins_y) include the margins.
@@ -54,14 +55,14 @@ static inline uint bin_of(const float2 position, const int margin, const int2 n_
 }
 
 // counts[bin][slice] = particles of this slice in the bin. One work-item a slice of
-// consecutive particles; counts are zero before.
+// consecutive particles, from first_slice on; counts are zero before.
 __kernel void count_bins(
-    const uint n_particles, const uint slice_size, const int margin, const int2 n_bins,
+    const uint n_particles, const uint slice_size, const uint first_slice, const uint n_slices,
+    const int margin, const int2 n_bins,
     const __global float2* restrict positions, // (n_particles,)
     __global uint* restrict counts)            // (bins, slices)
 {
-    const uint slice = get_global_id(0);
-    const uint n_slices = get_global_size(0);
+    const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
     for (uint i = slice * slice_size; i < end; ++i)
         ++counts[(size_t)bin_of(positions[i], margin, n_bins) * n_slices + slice];
@@ -69,7 +70,8 @@ __kernel void count_bins(
 
 // Sort into bins: slots[bin][slice] is where the slice's first particle of the bin goes.
 __kernel void fill_bins(
-    const uint n_particles, const uint slice_size, const int margin, const int2 n_bins,
+    const uint n_particles, const uint slice_size, const uint first_slice, const uint n_slices,
+    const int margin, const int2 n_bins,
     const __global float2* restrict positions, // (n_particles,)
     const __global float4* restrict samples,   // (n_particles,)
     __global uint* restrict slots,             // (bins, slices)
@@ -77,8 +79,7 @@ __kernel void fill_bins(
     __global float2* restrict sorted_positions,
     __global float4* restrict sorted_samples)
 {
-    const uint slice = get_global_id(0);
-    const uint n_slices = get_global_size(0);
+    const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
     for (uint i = slice * slice_size; i < end; ++i) {
         const uint slot =
@@ -117,11 +118,14 @@ static inline vreal kernel_1d(
 #define RAMP (float16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
 #endif
 
-// Gather. A work-item owns WIDTH x WIDTH pixels; get_global_id(0), (1) count them along
-// x and, from first_block_row on, along y. The output is padded to whole work-groups.
+// Gather. A work-item owns WIDTH x WIDTH pixels, a work-group a block of TILE_GROUP x
+// TILE_GROUP of those; get_group_id(0) counts blocks row by row, from first_block on. Only
+// particles first_particle <= i < last_particle are added, to what sums already holds: a
+// launch is bounded in both. The output is padded to whole blocks.
 __kernel __attribute__((reqd_work_group_size(TILE_GROUP, TILE_GROUP, 1)))
 void splat(
-    const uint first_block_row, const uint padded_width, const int margin, const int2 n_bins,
+    const uint first_block, const uint blocks_x, const uint first_particle,
+    const uint last_particle, const int margin, const int2 n_bins,
     const float exponent_scale, // -log2(e) / (2 sigma^2)
     const float radius, const int nearest,
     const __global uint* restrict bin_starts,     // (bins + 1,)
@@ -130,16 +134,23 @@ void splat(
     const ulong plane,                            // padded height * padded width
     __global float* restrict sums)                // (4, padded height, padded width)
 {
-    const uint block_y = first_block_row + get_global_id(1);
-    const float x0 = (float)(get_global_id(0) * WIDTH);
-    const float y0 = (float)(block_y * WIDTH);
+    const uint block = first_block + get_group_id(0);
+    const uint block_y = block / blocks_x;
+    const uint block_x = block - block_y * blocks_x;
+    const uint left = (block_x * TILE_GROUP + get_local_id(0)) * WIDTH;
+    const uint top = (block_y * TILE_GROUP + get_local_id(1)) * WIDTH;
+    const size_t stride = (size_t)blocks_x * TILE_GROUP * WIDTH;
+    const float x0 = (float)left;
+    const float y0 = (float)top;
     const vreal pixel_x = x0 + RAMP;
     const vreal pixel_y = y0 + RAMP;
     const float last = WIDTH - 1.0f;
 
     vreal total[4 * WIDTH];
-    for (int i = 0; i < 4 * WIDTH; ++i)
-        total[i] = (vreal)(0.0f);
+    for (int y = 0; y < WIDTH; ++y)
+        for (int channel = 0; channel < 4; ++channel)
+            total[4 * y + channel] =
+                VLOAD((size_t)(channel * plane) + (top + y) * stride + left, sums);
 
     const float2 low = (float2)(x0 - radius, y0 - radius);
     const float2 high = (float2)(x0 + last + radius, y0 + last + radius);
@@ -147,8 +158,8 @@ void splat(
     const uint bin_high = bin_of(high, margin, n_bins);
     const int bin_width = (int)(bin_high % n_bins.x) - (int)(bin_low % n_bins.x);
     for (uint row = bin_low; row <= bin_high; row += n_bins.x) {
-        const uint end = bin_starts[row + bin_width + 1];
-        for (uint chunk = bin_starts[row]; chunk < end; chunk += CHUNK) {
+        const uint end = min(last_particle, bin_starts[row + bin_width + 1]);
+        for (uint chunk = max(first_particle, bin_starts[row]); chunk < end; chunk += CHUNK) {
             vreal partial[4 * WIDTH];
             for (int i = 0; i < 4 * WIDTH; ++i)
                 partial[i] = (vreal)(0.0f);
@@ -177,9 +188,8 @@ void splat(
                 total[i] += partial[i];
         }
     }
-    for (int y = 0; y < WIDTH; ++y) {
-        const size_t pixel = (size_t)(block_y * WIDTH + y) * padded_width + get_global_id(0) * WIDTH;
+    for (int y = 0; y < WIDTH; ++y)
         for (int channel = 0; channel < 4; ++channel)
-            VSTORE(total[4 * y + channel], (size_t)(channel * plane) + pixel, sums);
-    }
+            VSTORE(total[4 * y + channel],
+                   (size_t)(channel * plane) + (top + y) * stride + left, sums);
 }

@@ -167,8 +167,3 @@ class Operations(Protocol):
 def bin_grid(shape: tuple[int, int], margin: int, size: int) -> tuple[int, int]:
     """Return the number of bins along y and x for a canvas and its margin."""
     return -(-shape[0] // size) + 2 * margin, -(-shape[1] // size) + 2 * margin
-
-
-def bin_margin(radius: float, size: int) -> int:
-    """Return the bins that a kernel of this radius can reach outside the canvas."""
-    return int(-(-radius // size)) + 1

@@ -8,7 +8,7 @@ from clouds import PAIRS
 
 from clmorph.check import UNIT, log_sum_exp_tolerance, splat_tolerance
 from clmorph.opencl.operations import OpenCLOperations
-from clmorph.operations import Operations, bin_margin
+from clmorph.operations import Operations
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()
@@ -251,9 +251,3 @@ def test_splatting_launches_are_cut_without_changing_a_bit(variant, rng):
     cut = variant.splat(splats, (300, 41), 2.0, 9.0)
     assert np.array_equal(whole[0], cut[0])
     assert np.array_equal(whole[1], cut[1])
-
-
-def test_margin_covers_the_radius():
-    assert bin_margin(0.5, 8) == 2
-    assert bin_margin(8.0, 8) == 2
-    assert bin_margin(8.1, 8) == 3

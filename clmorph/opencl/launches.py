@@ -39,7 +39,7 @@ class LaunchBudget:
         self.longest = max(self.longest, elapsed)
         affordable = pairs * TARGET_SECONDS / max(elapsed, 1e-6)
         # Slow steps up: a short launch is mostly overhead and says little about a long one.
-        self._pairs = int(min(affordable, 4 * self._pairs))
+        self._pairs = max(1, int(min(affordable, 4 * self._pairs)))
 
 
 def launch(

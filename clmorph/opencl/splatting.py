@@ -1,5 +1,6 @@
 """Launches of ``cl_kernels/splat.cl``: place, bin, gather."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -11,12 +12,14 @@ from clmorph.errors import DeviceError
 from clmorph.opencl import program
 from clmorph.opencl.knobs import Knobs
 from clmorph.opencl.launches import LaunchBudget, launch
-from clmorph.operations import Bins, Float32, Float64, bin_grid, bin_margin
+from clmorph.operations import Bins, Float32, Float64, bin_grid
 
 #: Entries of the (bins, slices) table of counts; fewer slices are used on large canvases.
 COUNT_ENTRIES = 1 << 22
-#: Particles moved by one launch.
-PLACE_PARTICLES = 1 << 22
+#: Particles that one launch moves, sorts or lets a block of pixels look at.
+LAUNCH_PARTICLES = 1 << 20
+#: Bins around the canvas; particles farther out fall into these, wherever they are.
+MARGIN = 1
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,6 @@ class Splatting:
         built = program.build(context, "splat.cl", knobs.splat_constants())
         names = ("place", "count_bins", "fill_bins", "splat")
         self._kernels = {name: cl.Kernel(built, name) for name in names}
-        # Work of a splat launch: particles visited, times the pixels of a block.
         self._budget = LaunchBudget()
 
     def upload_particles(
@@ -92,9 +94,9 @@ class Splatting:
         """Move particles to time t and onto a canvas; see `clmorph.operations.Operations`."""
         n = particles.count
         positions, samples = self._empty(8 * n), self._empty(16 * n)
-        for first in range(0, n, PLACE_PARTICLES):
+        for first in range(0, n, LAUNCH_PARTICLES):
             self._run(
-                "place", (min(PLACE_PARTICLES, n - first),), None,
+                "place", (min(LAUNCH_PARTICLES, n - first),), None,
                 np.uint32(first), np.float32(t),
                 cl.cltypes.make_float2(*scale), cl.cltypes.make_float2(*center),
                 particles.table, particles.links, particles.weights, positions, samples,
@@ -116,24 +118,29 @@ class Splatting:
         units = self.context.devices[0].max_compute_units
         slices = max(1, min(self.knobs.slices_per_unit * units, COUNT_ENTRIES // n_bins, n))
         slice_size = -(-n // slices)
-        arguments = (
-            np.uint32(n), np.uint32(slice_size), np.int32(margin),
-            cl.cltypes.make_int2(grid[1], grid[0]), splats.positions,
-        )  # fmt: skip
+        per_launch = max(1, LAUNCH_PARTICLES // slice_size)
         counts = np.zeros((n_bins, slices), np.uint32)
-        buffer = self._buffer(counts, np.uint32)
-        self._run("count_bins", (slices,), None, *arguments, buffer)
-        cl.enqueue_copy(self.queue, counts, buffer)
+        counts_buffer = self._buffer(counts, np.uint32)
+
+        def over_slices(name: str, *arguments: Any) -> None:
+            for first in range(0, slices, per_launch):
+                self._run(
+                    name, (min(per_launch, slices - first),), None,
+                    np.uint32(n), np.uint32(slice_size), np.uint32(first), np.uint32(slices),
+                    np.int32(margin), cl.cltypes.make_int2(grid[1], grid[0]), *arguments,
+                )  # fmt: skip
+
+        over_slices("count_bins", splats.positions, counts_buffer)
+        cl.enqueue_copy(self.queue, counts, counts_buffer)
         ends = np.cumsum(counts, dtype=np.int64)
         slots = ends.reshape(counts.shape) - counts
         order = self._empty(4 * n)
         positions, samples = self._empty(8 * n), self._empty(16 * n)
-        self._run(
-            "fill_bins", (slices,), None, *arguments[:4], splats.positions, splats.samples,
-            self._buffer(slots, np.uint32), order, positions, samples,
+        over_slices(
+            "fill_bins", splats.positions, splats.samples, self._buffer(slots, np.uint32),
+            order, positions, samples,
         )  # fmt: skip
-        starts = np.append(slots[:, 0], n)
-        return SortedSplats(grid, starts, order, positions, samples)
+        return SortedSplats(grid, np.append(slots[:, 0], n), order, positions, samples)
 
     def splat(
         self, splats: Splats, shape: tuple[int, int], sigma: float, radius: float
@@ -143,49 +150,59 @@ class Splatting:
         nearest = sigma == 0
         if nearest:
             radius = 0.5
-        margin = bin_margin(radius, self.knobs.bin)
-        bins = self._sort(splats, shape, margin)
+        bins = self._sort(splats, shape, MARGIN)
         side = self.knobs.width * self.knobs.tile_group
         blocks_y, blocks_x = -(-height // side), -(-width // side)
         padded = blocks_y * side, blocks_x * side
         starts = self._buffer(bins.starts, np.uint32)
-        sums = np.empty((4, *padded), np.float32)
-        buffer = self._empty(sums.nbytes)
+        sums = np.zeros((4, *padded), np.float32)
+        buffer = self._buffer(sums)
         exponent_scale = 0.0 if nearest else -np.log2(np.e) / (2 * sigma**2)
-        reach = int(radius) + 1
-        first = 0
-        while first < blocks_y:
-            rows, visits = self._rows_within_budget(bins, margin, first, blocks_y, side, reach)
-            with self._budget.measure(visits):
-                self._run(
-                    "splat",
-                    (blocks_x * self.knobs.tile_group, rows * self.knobs.tile_group),
-                    (self.knobs.tile_group, self.knobs.tile_group),
-                    np.uint32(first * self.knobs.tile_group), np.uint32(padded[1]),
-                    np.int32(margin), cl.cltypes.make_int2(bins.shape[1], bins.shape[0]),
-                    np.float32(exponent_scale), np.float32(radius), np.int32(nearest),
-                    starts, bins.positions, bins.samples, np.uint64(padded[0] * padded[1]), buffer,
-                )  # fmt: skip
-            first += rows
+        visits = self._visits(bins, (blocks_y, blocks_x), side, radius)
+        group = self.knobs.tile_group
+        # Fixed parts, so that rounding does not depend on how fast the device is today.
+        for particle in range(0, splats.count, LAUNCH_PARTICLES):
+            for first, stop in self._block_parts(np.minimum(visits, LAUNCH_PARTICLES), side):
+                with self._budget.measure(_work(visits[first:stop], side)):
+                    self._run(
+                        "splat", ((stop - first) * group, group), (group, group),
+                        np.uint32(first), np.uint32(blocks_x), np.uint32(particle),
+                        np.uint32(min(splats.count, particle + LAUNCH_PARTICLES)),
+                        np.int32(MARGIN), cl.cltypes.make_int2(bins.shape[1], bins.shape[0]),
+                        np.float32(exponent_scale), np.float32(radius), np.int32(nearest),
+                        starts, bins.positions, bins.samples,
+                        np.uint64(padded[0] * padded[1]), buffer,
+                    )  # fmt: skip
         cl.enqueue_copy(self.queue, sums, buffer)
         frame = sums[:, :height, :width].astype(float) * splats.unit
         return np.moveaxis(frame[1:], 0, -1), frame[0]
 
-    def _rows_within_budget(
-        self, bins: SortedSplats, margin: int, first: int, blocks_y: int, side: int, reach: int
-    ) -> tuple[int, int]:
-        """Block rows for the next launch, and the particles it visits, times pixels."""
-        per_row = np.diff(bins.starts[:: bins.shape[1]])
-        visits = 0
-        for block in range(first, blocks_y):
-            low = max(0, (block * side - reach) // self.knobs.bin + margin)
-            high = ((block + 1) * side + reach) // self.knobs.bin + margin + 1
-            # A block visits a strip of the bins it can reach; three is a generous share.
-            more = 3 * int(per_row[low:high].sum()) * side + side * side
-            if block > first and visits + more > self._budget.pairs():
-                return block - first, visits
-            visits += more
-        return blocks_y - first, visits
+    def _visits(
+        self, bins: SortedSplats, blocks: tuple[int, int], side: int, radius: float
+    ) -> NDArray[np.int64]:
+        """Particles that each block of pixels looks at, row by row."""
+        sums = np.zeros((bins.shape[0] + 1, bins.shape[1] + 1), np.int64)
+        sums[1:, 1:] = np.diff(bins.starts).reshape(bins.shape).cumsum(axis=0).cumsum(axis=1)
+        low, high = [], []
+        for count, n_bins in zip(blocks, bins.shape, strict=True):
+            first = np.arange(count) * side
+            reach = np.array([-radius, side - 1 + radius])[:, None] + first
+            ends = np.clip(np.floor(reach / self.knobs.bin) + MARGIN, 0, n_bins - 1).astype(int)
+            low.append(ends[0])
+            high.append(ends[1] + 1)
+        y0, y1, x0, x1 = low[0][:, None], high[0][:, None], low[1], high[1]
+        return (sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]).ravel()
+
+    def _block_parts(self, visits: NDArray[np.int64], side: int) -> Iterator[tuple[int, int]]:
+        """Split the blocks so that no launch runs long."""
+        work = np.cumsum((visits + 1) * side)
+        first = 0
+        while first < len(work):
+            before = work[first - 1] if first else 0
+            stop = int(np.searchsorted(work, before + self._budget.pairs(), side="right"))
+            stop = max(first + 1, stop)
+            yield first, stop
+            first = stop
 
     def _run(
         self, name: str, size: tuple[int, ...], group: tuple[int, ...] | None, *arguments: Any
@@ -198,6 +215,11 @@ class Splatting:
 
     def _empty(self, n_bytes: int) -> cl.Buffer:
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(4, n_bytes))
+
+
+def _work(visits: NDArray[np.int64], side: int) -> int:
+    """Work of a launch: particles looked at, once for every row of a block."""
+    return int((visits + 1).sum()) * side
 
 
 def _unit(weights: NDArray[Any]) -> float:
