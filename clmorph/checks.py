@@ -68,10 +68,17 @@ def check_blur(value: Any) -> float:
 
 
 def check_reach(value: Any) -> float | None:
-    """Return a reach: positive, same unit; None or infinity is balanced transport."""
+    """Return a reach: positive, same unit; None or infinity is balanced transport.
+
+    A reach beyond a thousand image sides is balanced transport but for masses that differ,
+    and its potentials, of size reach^2, would leave no digits for epsilon.
+    """
     if value is None or (isinstance(value, float) and value == math.inf):
         return None
-    return check_number("reach", value, 1e-4, 1e6)
+    try:
+        return check_number("reach", value, 1e-4, 1e3)
+    except InputError as error:
+        raise InputError(f"{error}, or None for balanced transport") from None
 
 
 def check_color_weight(value: Any) -> float:

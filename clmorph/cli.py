@@ -66,12 +66,12 @@ def _print_version(context: click.Context, parameter: click.Parameter, wanted: b
     help="Versions of clmorph, of what it builds on, and of the OpenCL drivers.",
 )
 def cli() -> None:
-    r"""Morph one image into another by unbalanced optimal transport.
+    """Morph one image into another by unbalanced optimal transport.
 
     \b
     clmorph demo                            a first look: a sprite becomes a photograph
     clmorph morph a.png b.jpg -o out.gif    your own two pictures
-    """
+    """  # noqa: D301 (click wants the character itself)
 
 
 def _device_options(command: Any) -> Any:
@@ -149,15 +149,20 @@ def morph(
     """
     from clmorph.export import output_writer
     from clmorph.images import fit
+    from clmorph.morph import check_options
     from clmorph.morph import morph as run
 
     began = time.perf_counter()
+    for path in (image_a, image_b):
+        if output.exists() and path.exists() and output.samefile(path):
+            raise InputError(f"-o {output} would overwrite an input; choose another name")
     writer = output_writer(output)
     given = {name: value for name, value in options.items() if value is not None}
     parameters: dict[str, Any] = PRESETS[preset] | given
     if parameters["reach"] == BALANCED:
         parameters["reach"] = None
     size = parameters.pop("size")
+    check_options(n_frames=frames, **parameters)
     source, target = (fit(_read(path, max_pixels), size) for path in (image_a, image_b))
     operations = _open_backend(device, backend)
     with Stages() as stages, warnings.catch_warnings():
@@ -214,10 +219,19 @@ def check(device: str | None, every: bool, report: Path | None) -> int:
     return check_devices(device, every, report)
 
 
+def _in_option_names(message: str) -> str:
+    """Name an option as it is written on the command line: n_frames=1 becomes --frames 1."""
+    name, equals, rest = message.partition("=")
+    options = {parameter.name: parameter.opts[0] for parameter in morph.params}
+    options["n_frames"] = "--frames"
+    return f"{options[name]} {rest}" if equals and name in options else message
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     try:
         code = cli.main(arguments, prog_name="clmorph", standalone_mode=False)
+        sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help())
         return 2
@@ -226,12 +240,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         click.echo(f"clmorph: error: {message} (clmorph --help shows the usage)", err=True)
         return 2
     except ClmorphError as error:
-        click.echo(f"clmorph: error: {error}", err=True)
+        click.echo(f"clmorph: error: {_in_option_names(str(error))}", err=True)
+        return 2
+    except MemoryError:
+        click.echo("clmorph: error: not enough memory; use a smaller --size", err=True)
         return 2
     except (click.Abort, KeyboardInterrupt):
         click.echo("clmorph: interrupted, nothing was written", err=True)
         return 130
-    except BrokenPipeError:
+    except OSError as error:
+        # Nobody reads on, or nothing more can be written: keep Python from trying at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        if isinstance(error, BrokenPipeError):
+            return 0
+        click.echo(f"clmorph: error: {' '.join(str(error).split())}", err=True)
+        return 2
     return code if isinstance(code, int) else 0

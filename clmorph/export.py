@@ -49,6 +49,8 @@ def output_writer(path: str | PathLike[str]) -> Callable[[Frames, NDArray[np.flo
     OutputError
         If the ending is unknown or nothing can be written there.
     """
+    if not isinstance(path, str | PathLike) or not str(path):
+        raise OutputError(f"{path!r} is not a path; expected one such as 'out.gif'")
     target = Path(path)
     suffix = target.suffix.lower()
     if suffix not in ("", ".gif", ".png"):
@@ -56,9 +58,21 @@ def output_writer(path: str | PathLike[str]) -> Callable[[Frames, NDArray[np.flo
             f"{target}: unknown ending {target.suffix!r}; expected .gif, .png (a contact sheet) "
             "or no ending (a folder of PNG frames)"
         )
-    parent = target.resolve().parent
+    try:
+        parent = target.resolve().parent
+    except OSError as error:
+        raise OutputError(f"{target}: there is no such place ({error.strerror})") from None
     if not parent.is_dir():
         raise OutputError(f"{target}: there is no folder {parent}; make it first")
+    try:
+        # The name itself can be impossible, and some folders only seem to be writable.
+        target.is_dir()
+        with tempfile.TemporaryFile(dir=parent):
+            pass
+    except OSError as error:
+        raise OutputError(
+            f"{target} cannot be written ({error.strerror}); choose another place"
+        ) from None
     if not os.access(parent, os.W_OK):
         raise OutputError(f"{target}: the folder {parent} may not be written to; choose another")
     if suffix and target.is_dir():
@@ -72,8 +86,9 @@ def output_writer(path: str | PathLike[str]) -> Callable[[Frames, NDArray[np.flo
 
     def writer(frames: Frames, times: NDArray[np.float64]) -> None:
         # Written beside its place and moved there whole: never a half-written file.
-        temporary = Path(tempfile.mkdtemp(dir=parent, prefix=".clmorph-"))
+        temporary = None
         try:
+            temporary = Path(tempfile.mkdtemp(dir=parent, prefix=".clmorph-"))
             made = temporary / f"morph{suffix}"
             write(frames, times, made)
             if not suffix and target.exists():
@@ -84,7 +99,8 @@ def output_writer(path: str | PathLike[str]) -> Callable[[Frames, NDArray[np.flo
                 f"{target} cannot be written ({error.strerror or error}); choose another place"
             ) from error
         finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+            if temporary is not None:
+                shutil.rmtree(temporary, ignore_errors=True)
 
     return writer
 
@@ -105,14 +121,23 @@ def to_bytes(frame: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.round(np.clip(frame, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
-def _enlarged(frame: NDArray[np.floating], size: tuple[int, int]) -> "Image":
-    """Return a frame as a picture of `size` (width, height) pixels."""
+def _enlarged(
+    frame: NDArray[np.floating], size: tuple[int, int], background: str = "black"
+) -> "Image":
+    """Return a frame as large as it fits into `size` (width, height), centered."""
     from PIL import Image
 
     picture = Image.fromarray(to_bytes(frame))
     if picture.size == size:
         return picture
-    return picture.resize(size, Image.Resampling.BICUBIC)
+    factor = min(size[0] / picture.width, size[1] / picture.height)
+    fitted = max(1, round(picture.width * factor)), max(1, round(picture.height * factor))
+    picture = picture.resize(fitted, Image.Resampling.BICUBIC)
+    if fitted == size:
+        return picture
+    page = Image.new("RGB", size, background)
+    page.paste(picture, ((size[0] - fitted[0]) // 2, (size[1] - fitted[1]) // 2))
+    return page
 
 
 def _common_size(frames: Frames, side: int) -> tuple[int, int]:
@@ -139,7 +164,8 @@ def _write_gif(frames: Frames, times: NDArray[np.float64], file: Path) -> None:
     # One palette for all frames, so that nothing flickers: taken from samples of each.
     samples = [to_bytes(frame).reshape(-1, 3) for frame in frames]
     step = max(1, sum(map(len, samples)) // 250_000)
-    pool = np.concatenate([sample[::step] for sample in samples])[:, None]
+    bars = np.zeros((256, 3), np.uint8)  # what stands beside frames of another shape
+    pool = np.concatenate([sample[::step] for sample in samples] + [bars])[:, None]
     palette = Image.fromarray(pool).quantize(256, method=Image.Quantize.MEDIANCUT)
     pictures = [
         _enlarged(frame, size).quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
@@ -171,7 +197,7 @@ def _write_sheet(frames: Frames, times: NDArray[np.float64], file: Path) -> None
     for place, index in enumerate(chosen):
         x = gap + (place % columns) * (width + gap)
         y = gap + (place // columns) * (height + label + gap)
-        sheet.paste(_enlarged(frames[index], (width, height)), (x, y))
+        sheet.paste(_enlarged(frames[index], (width, height), "white"), (x, y))
         caption = f"t = {times[index]:.2f}"
         draw.text((x + width / 2, y + height + 3), caption, fill="black", font=font, anchor="ma")
     sheet.save(file)

@@ -30,6 +30,8 @@ def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
     InputError
         If the shape, dtype or values are not those of an image.
     """
+    if isinstance(image, str | PathLike):
+        raise InputError(f"{name} is a path: expected an array; use clmorph.read_image({image!r})")
     try:
         array = np.asarray(image)
     except (TypeError, ValueError) as error:
@@ -143,6 +145,8 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
     from PIL import Image, UnidentifiedImageError
 
     max_pixels = check_integer("max_pixels", max_pixels, 1, 1 << 40)
+    if not isinstance(path, str | PathLike) or not str(path):
+        raise InputError(f"{path!r} is not the path of an image")
     file = Path(path)
     try:
         if not file.exists():

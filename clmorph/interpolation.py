@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.checks import check_choice
+from clmorph.errors import InputError
 from clmorph.measures import Measure
 from clmorph.plan import Plan
 
@@ -15,7 +16,7 @@ from clmorph.plan import Plan
 UNMATCHED = ("fade", "drop")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Particles:
     """Straight paths between points, independent of t.
 
@@ -35,6 +36,9 @@ class Particles:
     table: NDArray[np.float64]
     links: NDArray[np.uint32]
     weights: NDArray[np.float64]
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} Particles>"
 
     def __len__(self) -> int:
         return len(self.links)
@@ -73,9 +77,14 @@ def particles(
     Raises
     ------
     InputError
-        If `unmatched` is neither.
+        If `unmatched` is neither, or "drop" would leave no particle.
     """
     check_choice("unmatched", unmatched, UNMATCHED)
+    if unmatched == "drop" and not len(plan):
+        raise InputError(
+            "unmatched='drop': nothing travels, so there is nothing to draw; raise the reach, "
+            "or use unmatched='fade'"
+        )
     n = len(source)
     table = np.concatenate(
         [np.column_stack((measure.positions, measure.colors)) for measure in (source, target)]
@@ -85,8 +94,8 @@ def particles(
     weights = np.column_stack((plan.mass, plan.mass))
     if unmatched == "fade":
         r, c = plan.row_mass, plan.column_mass
-        weights[:, 0] *= np.minimum(1.0, source.weights[i] / r[i])
-        weights[:, 1] *= np.minimum(1.0, target.weights[j] / c[j])
+        weights[:, 0] *= _share(source.weights, r)[i]
+        weights[:, 1] *= _share(target.weights, c)[j]
         dying = np.maximum(0.0, source.weights - r)
         born = np.maximum(0.0, target.weights - c)
         dies, comes = np.flatnonzero(dying), np.flatnonzero(born)
@@ -97,3 +106,8 @@ def particles(
         fading[len(dies) :, 1] = born[comes]
         weights = np.concatenate((weights, fading))
     return Particles(table, links.astype(np.uint32), weights)
+
+
+def _share(wanted: NDArray[np.float64], moved: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return min(1, wanted / moved), without dividing where nothing moves."""
+    return np.divide(wanted, moved, out=np.ones_like(wanted), where=moved > wanted)

@@ -17,7 +17,7 @@ from clmorph.operations import MAX_POINTS
 EXTENTS = ("true", "unit")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Measure:
     """A sum of Diracs sum_i a_i delta_(x_i, c_i).
 
@@ -43,6 +43,9 @@ class Measure:
     shape: tuple[int, int]
     color_weight: float
     extent: str
+
+    def __repr__(self) -> str:
+        return f"<Measure of {len(self)} points, mass {self.mass:g}>"
 
     def __len__(self) -> int:
         return len(self.weights)
@@ -131,10 +134,12 @@ def lift(
         if masses.shape != shape:
             raise InputError(f"weights have shape {masses.shape}: expected the image's, {shape}")
         masses = masses.ravel()
-        if not np.all(np.isfinite(masses)) or masses.min() < 0 or masses.sum() <= 0:
+        with np.errstate(over="ignore"):
+            total = masses.sum()
+        if not (np.all(masses >= 0) and 1e-30 <= total <= 1e30):
             raise InputError(
-                "weights: expected finite masses of at least 0 with a positive sum; "
-                "replace negative or missing ones by 0"
+                "weights: expected masses of at least 0 with a positive sum, from 1e-30 to 1e30; "
+                "replace negative or missing ones by 0, and scale them"
             )
     return Measure(
         positions=pixel_positions(shape, extent),

@@ -11,19 +11,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from clmorph import defaults
 from clmorph.backends import Backend, get_backend
-from clmorph.checks import check_integer, check_number, check_reach
-from clmorph.interpolation import Particles, particles
-from clmorph.measures import Measure, lift
+from clmorph.checks import (
+    check_blur,
+    check_choice,
+    check_color_weight,
+    check_integer,
+    check_number,
+    check_reach,
+    check_sigma,
+)
+from clmorph.interpolation import UNMATCHED, Particles, particles
+from clmorph.measures import EXTENTS, Measure, lift
 from clmorph.operations import Operations
 from clmorph.plan import Plan, transport_plan
-from clmorph.rendering import Canvas, KernelWidth, canvas_at, effective_count, render
+from clmorph.rendering import SPLATTING, Canvas, KernelWidth, canvas_at, effective_count, render
 from clmorph.sinkhorn import Potentials, sinkhorn
 
 #: Called with the name of a stage and the share of it that is done.
 StageProgress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Morph:
     """A morph between two images; frames are rendered when asked for.
 
@@ -48,6 +56,13 @@ class Morph:
     times: NDArray[np.float64]
     kernel_width: KernelWidth
     operations: Operations = field(repr=False)
+
+    def __repr__(self) -> str:
+        (h, w), (height, width) = self.source.shape, self.target.shape
+        return (
+            f"<Morph of {w} x {h} into {width} x {height} pixels, {len(self.times)} frames, "
+            f"{len(self.particles)} particles, {self.potentials.message}>"
+        )
 
     @cached_property
     def _uploaded(self) -> Any:
@@ -114,6 +129,42 @@ class Morph:
         from clmorph.export import save
 
         save(self.frames, self.times, path)
+
+
+def check_options(
+    n_frames: int,
+    blur: float,
+    reach: float | None,
+    color_weight: float,
+    sigma_start: float,
+    sigma_end: float,
+    gamma: float,
+    *,
+    tol: float = defaults.TOL,
+    max_iter: int = defaults.MAX_ITER,
+    extent: str = "true",
+    splatting: str = "adaptive",
+    unmatched: str = "fade",
+) -> None:
+    """Check the options of `morph` without doing any of its work.
+
+    Raises
+    ------
+    InputError
+        If one cannot be used.
+    """
+    check_integer("n_frames", n_frames, 2, 100_000)
+    check_blur(blur)
+    check_reach(reach)
+    check_color_weight(color_weight)
+    check_sigma("sigma_start", sigma_start)
+    check_sigma("sigma_end", sigma_end)
+    check_number("gamma", gamma, 0.0, 1e4)
+    check_number("tol", tol, 0.0, 1e3, open_low=True)
+    check_integer("max_iter", max_iter, 1, 10**9)
+    check_choice("extent", extent, EXTENTS)
+    check_choice("splatting", splatting, SPLATTING)
+    check_choice("unmatched", unmatched, UNMATCHED)
 
 
 def morph(
@@ -183,9 +234,10 @@ def morph(
     ConvergenceWarning
         If the solver stops before `tol`.
     """
-    n_frames = check_integer("n_frames", n_frames, 2, 100_000)
-    # Checked before the solve rather than after it.
-    widths = KernelWidth(sigma_start, sigma_end, gamma, 1.0, 1.0, splatting)
+    check_options(
+        n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
+        tol=tol, max_iter=max_iter, extent=extent, splatting=splatting, unmatched=unmatched,
+    )  # fmt: skip
     reach = check_reach(reach)
     report = progress or (lambda stage, share: None)
     operations = get_backend(backend)
@@ -200,16 +252,18 @@ def morph(
     report("plan", 0.0)
     plan = transport_plan(source, target, potentials, backend=operations)
     report("plan", 1.0)
+    moves = len(plan) > 0
     return Morph(
         source=source,
         target=target,
         potentials=potentials,
         plan=plan,
         particles=particles(source, target, plan, unmatched=unmatched),
-        times=np.linspace(0.0, 1.0, n_frames),
+        times=np.linspace(0.0, 1.0, int(n_frames)),
         kernel_width=KernelWidth(
-            widths.sigma_start, widths.sigma_end, widths.gamma,
-            effective_count(plan.row_mass), effective_count(plan.column_mass), splatting,
+            float(sigma_start), float(sigma_end), float(gamma),
+            effective_count(plan.row_mass if moves else source.weights),
+            effective_count(plan.column_mass if moves else target.weights), splatting,
         ),
         operations=operations,
     )  # fmt: skip

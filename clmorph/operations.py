@@ -40,6 +40,9 @@ class Operations(Protocol):
     description: str
     #: Side of a bin in pixels.
     bin_size: int
+    #: Relative error of one rounding in exponents: limits the residual to about
+    #: unit_roundoff * max C / epsilon.
+    unit_roundoff: float
 
     def upload(self, points: Float64, weights: Float64) -> Any:
         """Take a weighted cloud.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Plan:
     """Kept pairs of a transport plan, as sparse rows.
 
@@ -42,6 +42,11 @@ class Plan:
     shape: tuple[int, int]
     total_mass: float
 
+    def __repr__(self) -> str:
+        return (
+            f"<Plan {self.shape[0]} x {self.shape[1]}, {len(self)} pairs, mass {self.total_mass:g}>"
+        )
+
     def __len__(self) -> int:
         return len(self.mass)
 
@@ -63,6 +68,8 @@ class Plan:
     @property
     def dropped_mass(self) -> float:
         """Share of the plan's mass in the pairs that were not kept."""
+        if self.total_mass == 0:
+            return 0.0
         return max(0.0, 1.0 - float(self.mass.sum()) / self.total_mass)
 
     def to_scipy(self) -> "csr_array[Any, tuple[int, int]]":
@@ -133,14 +140,25 @@ def transport_plan(
     kept: PlanRows = operations.plan_rows(
         rows, columns, f, g, epsilon, row_thresholds, column_thresholds
     )
-    if not len(kept.mass):
+    if log_threshold is not None and not len(kept.mass):
         raise InputError(
             f"log_threshold={log_threshold}: no pair of the plan exceeds it; lower it, or use "
             "the default relative threshold"
         )
-    marginal = source.weights * np.exp(
-        (f - operations.softmin(rows, columns, g, epsilon)) / epsilon
-    )
-    return Plan(
-        kept.indptr, kept.indices, kept.mass, (len(source), len(target)), float(marginal.sum())
-    )
+    with np.errstate(over="ignore", divide="ignore"):
+        log_marginal = (f - operations.softmin(rows, columns, g, epsilon)) / epsilon + log_a
+        total = float(np.exp(log_marginal).sum())
+    if not total <= 1e3 * max(source.mass, target.mass):
+        raise InputError(
+            f"the plan of these potentials has mass {total:.2g}: they are too far from a "
+            f"solution (residual {potentials.residual:.1e} epsilon); solve with a larger blur, a "
+            "smaller color_weight, or backend='numpy'"
+        )
+    return _without_empty_pairs(kept, (len(source), len(target)), total)
+
+
+def _without_empty_pairs(rows: PlanRows, shape: tuple[int, int], total: float) -> Plan:
+    """Drop pairs whose mass is smaller than any number, as all are at a tiny reach."""
+    massive = rows.mass > 0
+    before = np.concatenate(([0], np.cumsum(massive, dtype=np.int64)))
+    return Plan(before[rows.indptr], rows.indices[massive], rows.mass[massive], shape, total)

@@ -69,8 +69,12 @@ def canvas_at(
 
 
 def effective_count(weights: NDArray[np.float64]) -> float:
-    """Return Kish's effective number (sum w)^2 / sum w^2 of weighted particles."""
-    return float(weights.sum() ** 2 / np.sum(weights**2))
+    """Return Kish's effective number (sum w)^2 / sum w^2 of weighted particles; 1 of none."""
+    largest = float(weights.max(initial=0.0))
+    if largest == 0:
+        return 1.0
+    scaled = weights / largest  # squares of tiny numbers are none
+    return float(scaled.sum() ** 2 / np.sum(scaled**2))
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ ANNEALING = 0.5
 MASS_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Potentials:
     """Dual potentials of the raw (not debiased) entropic problem.
 
@@ -57,6 +57,9 @@ class Potentials:
     n_iter: int
     residual: float
     message: str
+
+    def __repr__(self) -> str:
+        return f"<Potentials for {len(self.f)} and {len(self.g)} points, {self.message}>"
 
     @property
     def epsilon(self) -> float:
@@ -176,7 +179,8 @@ def sinkhorn(
         )
     epsilon = blur**2
     rho = np.inf if reach is None else reach**2
-    problem = _Problem(get_backend(backend), source, target, rho)
+    operations = get_backend(backend)
+    problem = _Problem(operations, source, target, rho)
     report = progress or (lambda share: None)
 
     f, g = np.zeros(len(source)), np.zeros(len(target))
@@ -202,7 +206,10 @@ def sinkhorn(
         f, g = problem.translate(f, problem.update_g(f, epsilon))
         n_iter += 1
     report(1.0)
-    return _finish(f, g, blur, reach, tol, n_iter, residual)
+    joint = np.concatenate((source.points, target.points))
+    largest_cost = 0.5 * float(np.sum((joint.max(axis=0) - joint.min(axis=0)) ** 2))
+    noise = operations.unit_roundoff * largest_cost / epsilon
+    return _finish(f, g, blur, reach, tol, n_iter, residual, noise)
 
 
 def check_pair(source: Any, target: Any) -> None:
@@ -246,15 +253,29 @@ def _share(first: float, residual: float, tol: float) -> float:
 
 
 def _finish(
-    f: Array, g: Array, blur: float, reach: float | None, tol: float, n_iter: int, residual: float
+    f: Array,
+    g: Array,
+    blur: float,
+    reach: float | None,
+    tol: float,
+    n_iter: int,
+    residual: float,
+    noise: float,
 ) -> Potentials:
+    """Put the result together; `noise` is the residual that rounding alone can leave."""
     converged = residual <= tol
     if converged:
         message = f"converged in {n_iter} iterations (residual {residual:.1e} epsilon)"
     else:
+        remedy = "raise max_iter, or use a larger blur or a smaller reach"
+        if noise > tol:
+            remedy = (
+                f"single precision can leave {noise:.1e} here; use a larger blur, a smaller "
+                "color weight, or the backend 'numpy'"
+            )
         message = (
             f"not converged after {n_iter} iterations: residual {residual:.1e} epsilon, "
-            f"wanted {tol:.1e}; raise max_iter or tol, or use a larger blur or a smaller reach"
+            f"wanted {tol:.1e}; {remedy}"
         )
         warnings.warn(message, ConvergenceWarning, stacklevel=3)
     return Potentials(f, g, blur, reach, converged, n_iter, residual, message)

@@ -95,9 +95,9 @@ def test_a_mistake_in_a_process_of_its_own(pictures):
 
 
 def test_unconverged_is_said(pictures, capfd, monkeypatch):
-    monkeypatch.setitem(clmorph.morph.__kwdefaults__, "max_iter", 2)
+    monkeypatch.setitem(clmorph.morph.__kwdefaults__, "max_iter", 9)
     assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3"]) == 0
-    assert "not converged after 2 iterations" in capfd.readouterr().out
+    assert "not converged after 9 iterations" in capfd.readouterr().out
 
 
 def test_interruption_leaves_nothing(pictures, monkeypatch, capfd):
@@ -135,3 +135,45 @@ def test_version_and_help():
         [sys.executable, "-m", "clmorph", "--version"], capture_output=True, text=True, check=True
     )
     assert clmorph.__version__ in module.stdout
+
+
+def test_an_input_is_never_overwritten(pictures, capfd):
+    before = Path("a.png").read_bytes()
+    assert main(["morph", "a.png", "b.jpg", "-o", "./a.png", "--frames", "3"]) == 2
+    assert "would overwrite an input" in capfd.readouterr().err
+    assert Path("a.png").read_bytes() == before
+
+
+def test_options_are_checked_before_devices_are_sought(pictures, capfd, monkeypatch):
+    monkeypatch.setattr("clmorph.cli._open_backend", None)
+    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "0"]) == 2
+    assert capfd.readouterr().err.startswith("clmorph: error: --frames 0: expected")
+
+
+def test_nobody_reads_on(pictures):
+    arguments = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "2", "--backend", "numpy"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert "No space left" in done.stderr
+    piped = subprocess.run(
+        f"{COMMAND} {' '.join(arguments)} | true", shell=True, capture_output=True, check=False
+    )
+    assert b"Traceback" not in piped.stderr
+    assert b"BrokenPipe" not in piped.stderr
+    assert Path("x.gif").exists()
+
+
+def test_no_transport_at_all_fades(pictures, capfd):
+    """A reach so small that every pair's mass underflows: the images cross-fade."""
+    for backend in ("opencl", "numpy"):
+        assert main(
+            f"morph a.png b.jpg -o {backend} --frames 3 --size 9 --blur 0.001 --reach 0.0001 "
+            f"--backend {backend}".split()
+        ) == 0  # fmt: skip
+        with Image.open(f"{backend}/frame-0001.png") as middle:
+            assert np.asarray(middle).std() > 5
+    assert "Warning" not in capfd.readouterr().err

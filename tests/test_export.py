@@ -77,6 +77,7 @@ def test_refusals(tmp_path):
         ("full", "exists already"),
         ("dir.gif", "is a folder"),
         ("file/out.gif", "no folder"),
+        ("x" * 300 + ".gif", "cannot be written"),
     ]:
         with pytest.raises(OutputError, match=words) as caught:
             output_writer(tmp_path / name)
@@ -92,3 +93,23 @@ def test_a_failed_write_leaves_nothing(tmp_path, frames, monkeypatch):
         with pytest.raises(OutputError, match="No space left"):
             save(frames, TIMES, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_impossible_places():
+    for place in ("/proc/x.gif", "/sys/x.png", "/proc/frames"):
+        with pytest.raises(OutputError) as caught:
+            output_writer(place)
+        assert "\n" not in str(caught.value)
+    for nothing in (None, "", 3):
+        with pytest.raises(OutputError, match="path"):
+            output_writer(nothing)
+
+
+def test_shapes_are_kept_on_a_common_canvas(tmp_path):
+    """A wide frame among tall ones gets bars, and is not stretched."""
+    save([np.ones((4, 16, 3)), np.ones((16, 4, 3))], TIMES[:2], tmp_path / "out.gif")
+    with Image.open(tmp_path / "out.gif") as gif:
+        wide = np.asarray(gif.convert("L"))
+        assert gif.size == (GIF_SIDE, GIF_SIDE)
+    assert wide[GIF_SIDE // 2].min() > 250
+    assert wide[: GIF_SIDE // 4].max() < 5

@@ -43,7 +43,7 @@ def test_transparency_is_laid_on_white():
         (np.full((4, 4, 3), np.inf), "NaN"),
         (np.full((4, 4, 3), 2.0), "values from 2"),
         (np.full((4, 4, 3), -1.0), "values from -1"),
-        ("photo.png", "shape"),
+        ("photo.png", "read_image"),
         ([[1, 2], [3]], "not an array"),
     ],
 )

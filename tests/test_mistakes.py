@@ -152,7 +152,7 @@ LIBRARY = [
     (lambda: clmorph.lift(np.full((3, 3), np.nan)), "NaN"),
     (lambda: clmorph.lift(np.full((3, 3), -np.inf)), "infinity"),
     (lambda: clmorph.lift(np.full((3, 3), 255.0)), r"\[0, 1\]"),
-    (lambda: clmorph.lift("a.png"), "shape"),
+    (lambda: clmorph.lift("a.png"), "read_image"),
     (lambda: clmorph.lift(None), "shape"),
     (lambda: clmorph.lift(SMALL, "heavy"), "color_weight"),
     (lambda: clmorph.lift(SMALL, weights=np.zeros((3, 4))), "positive sum"),

@@ -1,7 +1,9 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
-from clmorph import InputError, lift, reference, sinkhorn, transport_plan
+from clmorph import InputError, lift, particles, reference, sinkhorn, transport_plan
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +60,31 @@ def test_wrong_options(pair):
     for relative in (0, -1, 2, np.nan):
         with pytest.raises(InputError, match="relative"):
             transport_plan(source, target, potentials, relative=relative, backend="numpy")
+
+
+def test_the_default_threshold_drops_little(device, pair):
+    source, target, potentials, _ = pair
+    plan = transport_plan(source, target, potentials, backend=device)
+    assert plan.dropped_mass < 1e-3
+    assert len(plan) < len(source) * len(target)
+
+
+def test_potentials_far_from_a_solution_are_refused(pair):
+    source, target, potentials, _ = pair
+    wrong = dataclasses.replace(potentials, f=potentials.f + 100 * potentials.epsilon)
+    with pytest.raises(InputError, match="too far from a solution"):
+        transport_plan(source, target, wrong, backend="numpy")
+
+
+def test_a_plan_without_mass_is_empty(device, pair):
+    source, target, potentials, _ = pair
+    nothing = dataclasses.replace(potentials, f=potentials.f - 1000 * potentials.epsilon)
+    plan = transport_plan(source, target, nothing, backend=device)
+    assert len(plan) == 0
+    assert plan.total_mass == 0
+    assert plan.dropped_mass == 0
+    assert plan.to_scipy().nnz == 0
+    moving = particles(source, target, plan)
+    assert moving.mass(0.0) == pytest.approx(source.mass)
+    with pytest.raises(InputError, match="nothing travels"):
+        particles(source, target, plan, unmatched="drop")

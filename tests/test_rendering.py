@@ -17,6 +17,15 @@ def test_canvas_sides(sides):
     assert canvas_at(1.0, (start, 5), (end, 5)).shape[0] == end
 
 
+@pytest.mark.parametrize("sides", [(48, 48), (64, 16), (16, 64), (7, 7), (100, 37)])
+def test_canvas_sides_are_not_one_short(sides):
+    """In exact arithmetic t = k / 300 often lands on an integer, where rounding must not bite."""
+    start, end = sides
+    for k in range(301):
+        wanted = start + (k * (end - start)) // 300
+        assert canvas_at(k / 300, (start, 1), (end, 1)).shape[0] == wanted
+
+
 @pytest.mark.parametrize("extent", ["true", "unit"])
 @pytest.mark.parametrize("shapes", [((5, 9), (12, 4)), ((1, 1), (7, 3)), ((6, 6), (1, 8))])
 def test_both_ends_map_onto_the_pixels(shapes, extent):

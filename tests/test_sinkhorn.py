@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from conftest import USABLE
 from scipy.special import logsumexp
 
 import clmorph
 from clmorph import ConvergenceWarning, InputError, lift, reference, sinkhorn
 from clmorph.measures import Measure
+from clmorph.sinkhorn import _Problem
 
 
 def measure(points, weights):
@@ -16,11 +18,9 @@ def measure(points, weights):
     )
 
 
-@pytest.fixture(params=["numpy", "device"])
+@pytest.fixture(params=["numpy", *(device.index for device in USABLE)])
 def backend(request):
-    if request.param == "numpy":
-        return "numpy"
-    return "opencl"
+    return request.param
 
 
 def random_pair(rng, n=60, m=75, equal=False):
@@ -180,3 +180,76 @@ def test_balanced_transport_needs_equal_masses():
     with pytest.raises(InputError, match="give a reach"):
         sinkhorn(one, two, reach=None, backend="numpy")
     assert clmorph.sinkhorn(one, two, backend="numpy").converged
+
+
+def dual(problem_data, f, g, epsilon, rho):
+    """D(f, g) of the unbalanced problem, dense."""
+    source, target, cost = problem_data
+    a, b = source.weights, target.weights
+    pairs = np.exp((f[:, None] + g - cost) / epsilon) - 1
+    value = rho * a @ (1 - np.exp(-f / rho)) + rho * b @ (1 - np.exp(-g / rho))
+    return value - epsilon * a @ pairs @ b
+
+
+def test_translation_maximizes_the_dual(rng):
+    source, target = random_pair(rng, 20, 25)
+    epsilon, rho = 0.05, 0.2
+    problem = _Problem(clmorph.get_backend("numpy"), source, target, rho)
+    data = source, target, reference.pipeline.cost_matrix(source, target)
+    f, g = 0.3 * rng.random(20), 0.1 * rng.random(25)
+    f, g = problem.translate(f, g)
+    best = dual(data, f, g, epsilon, rho)
+    for step in (1e-3, 1e-2, 0.1):
+        for s in (step, -step):
+            assert dual(data, f + s, g - s, epsilon, rho) < best
+
+
+def test_residual_looks_at_both_sides_and_at_mass_only(rng):
+    source, target = random_pair(rng, 5, 6)
+    a, b = source.weights.copy(), target.weights.copy()
+    a[2], b[3] = 0, 0
+    problem = _Problem(
+        clmorph.get_backend("numpy"), measure(source.points, a), measure(target.points, b), 1.0
+    )
+    f, g = np.zeros(5), np.zeros(6)
+    df, dg = np.array([1, 2, 90, 3, 1.0]), np.array([1, 2, 3, 90, 1, 4.0])
+    assert problem.residuals(f, g, df, None) == 3
+    assert problem.residuals(f, g, df, dg) == 4
+
+
+@pytest.mark.parametrize("swap", [False, True])
+def test_the_residual_after_one_iteration(rng, swap):
+    """Far from the end the two sides differ: the reported residual is the larger."""
+    pair = random_pair(rng)
+    source, target = pair[::-1] if swap else pair
+    with pytest.warns(ConvergenceWarning):
+        potentials = sinkhorn(source, target, 2.5, 1.0, 1e-9, max_iter=1, backend="numpy")
+    epsilon, rho = potentials.epsilon, potentials.rho
+    cost = reference.pipeline.cost_matrix(source, target)
+    damping = rho / (rho + epsilon)
+    b, a = target.weights, source.weights[:, None]
+    f = -damping * epsilon * logsumexp((potentials.g - cost) / epsilon, axis=1, b=b)
+    g = -damping * epsilon * logsumexp((potentials.f[:, None] - cost) / epsilon, axis=0, b=a)
+    sides = [np.abs(f - potentials.f).max(), np.abs(g - potentials.g).max()]
+    assert potentials.residual == pytest.approx(max(sides) / epsilon, rel=1e-9)
+
+
+def test_annealing_saves_iterations(rng):
+    source, target = random_pair(rng)
+    ours = sinkhorn(source, target, 0.05, 0.5, backend="numpy")
+    plain = reference.sinkhorn(source, target, 0.05, 0.5)
+    assert ours.n_iter < 0.95 * plain.n_iter
+
+
+def test_single_precision_is_named_where_it_limits(device, rng):
+    source, target = random_pair(rng)
+    with pytest.warns(ConvergenceWarning, match="single precision can leave"):
+        sinkhorn(source, target, 0.001, 0.3, tol=1e-4, max_iter=20, backend=device)
+
+
+def test_masses_that_differ_at_a_large_reach(backend):
+    """Two Diracs of masses 1 and 5 meet in the middle: sqrt(5)."""
+    point = [[0.5, 0.5, 0.5, 0.5, 0.5]]
+    source, target = measure(point, [1.0]), measure(point, [5.0])
+    potentials = sinkhorn(source, target, 0.05, 1e3, backend=backend)
+    assert dense_plan(source, target, potentials).sum() == pytest.approx(5**0.5, rel=2e-3)

@@ -1,8 +1,10 @@
 """The operations of `clmorph.operations.Operations` on an OpenCL device."""
 
-from collections.abc import Iterator
+import functools
+import threading
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 import pyopencl as cl
@@ -15,6 +17,9 @@ from clmorph.opencl.launches import LaunchBudget, launch
 from clmorph.opencl.splatting import ParticleSet, Splats, Splatting
 from clmorph.operations import MAX_POINTS, Bins, Float32, Float64, PlanRows
 from clmorph.tiles import tile_order
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 LOG2_E = float(np.log2(np.e))
 
@@ -55,8 +60,31 @@ class Cloud:
         return len(self.order)
 
 
+def _operation(method: Callable[P, T]) -> Callable[P, T]:
+    """Run one operation at a time on a device, and tell its failures in our words.
+
+    Kernels keep their arguments between being set and being launched, so two threads must
+    not share one.
+    """
+
+    @functools.wraps(method)
+    def run(*arguments: P.args, **options: P.kwargs) -> T:
+        operations = cast("OpenCLOperations", arguments[0])
+        with operations.lock:
+            try:
+                return method(*arguments, **options)
+            except (cl.Error, MemoryError) as error:
+                reason = " ".join(str(error).split()) or type(error).__name__
+                raise DeviceError(
+                    f"{operations.description} failed in {method.__name__} ({reason}); use "
+                    "smaller images or a smaller blur if memory ran out, or another device"
+                ) from error
+
+    return run
+
+
 class OpenCLOperations:
-    """Operations on one device.
+    """Operations on one device; safe to share between threads, which take turns.
 
     Parameters
     ----------
@@ -67,8 +95,10 @@ class OpenCLOperations:
 
     def __init__(self, device: cl.Device, knobs: Knobs | None = None) -> None:
         self.device = device
+        self.lock = threading.RLock()
         self.knobs = knobs or choose_knobs(device)
         self.bin_size = self.knobs.bin
+        self.unit_roundoff = 2.0**-24
         self.description = (
             f"{' '.join(device.name.split())} "
             f"({device.platform.name.strip()}, driver {device.driver_version.strip()})"
@@ -90,6 +120,7 @@ class OpenCLOperations:
 
     # --- clouds and row reductions -------------------------------------------------
 
+    @_operation
     def upload(self, points: Float64, weights: Float64) -> Cloud:
         """Take a weighted cloud."""
         points = np.asarray(points, float)
@@ -117,17 +148,20 @@ class OpenCLOperations:
             centers_buffer=self._constant(centers),
         )
 
+    @_operation
     def softmin(self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
         log2_maxima, sums = self._log_sum_exp(rows, columns, potential, epsilon)
         return _unsort(rows, -epsilon / LOG2_E * (log2_maxima + np.log2(sums)))
 
+    @_operation
     def row_maxima(
         self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
     ) -> Float64:
         """Return max_j [(g_j - C_ij) / epsilon + log b_j], in nats."""
         return _unsort(rows, self._log_sum_exp(rows, columns, potential, epsilon)[0] / LOG2_E)
 
+    @_operation
     def plan_rows(
         self,
         rows: Cloud,
@@ -307,6 +341,7 @@ class OpenCLOperations:
 
     # --- particles -----------------------------------------------------------------
 
+    @_operation
     def upload_particles(
         self,
         table: Float64,
@@ -316,6 +351,7 @@ class OpenCLOperations:
         """Take moving particles."""
         return self._splats().upload_particles(table, links, weights)
 
+    @_operation
     def place(
         self,
         particles: ParticleSet,
@@ -326,14 +362,17 @@ class OpenCLOperations:
         """Move particles to time t and onto a canvas."""
         return self._splats().place(particles, t, scale, center)
 
+    @_operation
     def upload_splats(self, positions: Float32, colors: Float32, weights: Float32) -> Splats:
         """Take resting particles."""
         return self._splats().upload_splats(positions, colors, weights)
 
+    @_operation
     def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:
         """Sort splats into bins."""
         return self._splats().bin_splats(splats, shape, margin)
 
+    @_operation
     def splat(
         self, splats: Splats, shape: tuple[int, int], sigma: float, radius: float
     ) -> tuple[Float64, Float64]:

@@ -40,6 +40,7 @@ class NumPyOperations:
 
     description = "NumPy float64"
     bin_size = 8
+    unit_roundoff = 2.0**-53
 
     def upload(self, points: Float64, weights: Float64) -> Cloud:
         """Take a weighted cloud."""

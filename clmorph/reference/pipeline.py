@@ -11,11 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph import defaults
+from clmorph.checks import check_blur, check_number, check_reach
+from clmorph.errors import InputError
 from clmorph.images import as_rgb
 from clmorph.measures import Measure
+from clmorph.morph import check_options
 from clmorph.sinkhorn import Potentials
 
 Array = NDArray[np.float64]
+
+#: Pairs of points that a dense plan may have (about 5 GB while costs are computed).
+MAX_PAIRS = 1 << 25
 
 
 # --- 2.1 and 3.1: unbalanced transport in the log domain --------------------------------
@@ -24,6 +30,11 @@ Array = NDArray[np.float64]
 def cost_matrix(source: Measure, target: Measure) -> Array:
     """Return C_ij = |X_i - Y_j|^2 / 2 (Eq. 1 with the factor 1/2): (N, M) array."""
     x, y = source.points, target.points
+    if len(x) * len(y) > MAX_PAIRS:
+        raise InputError(
+            f"{len(x)} x {len(y)} pairs are too many for a dense plan: expected at most "
+            f"{MAX_PAIRS}; reduce the images, or use clmorph.morph"
+        )
     return 0.5 * np.sum((x[:, None, :] - y[None, :, :]) ** 2, axis=2)
 
 
@@ -50,6 +61,8 @@ def sinkhorn(
 
     Parameters and result as `clmorph.sinkhorn`.
     """
+    blur, reach = check_blur(blur), check_reach(reach)
+    tol = check_number("tol", tol, 0.0, 1e3, open_low=True)
     epsilon = blur**2
     damping = 1.0 if reach is None else reach**2 / (reach**2 + epsilon)
     cost = cost_matrix(source, target)
@@ -254,6 +267,10 @@ def morph(
     unmatched: str = "fade",
 ) -> ReferenceMorph:
     """Morph one image into another; parameters as `clmorph.morph`."""
+    check_options(
+        n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
+        tol=tol, max_iter=max_iter, extent=extent, unmatched=unmatched,
+    )  # fmt: skip
     source, target = (_lift(image, color_weight, extent) for image in (image_a, image_b))
     potentials = sinkhorn(source, target, blur, reach, tol, max_iter)
     plan = transport_plan(source, target, potentials)
