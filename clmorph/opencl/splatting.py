@@ -160,14 +160,16 @@ class Splatting:
         exponent_scale = 0.0 if nearest else -np.log2(np.e) / (2 * sigma**2)
         visits = self._visits(bins, (blocks_y, blocks_x), side, radius)
         group = self.knobs.tile_group
-        # Fixed parts, so that rounding does not depend on how fast the device is today.
-        for particle in range(0, splats.count, LAUNCH_PARTICLES):
+        # Crowded blocks are given their particles in parts, of a fixed size so that rounding
+        # does not depend on how fast the device is today.
+        part = splats.count if visits.max() <= LAUNCH_PARTICLES else LAUNCH_PARTICLES
+        for particle in range(0, splats.count, part):
             for first, stop in self._block_parts(np.minimum(visits, LAUNCH_PARTICLES), side):
                 with self._budget.measure(_work(visits[first:stop], side)):
                     self._run(
                         "splat", ((stop - first) * group, group), (group, group),
                         np.uint32(first), np.uint32(blocks_x), np.uint32(particle),
-                        np.uint32(min(splats.count, particle + LAUNCH_PARTICLES)),
+                        np.uint32(min(splats.count, particle + part)),
                         np.int32(MARGIN), cl.cltypes.make_int2(bins.shape[1], bins.shape[0]),
                         np.float32(exponent_scale), np.float32(radius), np.int32(nearest),
                         starts, bins.positions, bins.samples,
