@@ -41,7 +41,7 @@ def test_one_slow_launch_is_survived(monkeypatch):
 def test_no_launch_looks_at_more_than_its_share(device, monkeypatch):
     """A wide kernel over one crowded spot: cut over blocks and over particles."""
     monkeypatch.setattr("clmorph.opencl.splatting.LAUNCH_PARTICLES", 1000)
-    splatting = device._splats()
+    splatting = device.splatting
     monkeypatch.setattr(splatting, "_budget", LaunchBudget(first=1))
     monkeypatch.setattr(splatting._budget, "pairs", lambda: 1)
     sizes = []
@@ -103,7 +103,7 @@ def test_failures_are_told_in_our_words(device, monkeypatch, error):
     def fail(*arguments, **options):
         raise error
 
-    monkeypatch.setattr(device, "_constant", fail)
+    monkeypatch.setattr(device.work, "buffer", fail)
     with pytest.raises(DeviceError, match="failed in upload") as caught:
         device.upload(np.zeros((3, 5)), np.ones(3))
     assert "\n" not in str(caught.value)

@@ -86,7 +86,7 @@ def test_launches_are_cut_without_changing_a_bit(variant, rng):
     pair = [(rng.random((n, 5)), np.full(n, 1 / n)) for n in (700, 900)]
     rows, columns = _upload(variant, pair)
     g = rng.random(900)
-    budget = variant._budget
+    budget = variant.reductions._budget
     whole = variant.softmin(rows, columns, g, 0.01)
     budget._pairs = 1
     cut = variant.softmin(rows, columns, g, 0.01)
@@ -247,7 +247,7 @@ def test_place(variant, rng, t):
 def test_splatting_launches_are_cut_without_changing_a_bit(variant, rng):
     splats, _ = _splats(rng, "spread", (variant, REFERENCE))
     whole = variant.splat(splats, (300, 41), 2.0, 9.0)
-    variant._splatting._budget._pairs = 1
+    variant.splatting._budget._pairs = 1
     cut = variant.splat(splats, (300, 41), 2.0, 9.0)
     assert np.array_equal(whole[0], cut[0])
     assert np.array_equal(whole[1], cut[1])

@@ -7,7 +7,9 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pyopencl as cl
+from numpy.typing import NDArray
 
 #: Length that launches aim at, in seconds; well under the limit of 0.2 s.
 TARGET_SECONDS = 0.08
@@ -42,19 +44,40 @@ class LaunchBudget:
         self._pairs = max(1, int(min(affordable, 4 * self._pairs)))
 
 
-def launch(
-    queue: cl.CommandQueue,
-    kernel: cl.Kernel,
-    size: tuple[int, ...],
-    group: tuple[int, ...] | None,
-    *arguments: Any,
-) -> None:
-    """Run a kernel and wait for it.
+class Workspace:
+    """Where the kernels of one device run: its context, its queue, and their buffers.
 
-    Arguments are NumPy scalars and buffers; holding them here keeps buffers alive until
-    the launch has ended, which a kernel does not. They are set one by one: pyopencl's
-    `set_args` generates code for each kernel, which costs more at start than it saves.
+    Parameters
+    ----------
+    context : pyopencl.Context
+    queue : pyopencl.CommandQueue
     """
-    for number, argument in enumerate(arguments):
-        kernel.set_arg(number, argument)
-    cl.enqueue_nd_range_kernel(queue, kernel, size, group).wait()
+
+    def __init__(self, context: cl.Context, queue: cl.CommandQueue) -> None:
+        self.context, self.queue = context, queue
+
+    def buffer(self, values: NDArray[Any], dtype: Any = np.float32) -> cl.Buffer:
+        """Return a buffer that holds these values."""
+        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values, dtype))
+
+    def empty(self, n_bytes: int) -> cl.Buffer:
+        """Return a buffer that holds nothing yet."""
+        return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(4, n_bytes))
+
+    def launch(
+        self,
+        kernel: cl.Kernel,
+        size: tuple[int, ...],
+        group: tuple[int, ...] | None,
+        *arguments: Any,
+    ) -> None:
+        """Run a kernel and wait for it.
+
+        Arguments are NumPy scalars and buffers; holding them here keeps buffers alive until
+        the launch has ended, which a kernel does not. They are set one by one: pyopencl's
+        `set_args` generates code for each kernel, which costs more at start than it saves.
+        """
+        for number, argument in enumerate(arguments):
+            kernel.set_arg(number, argument)
+        cl.enqueue_nd_range_kernel(self.queue, kernel, size, group).wait()

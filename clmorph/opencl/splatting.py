@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clmorph.errors import DeviceError
 from clmorph.opencl import program
 from clmorph.opencl.knobs import Knobs
-from clmorph.opencl.launches import LaunchBudget, launch
+from clmorph.opencl.launches import LaunchBudget, Workspace
 from clmorph.operations import Bins, Float32, Float64, bin_grid
 
 #: Entries of the (bins, slices) table of counts; fewer slices are used on large canvases.
@@ -56,9 +56,9 @@ class SortedSplats(NamedTuple):
 class Splatting:
     """The splatting half of `OpenCLOperations`."""
 
-    def __init__(self, context: cl.Context, queue: cl.CommandQueue, knobs: Knobs) -> None:
-        self.context, self.queue, self.knobs = context, queue, knobs
-        built = program.build(context, "splat.cl", knobs.splat_constants())
+    def __init__(self, work: Workspace, knobs: Knobs) -> None:
+        self._work, self._knobs = work, knobs
+        built = program.build(work.context, "splat.cl", knobs.splat_constants())
         names = ("place", "count_bins", "fill_bins", "splat")
         self._kernels = {name: cl.Kernel(built, name) for name in names}
         self._budget = LaunchBudget()
@@ -71,9 +71,9 @@ class Splatting:
         return ParticleSet(
             count=_checked_count(len(links)),
             unit=unit,
-            table=self._buffer(table),
-            links=self._buffer(links, np.uint32),
-            weights=self._buffer(weights / unit),
+            table=self._work.buffer(table),
+            links=self._work.buffer(links, np.uint32),
+            weights=self._work.buffer(weights / unit),
         )
 
     def upload_splats(self, positions: Float32, colors: Float32, weights: Float32) -> Splats:
@@ -81,7 +81,10 @@ class Splatting:
         unit = _unit(weights)
         samples = np.column_stack((weights.astype(float) / unit, colors))
         return Splats(
-            _checked_count(len(weights)), unit, self._buffer(positions), self._buffer(samples)
+            _checked_count(len(weights)),
+            unit,
+            self._work.buffer(positions),
+            self._work.buffer(samples),
         )
 
     def place(
@@ -93,7 +96,7 @@ class Splatting:
     ) -> Splats:
         """Move particles to time t and onto a canvas; see `clmorph.operations.Operations`."""
         n = particles.count
-        positions, samples = self._empty(8 * n), self._empty(16 * n)
+        positions, samples = self._work.empty(8 * n), self._work.empty(16 * n)
         for first in range(0, n, LAUNCH_PARTICLES):
             self._run(
                 "place", (min(LAUNCH_PARTICLES, n - first),), None,
@@ -107,20 +110,20 @@ class Splatting:
         """Sort splats into bins; see `clmorph.operations.Operations`."""
         by_bin = self._sort(splats, shape, margin)
         order = np.empty(splats.count, np.uint32)
-        cl.enqueue_copy(self.queue, order, by_bin.order)
+        cl.enqueue_copy(self._work.queue, order, by_bin.order)
         return Bins(by_bin.shape, by_bin.starts, order.astype(np.int64))
 
     def _sort(self, splats: Splats, shape: tuple[int, int], margin: int) -> SortedSplats:
         """Sort splats into bins, without atomics: count by slice, add up, fill."""
         n = splats.count
-        grid = bin_grid(shape, margin, self.knobs.bin)
+        grid = bin_grid(shape, margin, self._knobs.bin)
         n_bins = grid[0] * grid[1]
-        units = self.context.devices[0].max_compute_units
-        slices = max(1, min(self.knobs.slices_per_unit * units, COUNT_ENTRIES // n_bins, n))
+        units = self._work.context.devices[0].max_compute_units
+        slices = max(1, min(self._knobs.slices_per_unit * units, COUNT_ENTRIES // n_bins, n))
         slice_size = -(-n // slices)
         per_launch = max(1, LAUNCH_PARTICLES // slice_size)
         counts = np.zeros((n_bins, slices), np.uint32)
-        counts_buffer = self._buffer(counts, np.uint32)
+        counts_buffer = self._work.buffer(counts, np.uint32)
 
         def over_slices(name: str, *arguments: Any) -> None:
             for first in range(0, slices, per_launch):
@@ -131,13 +134,13 @@ class Splatting:
                 )  # fmt: skip
 
         over_slices("count_bins", splats.positions, counts_buffer)
-        cl.enqueue_copy(self.queue, counts, counts_buffer)
+        cl.enqueue_copy(self._work.queue, counts, counts_buffer)
         ends = np.cumsum(counts, dtype=np.int64)
         slots = ends.reshape(counts.shape) - counts
-        order = self._empty(4 * n)
-        positions, samples = self._empty(8 * n), self._empty(16 * n)
+        order = self._work.empty(4 * n)
+        positions, samples = self._work.empty(8 * n), self._work.empty(16 * n)
         over_slices(
-            "fill_bins", splats.positions, splats.samples, self._buffer(slots, np.uint32),
+            "fill_bins", splats.positions, splats.samples, self._work.buffer(slots, np.uint32),
             order, positions, samples,
         )  # fmt: skip
         return SortedSplats(grid, np.append(slots[:, 0], n), order, positions, samples)
@@ -151,21 +154,21 @@ class Splatting:
         if nearest:
             radius = 0.5
         bins = self._sort(splats, shape, MARGIN)
-        side = self.knobs.width * self.knobs.tile_group
+        side = self._knobs.width * self._knobs.tile_group
         blocks_y, blocks_x = -(-height // side), -(-width // side)
         padded = blocks_y * side, blocks_x * side
-        starts = self._buffer(bins.starts, np.uint32)
+        starts = self._work.buffer(bins.starts, np.uint32)
         sums = np.zeros((4, *padded), np.float32)
-        buffer = self._buffer(sums)
+        buffer = self._work.buffer(sums)
         exponent_scale = 0.0 if nearest else -np.log2(np.e) / (2 * sigma**2)
         visits = self._visits(bins, (blocks_y, blocks_x), side, radius)
-        group = self.knobs.tile_group
+        group = self._knobs.tile_group
         # Crowded blocks are given their particles in parts, of a fixed size so that rounding
         # does not depend on how fast the device is today.
         part = splats.count if visits.max() <= LAUNCH_PARTICLES else LAUNCH_PARTICLES
         for particle in range(0, splats.count, part):
             for first, stop in self._block_parts(np.minimum(visits, LAUNCH_PARTICLES), side):
-                with self._budget.measure(_work(visits[first:stop], side)):
+                with self._budget.measure(_cost(visits[first:stop], side)):
                     self._run(
                         "splat", ((stop - first) * group, group), (group, group),
                         np.uint32(first), np.uint32(blocks_x), np.uint32(particle),
@@ -175,7 +178,7 @@ class Splatting:
                         starts, bins.positions, bins.samples,
                         np.uint64(padded[0] * padded[1]), buffer,
                     )  # fmt: skip
-        cl.enqueue_copy(self.queue, sums, buffer)
+        cl.enqueue_copy(self._work.queue, sums, buffer)
         frame = sums[:, :height, :width].astype(float) * splats.unit
         return np.moveaxis(frame[1:], 0, -1), frame[0]
 
@@ -189,7 +192,7 @@ class Splatting:
         for count, n_bins in zip(blocks, bins.shape, strict=True):
             first = np.arange(count) * side
             reach = np.array([-radius, side - 1 + radius])[:, None] + first
-            ends = np.clip(np.floor(reach / self.knobs.bin) + MARGIN, 0, n_bins - 1).astype(int)
+            ends = np.clip(np.floor(reach / self._knobs.bin) + MARGIN, 0, n_bins - 1).astype(int)
             low.append(ends[0])
             high.append(ends[1] + 1)
         y0, y1, x0, x1 = low[0][:, None], high[0][:, None], low[1], high[1]
@@ -209,17 +212,10 @@ class Splatting:
     def _run(
         self, name: str, size: tuple[int, ...], group: tuple[int, ...] | None, *arguments: Any
     ) -> None:
-        launch(self.queue, self._kernels[name], size, group, *arguments)
-
-    def _buffer(self, values: NDArray[Any], dtype: Any = np.float32) -> cl.Buffer:
-        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values, dtype))
-
-    def _empty(self, n_bytes: int) -> cl.Buffer:
-        return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(4, n_bytes))
+        self._work.launch(self._kernels[name], size, group, *arguments)
 
 
-def _work(visits: NDArray[np.int64], side: int) -> int:
+def _cost(visits: NDArray[np.int64], side: int) -> int:
     """Work of a launch: particles looked at, once for every row of a block."""
     return int((visits + 1).sum()) * side
 
