@@ -1,6 +1,5 @@
 """Write a morph as files that people open."""
 
-import os
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
@@ -73,8 +72,6 @@ def output_writer(path: str | PathLike[str]) -> Callable[[Frames, NDArray[np.flo
         raise OutputError(
             f"{target} cannot be written ({error.strerror}); choose another place"
         ) from None
-    if not os.access(parent, os.W_OK):
-        raise OutputError(f"{target}: the folder {parent} may not be written to; choose another")
     if suffix and target.is_dir():
         raise OutputError(f"{target} is a folder; choose a file name")
     if not suffix and target.exists() and not (target.is_dir() and not any(target.iterdir())):

@@ -1,6 +1,7 @@
 """Every usable OpenCL device of this machine is a test parameter; none is a failure."""
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -62,3 +63,17 @@ def device(request: pytest.FixtureRequest) -> OpenCLOperations:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20261121)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
+    """Indexes of the devices probed, in an empty cache; every probe is content."""
+    probed: list[str] = []
+
+    def probe(index: str) -> dict[str, object]:
+        probed.append(index)
+        return {"usable": True, "reason": "", "pairs_per_second": 1.0}
+
+    monkeypatch.setattr("clmorph.opencl.storage.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("clmorph.opencl.device.run_probe", probe)
+    return probed

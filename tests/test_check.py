@@ -124,15 +124,7 @@ def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path):
     assert not records[broken]["auto"]
 
 
-def test_trying_again_forgets_verdicts(monkeypatch, tmp_path, capfd):
-    monkeypatch.setattr("clmorph.opencl.storage.cache_folder", lambda: tmp_path)
-    asked = []
-
-    def probe(index):
-        asked.append(index)
-        return {"usable": True, "reason": "", "pairs_per_second": 1.0}
-
-    monkeypatch.setattr(devices, "run_probe", probe)
+def test_trying_again_forgets_verdicts(monkeypatch, capfd, asked):
     try:
         for _ in range(2):
             assert main(["devices", "--again"]) == 0

@@ -131,15 +131,7 @@ def test_a_broken_driver_breaks_only_the_probe(monkeypatch, tmp_path, body, word
     assert words in verdict["reason"]
 
 
-def test_verdicts_are_remembered(monkeypatch, tmp_path):
-    monkeypatch.setattr("clmorph.opencl.storage.cache_folder", lambda: tmp_path)
-    asked = []
-
-    def probe(index):
-        asked.append(index)
-        return {"usable": True, "reason": "", "pairs_per_second": 1.0}
-
-    monkeypatch.setattr(devices, "run_probe", probe)
+def test_verdicts_are_remembered(monkeypatch, tmp_path, asked):
     first = find_devices.__wrapped__()
     assert asked == [device.index for device in first]
     assert find_devices.__wrapped__() == first
@@ -177,11 +169,12 @@ def test_pip_runtimes_hide_nothing():
 
 
 def test_a_users_vendor_folder_is_respected(tmp_path):
-    code = "from clmorph.opencl.device import raw_devices; print(len(raw_devices()))"
-    environment = dict(devices.os.environ, OCL_ICD_VENDORS=str(tmp_path))
-    count = subprocess.check_output([sys.executable, "-c", code], text=True, env=environment)
-    listed = {d.platform for d in find_devices()}
-    assert int(count) < len(find_devices()) or "Intel(R) OpenCL" not in listed
+    """Who names a folder of drivers gets those, and not Intel's from pip as well."""
+    code = "from clmorph.opencl.device import raw_devices;"
+    code += "print([d.platform.name for _, d in raw_devices()])"
+    environment = dict(os.environ, OCL_ICD_VENDORS=str(tmp_path))
+    names = subprocess.check_output([sys.executable, "-c", code], text=True, env=environment)
+    assert "Intel" not in names
 
 
 def test_import_needs_no_driver():

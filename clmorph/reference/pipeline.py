@@ -20,7 +20,7 @@ from clmorph.sinkhorn import Potentials
 
 Array = NDArray[np.float64]
 
-#: Pairs of points that a dense plan may have (about 5 GB while costs are computed).
+#: Pairs of points that a dense plan may have: 1.3 GB of coordinate differences alone.
 MAX_PAIRS = 1 << 25
 
 
