@@ -40,7 +40,7 @@ typedef CONCAT(int, WIDTH) vint;
 #define ANY(v) any(v)
 #endif
 
-// 2^x for x <= 0. Arguments under -125 give a number below 2^-124 instead of zero:
+// 2^x for x <= 0 (or above it by a rounding). Arguments under -125 give a number below 2^-124 instead of zero:
 // every sum this feeds holds a term 1, or is compared with one.
 // Polynomial: degree 5, minimax in relative error (2.3e-7 in float32) on [-1/2, 1/2];
 // the nearest integer comes from adding 1.5 * 2^23, whose low bits then are that integer.

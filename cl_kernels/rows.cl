@@ -9,8 +9,9 @@
 //     e_ij = level_pq + h_j + k u.(v - (p - q)) + k [(p - q).v - |v|^2 / 2]:
 //
 // level_pq holds the large numbers and is formed in float64 on the host, so float32
-// adds only small ones. The row's own -k |u|^2 / 2 and the level's offset are constants
-// of the row and are added on the host as well.
+// adds only small ones; exponents.cl has wider arithmetic where that is not enough. The
+// row's own -k |u|^2 / 2 and the level's offset are constants of the row and are added
+// on the host as well.
 //
 // Launch: get_global_id(0) is a group of WIDTH consecutive rows, WIDTH * GROUP divides
 // TILE; get_global_id(1) is a share of the column tiles (log_sum_exp only). A launch
@@ -20,6 +21,7 @@
 // -D TILE    points of one tile, a multiple of WIDTH * GROUP
 // -D GROUP   work-items of a work-group along dimension 0
 // -D UNROLL  columns taken together in the inner loop, divides TILE (speed only)
+// -D PRECISE arithmetic of the exponents, and PLANES of their inputs: see exponents.cl
 
 #include "common.cl"
 
@@ -36,6 +38,8 @@
 #define UNROLL 8 // enough independent chains to hide the latency of a multiply-add
 #endif
 
+#include "exponents.cl"
+
 // A work-group of one needs no barrier, and CPU compilers vectorize better without.
 #if GROUP > 1
 #define GROUP_BARRIER() barrier(CLK_LOCAL_MEM_FENCE)
@@ -45,53 +49,47 @@
 
 #define CLOUD_ARGUMENTS                                                                        \
     const uint first_row, const uint row_stride, const uint column_stride,                     \
-    const uint n_column_tiles, const float k,                                                  \
-    const __global float* restrict row_offsets,       /* (DIM, row_stride): u */               \
+    const uint n_column_tiles, const float k, const float k_low,                               \
+    const __global float* restrict row_offsets,       /* (PLANES, DIM, row_stride): u */       \
     const __global float* restrict row_centers,       /* (row_stride / TILE, DIM): p */        \
-    const __global float* restrict column_offsets,    /* (DIM, column_stride): v */            \
+    const __global float* restrict column_offsets,    /* (PLANES, DIM, column_stride): v */    \
     const __global float* restrict column_centers,    /* (n_column_tiles, DIM): q */           \
-    const __global float* restrict column_potentials, /* (column_stride,): h */                \
-    const __global float* restrict levels             /* (row tiles, n_column_tiles) */
+    const __global float* restrict column_potentials, /* (PLANES, column_stride): h */         \
+    const __global float* restrict levels             /* (row tiles, PLANES, n_column_tiles) */
 
 // Put column tile q, recentered for the row tile, into local memory:
 // staged[d][j] = k (v - (p - q))_d for d < DIM, staged[DIM][j] = the part without u.
 static inline void stage_columns(
-    const uint q, const uint row_tile, const uint column_stride, const float k,
-    const __global float* restrict row_centers, const __global float* restrict column_offsets,
-    const __global float* restrict column_centers,
-    const __global float* restrict column_potentials, const float level,
-    __local float* restrict staged)
+    const uint q, const uint row_tile, const uint column_stride, const uint n_column_tiles,
+    const ereal k, const __global float* restrict row_centers,
+    const __global float* restrict column_offsets, const __global float* restrict column_centers,
+    const __global float* restrict column_potentials, const __global float* restrict level,
+    __local staged_real* restrict staged)
 {
-    float shift[DIM];
+    ereal shift[DIM];
     for (int d = 0; d < DIM; ++d)
-        shift[d] = row_centers[row_tile * DIM + d] - column_centers[q * DIM + d];
+        shift[d] = e_sum(e_constant(row_centers[row_tile * DIM + d], 0.0f),
+                         e_constant(-column_centers[q * DIM + d], 0.0f));
+    const ereal level_pq = e_constant(level[q], level[q + (PLANES - 1) * n_column_tiles]);
     for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
-        vreal quadratic = (vreal)(0.0f);
+        ereal quadratic = e_constant(0.0f, 0.0f);
         for (int d = 0; d < DIM; ++d) {
-            const vreal v = VLOAD((size_t)d * column_stride + q * TILE + j, column_offsets);
-            quadratic += v * (shift[d] - 0.5f * v);
-            VSTORE(k * (v - shift[d]), d * TILE + j, staged);
+            const ereal v = e_load(column_offsets + (size_t)d * column_stride + q * TILE + j,
+                                   (size_t)DIM * column_stride);
+            const ereal half_v = e_product(e_constant(-0.5f, 0.0f), v);
+            quadratic = e_sum(quadratic, e_product(v, e_sum(shift[d], half_v)));
+            e_stage(e_product(k, e_sum(v, e_negative(shift[d]))), staged + d * TILE + j);
         }
-        const vreal h = VLOAD(q * TILE + j, column_potentials);
-        VSTORE(h + level + k * quadratic, DIM * TILE + j, staged);
+        const ereal h = e_load(column_potentials + q * TILE + j, column_stride);
+        e_stage(e_sum(e_sum(h, level_pq), e_product(k, quadratic)), staged + DIM * TILE + j);
     }
 }
 
-// e_ij of WIDTH rows and staged column j.
-static inline vreal exponent(const vreal* u, const __local float* staged, const uint j)
-{
-    vreal e = u[0] * staged[j] + staged[DIM * TILE + j];
-#pragma unroll
-    for (int d = 1; d < DIM; ++d)
-        e += u[d] * staged[d * TILE + j];
-    return e;
-}
-
 static inline void load_rows(
-    const __global float* restrict row_offsets, const uint row_stride, const uint row, vreal* u)
+    const __global float* restrict row_offsets, const uint row_stride, const uint row, ereal* u)
 {
     for (int d = 0; d < DIM; ++d)
-        u[d] = VLOAD((size_t)d * row_stride + row, row_offsets);
+        u[d] = e_load(row_offsets + (size_t)d * row_stride + row, (size_t)DIM * row_stride);
 }
 
 // Online maximum m_i = max_j e_ij and s_i = sum_j 2^(e_ij - m_i), over the column tiles
@@ -102,34 +100,35 @@ void log_sum_exp(
     __global float* restrict maxima, // (shares, n_rows)
     __global float* restrict sums)   // (shares, n_rows)
 {
-    __local float staged[(DIM + 1) * TILE];
+    __local staged_real staged[STAGED_SIZE];
     const uint local_row = get_global_id(0) * WIDTH;
     const uint row = first_row + local_row;
     const uint row_tile = row / TILE;
-    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles;
+    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles * PLANES;
     const uint share = get_global_id(1);
     const uint q_end = min(n_column_tiles, (share + 1) * tiles_per_share);
 
-    vreal u[DIM];
+    ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
     vreal m = (vreal)(SENTINEL);
     vreal s = (vreal)(0.0f);
     for (uint q = share * tiles_per_share; q < q_end; ++q) {
-        stage_columns(q, row_tile, column_stride, k, row_centers, column_offsets,
-                      column_centers, column_potentials, levels[level_row + q], staged);
+        stage_columns(q, row_tile, column_stride, n_column_tiles, e_constant(k, k_low),
+                      row_centers, column_offsets, column_centers, column_potentials,
+                      levels + level_row, staged);
         GROUP_BARRIER();
         for (uint j = 0; j < TILE; j += UNROLL) {
-            vreal e[UNROLL];
+            ereal e[UNROLL];
             vreal m_new = m;
 #pragma unroll
             for (int c = 0; c < UNROLL; ++c) {
                 e[c] = exponent(u, staged, j + c);
-                m_new = max(m_new, e[c]);
+                m_new = max(m_new, e_nearest(e[c]));
             }
             s *= exp2_nonpositive(m - m_new);
 #pragma unroll
             for (int c = 0; c < UNROLL; ++c)
-                s += exp2_nonpositive(e[c] - m_new);
+                s += exp2_nonpositive(e_above(e[c], m_new));
             m = m_new;
         }
         GROUP_BARRIER();
@@ -151,23 +150,24 @@ void count_plan_rows(
     const __global float* restrict column_thresholds, // (column_stride,)
     __global int* restrict counts)                    // (n_rows,) of this launch
 {
-    __local float staged[(DIM + 1) * TILE];
+    __local staged_real staged[STAGED_SIZE];
     const uint local_row = get_global_id(0) * WIDTH;
     const uint row = first_row + local_row;
     const uint row_tile = row / TILE;
-    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles;
+    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles * PLANES;
 
-    vreal u[DIM];
+    ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
     const vreal base = VLOAD(row, row_bases);
     const vreal row_threshold = VLOAD(row, row_thresholds);
     vreal count = (vreal)(0.0f); // exact: a cloud has at most 2^24 points
     for (uint q = 0; q < n_column_tiles; ++q) {
-        stage_columns(q, row_tile, column_stride, k, row_centers, column_offsets,
-                      column_centers, column_potentials, levels[level_row + q], staged);
+        stage_columns(q, row_tile, column_stride, n_column_tiles, e_constant(k, k_low),
+                      row_centers, column_offsets, column_centers, column_potentials,
+                      levels + level_row, staged);
         GROUP_BARRIER();
         for (uint j = 0; j < TILE; ++j)
-            count += select((vreal)(0.0f), (vreal)(1.0f), KEEP(exponent(u, staged, j)));
+            count += select((vreal)(0.0f), (vreal)(1.0f), KEEP(e_nearest(exponent(u, staged, j))));
         GROUP_BARRIER();
     }
     VSTORE(CONVERT_VINT(count), local_row, counts);
@@ -184,13 +184,13 @@ void fill_plan_rows(
     __global int* restrict columns,                   // (kept pairs of this launch,)
     __global float* restrict exponents)               // (kept pairs of this launch,)
 {
-    __local float staged[(DIM + 1) * TILE];
+    __local staged_real staged[STAGED_SIZE];
     const uint local_row = get_global_id(0) * WIDTH;
     const uint row = first_row + local_row;
     const uint row_tile = row / TILE;
-    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles;
+    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles * PLANES;
 
-    vreal u[DIM];
+    ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
     const vreal base = VLOAD(row, row_bases);
     const vreal row_threshold = VLOAD(row, row_thresholds);
@@ -198,11 +198,12 @@ void fill_plan_rows(
     for (int lane = 0; lane < WIDTH; ++lane)
         slot[lane] = starts[local_row + lane];
     for (uint q = 0; q < n_column_tiles; ++q) {
-        stage_columns(q, row_tile, column_stride, k, row_centers, column_offsets,
-                      column_centers, column_potentials, levels[level_row + q], staged);
+        stage_columns(q, row_tile, column_stride, n_column_tiles, e_constant(k, k_low),
+                      row_centers, column_offsets, column_centers, column_potentials,
+                      levels + level_row, staged);
         GROUP_BARRIER();
         for (uint j = 0; j < TILE; ++j) {
-            const vreal e = exponent(u, staged, j);
+            const vreal e = e_nearest(exponent(u, staged, j));
             const vint keep = KEEP(e);
             if (ANY(keep)) {
                 float e_lane[WIDTH];

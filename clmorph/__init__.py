@@ -17,7 +17,9 @@ from clmorph.interpolation import Particles, particles
 from clmorph.measures import Measure, lift
 from clmorph.morph import Morph, morph
 from clmorph.plan import Plan, transport_plan
-from clmorph.sinkhorn import Potentials, sinkhorn
+from clmorph.points import WeightedPoints
+from clmorph.potentials import Potentials
+from clmorph.sinkhorn import sinkhorn
 
 __version__ = version("clmorph")
 
@@ -33,6 +35,7 @@ __all__ = [
     "Particles",
     "Plan",
     "Potentials",
+    "WeightedPoints",
     "fit",
     "get_backend",
     "lift",

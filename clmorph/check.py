@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from clmorph.measures import Measure, lift
 from clmorph.morph import morph
-from clmorph.operations import Operations
+from clmorph.operations import Operations, rounding_error
+from clmorph.problem import largest_cost
 from clmorph.reference.operations import NumPyOperations
 
 #: Unit roundoff of float32.
@@ -20,23 +21,20 @@ UNIT = 2.0**-24
 Cloud = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
-def log_sum_exp_tolerance(rows: Cloud, columns: Cloud, epsilon: float) -> float:
-    """Return by how many nats a float32 log-sum-exp may be off.
-
-    A few roundings of each term (8 units, the exponential's error included), the random
-    walk of a sum of M terms, and one rounding of an exponent of size C / epsilon; several
-    happen, but tiles make the numbers smaller.
+def log_sum_exp_tolerance(
+    operations: Operations, rows: Cloud, columns: Cloud, epsilon: float, precise: bool = False
+) -> float:
+    """Return by how many nats a log-sum-exp of `operations` may be off.
 
     Parameters
     ----------
+    operations : Operations
     rows, columns : (points (N, D), weights (N,))
     epsilon : float
+    precise : bool
     """
-    (x, _), (y, _) = rows, columns
-    low = np.minimum(x.min(axis=0), y.min(axis=0))
-    high = np.maximum(x.max(axis=0), y.max(axis=0))
-    largest = 0.5 * np.sum((high - low) ** 2) / epsilon
-    return float(UNIT * (8 + 2 * np.sqrt(len(y)) + largest))
+    largest = largest_cost(rows[0], columns[0]) / epsilon
+    return rounding_error(operations, len(columns[1]), largest, precise)
 
 
 def splat_tolerance(count: int, chunk: int = 256) -> float:
@@ -102,13 +100,14 @@ def check(operations: Operations) -> Iterator[Finding]:
     for blur in (1.0, 0.05, 0.003):
         epsilon = blur**2
         g = epsilon * rng.normal(size=len(target))
-        tolerance = log_sum_exp_tolerance(*pair, epsilon)
-        for name in ("softmin", "row_maxima"):
+        for name, options in (("softmin", ()), ("softmin", (True,)), ("row_maxima", ())):
+            tolerance = log_sum_exp_tolerance(operations, *pair, epsilon, *options)
             unit = epsilon if name == "softmin" else 1.0
-            got = getattr(operations, name)(*ours, g, epsilon)
+            got = getattr(operations, name)(*ours, g, epsilon, *options)
             want = getattr(exact, name)(*theirs, g, epsilon)
             error = float(np.abs(got - want).max() / unit)
-            yield Finding(f"{name}, blur {blur:g}", error, tolerance, "nats")
+            kind = "precise " * len(options) + name
+            yield Finding(f"{kind}, blur {blur:g}", error, tolerance, "nats")
     yield _check_plan(operations, exact, ours, theirs, pair)
     yield from _check_splats(operations, exact)
     yield _check_morph(operations)
@@ -134,7 +133,7 @@ def _check_plan(
         plans.append(plan)
     # A pair on the threshold may be kept by one side only: it has `share` of the largest.
     error = float(np.max(np.abs(plans[0] - plans[1]) / np.exp(largest)[:, None]))
-    tolerance = share + 2 * log_sum_exp_tolerance(*pair, epsilon)
+    tolerance = share + 2 * log_sum_exp_tolerance(operations, *pair, epsilon)
     return Finding("plan_rows", error, tolerance, "of a row's largest")
 
 

@@ -63,8 +63,8 @@ def check_choice(name: str, value: Any, choices: Sequence[str]) -> str:
 
 
 def check_blur(value: Any) -> float:
-    """Return a blur: positive, in units of the longer image side."""
-    return check_number("blur", value, 1e-4, 1e3)
+    """Return a blur: positive, in the unit of the points (for images: the longer side)."""
+    return check_number("blur", value, 1e-6, 1e6)
 
 
 def check_reach(value: Any) -> float | None:
@@ -76,7 +76,7 @@ def check_reach(value: Any) -> float | None:
     if value is None or (isinstance(value, float) and value == math.inf):
         return None
     try:
-        return check_number("reach", value, 1e-4, 1e3)
+        return check_number("reach", value, 1e-6, 1e6)
     except InputError as error:
         raise InputError(f"{error}, or None for balanced transport") from None
 

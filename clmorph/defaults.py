@@ -17,6 +17,8 @@ GAMMA = 0.5
 N_FRAMES = 30
 #: Residual at which the solver stops, in units of epsilon.
 TOL = 1e-3
+#: Factor between the blurs of GeomLoss's schedule; the paper's.
+SCALING = 0.9
 #: Iterations after which the solver gives up (one = both updates).
 MAX_ITER = 2000
 #: A pair is kept from this share of its row's or its column's largest on.

@@ -12,20 +12,20 @@ from numpy.typing import ArrayLike, NDArray
 from clmorph import defaults
 from clmorph.backends import Backend, get_backend
 from clmorph.checks import (
-    check_blur,
     check_choice,
     check_color_weight,
     check_integer,
     check_number,
-    check_reach,
     check_sigma,
 )
 from clmorph.interpolation import UNMATCHED, Particles, particles
 from clmorph.measures import EXTENTS, Measure, lift
 from clmorph.operations import Operations
 from clmorph.plan import Plan, transport_plan
+from clmorph.potentials import Potentials
 from clmorph.rendering import SPLATTING, Canvas, KernelWidth, canvas_at, effective_count, render
-from clmorph.sinkhorn import Potentials, sinkhorn
+from clmorph.sinkhorn import check_solver_options, sinkhorn
+from clmorph.strengths import Reach, strengths
 
 #: Called with the name of a stage and the share of it that is done.
 StageProgress = Callable[[str, float], None]
@@ -134,12 +134,14 @@ class Morph:
 def check_options(
     n_frames: int,
     blur: float,
-    reach: float | None,
+    reach: Reach,
     color_weight: float,
     sigma_start: float,
     sigma_end: float,
     gamma: float,
     *,
+    epsilon: float | None = None,
+    rho: float | tuple[float, float] | None = None,
     tol: float = defaults.TOL,
     max_iter: int = defaults.MAX_ITER,
     extent: str = "true",
@@ -154,14 +156,12 @@ def check_options(
         If one cannot be used.
     """
     check_integer("n_frames", n_frames, 2, 100_000)
-    check_blur(blur)
-    check_reach(reach)
+    strengths(blur, reach, epsilon, rho)
     check_color_weight(color_weight)
     check_sigma("sigma_start", sigma_start)
     check_sigma("sigma_end", sigma_end)
     check_number("gamma", gamma, 0.0, 1e4)
-    check_number("tol", tol, 0.0, 1e3, open_low=True)
-    check_integer("max_iter", max_iter, 1, 10**9)
+    check_solver_options(tol, max_iter)
     check_choice("extent", extent, EXTENTS)
     check_choice("splatting", splatting, SPLATTING)
     check_choice("unmatched", unmatched, UNMATCHED)
@@ -172,13 +172,15 @@ def morph(
     image_b: ArrayLike,
     n_frames: int = defaults.N_FRAMES,
     blur: float = defaults.BLUR,
-    reach: float | None = defaults.REACH,
+    reach: Reach = defaults.REACH,
     color_weight: float = defaults.COLOR_WEIGHT,
     sigma_start: float = defaults.SIGMA_START,
     sigma_end: float = defaults.SIGMA_END,
     gamma: float = defaults.GAMMA,
     backend: Backend = "auto",
     *,
+    epsilon: float | None = None,
+    rho: float | tuple[float, float] | None = None,
     tol: float = defaults.TOL,
     max_iter: int = defaults.MAX_ITER,
     extent: str = "true",
@@ -197,7 +199,7 @@ def morph(
         At least 2; both ends are included.
     blur : float
         Entropic length scale, in image sides (epsilon = blur^2).
-    reach : float or None
+    reach : float, None, or a pair (reach_source, reach_target)
         Length scale beyond which mass fades rather than moves, in image sides
         (rho = reach^2); None is balanced.
     color_weight : float
@@ -206,8 +208,8 @@ def morph(
         Kernel width at both ends and its bulge between, in canvas pixels (Eq. 4).
     backend : str or Operations
         See `clmorph.get_backend`.
-    tol, max_iter
-        See `clmorph.sinkhorn`.
+    epsilon, rho, tol, max_iter
+        See `clmorph.sinkhorn`; the first two in place of `blur` and `reach`.
     extent : {"true", "unit"}
         Keep the aspect ratio in the cost and the motion, or stretch both axes to [0, 1].
     splatting : {"adaptive", "fixed", "none"}
@@ -236,9 +238,9 @@ def morph(
     """
     check_options(
         n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
-        tol=tol, max_iter=max_iter, extent=extent, splatting=splatting, unmatched=unmatched,
+        epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
+        splatting=splatting, unmatched=unmatched,
     )  # fmt: skip
-    reach = check_reach(reach)
     report = progress or (lambda stage, share: None)
     operations = get_backend(backend)
 
@@ -246,7 +248,7 @@ def morph(
     target = lift(image_b, color_weight, extent=extent)
     report("transport", 0.0)
     potentials = sinkhorn(
-        source, target, blur, reach, tol, max_iter, operations,
+        source, target, blur, reach, tol, max_iter, operations, epsilon=epsilon, rho=rho,
         progress=lambda share: report("transport", share),
     )  # fmt: skip
     report("plan", 0.0)

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 #: Points of one cloud: kernels count columns in float32, exactly up to here.
 MAX_POINTS = 1 << 24
+#: Dimensions of points: a kernel keeps one register for each.
+MAX_DIMENSION = 8
 
 Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -40,9 +42,13 @@ class Operations(Protocol):
     description: str
     #: Side of a bin in pixels.
     bin_size: int
-    #: Relative error of one rounding in exponents: limits the residual to about
-    #: unit_roundoff * max C / epsilon.
-    unit_roundoff: float
+    #: Relative errors of one rounding: in a sum of exponentials, in an exponent, and in a
+    #: precise exponent. See `rounding_error`.
+    sum_roundoff: float
+    exponent_roundoff: float
+    precise_roundoff: float
+    #: Whether precise exponents are float64 (or better), not pairs of float32.
+    has_float64: bool
 
     def upload(self, points: Float64, weights: Float64) -> Any:
         """Take a weighted cloud.
@@ -55,7 +61,14 @@ class Operations(Protocol):
             Masses, at least 0, of positive sum.
         """
 
-    def softmin(self, rows: Any, columns: Any, potential: Float64, epsilon: float) -> Float64:
+    def softmin(
+        self,
+        rows: Any,
+        columns: Any,
+        potential: Float64,
+        epsilon: float,
+        precise: bool = False,
+    ) -> Float64:
         """Return the soft minimum of cost minus potential, T(g) of the paper's section 3.1.
 
         -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon), C_ij = |X_i - Y_j|^2 / 2.
@@ -65,6 +78,8 @@ class Operations(Protocol):
         rows, columns : clouds of N and M points
         potential : (M,) array, cost units
         epsilon : float, cost units
+        precise : bool
+            Form exponents in more than float32, at about half the speed.
 
         Returns
         -------
@@ -83,6 +98,7 @@ class Operations(Protocol):
         epsilon: float,
         row_thresholds: Float64,
         column_thresholds: Float64,
+        precise: bool = False,
     ) -> PlanRows:
         """Return the pairs of the plan (Eq. 2) above a threshold, without a dense plan.
 
@@ -96,6 +112,8 @@ class Operations(Protocol):
         epsilon : float, cost units
         row_thresholds, column_thresholds : (N,) and (M,) arrays, in nats
             +inf never keeps, -inf always does.
+        precise : bool
+            As in `softmin`.
         """
 
     def upload_particles(
@@ -165,6 +183,25 @@ class Operations(Protocol):
         denominator : (height, width) array
             sum_k w_k K(p - p_k)
         """
+
+
+def rounding_error(operations: Operations, n_columns: int, largest: float, precise: bool) -> float:
+    """Return by how many nats a log-sum-exp of `operations` may be off.
+
+    A few roundings of each term (8 units, the exponential's error included), the random
+    walk of a sum of `n_columns` terms, and one rounding of an exponent of size C / epsilon;
+    several happen, but tiles make the numbers smaller.
+
+    Parameters
+    ----------
+    operations : Operations
+    n_columns : int
+    largest : float
+        The largest C / epsilon.
+    precise : bool
+    """
+    in_exponent = operations.precise_roundoff if precise else operations.exponent_roundoff
+    return operations.sum_roundoff * (8 + 2 * n_columns**0.5) + in_exponent * largest
 
 
 def bin_grid(shape: tuple[int, int], margin: int, size: int) -> tuple[int, int]:

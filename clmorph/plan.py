@@ -11,9 +11,9 @@ from clmorph import defaults
 from clmorph.backends import Backend, get_backend
 from clmorph.checks import check_number
 from clmorph.errors import InputError
-from clmorph.measures import Measure
 from clmorph.operations import PlanRows
-from clmorph.sinkhorn import Potentials, check_pair
+from clmorph.points import MeasureLike, as_pair
+from clmorph.potentials import Potentials
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -80,8 +80,8 @@ class Plan:
 
 
 def transport_plan(
-    source: Measure,
-    target: Measure,
+    source: MeasureLike,
+    target: MeasureLike,
     potentials: Potentials,
     *,
     relative: float = defaults.PLAN_RELATIVE,
@@ -94,7 +94,7 @@ def transport_plan(
 
     Parameters
     ----------
-    source, target : Measure
+    source, target : Measure, WeightedPoints, or (weights, points)
         Those the potentials were computed for.
     potentials : Potentials
     relative : float
@@ -115,7 +115,7 @@ def transport_plan(
     InputError
         If an argument cannot be used, or no pair is kept.
     """
-    check_pair(source, target)
+    source, target = as_pair(source, target)
     relative = check_number("relative", relative, 0.0, 1.0, open_low=True)
     f, g, epsilon = potentials.f, potentials.g, potentials.epsilon
     if (len(f), len(g)) != (len(source), len(target)):
@@ -138,21 +138,19 @@ def transport_plan(
         row_thresholds = np.full(len(source), tau)
         column_thresholds = np.full(len(target), np.inf)
     kept: PlanRows = operations.plan_rows(
-        rows, columns, f, g, epsilon, row_thresholds, column_thresholds
+        rows, columns, f, g, epsilon, row_thresholds, column_thresholds, potentials.precise
     )
     if log_threshold is not None and not len(kept.mass):
         raise InputError(
             f"log_threshold={log_threshold}: no pair of the plan exceeds it; lower it, or use "
             "the default relative threshold"
         )
-    with np.errstate(over="ignore", divide="ignore"):
-        log_marginal = (f - operations.softmin(rows, columns, g, epsilon)) / epsilon + log_a
-        total = float(np.exp(log_marginal).sum())
+    total = potentials.transported_mass
     if not total <= 1e3 * max(source.mass, target.mass):
         raise InputError(
             f"the plan of these potentials has mass {total:.2g}: they are too far from a "
-            f"solution (residual {potentials.residual:.1e} epsilon); solve with a larger blur, a "
-            "smaller color_weight, or backend='numpy'"
+            f"solution (residual {potentials.residual:.1e} epsilon); raise max_iter, or use a "
+            "larger blur or a smaller color_weight"
         )
     return _without_empty_pairs(kept, (len(source), len(target)), total)
 

@@ -93,7 +93,7 @@ def test_the_residual_is_that_of_the_returned_potentials(backend, rng, reach):
     source, target = random_pair(rng, equal=reach is None)
     potentials = sinkhorn(source, target, 0.1, reach, tol=1e-2, backend=backend)
     epsilon = potentials.epsilon
-    cost = reference.pipeline.cost_matrix(source, target)
+    cost = reference.transport.cost_matrix(source, target)
     damping = 1.0 if reach is None else potentials.rho / (potentials.rho + epsilon)
     b, a = target.weights, source.weights[:, None]
     f = -damping * epsilon * logsumexp((potentials.g - cost) / epsilon, axis=1, b=b)
@@ -194,8 +194,8 @@ def dual(problem_data, f, g, epsilon, rho):
 def test_translation_maximizes_the_dual(rng):
     source, target = random_pair(rng, 20, 25)
     epsilon, rho = 0.05, 0.2
-    problem = _Problem(clmorph.get_backend("numpy"), source, target, rho)
-    data = source, target, reference.pipeline.cost_matrix(source, target)
+    problem = Problem(clmorph.get_backend("numpy"), source, target, (rho, rho))
+    data = source, target, reference.transport.cost_matrix(source, target)
     f, g = 0.3 * rng.random(20), 0.1 * rng.random(25)
     f, g = problem.translate(f, g)
     best = dual(data, f, g, epsilon, rho)
@@ -225,7 +225,7 @@ def test_the_residual_after_one_iteration(rng, swap):
     with pytest.warns(ConvergenceWarning):
         potentials = sinkhorn(source, target, 2.5, 1.0, 1e-9, max_iter=1, backend="numpy")
     epsilon, rho = potentials.epsilon, potentials.rho
-    cost = reference.pipeline.cost_matrix(source, target)
+    cost = reference.transport.cost_matrix(source, target)
     damping = rho / (rho + epsilon)
     b, a = target.weights, source.weights[:, None]
     f = -damping * epsilon * logsumexp((potentials.g - cost) / epsilon, axis=1, b=b)

@@ -9,6 +9,8 @@ from clmorph.opencl.quirks import find_quirks
 #: Stands for minus infinity in float32 exponents: far under any of them, yet the sum of
 #: a few is still finite.
 SENTINEL = -1e30
+#: Columns taken together where exponents fill two registers each.
+PRECISE_UNROLL = 4
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,9 @@ class Knobs:
         Columns taken together in the log-sum-exp.
     exp2_builtin : int
         1: the device's own exp2; 0: the polynomial.
+    precise : int
+        Arithmetic of precise exponents, see ``cl_kernels/exponents.cl``. 2: float64;
+        1: pairs of float32.
     bin : int
         Side of a bin of particles, in pixels.
     chunk : int
@@ -42,20 +47,22 @@ class Knobs:
     group: int
     unroll: int
     exp2_builtin: int
+    precise: int
     bin: int
     chunk: int
     tile_group: int
     slices_per_unit: int
 
-    def rows_constants(self, dimension: int) -> dict[str, int | float]:
+    def rows_constants(self, dimension: int, precise: bool = False) -> dict[str, int | float]:
         """Return the macros of ``rows.cl``."""
         return {
             "DIM": dimension,
             "EXP2_BUILTIN": self.exp2_builtin,
             "GROUP": self.group,
+            "PRECISE": self.precise if precise else 0,
             "SENTINEL": SENTINEL,
             "TILE": self.tile,
-            "UNROLL": self.unroll,
+            "UNROLL": min(self.unroll, PRECISE_UNROLL) if precise else self.unroll,
             "WIDTH": self.width,
         }
 
@@ -95,6 +102,8 @@ def apply_quirks(knobs: Knobs, quirks: frozenset[str]) -> Knobs:
         knobs = replace(knobs, group=min(knobs.group, 16), tile_group=min(knobs.tile_group, 4))
     if "inexact_exp2" in quirks:
         knobs = replace(knobs, exp2_builtin=0)
+    if "no_float64" in quirks:
+        knobs = replace(knobs, precise=1)
     if "small_local_memory" in quirks:
         tile = max(16, knobs.width)
         knobs = replace(knobs, tile=tile, group=min(knobs.group, tile // knobs.width))
@@ -110,6 +119,7 @@ def cpu_knobs(vector: int) -> Knobs:
         group=1,
         unroll=16 if width == 16 else 8,
         exp2_builtin=0,
+        precise=2,
         bin=8,
         chunk=256,
         tile_group=1,
@@ -125,6 +135,7 @@ def gpu_knobs(largest_group: int) -> Knobs:
         group=next(group for group in (64, 32, 16, 8, 4, 2, 1) if group <= largest_group),
         unroll=8,
         exp2_builtin=1,
+        precise=2,
         bin=8,
         chunk=256,
         tile_group=next(side for side in (16, 8, 4, 2, 1) if side**2 <= largest_group),

@@ -58,7 +58,9 @@ class OpenCLOperations:
         self.lock = threading.RLock()
         self.knobs = knobs or choose_knobs(device)
         self.bin_size = self.knobs.bin
-        self.unit_roundoff = 2.0**-24
+        self.sum_roundoff = self.exponent_roundoff = 2.0**-24
+        self.precise_roundoff = 2.0**-46  # inputs are pairs of float32
+        self.has_float64 = self.knobs.precise == 2
         self.description = (
             f"{' '.join(device.name.split())} "
             f"({device.platform.name.strip()}, driver {device.driver_version.strip()})"
@@ -90,9 +92,16 @@ class OpenCLOperations:
         return self.reductions.upload(points, weights)
 
     @_operation
-    def softmin(self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float) -> Float64:
+    def softmin(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        precise: bool = False,
+    ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
-        return self.reductions.softmin(rows, columns, potential, epsilon)
+        return self.reductions.softmin(rows, columns, potential, epsilon, precise)
 
     @_operation
     def row_maxima(
@@ -111,10 +120,11 @@ class OpenCLOperations:
         epsilon: float,
         row_thresholds: Float64,
         column_thresholds: Float64,
+        precise: bool = False,
     ) -> PlanRows:
         """Return the pairs of the plan (Eq. 2) above a threshold: count, then fill."""
         return self.reductions.plan_rows(
-            rows, columns, f, g, epsilon, row_thresholds, column_thresholds
+            rows, columns, f, g, epsilon, row_thresholds, column_thresholds, precise
         )
 
     # --- particles -----------------------------------------------------------------

@@ -15,7 +15,7 @@ QUIRKS = {
     "small_groups": "work-groups hold fewer than 64 work-items: groups of 16 at most",
     "inexact_exp2": "the built-in exp2 is off by more than a few units: a polynomial instead",
     "small_local_memory": "under 8 KiB of local memory: tiles of 16 points",
-    "no_float64": "no double precision: float64 work stays on the host",
+    "no_float64": "no double precision: precise exponents are sums of two float32",
 }
 
 #: Devices whose built-in exp2 was found wrong: parts of the name, in lower case.

@@ -37,8 +37,8 @@ class Cloud:
         Sorted; half the squared distance of each point to its tile's center.
     stride : int
         N padded to whole tiles.
-    offsets_buffer : (D, stride) float32
-        Points less their tile's center.
+    offsets_buffer : (2, D, stride) float32
+        Points less their tile's center, and what that rounds off.
     centers_buffer : (tiles, D) float32
     """
 
@@ -60,7 +60,7 @@ class Reductions:
     def __init__(self, work: Workspace, knobs: Knobs) -> None:
         self._work, self._knobs = work, knobs
         self._budget = LaunchBudget()
-        self._kernels: dict[int, dict[str, cl.Kernel]] = {}
+        self._kernels: dict[tuple[int, bool], dict[str, cl.Kernel]] = {}
 
     def upload(self, points: Float64, weights: Float64) -> Cloud:
         """Take a weighted cloud."""
@@ -85,20 +85,28 @@ class Reductions:
             log2_weights=np.maximum(log2_weights, SENTINEL),
             half_squares=0.5 * np.sum(offsets[:n] ** 2, axis=1),
             stride=n_tiles * tile,
-            offsets_buffer=self._work.buffer(np.ascontiguousarray(offsets.T)),
+            offsets_buffer=self._work.buffer(_split(offsets.T)),
             centers_buffer=self._work.buffer(centers),
         )
 
-    def softmin(self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float) -> Float64:
+    def softmin(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        precise: bool = False,
+    ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
-        log2_maxima, sums = self._log_sum_exp(rows, columns, potential, epsilon)
+        log2_maxima, sums = self._log_sum_exp(rows, columns, potential, epsilon, precise)
         return _unsort(rows, -epsilon / LOG2_E * (log2_maxima + np.log2(sums)))
 
     def row_maxima(
         self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
     ) -> Float64:
         """Return max_j [(g_j - C_ij) / epsilon + log b_j], in nats."""
-        return _unsort(rows, self._log_sum_exp(rows, columns, potential, epsilon)[0] / LOG2_E)
+        log2_maxima, _ = self._log_sum_exp(rows, columns, potential, epsilon, False)
+        return _unsort(rows, log2_maxima / LOG2_E)
 
     def plan_rows(
         self,
@@ -109,9 +117,10 @@ class Reductions:
         epsilon: float,
         row_thresholds: Float64,
         column_thresholds: Float64,
+        precise: bool = False,
     ) -> PlanRows:
         """Return the pairs of the plan (Eq. 2) above a threshold: count, then fill."""
-        kernels = self._row_kernels(rows)
+        kernels = self._row_kernels(rows, precise)
         k = LOG2_E / epsilon
         heights, tops = self._column_heights(columns, g, k)
         tops_of_rows = self._row_tops(rows, columns, tops, k)
@@ -135,7 +144,7 @@ class Reductions:
             out = self._work.empty(len(part) * tile * 4)
             self._launch_rows(
                 kernels["count_plan_rows"], rows, columns, heights, tops, tops_of_rows, k, part,
-                *shared, out,
+                *shared, out, precise=precise,
             )  # fmt: skip
             cl.enqueue_copy(self._work.queue, counts[part.start * tile : part.stop * tile], out)
 
@@ -148,7 +157,7 @@ class Reductions:
             self._launch_rows(
                 kernels["fill_plan_rows"], rows, columns, heights, tops, tops_of_rows, k, part,
                 *shared, self._work.buffer(ends - counts[in_part], np.uint32),
-                column_buffer, exponent_buffer,
+                column_buffer, exponent_buffer, precise=precise,
             )  # fmt: skip
             found = np.empty(kept, np.int32)
             exponents = np.empty(kept, np.float32)
@@ -164,10 +173,10 @@ class Reductions:
         )
 
     def _log_sum_exp(
-        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
+        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool
     ) -> tuple[Float64, Float64]:
         """Log2 maximum (all constants of the row added) and sum of every sorted row."""
-        kernel = self._row_kernels(rows)["log_sum_exp"]
+        kernel = self._row_kernels(rows, precise)["log_sum_exp"]
         k = LOG2_E / epsilon
         heights, tops = self._column_heights(columns, potential, k)
         tops_of_rows = self._row_tops(rows, columns, tops, k)
@@ -181,7 +190,7 @@ class Reductions:
             buffers = self._work.empty(out.nbytes // 2), self._work.empty(out.nbytes // 2)
             self._launch_rows(
                 kernel, rows, columns, heights, tops, tops_of_rows, k, part,
-                np.uint32(n_rows), np.uint32(per_share), *buffers, shares=shares,
+                np.uint32(n_rows), np.uint32(per_share), *buffers, shares=shares, precise=precise,
             )  # fmt: skip
             for values, buffer in zip(out, buffers, strict=True):
                 cl.enqueue_copy(self._work.queue, values, buffer)
@@ -203,7 +212,7 @@ class Reductions:
         values[values < 0.5 * SENTINEL] = SENTINEL
         tops = values.max(axis=1)
         heights = np.where(values == SENTINEL, SENTINEL, values - tops[:, None])
-        return self._work.buffer(heights), tops
+        return self._work.buffer(_split(heights)), tops
 
     def _row_tops(self, rows: Cloud, columns: Cloud, tops: Float64, k: float) -> Float64:
         """Largest level of each row tile: what its rows are measured from."""
@@ -253,31 +262,34 @@ class Reductions:
         part: range,
         *arguments: Any,
         shares: int = 1,
+        precise: bool = False,
     ) -> None:
         """Run a kernel of ``rows.cl`` over some row tiles and wait for it."""
         section = slice(part.start, part.stop)
         levels = _levels(rows.centers[section], columns.centers, tops, k)
         levels -= tops_of_rows[section, None]
+        levels = np.maximum(levels, SENTINEL)
+        if precise:
+            levels = np.swapaxes(_split(levels), 0, 1)
         n_rows = len(part) * self._knobs.tile
         with self._budget.measure(n_rows * columns.stride):
             self._work.launch(
                 kernel, (n_rows // self._knobs.width, shares), (self._knobs.group, 1),
                 np.uint32(part.start * self._knobs.tile), np.uint32(rows.stride),
-                np.uint32(columns.stride), np.uint32(len(columns.centers)), np.float32(k),
+                np.uint32(columns.stride), np.uint32(len(columns.centers)), *_split(np.asarray(k)),
                 rows.offsets_buffer, rows.centers_buffer, columns.offsets_buffer,
-                columns.centers_buffer, heights, self._work.buffer(np.maximum(levels, SENTINEL)),
+                columns.centers_buffer, heights, self._work.buffer(levels),
                 *arguments,
             )  # fmt: skip
 
-    def _row_kernels(self, rows: Cloud) -> dict[str, cl.Kernel]:
-        dimension = rows.centers.shape[1]
-        if dimension not in self._kernels:
-            built = program.build(
-                self._work.context, "rows.cl", self._knobs.rows_constants(dimension)
-            )
+    def _row_kernels(self, rows: Cloud, precise: bool) -> dict[str, cl.Kernel]:
+        key = rows.centers.shape[1], precise
+        if key not in self._kernels:
+            constants = self._knobs.rows_constants(*key)
+            built = program.build(self._work.context, "rows.cl", constants)
             names = ("log_sum_exp", "count_plan_rows", "fill_plan_rows")
-            self._kernels[dimension] = {name: cl.Kernel(built, name) for name in names}
-        return self._kernels[dimension]
+            self._kernels[key] = {name: cl.Kernel(built, name) for name in names}
+        return self._kernels[key]
 
 
 def _levels(row_centers: Float64, column_centers: Float64, tops: Float64, k: float) -> Float64:
@@ -287,6 +299,12 @@ def _levels(row_centers: Float64, column_centers: Float64, tops: Float64, k: flo
     for d in range(row_centers.shape[1]):
         result -= 0.5 * k * (row_centers[:, d, None] - column_centers[:, d]) ** 2
     return result
+
+
+def _split(values: Float64) -> NDArray[np.float32]:
+    """Return (2, ...) float32: the nearest, and what it rounds off."""
+    high = values.astype(np.float32)
+    return np.stack((high, (values - high).astype(np.float32)))
 
 
 def _pad(values: Float64, length: int, filler: float) -> Float64:

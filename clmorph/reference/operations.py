@@ -40,14 +40,22 @@ class NumPyOperations:
 
     description = "NumPy float64"
     bin_size = 8
-    unit_roundoff = 2.0**-53
+    sum_roundoff = exponent_roundoff = precise_roundoff = 2.0**-53
+    has_float64 = True
 
     def upload(self, points: Float64, weights: Float64) -> Cloud:
         """Take a weighted cloud."""
         with np.errstate(divide="ignore"):
             return Cloud(np.asarray(points, float), np.log(np.asarray(weights, float)))
 
-    def softmin(self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float) -> Float64:
+    def softmin(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        precise: bool = False,
+    ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
         result = np.empty(len(rows.points))
         for block, exponents in _exponent_blocks(rows, columns, potential, epsilon):
@@ -74,6 +82,7 @@ class NumPyOperations:
         epsilon: float,
         row_thresholds: Float64,
         column_thresholds: Float64,
+        precise: bool = False,
     ) -> PlanRows:
         """Return the pairs of the plan (Eq. 2) above a threshold."""
         counts = np.zeros(len(rows.points) + 1, np.int64)

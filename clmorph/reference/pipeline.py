@@ -11,82 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph import defaults
-from clmorph.checks import check_blur, check_number, check_reach
-from clmorph.errors import InputError
 from clmorph.images import as_rgb
 from clmorph.measures import Measure
 from clmorph.morph import check_options
-from clmorph.sinkhorn import Potentials
+from clmorph.potentials import Potentials
+from clmorph.reference.transport import sinkhorn, transport_plan
+from clmorph.strengths import Reach
 
 Array = NDArray[np.float64]
-
-#: Pairs of points that a dense plan may have: 1.3 GB of coordinate differences alone.
-MAX_PAIRS = 1 << 25
-
-
-# --- 2.1 and 3.1: unbalanced transport in the log domain --------------------------------
-
-
-def cost_matrix(source: Measure, target: Measure) -> Array:
-    """Return C_ij = |X_i - Y_j|^2 / 2 (Eq. 1 with the factor 1/2): (N, M) array."""
-    x, y = source.points, target.points
-    if len(x) * len(y) > MAX_PAIRS:
-        raise InputError(
-            f"{len(x)} x {len(y)} pairs are too many for a dense plan: expected at most "
-            f"{MAX_PAIRS}; reduce the images, or use clmorph.morph"
-        )
-    return 0.5 * np.sum((x[:, None, :] - y[None, :, :]) ** 2, axis=2)
-
-
-def _log_sum_exp(values: Array, axis: int) -> Array:
-    largest = values.max(axis=axis, keepdims=True)
-    total = np.log(np.sum(np.exp(values - largest), axis=axis))
-    return total + np.squeeze(largest, axis=axis)
-
-
-def _log(weights: Array) -> Array:
-    with np.errstate(divide="ignore"):
-        return np.log(weights)
-
-
-def sinkhorn(
-    source: Measure,
-    target: Measure,
-    blur: float = defaults.BLUR,
-    reach: float | None = defaults.REACH,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
-) -> Potentials:
-    """Alternate f = Delta T(g), g = Delta T(f) from zero until the residual is `tol`.
-
-    Parameters and result as `clmorph.sinkhorn`.
-    """
-    blur, reach = check_blur(blur), check_reach(reach)
-    tol = check_number("tol", tol, 0.0, 1e3, open_low=True)
-    epsilon = blur**2
-    damping = 1.0 if reach is None else reach**2 / (reach**2 + epsilon)
-    cost = cost_matrix(source, target)
-    log_a, log_b = _log(source.weights), _log(target.weights)
-    g = np.zeros(len(target))
-    f_next = -damping * epsilon * _log_sum_exp((g - cost) / epsilon + log_b, 1)
-    n_iter, residual = 0, np.inf
-    while n_iter < max_iter and residual > tol:
-        f = f_next
-        g = -damping * epsilon * _log_sum_exp((f[:, None] - cost) / epsilon + log_a[:, None], 0)
-        f_next = -damping * epsilon * _log_sum_exp((g - cost) / epsilon + log_b, 1)
-        # g is exact for this f; what is left is f's own error.
-        residual = float(np.max(np.abs(f_next - f)[source.weights > 0])) / epsilon
-        n_iter += 1
-    return Potentials(f, g, blur, reach, residual <= tol, n_iter, residual, "plain iteration")
-
-
-def transport_plan(source: Measure, target: Measure, potentials: Potentials) -> Array:
-    """Return the whole plan, Eq. 2: (N, M) array."""
-    exponent = potentials.f[:, None] + potentials.g - cost_matrix(source, target)
-    log_plan = exponent / potentials.epsilon
-    log_plan += _log(source.weights)[:, None] + _log(target.weights)
-    return np.exp(log_plan)
-
 
 # --- 3.3: canvas, kernel width, Nadaraya-Watson -----------------------------------------
 
@@ -255,12 +187,14 @@ def morph(
     image_b: ArrayLike,
     n_frames: int = defaults.N_FRAMES,
     blur: float = defaults.BLUR,
-    reach: float | None = defaults.REACH,
+    reach: Reach = defaults.REACH,
     color_weight: float = defaults.COLOR_WEIGHT,
     sigma_start: float = defaults.SIGMA_START,
     sigma_end: float = defaults.SIGMA_END,
     gamma: float = defaults.GAMMA,
     *,
+    epsilon: float | None = None,
+    rho: float | tuple[float, float] | None = None,
     tol: float = defaults.TOL,
     max_iter: int = defaults.MAX_ITER,
     extent: str = "true",
@@ -269,10 +203,11 @@ def morph(
     """Morph one image into another; parameters as `clmorph.morph`."""
     check_options(
         n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
-        tol=tol, max_iter=max_iter, extent=extent, unmatched=unmatched,
+        epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
+        unmatched=unmatched,
     )  # fmt: skip
     source, target = (_lift(image, color_weight, extent) for image in (image_a, image_b))
-    potentials = sinkhorn(source, target, blur, reach, tol, max_iter)
+    potentials = sinkhorn(source, target, blur, reach, tol, max_iter, epsilon=epsilon, rho=rho)
     plan = transport_plan(source, target, potentials)
     times = np.linspace(0, 1, n_frames)
     return ReferenceMorph(

@@ -1,0 +1,162 @@
+// Arithmetic of the exponents e_ij of rows.cl, in one of three widths. What follows them,
+// exponentials of numbers near 0 and their sums, is float32 in all.
+//
+// -D PRECISE  0 (default): float32; an error of about 2e-8 C / epsilon nats.
+//             1: unevaluated sums of two float32 (about 48 bits), for devices without
+//             float64; 4 times the work. Dekker 1971; Ogita, Rump, Oishi 2005 (Dot2).
+//             2: float64; on CPUs 1.3 times the work.
+// Inputs are float32 in all: PLANES of them, the second with what the first rounds off.
+// -D DIM, TILE  see rows.cl
+
+#ifndef PRECISE
+#define PRECISE 0
+#endif
+#if PRECISE
+#define PLANES 2
+#else
+#define PLANES 1
+#endif
+#if PRECISE == 1
+#pragma OPENCL FP_CONTRACT OFF // an error term must belong to the rounding that made it
+#define STAGED_PLANES 2
+#else
+#define STAGED_PLANES 1
+#endif
+
+#if PRECISE == 2
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+typedef double staged_real;
+#if WIDTH == 1
+typedef double ereal;
+#define TO_EREAL(v) ((double)(v))
+#define TO_VREAL(v) ((float)(v))
+#else
+typedef CONCAT(double, WIDTH) ereal;
+#define TO_EREAL(v) CONCAT(convert_double, WIDTH)(v)
+#define TO_VREAL(v) CONCAT(convert_float, WIDTH)(v)
+#endif
+#elif PRECISE == 1
+typedef float staged_real;
+typedef struct { vreal high, low; } ereal;
+#else
+typedef float staged_real;
+typedef vreal ereal;
+#define TO_EREAL(v) (v)
+#define TO_VREAL(v) (v)
+#endif
+
+#define STAGED_SIZE (STAGED_PLANES * (DIM + 1) * TILE)
+
+// --- WIDTH exponents at a time: load, sum, difference, product
+
+static inline ereal e_load(const __global float* p, const size_t plane)
+{
+#if PRECISE == 0
+    return VLOAD(0, p);
+#elif PRECISE == 1
+    ereal e;
+    e.high = VLOAD(0, p);
+    e.low = VLOAD(0, p + plane);
+    return e;
+#else
+    return TO_EREAL(VLOAD(0, p)) + TO_EREAL(VLOAD(0, p + plane));
+#endif
+}
+
+#if PRECISE == 1
+static inline ereal e_sum(const ereal a, const ereal b)
+{
+    ereal s;
+    s.high = a.high + b.high;
+    const vreal t = s.high - a.high;
+    s.low = ((a.high - (s.high - t)) + (b.high - t)) + (a.low + b.low);
+    return s;
+}
+
+static inline ereal e_product(const ereal a, const ereal b)
+{
+    ereal p;
+    p.high = a.high * b.high;
+    p.low = fma(a.high, b.high, -p.high) + (a.high * b.low + a.low * b.high);
+    return p;
+}
+
+static inline ereal e_negative(const ereal a)
+{
+    ereal n;
+    n.high = -a.high;
+    n.low = -a.low;
+    return n;
+}
+
+static inline ereal e_constant(const float high, const float low)
+{
+    ereal e;
+    e.high = (vreal)(high);
+    e.low = (vreal)(low);
+    return e;
+}
+#else
+static inline ereal e_sum(const ereal a, const ereal b) { return a + b; }
+static inline ereal e_product(const ereal a, const ereal b) { return a * b; }
+static inline ereal e_negative(const ereal a) { return -a; }
+static inline ereal e_constant(const float high, const float low)
+{
+#if PRECISE == 2
+    return (ereal)((double)high + (double)low);
+#else
+    return (ereal)(high);
+#endif
+}
+#endif
+
+// Nearest float32 of e; and e - m for a float32 m near it, to float32's own precision.
+static inline vreal e_nearest(const ereal e)
+{
+#if PRECISE == 1
+    return e.high + e.low;
+#else
+    return TO_VREAL(e);
+#endif
+}
+
+static inline vreal e_above(const ereal e, const vreal m)
+{
+#if PRECISE == 1
+    return (e.high - m) + e.low;
+#else
+    return TO_VREAL(e - TO_EREAL(m));
+#endif
+}
+
+// --- columns in local memory, read by all rows of a group
+
+static inline void e_stage(const ereal e, __local staged_real* p)
+{
+#if PRECISE == 0
+    VSTORE(e, 0, p);
+#elif PRECISE == 1
+    VSTORE(e.high, 0, p);
+    VSTORE(e.low, 0, p + (DIM + 1) * TILE);
+#else
+    VSTORE(e, 0, p);
+#endif
+}
+
+// e_ij of WIDTH rows and staged column j: staged[DIM][j] + sum_d u[d] staged[d][j].
+static inline ereal exponent(const ereal* u, const __local staged_real* staged, const uint j)
+{
+#if PRECISE == 1
+    const __local float* low = staged + (DIM + 1) * TILE;
+    ereal e = e_constant(staged[DIM * TILE + j], low[DIM * TILE + j]);
+#pragma unroll
+    for (int d = 0; d < DIM; ++d)
+        e = e_sum(e, e_product(u[d], e_constant(staged[d * TILE + j], low[d * TILE + j])));
+#else
+    ereal e = u[0] * staged[j] + staged[DIM * TILE + j];
+#pragma unroll
+    for (int d = 1; d < DIM; ++d)
+        e += u[d] * staged[d * TILE + j];
+#endif
+    return e;
+}

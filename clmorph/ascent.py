@@ -1,0 +1,246 @@
+"""The accelerated iteration behind `clmorph.sinkhorn`.
+
+The dual is climbed from level to level of a falling blur (annealing); inside a level the
+half-steps of Sinkhorn are extrapolated (`clmorph.anderson`), and an extrapolation after which
+the dual is not at least what the plain half-step had reached is taken back. So the dual never
+falls inside a level, and what is converged to is the plain iteration's.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.anderson import Anderson
+from clmorph.problem import Problem
+
+Array = NDArray[np.float64]
+
+#: Factor between the blurs of the annealing.
+ANNEALING = 0.5
+#: The annealing begins below this share of the diameter.
+TOP = 0.5
+#: No annealing where damping alone contracts the iteration by at least this factor.
+EASY = 0.5
+#: Residual at which a level above the last one is left, in units of its epsilon.
+LEVEL_TOLERANCE = 0.3
+#: The annealing may take this share of the iterations; with a small limit it is cut short.
+ANNEALING_SHARE = 0.5
+#: Iterations without a new best residual after which rounding is held to be the reason.
+STALLED = 10
+#: A residual of so many times the rounding of one softmin can be due to it.
+ROUNDING_MARGIN = 8.0
+
+
+class State(NamedTuple):
+    """Potentials with their softmins, T(g) and T(f)."""
+
+    f: Array
+    g: Array
+    t_rows: Array
+    t_columns: Array
+    residual: float
+
+
+class _Reached(NamedTuple):
+    """Where a level was left: its last half-step taken, not yet measured."""
+
+    f: Array
+    g: Array
+    t_columns: Array
+    residual: float  # before that half-step
+    precise: bool
+
+
+class Ascent:
+    """One solve.
+
+    Parameters
+    ----------
+    problem : Problem
+    blur : float
+        Of the last level.
+    tol : float
+        Residual to reach there, in units of epsilon.
+    max_iter : int
+        Iterations, one is two softmins; the annealing's included.
+    precision : {"auto", "float32", "float64"}
+    report : callable
+        Called with the share done.
+
+    Attributes
+    ----------
+    state : State
+        What was reached.
+    status : {"converged", "max_iter", "precision"}
+    residuals : list of float
+    rounding : float
+        Residual that rounding alone can leave, in units of epsilon.
+    precise : bool
+        Whether float32 exponents were too coarse for `tol`.
+    """
+
+    state: State
+    status: str
+    rounding: float
+    precise: bool
+
+    def __init__(
+        self,
+        problem: Problem,
+        blur: float,
+        tol: float,
+        max_iter: int,
+        precision: str,
+        report: Callable[[float], None],
+    ) -> None:
+        self.problem = problem
+        self.tol, self.precision = tol, precision
+        self.residuals: list[float] = []
+        self._blur, self._max_iter, self._report = blur, max_iter, report
+        self._done, self._level_share = 0.0, 1.0
+        self._measured = 0  # softmins that were no updates
+
+    @property
+    def n_iter(self) -> int:
+        """Iterations so far; what only measures or certifies is not one."""
+        return -(-(self.problem.n_softmin - self._measured) // 2)
+
+    def run(self, start: Array | None) -> None:
+        """Climb from potentials g, or from the top of the annealing."""
+        g = np.zeros(len(self.problem.b)) if start is None else start
+        levels = [] if start is not None else self._levels()
+        self._level_share = 1.0 / (len(levels) + 3)
+        before: tuple[float, Array] | None = None
+        for number, level in enumerate(levels):
+            epsilon = level**2
+            limit = int(ANNEALING_SHARE * self._max_iter)
+            precise = self._needs_more(epsilon, LEVEL_TOLERANCE)
+            reached = self._climb(g, epsilon, LEVEL_TOLERANCE, limit, precise).g
+            g = reached
+            if before is not None:
+                # Potentials are close to linear in epsilon: go on along the line.
+                following = (levels[number + 1] if number + 1 < len(levels) else self._blur) ** 2
+                g = g + (reached - before[1]) * (epsilon - following) / (before[0] - epsilon)
+            before = epsilon, reached
+            self._done += self._level_share
+        self._level_share = 1.0 - self._done
+        self._last_level(g)
+        self._report(1.0)
+
+    def _levels(self) -> list[float]:
+        """Blurs from about the diameter down to the last but one."""
+        slowest = np.prod(self.problem.damping(self._blur**2))
+        if slowest <= EASY:
+            return []
+        top = TOP * np.sqrt(2 * self.problem.largest_cost)
+        level = self._blur / ANNEALING
+        levels: list[float] = []
+        while level < top and len(levels) < self._max_iter // 4:
+            levels.append(level)
+            level /= ANNEALING
+        return levels[::-1]
+
+    def _needs_more(self, epsilon: float, tol: float) -> bool:
+        """Whether float32 exponents are too coarse for a tolerance, and better ones allowed."""
+        if self.precision != "auto":
+            return self.precision == "float64"
+        operations = self.problem.operations
+        if operations.exponent_roundoff == operations.precise_roundoff:
+            return True
+        return self.problem.rounding(epsilon, precise=False) > 0.25 * tol
+
+    def _last_level(self, g: Array) -> None:
+        """Climb in float32 as far as it goes, then precisely."""
+        epsilon, limit = self._blur**2, self._max_iter
+        self.precise = self._needs_more(epsilon, self.tol)
+        operations = self.problem.operations
+        if self.precision != "auto" or operations.exponent_roundoff == operations.precise_roundoff:
+            self._measure(self._climb(g, epsilon, self.tol, limit, self.precise), epsilon)
+            return
+        coarse_tol = self.tol
+        if self.precise:
+            coarse_tol = max(self.tol, ROUNDING_MARGIN * self._measured_rounding(g, epsilon))
+        reached = self._climb(g, epsilon, coarse_tol, limit, precise=False)
+        if reached.residual > coarse_tol and self.status == "max_iter":
+            self._measure(reached, epsilon)
+            return
+        if not self.precise:
+            # Float32 was enough, if precise softmins agree.
+            self._measure(reached._replace(precise=True), epsilon)
+            if self.state.residual <= self.tol:
+                return
+        self._measure(self._climb(reached.g, epsilon, self.tol, limit, precise=True), epsilon)
+
+    def _measure(self, reached: _Reached, epsilon: float) -> None:
+        """Take the softmins of the potentials that are returned, and their residual."""
+        f, g, t_columns, _, precise = reached
+        t_rows = self.problem.softmin_rows(g, epsilon, precise)
+        self._measured += 1
+        if precise and not self.precise:
+            t_columns = self.problem.softmin_columns(f, epsilon, precise)
+            self._measured += 1
+        residual = self.problem.residual(f, g, t_rows, t_columns, epsilon)
+        self.residuals.append(residual)
+        if self.status != "precision":
+            self.status = "converged" if residual <= self.tol else "max_iter"
+        self.state = State(f, g, t_rows, t_columns, residual)
+
+    def _measured_rounding(self, g: Array, epsilon: float) -> float:
+        """Difference that precise exponents make to T(g), in units of epsilon."""
+        coarse = self.problem.softmin_rows(g, epsilon, precise=False)
+        fine = self.problem.softmin_rows(g, epsilon, precise=True)
+        self._measured += 2
+        return float(np.abs(coarse - fine)[self.problem.a > 0].max() / epsilon)
+
+    def _climb(self, g: Array, epsilon: float, tol: float, limit: int, precise: bool) -> _Reached:
+        """Iterate at one epsilon until the residual is `tol`, or `limit` iterations are over."""
+        problem = self.problem
+        self.rounding = rounding = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
+        memory = Anderson()
+        fallback: Array | None = None  # what the plain iteration would have gone on with
+        floor = -np.inf  # the dual that it had reached
+        first, best, since_best = 0.0, np.inf, 0
+        while True:
+            f, g_shifted, t_rows = problem.update_f(
+                g, problem.softmin_rows(g, epsilon, precise), epsilon
+            )
+            if fallback is not None:
+                mass = float(problem.row_mass(f, t_rows, epsilon).sum())
+                dual = problem.dual(f, g_shifted, mass, epsilon)
+                slack = 1e-12 * abs(floor) + 1e-2 * rounding * epsilon * mass
+                if not dual >= floor - slack:
+                    g, fallback = fallback, None
+                    memory.forget()
+                    continue
+            t_columns = problem.softmin_columns(f, epsilon, precise)
+            residual = problem.residual(f, g_shifted, t_rows, t_columns, epsilon)
+            image, f, t_columns = problem.update_g(f, t_columns, epsilon)
+            self.residuals.append(residual)
+            first = first or residual
+            self._report(self._done + self._level_share * _share(first, residual, tol))
+            since_best = 0 if residual < 0.9 * best else since_best + 1
+            best = min(best, residual)
+            stalled = since_best >= STALLED and residual <= rounding
+            if residual <= tol or stalled or self.n_iter >= limit:
+                self.status = "max_iter"
+                if residual <= tol:
+                    self.status = "converged"
+                elif stalled:
+                    self.status = "precision"
+                return _Reached(f, image, t_columns, residual, precise)
+            column_mass = problem.column_mass(image, t_columns, epsilon)
+            floor = problem.dual(f, image, float(column_mass.sum()), epsilon)
+            # An extrapolation may cost a softmin more, which must be left.
+            guess = None
+            if self.n_iter + 1 < limit:
+                guess = memory.extrapolate(g, image, column_mass)
+            g, fallback = (image, None) if guess is None else (guess, image)
+
+
+def _share(first: float, residual: float, tol: float) -> float:
+    """Share done, as residuals fall geometrically."""
+    if residual <= tol or first <= tol:
+        return 1.0
+    return float(np.clip(np.log(first / residual) / np.log(first / tol), 0.0, 1.0))

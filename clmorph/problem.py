@@ -1,0 +1,206 @@
+"""One transport problem: its half-steps, its dual and primal values, its certificate.
+
+Source of the formulas: the paper, 2.1 and 3.1; Chizat, Peyré, Schmitzer, Vialard, "Scaling
+algorithms for unbalanced optimal transport problems" (2018).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.operations import Operations, rounding_error
+from clmorph.points import AnyMeasure
+
+Array = NDArray[np.float64]
+
+#: Exponents are cut here, so that potentials far from a solution give large numbers, not inf.
+MAX_EXPONENT = 300.0
+
+
+class Certificate(NamedTuple):
+    """What the two marginals of the plan of (f, g) prove.
+
+    Attributes
+    ----------
+    primal, dual : float
+        Values of the plan and of the potentials, cost units times mass. With finite reach on
+        both sides dual <= optimum <= primal.
+    gap : float or None
+        primal - dual, summed from terms that cannot be negative; None if both sides are
+        balanced, as the plan is feasible in the limit only.
+    marginal_error : float
+        |pi 1 - a|_1 + |pi^T 1 - b|_1 over the balanced sides; 0 without any.
+    row_mass, column_mass : (N,) and (M,) arrays
+        Marginals of the plan.
+    transported_mass : float
+        Mass of the plan.
+    """
+
+    primal: float
+    dual: float
+    gap: float | None
+    marginal_error: float
+    row_mass: Array
+    column_mass: Array
+    transported_mass: float
+
+
+class Problem:
+    """Unbalanced entropic transport between two measures, at any epsilon.
+
+    Parameters
+    ----------
+    operations : Operations
+    source, target : Measure or WeightedPoints
+    rho : (rho_source, rho_target)
+        Cost units; infinite is balanced.
+    """
+
+    def __init__(
+        self,
+        operations: Operations,
+        source: AnyMeasure,
+        target: AnyMeasure,
+        rho: tuple[float, float],
+    ) -> None:
+        self.operations = operations
+        self._rows = operations.upload(source.points, source.weights)
+        self._columns = operations.upload(target.points, target.weights)
+        self.a, self.b = source.weights, target.weights
+        with np.errstate(divide="ignore"):
+            self.log_a, self.log_b = np.log(self.a), np.log(self.b)
+        self.rho = rho
+        #: 1 / rho, 0 if balanced: with it one infinite rho is harmless.
+        self.inverse_rho = tuple(0.0 if np.isinf(value) else 1.0 / value for value in rho)
+        self.masses = float(self.a.sum()), float(self.b.sum())
+        self.largest_cost = largest_cost(source.points, target.points)
+        self.n_softmin = 0
+
+    def damping(self, epsilon: float) -> tuple[float, float]:
+        """Delta = rho / (rho + epsilon), the proximal step of the KL penalty; of both sides."""
+        source, target = (1.0 / (1.0 + epsilon * inverse) for inverse in self.inverse_rho)
+        return source, target
+
+    def softmin_rows(self, g: Array, epsilon: float, precise: bool) -> Array:
+        """T(g): (N,) array."""
+        self.n_softmin += 1
+        return self.operations.softmin(self._rows, self._columns, g, epsilon, precise)
+
+    def softmin_columns(self, f: Array, epsilon: float, precise: bool) -> Array:
+        """T(f): (M,) array."""
+        self.n_softmin += 1
+        return self.operations.softmin(self._columns, self._rows, f, epsilon, precise)
+
+    def rounding(self, epsilon: float, precise: bool) -> float:
+        """By how many nats a softmin may be off."""
+        columns = max(len(self.a), len(self.b))
+        return rounding_error(self.operations, columns, self.largest_cost / epsilon, precise)
+
+    def update_f(self, g: Array, t_rows: Array, epsilon: float) -> tuple[Array, Array, Array]:
+        """Maximize the dual over all (f, g + s), given T(g): return f, g + s and its softmin.
+
+        f = Delta T(g + s) for every s, and the best s has a closed form; a shift of its own,
+        after f, would spoil f again. Source of the idea: Séjourné, Vialard, Peyré, "Faster
+        unbalanced optimal transport: translation invariant Sinkhorn and 1-D Frank-Wolfe"
+        (2022).
+        """
+        s = self._shift(self.log_a, t_rows, 0, self.log_b, g, epsilon)
+        return self.damping(epsilon)[0] * (t_rows - s), g + s, t_rows - s
+
+    def update_g(self, f: Array, t_columns: Array, epsilon: float) -> tuple[Array, Array, Array]:
+        """Maximize the dual over all (f + s, g), given T(f): return g, f + s and its softmin."""
+        s = self._shift(self.log_b, t_columns, 1, self.log_a, f, epsilon)
+        return self.damping(epsilon)[1] * (t_columns - s), f + s, t_columns - s
+
+    def _shift(
+        self, log_new: Array, softmin: Array, side: int, log_old: Array, old: Array, epsilon: float
+    ) -> float:
+        """Best s for `old` + s, if the other potential follows by its half-step."""
+        # 1 / (rho + epsilon) and 1 / rho: 0 if balanced
+        new_rate = self.inverse_rho[side] * self.damping(epsilon)[side]
+        old_rate = self.inverse_rho[1 - side]
+        if new_rate + old_rate == 0.0:
+            return 0.0
+        excess = _log_sum_exp(log_old - old * old_rate)
+        excess -= _log_sum_exp(log_new - softmin * new_rate)
+        return excess / (new_rate + old_rate)
+
+    def residual(
+        self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float
+    ) -> float:
+        """max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon, over points of positive mass."""
+        source, target = self.damping(epsilon)
+        change_f = np.abs(f - source * t_rows)[self.a > 0]
+        change_g = np.abs(g - target * t_columns)[self.b > 0]
+        return float(max(change_f.max(), change_g.max()) / epsilon)
+
+    def row_mass(self, f: Array, t_rows: Array, epsilon: float) -> Array:
+        """First marginal of the plan of (f, g), given T(g)."""
+        return _mass(self.a, self.log_a, f, t_rows, epsilon)
+
+    def column_mass(self, g: Array, t_columns: Array, epsilon: float) -> Array:
+        """Second marginal of the plan of (f, g), given T(f)."""
+        return _mass(self.b, self.log_b, g, t_columns, epsilon)
+
+    def dual(self, f: Array, g: Array, plan_mass: float, epsilon: float) -> float:
+        """D(f, g), given the mass of its plan."""
+        value = -epsilon * (plan_mass - self.masses[0] * self.masses[1])
+        for potential, weights, inverse in (
+            (f, self.a, self.inverse_rho[0]),
+            (g, self.b, self.inverse_rho[1]),
+        ):
+            if inverse:
+                # rho (1 - exp(-f / rho)), without the cancellation at large rho
+                scaled = np.minimum(-potential * inverse, MAX_EXPONENT)
+                value -= float(weights @ np.expm1(scaled)) / inverse
+            else:
+                value += float(weights @ potential)
+        return value
+
+    def certificate(
+        self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float
+    ) -> Certificate:
+        """Return what T(g) and T(f) prove about (f, g)."""
+        rows = self.row_mass(f, t_rows, epsilon)
+        columns = self.column_mass(g, t_columns, epsilon)
+        plan_mass = float(rows.sum())
+        dual = self.dual(f, g, plan_mass, epsilon)
+        primal, gap, marginal_error = dual, 0.0, 0.0
+        for potential, softmin, weights, marginal, inverse in (
+            (f, t_rows, self.a, rows, self.inverse_rho[0]),
+            (g, t_columns, self.b, columns, self.inverse_rho[1]),
+        ):
+            if inverse:
+                # rho KL(pi 1 | a exp(-f / rho)), term by term
+                excess = (potential - softmin) / epsilon + potential * inverse
+                limit = np.exp(np.minimum(-potential * inverse, MAX_EXPONENT)) * weights
+                excess = np.clip(excess, -MAX_EXPONENT, MAX_EXPONENT)
+                terms = excess * np.exp(excess) - np.expm1(excess)
+                gap += float(limit @ np.maximum(terms, 0.0)) / inverse
+            else:
+                primal += float((marginal - weights) @ potential)
+                marginal_error += float(np.abs(marginal - weights).sum())
+        balanced = not any(self.inverse_rho)
+        return Certificate(
+            primal + gap, dual, None if balanced else gap, marginal_error, rows, columns, plan_mass
+        )
+
+
+def largest_cost(x: Array, y: Array) -> float:
+    """Return a bound of the cost: half the squared diameter of the joint bounding box."""
+    low = np.minimum(x.min(axis=0), y.min(axis=0))
+    high = np.maximum(x.max(axis=0), y.max(axis=0))
+    return float(0.5 * np.sum((high - low) ** 2))
+
+
+def _mass(weights: Array, log_weights: Array, f: Array, softmin: Array, epsilon: float) -> Array:
+    """a_i exp((f_i - T(g)_i) / epsilon), by its logarithm: a alone may underflow."""
+    with np.errstate(invalid="ignore"):
+        exponent = np.minimum((f - softmin) / epsilon + log_weights, MAX_EXPONENT)
+    return np.where(weights > 0, np.exp(exponent), 0.0)
+
+
+def _log_sum_exp(values: Array) -> float:
+    largest = values.max()
+    return float(largest + np.log(np.sum(np.exp(values - largest))))
