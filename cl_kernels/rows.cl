@@ -117,6 +117,7 @@ void log_sum_exp(
                       row_centers, column_offsets, column_centers, column_potentials,
                       levels + level_row, staged);
         GROUP_BARRIER();
+        vreal s_tile = (vreal)(0.0f); // on its own: sums of sums round less than one long sum
         for (uint j = 0; j < TILE; j += UNROLL) {
             ereal e[UNROLL];
             vreal m_new = m;
@@ -125,27 +126,36 @@ void log_sum_exp(
                 e[c] = exponent(u, staged, j + c);
                 m_new = max(m_new, e_nearest(e[c]));
             }
-            s *= exp2_nonpositive(m - m_new);
+            const vreal rescale = exp2_nonpositive(m - m_new);
+            s *= rescale;
+            s_tile *= rescale;
 #pragma unroll
             for (int c = 0; c < UNROLL; ++c)
-                s += exp2_nonpositive(e_above(e[c], m_new));
+                s_tile += exp2_nonpositive(e_above(e[c], m_new));
             m = m_new;
         }
+        s += s_tile;
         GROUP_BARRIER();
     }
     VSTORE(m, (size_t)share * n_rows + local_row, maxima);
     VSTORE(s, (size_t)share * n_rows + local_row, sums);
 }
 
-// A pair is kept when log2 pi_ij = e_ij + base_i exceeds the smaller of its row's and
-// its column's threshold.
-#define KEEP(e) ((e) + base > min(row_threshold, (vreal)(column_thresholds[q * TILE + j])))
+// log2 pi_ij = e_ij + base_i; a small number where pi_ij matters, unlike both its terms.
+static inline vreal log2_plan(const ereal e, const vreal base, const vreal base_low)
+{
+    return e_above(e, -base) + base_low;
+}
+
+// A pair is kept when its log2 pi_ij exceeds the smaller of its row's and its column's
+// threshold.
+#define KEEP(log2_pi) ((log2_pi) > min(row_threshold, (vreal)(column_thresholds[q * TILE + j])))
 
 // Number of kept pairs of each row.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void count_plan_rows(
     CLOUD_ARGUMENTS,
-    const __global float* restrict row_bases,         // (row_stride,)
+    const __global float* restrict row_bases,         // (2, row_stride)
     const __global float* restrict row_thresholds,    // (row_stride,)
     const __global float* restrict column_thresholds, // (column_stride,)
     __global int* restrict counts)                    // (n_rows,) of this launch
@@ -159,6 +169,7 @@ void count_plan_rows(
     ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
     const vreal base = VLOAD(row, row_bases);
+    const vreal base_low = VLOAD((size_t)row_stride + row, row_bases);
     const vreal row_threshold = VLOAD(row, row_thresholds);
     vreal count = (vreal)(0.0f); // exact: a cloud has at most 2^24 points
     for (uint q = 0; q < n_column_tiles; ++q) {
@@ -167,22 +178,23 @@ void count_plan_rows(
                       levels + level_row, staged);
         GROUP_BARRIER();
         for (uint j = 0; j < TILE; ++j)
-            count += select((vreal)(0.0f), (vreal)(1.0f), KEEP(e_nearest(exponent(u, staged, j))));
+            count += select((vreal)(0.0f), (vreal)(1.0f),
+                            KEEP(log2_plan(exponent(u, staged, j), base, base_low)));
         GROUP_BARRIER();
     }
     VSTORE(CONVERT_VINT(count), local_row, counts);
 }
 
-// Column index and e_ij of the kept pairs, each row at its own place.
+// Column index and log2 pi_ij of the kept pairs, each row at its own place.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void fill_plan_rows(
     CLOUD_ARGUMENTS,
-    const __global float* restrict row_bases,         // (row_stride,)
+    const __global float* restrict row_bases,         // (2, row_stride)
     const __global float* restrict row_thresholds,    // (row_stride,)
     const __global float* restrict column_thresholds, // (column_stride,)
     const __global uint* restrict starts,             // (n_rows,) first slot of each row
     __global int* restrict columns,                   // (kept pairs of this launch,)
-    __global float* restrict exponents)               // (kept pairs of this launch,)
+    __global float* restrict log2_masses)             // (kept pairs of this launch,)
 {
     __local staged_real staged[STAGED_SIZE];
     const uint local_row = get_global_id(0) * WIDTH;
@@ -193,6 +205,7 @@ void fill_plan_rows(
     ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
     const vreal base = VLOAD(row, row_bases);
+    const vreal base_low = VLOAD((size_t)row_stride + row, row_bases);
     const vreal row_threshold = VLOAD(row, row_thresholds);
     uint slot[WIDTH];
     for (int lane = 0; lane < WIDTH; ++lane)
@@ -203,17 +216,17 @@ void fill_plan_rows(
                       levels + level_row, staged);
         GROUP_BARRIER();
         for (uint j = 0; j < TILE; ++j) {
-            const vreal e = e_nearest(exponent(u, staged, j));
-            const vint keep = KEEP(e);
+            const vreal log2_pi = log2_plan(exponent(u, staged, j), base, base_low);
+            const vint keep = KEEP(log2_pi);
             if (ANY(keep)) {
-                float e_lane[WIDTH];
+                float log2_pi_lane[WIDTH];
                 int keep_lane[WIDTH];
-                VSTORE(e, 0, e_lane);
+                VSTORE(log2_pi, 0, log2_pi_lane);
                 VSTORE(keep, 0, keep_lane);
                 for (int lane = 0; lane < WIDTH; ++lane) {
                     if (keep_lane[lane]) {
                         columns[slot[lane]] = q * TILE + j;
-                        exponents[slot[lane]] = e_lane[lane];
+                        log2_masses[slot[lane]] = log2_pi_lane[lane];
                         ++slot[lane];
                     }
                 }

@@ -4,6 +4,7 @@ from importlib.metadata import version
 
 from clmorph import reference
 from clmorph.backends import get_backend
+from clmorph.divergence import Divergence, sinkhorn_divergence
 from clmorph.errors import (
     ClmorphError,
     ConvergenceWarning,
@@ -27,6 +28,7 @@ __all__ = [
     "ClmorphError",
     "ConvergenceWarning",
     "DeviceError",
+    "Divergence",
     "ImageWarning",
     "InputError",
     "Measure",
@@ -44,5 +46,6 @@ __all__ = [
     "read_image",
     "reference",
     "sinkhorn",
+    "sinkhorn_divergence",
     "transport_plan",
 ]

@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 #: Pairs (x, G(x)) remembered.
-MEMORY = 12
+MEMORY = 16
 #: Share of the remaining residual that is added, as in over-relaxation.
 MIXING = 1.5
+#: Longest extrapolation at first, in steps of the plain iteration, and how it grows where it
+#: was too short, and shrinks where it was too long.
+TRUST, GROWTH, SHRINKAGE = 32.0, 4.0, 0.25
 #: Regularization of the least-squares problem, relative to its diagonal.
 RIDGE = 1e-10
 
@@ -26,9 +29,16 @@ class Anderson:
     def __init__(self) -> None:
         self._images: list[Array] = []
         self._residuals: list[Array] = []
+        self._trust, self._was_cut = TRUST, False
 
-    def forget(self) -> None:
-        """Begin anew."""
+    def accepted(self) -> None:
+        """Learn that the last extrapolation was good."""
+        if self._was_cut:
+            self._trust *= GROWTH
+
+    def rejected(self) -> None:
+        """Learn that it was not, and begin anew."""
+        self._trust = max(1.0, SHRINKAGE * self._trust)
         self._images.clear()
         self._residuals.clear()
 
@@ -62,5 +72,12 @@ class Anderson:
         normal = normal / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
         coefficients = np.linalg.solve(normal, (weighted @ residual) / scale) / scale
         images = np.stack([image - old for old in self._images[:-1]])
-        combined = image - coefficients @ images
-        return combined + (MIXING - 1) * (residual - coefficients @ differences)
+        step = (MIXING - 1) * (residual - coefficients @ differences) - coefficients @ images
+        longest = self._trust * _norm(residual, weights)
+        length = _norm(step, weights)
+        self._was_cut = length > longest
+        return image + (longest / length if self._was_cut else 1.0) * step
+
+
+def _norm(x: Array, weights: Array) -> float:
+    return float(np.sqrt(weights @ x**2))

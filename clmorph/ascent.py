@@ -24,9 +24,12 @@ TOP = 0.5
 #: No annealing where damping alone contracts the iteration by at least this factor.
 EASY = 0.5
 #: Residual at which a level above the last one is left, in units of its epsilon.
-LEVEL_TOLERANCE = 0.3
+LEVEL_TOLERANCE = 0.2
 #: The annealing may take this share of the iterations; with a small limit it is cut short.
 ANNEALING_SHARE = 0.5
+#: With fewer iterations than this there is neither annealing nor extrapolation: what they
+#: cost would not be won back.
+SHORT = 20
 #: Iterations without a new best residual after which rounding is held to be the reason.
 STALLED = 10
 #: A residual of so many times the rounding of one softmin can be due to it.
@@ -132,12 +135,12 @@ class Ascent:
     def _levels(self) -> list[float]:
         """Blurs from about the diameter down to the last but one."""
         slowest = np.prod(self.problem.damping(self._blur**2))
-        if slowest <= EASY:
+        if slowest <= EASY or self._max_iter < SHORT:
             return []
         top = TOP * np.sqrt(2 * self.problem.largest_cost)
         level = self._blur / ANNEALING
         levels: list[float] = []
-        while level < top and len(levels) < self._max_iter // 4:
+        while level < top and len(levels) < self._max_iter // 8:
             levels.append(level)
             level /= ANNEALING
         return levels[::-1]
@@ -183,8 +186,10 @@ class Ascent:
             self._measured += 1
         residual = self.problem.residual(f, g, t_rows, t_columns, epsilon)
         self.residuals.append(residual)
-        if self.status != "precision":
-            self.status = "converged" if residual <= self.tol else "max_iter"
+        if residual <= self.tol:
+            self.status = "converged"
+        elif self.status == "converged":
+            self.status = "max_iter"
         self.state = State(f, g, t_rows, t_columns, residual)
 
     def _measured_rounding(self, g: Array, epsilon: float) -> float:
@@ -212,8 +217,9 @@ class Ascent:
                 slack = 1e-12 * abs(floor) + 1e-2 * rounding * epsilon * mass
                 if not dual >= floor - slack:
                     g, fallback = fallback, None
-                    memory.forget()
+                    memory.rejected()
                     continue
+                memory.accepted()
             t_columns = problem.softmin_columns(f, epsilon, precise)
             residual = problem.residual(f, g_shifted, t_rows, t_columns, epsilon)
             image, f, t_columns = problem.update_g(f, t_columns, epsilon)
@@ -234,7 +240,7 @@ class Ascent:
             floor = problem.dual(f, image, float(column_mass.sum()), epsilon)
             # An extrapolation may cost a softmin more, which must be left.
             guess = None
-            if self.n_iter + 1 < limit:
+            if self.n_iter + 1 < limit and self._max_iter >= SHORT:
                 guess = memory.extrapolate(g, image, column_mass)
             g, fallback = (image, None) if guess is None else (guess, image)
 

@@ -5,6 +5,7 @@ Exit codes: 0 done; 1 a device is out of tolerance, or none is usable (``check``
 in one line; 130 interrupted.
 """
 
+import math
 import os
 import sys
 import time
@@ -26,17 +27,24 @@ BALANCED = "balanced"
 
 
 class _Reach(click.ParamType):
-    """A number, or "balanced"."""
+    """A number, or "balanced", or two of them with a comma."""
 
     name = "number|balanced"
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> float | str:
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        parts = [self._one(part, param, ctx) for part in str(value).split(",")]
+        return parts[0] if len(parts) == 1 else tuple(parts)
+
+    def _one(self, value: str, param: Any, ctx: Any) -> float:
         if value == BALANCED:
-            return BALANCED
+            return math.inf
         try:
-            return float(value)
+            number = float(value)
         except ValueError:
             self.fail(f"{value!r} is neither a number nor {BALANCED!r}.", param, ctx)
+        if number == math.inf:
+            self.fail(f"{value!r}: expected a finite number, or {BALANCED!r}.", param, ctx)
+        return number
 
 
 def _print_version(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
@@ -126,11 +134,19 @@ def _open_backend(device: str | None, backend: str | None) -> Any:
     "--max-pixels", type=int, default=MAX_PIXELS, show_default=True, help="Refuse larger files."
 )
 @click.option("--blur", type=float, help="Entropic length scale, in image sides.")
-@click.option("--reach", type=_Reach(), help="How far mass moves before it rather fades.")
+@click.option(
+    "--reach",
+    type=_Reach(),
+    help="How far mass moves before it rather fades; two (source,target) may differ.",
+)
+@click.option("--epsilon", type=float, help="The square of blur, in its place.")
+@click.option("--rho", type=_Reach(), help="The square of reach, in its place.")
 @click.option("--color-weight", type=float, help="Weight of color against position.")
 @click.option("--sigma-start", type=float, help="Kernel width at the start, in pixels.")
 @click.option("--sigma-end", type=float, help="Kernel width at the end, in pixels.")
 @click.option("--gamma", type=float, help="Bulge of the kernel width in between, in pixels.")
+@click.option("--tol", type=float, help="Residual at which the solver stops, in epsilons.")
+@click.option("--max-iter", type=int, help="Iterations after which it stops all the same.")
 @_device_options
 def morph(
     image_a: Path,
@@ -159,8 +175,9 @@ def morph(
     writer = output_writer(output)
     given = {name: value for name, value in options.items() if value is not None}
     parameters: dict[str, Any] = PRESETS[preset] | given
-    if parameters["reach"] == BALANCED:
-        parameters["reach"] = None
+    for name, other in (("blur", "epsilon"), ("reach", "rho")):
+        if other in given and name not in given:
+            del parameters[name]  # the preset's gives way
     size = parameters.pop("size")
     check_options(n_frames=frames, **parameters)
     source, target = (fit(_read(path, max_pixels), size) for path in (image_a, image_b))

@@ -132,13 +132,13 @@ class Morph:
 
 
 def check_options(
-    n_frames: int,
-    blur: float,
-    reach: Reach,
-    color_weight: float,
-    sigma_start: float,
-    sigma_end: float,
-    gamma: float,
+    n_frames: int = defaults.N_FRAMES,
+    blur: float = defaults.BLUR,
+    reach: Reach = defaults.REACH,
+    color_weight: float = defaults.COLOR_WEIGHT,
+    sigma_start: float = defaults.SIGMA_START,
+    sigma_end: float = defaults.SIGMA_END,
+    gamma: float = defaults.GAMMA,
     *,
     epsilon: float | None = None,
     rho: float | tuple[float, float] | None = None,

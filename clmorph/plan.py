@@ -145,7 +145,9 @@ def transport_plan(
             f"log_threshold={log_threshold}: no pair of the plan exceeds it; lower it, or use "
             "the default relative threshold"
         )
-    total = potentials.transported_mass
+    with np.errstate(over="ignore", divide="ignore"):
+        softmin = operations.softmin(rows, columns, g, epsilon, potentials.precise)
+        total = float(np.exp((f - softmin) / epsilon + log_a).sum())
     if not total <= 1e3 * max(source.mass, target.mass):
         raise InputError(
             f"the plan of these potentials has mass {total:.2g}: they are too far from a "

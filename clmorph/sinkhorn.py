@@ -12,9 +12,10 @@ from clmorph.ascent import Ascent
 from clmorph.backends import Backend, get_backend
 from clmorph.checks import check_choice, check_integer, check_number
 from clmorph.errors import ConvergenceWarning, DeviceError, InputError
+from clmorph.operations import Operations
 from clmorph.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.potentials import Potentials
-from clmorph.problem import Problem
+from clmorph.problem import Problem, largest_cost
 from clmorph.strengths import Reach, Strengths, strengths
 
 Array = NDArray[np.float64]
@@ -104,20 +105,9 @@ def sinkhorn(
     given = strengths(blur, reach, epsilon, rho)
     check_solver_options(tol, max_iter, method, scaling, precision)
     pair = as_pair(source, target)
-    _check_feasible(*pair, given)
     operations = get_backend(backend)
-    if precision == "float64" and not operations.has_float64:
-        raise DeviceError(
-            f"precision='float64': {operations.description} has no double precision; use "
-            "'auto' (pairs of float32 where needed), another device, or the backend 'numpy'"
-        )
+    check_problem(*pair, given, operations, precision)
     problem = Problem(operations, *pair, given.rho)
-    if problem.largest_cost > MAX_SPREAD * given.epsilon:
-        raise InputError(
-            f"blur={given.blur:g} is too small for points up to "
-            f"{np.sqrt(2 * problem.largest_cost):.3g} apart: expected at least "
-            f"{np.sqrt(problem.largest_cost / MAX_SPREAD):.1g}; raise it, or scale the points"
-        )
     report = progress or (lambda share: None)
     if method == "geomloss":
         return _geomloss(problem, given, float(scaling), float(tol), precision, report)
@@ -147,13 +137,36 @@ def check_solver_options(
     check_choice("precision", precision, PRECISIONS)
 
 
-def _check_feasible(source: AnyMeasure, target: AnyMeasure, given: Strengths) -> None:
-    """With a balanced side the plan's mass is that side's; with two, they must agree."""
+def check_problem(
+    source: AnyMeasure,
+    target: AnyMeasure,
+    given: Strengths,
+    operations: Operations,
+    precision: str,
+) -> None:
+    """Check that a problem has a solution, and that a backend can compute it.
+
+    Raises
+    ------
+    InputError, DeviceError
+        If not.
+    """
     balanced = all(np.isinf(rho) for rho in given.rho)
     if balanced and abs(source.mass - target.mass) > MASS_TOLERANCE * source.mass:
         raise InputError(
             f"the masses {source.mass:g} and {target.mass:g} differ, so balanced transport is "
             "impossible: give a reach, or scale the weights to one mass"
+        )
+    largest = largest_cost(source.points, target.points)
+    if largest > MAX_SPREAD * given.epsilon:
+        raise InputError(
+            f"blur={given.blur:g} is too small for points up to {np.sqrt(2 * largest):.3g} apart: "
+            f"expected at least {np.sqrt(largest / MAX_SPREAD):.1g}; raise it, or scale the points"
+        )
+    if precision == "float64" and not operations.has_float64:
+        raise DeviceError(
+            f"precision='float64': {operations.description} has no double precision; use "
+            "'auto' (pairs of float32 where needed), another device, or the backend 'numpy'"
         )
 
 
@@ -211,11 +224,16 @@ def _finish(ascent: Ascent, given: Strengths) -> Potentials:
         "precision": f"{missed}; rounding can leave {ascent.rounding:.0e} here, so raise tol or "
         "blur, or use " + ("precision='auto'" if ascent.precision == "float32" else "'numpy'"),
     }[ascent.status]
-    if ascent.status != "converged":
-        warnings.warn(message, ConvergenceWarning, stacklevel=3)
+    warn_unless_converged(ascent.status, message)
     return Potentials(
         state.f, state.g, given.blur, given.reach, ascent.status, message, ascent.n_iter,
         state.residual, np.array(ascent.residuals),
         problem.certificate(state.f, state.g, state.t_rows, state.t_columns, given.epsilon),
         ascent.precise,
     )  # fmt: skip
+
+
+def warn_unless_converged(status: str, message: str) -> None:
+    """Warn the caller of the public function that calls this through one private one."""
+    if status != "converged":
+        warnings.warn(message, ConvergenceWarning, stacklevel=4)

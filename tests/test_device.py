@@ -200,7 +200,7 @@ def test_sources_are_expanded():
     assert "#include" not in text
     assert '#line 1 "common.cl"' in text
     line = text.splitlines().index("#ifndef DIM")
-    marker = [i for i, row in enumerate(text.splitlines()) if row.startswith("#line")][-1]
+    marker = [i for i, row in enumerate(text.splitlines()[:line]) if row.startswith("#line")][-1]
     number = int(text.splitlines()[marker].split()[1])
     original = (program.resources.files("clmorph.cl_kernels") / "rows.cl").read_text()
     assert original.splitlines()[number + (line - marker) - 2] == "#ifndef DIM"

@@ -144,7 +144,10 @@ def test_public_signatures_are_mirrored():
             assert value.kind == ours[parameter].kind
         # What the reference lacks is about where and how the work is done.
         beyond = set(ours) - set(theirs)
-        assert beyond <= {"backend", "progress", "relative", "log_threshold", "splatting"}
+        assert beyond <= {
+            "backend", "progress", "relative", "log_threshold", "splatting", "method", "scaling",
+            "precision", "start",
+        }  # fmt: skip
 
 
 @pytest.mark.parametrize(

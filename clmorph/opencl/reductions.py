@@ -130,7 +130,7 @@ class Reductions:
         bases += f[rows.order] * k + rows.log2_weights
         bases[rows.log2_weights <= SENTINEL] = SENTINEL
         shared = (
-            self._work.buffer(_pad(bases, rows.stride, SENTINEL)),
+            self._work.buffer(_split(_pad(bases, rows.stride, SENTINEL))),
             self._work.buffer(
                 _pad(_log2_threshold(row_thresholds)[rows.order], rows.stride, -SENTINEL)
             ),
@@ -153,21 +153,19 @@ class Reductions:
             in_part = slice(part.start * tile, part.stop * tile)
             ends = np.cumsum(counts[in_part], dtype=np.int64)
             kept = int(ends[-1])
-            column_buffer, exponent_buffer = self._work.empty(4 * kept), self._work.empty(4 * kept)
+            column_buffer, mass_buffer = self._work.empty(4 * kept), self._work.empty(4 * kept)
             self._launch_rows(
                 kernels["fill_plan_rows"], rows, columns, heights, tops, tops_of_rows, k, part,
                 *shared, self._work.buffer(ends - counts[in_part], np.uint32),
-                column_buffer, exponent_buffer, precise=precise,
+                column_buffer, mass_buffer, precise=precise,
             )  # fmt: skip
             found = np.empty(kept, np.int32)
-            exponents = np.empty(kept, np.float32)
+            log2_masses = np.empty(kept, np.float32)
             if kept:
                 cl.enqueue_copy(self._work.queue, found, column_buffer)
-                cl.enqueue_copy(self._work.queue, exponents, exponent_buffer)
-            in_cloud = slice(part.start * tile, min(n, part.stop * tile))
-            base = np.repeat(bases[in_cloud], counts[in_cloud])
+                cl.enqueue_copy(self._work.queue, log2_masses, mass_buffer)
             indices.append(columns.order[found].astype(np.int32))
-            mass.append(np.exp2(base + exponents))
+            mass.append(np.exp2(log2_masses.astype(float)))
         return _unsort_rows(
             rows, len(columns), counts[:n], np.concatenate(indices), np.concatenate(mass)
         )

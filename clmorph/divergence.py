@@ -1,0 +1,222 @@
+"""The debiased, unbalanced Sinkhorn divergence between two measures (paper, 2.2).
+
+S(a, b) = OT(a, b) - OT(a, a) / 2 - OT(b, b) / 2 + epsilon / 2 (m_a - m_b)^2.
+
+Source: Séjourné, Feydy, Vialard, Trouvé, Peyré, "Sinkhorn divergences for unbalanced optimal
+transport" (2019).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph import defaults
+from clmorph.ascent import ROUNDING_MARGIN
+from clmorph.backends import Backend, get_backend
+from clmorph.errors import InputError
+from clmorph.points import AnyMeasure, MeasureLike, as_pair
+from clmorph.potentials import Potentials
+from clmorph.problem import Problem, largest_cost
+from clmorph.sinkhorn import (
+    Progress,
+    check_problem,
+    check_solver_options,
+    sinkhorn,
+    warn_unless_converged,
+)
+from clmorph.strengths import Strengths, strengths
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, repr=False)
+class Divergence:
+    """A Sinkhorn divergence, what it was computed from, and what is certain about it.
+
+    Attributes
+    ----------
+    value : float
+        Cost units times mass; `float(divergence)` is the same. Never negative.
+    interval : (low, high)
+        Holds the true value: from dual values (below) and primal ones (above) of the three
+        problems, and the rounding of the device. For balanced transport the upper values
+        follow from the marginal errors, and are wide unless `tol` is small.
+    cross : Potentials
+        Of (source, target).
+    source_self, target_self : Potentials
+        Of each measure with itself; f = g.
+    """
+
+    value: float
+    interval: tuple[float, float]
+    cross: Potentials
+    source_self: Potentials
+    target_self: Potentials
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __repr__(self) -> str:
+        low, high = self.interval
+        return f"<Divergence {self.value:.6g}, certainly within [{low:.6g}, {high:.6g}]>"
+
+    @property
+    def converged(self) -> bool:
+        """Whether all three solves reached their tolerance."""
+        return all(part.converged for part in (self.cross, self.source_self, self.target_self))
+
+    def closer_than(self, other: "Divergence") -> bool | None:
+        """Compare two divergences of the same strengths: True or False if proven, else None."""
+        if self.interval[1] < other.interval[0]:
+            return True
+        if self.interval[0] > other.interval[1]:
+            return False
+        return None
+
+
+def sinkhorn_divergence(
+    source: MeasureLike,
+    target: MeasureLike,
+    blur: float = defaults.BLUR,
+    reach: float | None = defaults.REACH,
+    tol: float = defaults.TOL,
+    max_iter: int = defaults.MAX_ITER,
+    backend: Backend = "auto",
+    *,
+    epsilon: float | None = None,
+    rho: float | None = None,
+    precision: str = "auto",
+    progress: Progress | None = None,
+) -> Divergence:
+    """Return how far two measures are apart: 0 only if they are equal, never negative.
+
+    Parameters
+    ----------
+    source, target : Measure, WeightedPoints, or (weights (N,), points (N, D))
+        Of any masses; of equal ones if `reach` is None.
+    blur, epsilon
+        As in `clmorph.sinkhorn`.
+    reach : float or None
+        One for both measures: with two the divergence has no meaning.
+    rho : float, optional
+        reach^2, in place of `reach`; infinity is balanced.
+    tol, max_iter, backend, precision, progress
+        As in `clmorph.sinkhorn`, for each of the three problems.
+
+    Returns
+    -------
+    Divergence
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If a residual does not reach `tol`.
+    """
+    given = strengths(blur, reach, epsilon, rho)
+    if isinstance(given.reach, tuple):
+        raise InputError(
+            f"reach={given.reach!r}: expected one number for both measures (or None); with two "
+            "there is no divergence"
+        )
+    check_solver_options(tol, max_iter, precision=precision)
+    pair = as_pair(source, target)
+    operations = get_backend(backend)
+    check_problem(*pair, given, operations, precision)
+    report = progress or (lambda share: None)
+
+    parts: list[Potentials] = []
+    for number, measure in enumerate(pair):
+        problem = Problem(operations, measure, measure, given.rho)
+        parts.append(_self_transport(problem, given, float(tol), int(max_iter), precision))
+        report(0.15 * (number + 1))
+    if _are_equal(*pair):
+        cross = parts[0]
+    else:
+        cross = sinkhorn(
+            *pair, tol=tol, max_iter=max_iter, backend=operations, epsilon=given.epsilon,
+            rho=given.rho[0], precision=precision, progress=lambda share: report(0.3 + 0.7 * share),
+        )  # fmt: skip
+    report(1.0)
+
+    whole = _bounds(cross, *pair, given)
+    halves = [_bounds(part, m, m, given) for part, m in zip(parts, pair, strict=True)]
+    extra = 0.5 * given.epsilon * (pair[0].mass - pair[1].mass) ** 2
+    masses = cross.transported_mass + 0.5 * sum(part.transported_mass for part in parts)
+    slack = problem.rounding(given.epsilon, precise=True) * given.epsilon * masses
+    value = whole[0] - 0.5 * (halves[0][0] + halves[1][0]) + extra
+    low = whole[0] - 0.5 * (halves[0][1] + halves[1][1]) + extra - slack
+    high = whole[1] - 0.5 * (halves[0][0] + halves[1][0]) + extra + slack
+    # S >= 0 is a theorem: what rounding puts below is 0.
+    low = max(0.0, low)
+    return Divergence(max(low, value), (low, max(low, high)), cross, parts[0], parts[1])
+
+
+def _are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
+    return np.array_equal(source.points, target.points) and np.array_equal(
+        source.weights, target.weights
+    )
+
+
+def _self_transport(
+    problem: Problem, given: Strengths, tol: float, max_iter: int, precision: str
+) -> Potentials:
+    """Solve a measure's problem with itself: f = g, f <- (f + Delta T(f)) / 2.
+
+    The Gaussian kernel is positive, so near the solution this contracts by 1/2 at least.
+    """
+    epsilon = given.epsilon
+    damping, _ = problem.damping(epsilon)
+    coarse = ROUNDING_MARGIN * problem.rounding(epsilon, precise=False)
+    precise = precision == "float64"
+    finest = ROUNDING_MARGIN * problem.rounding(epsilon, precise or precision == "auto")
+    f = np.zeros(len(problem.a))
+    residuals: list[float] = []
+    while True:
+        softmin = problem.softmin_rows(f, epsilon, precise)
+        residual = problem.residual(f, f, softmin, softmin, epsilon)
+        residuals.append(residual)
+        out = len(residuals) >= max_iter
+        if precision == "auto" and not precise and (residual <= max(coarse, tol) or out):
+            precise = True
+            continue
+        # Halving ends where rounding begins.
+        stalled = residual <= finest and len(residuals) > 1 and residual > 0.9 * residuals[-2]
+        if residual <= tol or out or stalled:
+            break
+        f = 0.5 * (f + damping * softmin)
+    status = "converged" if residual <= tol else ("precision" if stalled else "max_iter")
+    message = f"{status} in {len(residuals)} iterations (residual {residual:.1e} epsilon)"
+    warn_unless_converged(status, f"self-transport: {message}; raise max_iter, tol or blur")
+    return Potentials(
+        f, f, given.blur, given.reach, status, message, len(residuals), residual,
+        np.array(residuals), problem.certificate(f, f, softmin, softmin, epsilon), precise,
+    )  # fmt: skip
+
+
+def _bounds(
+    result: Potentials, source: AnyMeasure, target: AnyMeasure, given: Strengths
+) -> tuple[float, float]:
+    """Return a lower and an upper bound of an optimal value.
+
+    Balanced: the dual D is concave, with gradient (a - pi 1, b - pi^T 1), so the optimum is at
+    most D + <a - pi 1, f* - f> + <b - pi^T 1, g* - g>; and optimal potentials, being soft
+    minima of the cost, oscillate by no more than the cost does.
+    """
+    if result.gap is not None:
+        return result.dual, result.dual + result.gap
+    largest = largest_cost(source.points, target.points)
+    high = result.dual
+    for potential, weights, marginal in (
+        (result.f, source.weights, result.row_mass),
+        (result.g, target.weights, result.column_mass),
+    ):
+        missing = weights - marginal
+        half = 0.5 * float(np.abs(missing).sum()) + abs(float(missing.sum()))
+        high += half * (largest + float(np.ptp(potential[weights > 0])))
+    return result.dual, high

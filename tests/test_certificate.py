@@ -1,0 +1,190 @@
+"""Values, gap and marginals against a dense float64 primal and dual; other strengths."""
+
+import warnings
+
+import numpy as np
+import pytest
+from conftest import USABLE
+
+import clmorph
+from clmorph import InputError, reference, sinkhorn
+from clmorph.reference.transport import certificate
+from clmorph.strengths import strengths
+
+REACHES = [0.1, 0.3, 2.0, None, (0.2, 0.9), (0.3, None), (None, 0.3)]
+
+
+@pytest.fixture(params=["numpy", *(device.index for device in USABLE)])
+def backend(request):
+    return request.param
+
+
+def clouds(rng, n=50, m=64, dimension=5, balanced=False):
+    a, b = rng.random(n), rng.random(m)
+    a[::7] = 0
+    if balanced:
+        a, b = a / a.sum(), b / b.sum()
+    return (a, rng.random((n, dimension))), (b, rng.random((m, dimension)))
+
+
+@pytest.mark.parametrize("max_iter", [1, 4, 1000])
+@pytest.mark.parametrize("reach", REACHES, ids=str)
+def test_certificate_is_that_of_the_dense_plan(backend, rng, reach, max_iter):
+    """Near the optimum and far from it."""
+    pair = clouds(rng, balanced=reach is None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        got = sinkhorn(*pair, 0.2, reach, 1e-5, max_iter, backend)
+    measures = clmorph.points.as_pair(*pair)
+    want = certificate(*measures, got.f, got.g, strengths(0.2, reach))
+    size = abs(want.primal) + got.epsilon * want.transported_mass
+    rounding = 1e-5 * got.epsilon * want.transported_mass + 1e-9 * size
+    assert got.dual == pytest.approx(want.dual, abs=rounding)
+    assert got.primal == pytest.approx(want.primal, abs=rounding)
+    assert got.marginal_error == pytest.approx(want.marginal_error, abs=1e-5 * got.transported_mass)
+    assert got.transported_mass == pytest.approx(want.transported_mass, rel=1e-5)
+    assert np.allclose(got.row_mass, want.row_mass, rtol=2e-5, atol=1e-30)
+    assert np.allclose(got.column_mass, want.column_mass, rtol=2e-5, atol=1e-30)
+    if reach is None:
+        assert got.gap is None
+    else:
+        assert got.gap >= 0
+    if not isinstance(reach, tuple) and reach is not None:
+        assert got.gap == pytest.approx(want.gap, abs=rounding)
+
+
+@pytest.mark.parametrize("reach", [0.1, 0.3, 2.0, (0.2, 0.9)], ids=str)
+def test_the_gap_bounds_the_distance_to_the_optimum(rng, reach):
+    pair = clouds(rng)
+    best = sinkhorn(*pair, 0.2, reach, 1e-12, backend="numpy")
+    assert best.gap < 1e-20
+    for max_iter in (1, 2, 3, 5, 8):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+            got = sinkhorn(*pair, 0.2, reach, 1e-12, max_iter, "numpy")
+        assert got.dual - 1e-13 <= best.dual <= got.primal + 1e-13
+        assert got.gap == pytest.approx(got.primal - got.dual, abs=1e-13)
+
+
+@pytest.mark.parametrize("reach", REACHES, ids=str)
+def test_against_the_plain_iteration(backend, rng, reach):
+    pair = clouds(rng, balanced=reach is None)
+    got = sinkhorn(*pair, 0.15, reach, 1e-5, backend=backend)
+    want = reference.sinkhorn(*pair, 0.15, reach, 1e-8, 20000)
+    assert got.converged
+    assert want.converged
+    assert got.dual == pytest.approx(want.dual, abs=1e-6 * got.epsilon * got.transported_mass)
+    assert got.row_mass == pytest.approx(want.row_mass, rel=1e-3)
+    assert got.column_mass == pytest.approx(want.column_mass, rel=1e-3)
+
+
+@pytest.mark.parametrize("reach", [(None, 0.3), (0.3, None)], ids=str)
+def test_a_balanced_side_keeps_its_mass(backend, rng, reach):
+    (a, x), (b, y) = clouds(rng)
+    got = sinkhorn((a, x), (b, y), 0.2, reach, 1e-5, backend=backend)
+    kept, marginal = (a, got.row_mass) if reach[0] is None else (b, got.column_mass)
+    assert np.allclose(marginal, kept, rtol=1e-4)
+    assert got.transported_mass == pytest.approx(kept.sum(), rel=1e-4)
+    assert got.rho == tuple(np.inf if value is None else value**2 for value in reach)
+
+
+def test_two_names_of_a_strength(rng):
+    pair = clouds(rng)
+    named = sinkhorn(*pair, 0.2, 0.5, backend="numpy")
+    squared = sinkhorn(*pair, epsilon=0.2**2, rho=0.25, backend="numpy")
+    assert squared.blur == pytest.approx(0.2)
+    assert np.allclose(named.f, squared.f, rtol=0, atol=1e-12)
+    pairs = sinkhorn(*pair, 0.2, rho=(0.25, np.inf), backend="numpy")
+    assert pairs.reach == (0.5, None)
+    assert sinkhorn(*clouds(rng, balanced=True), 0.2, rho=np.inf, backend="numpy").reach is None
+    assert sinkhorn(*pair, 0.2, (0.5, 0.5), backend="numpy").reach == 0.5
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"blur": 0.1, "epsilon": 0.01}, "two names of one strength"),
+        ({"reach": 0.1, "rho": 0.01}, "two names of one strength"),
+        ({"reach": None, "rho": 0.01}, "two names of one strength"),
+        ({"blur": 0.05, "epsilon": 0.0025}, "two names"),
+        ({"epsilon": 0}, "epsilon=0"), ({"epsilon": -1.0}, "epsilon=-1"),
+        ({"epsilon": np.nan}, "epsilon=nan"), ({"epsilon": "x"}, "epsilon='x'"),
+        ({"epsilon": np.inf}, "epsilon=inf"), ({"epsilon": [1, 2]}, "epsilon="),
+        ({"rho": 0}, "rho=0"), ({"rho": -0.1}, "rho=-0.1"), ({"rho": (1, -1)}, "rho=-1"),
+        ({"rho": (1, 2, 3)}, "a pair"), ({"reach": (1,)}, "a pair"),
+        ({"method": "fast"}, "method='fast'"), ({"precision": "half"}, "precision='half'"),
+        ({"scaling": 1.0}, "scaling=1"), ({"start": 3}, "start is a int"),
+        ({"blur": 1e-6}, "too small"),
+    ],
+)  # fmt: skip
+def test_wrong_strengths_and_options(rng, options, words):
+    with pytest.raises(InputError, match=words) as caught:
+        sinkhorn(*clouds(rng), backend="numpy", **options)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("dimension", range(1, 9))
+def test_points_of_any_dimension(backend, rng, dimension):
+    pair = clouds(rng, 30, 40, dimension)
+    got = sinkhorn(*pair, 0.2, 0.5, 1e-4, backend=backend)
+    want = reference.sinkhorn(*pair, 0.2, 0.5, 1e-6)
+    assert np.abs(got.f - want.f).max() < 1e-3 * got.epsilon
+    plan = clmorph.transport_plan(*pair, got, backend=backend)
+    assert plan.row_mass == pytest.approx(got.row_mass, rel=2e-3, abs=1e-12)
+
+
+def test_points_on_a_line_may_be_given_flat(rng):
+    a, x = np.ones(5), np.linspace(0, 1, 5)
+    flat = sinkhorn((a, x), (a, x + 0.1), backend="numpy")
+    column = sinkhorn((a.tolist(), x[:, None].tolist()), (a, x[:, None] + 0.1), backend="numpy")
+    assert np.array_equal(flat.f, column.f)
+
+
+ONE = (np.ones(3), np.zeros((3, 2)))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (np.zeros((4, 5)), "expected a Measure"),
+        (None, "expected a Measure"),
+        ((np.ones(3),), "expected a Measure"),
+        (("a", "b"), "no array of numbers"),
+        ((np.ones(4), np.zeros((3, 2))), "in this order"),
+        ((np.zeros((3, 2)), np.ones(3)), "in this order"),
+        ((np.ones(0), np.zeros((0, 2))), "N > 0"),
+        ((np.ones(3), np.zeros((3, 9))), "dimensions"),
+        ((np.ones(3), np.zeros((3, 0))), "dimensions"),
+        ((np.ones(3), np.full((3, 2), np.nan)), "coordinates"),
+        ((np.ones(3), np.full((3, 2), 1e9)), "coordinates"),
+        ((np.array([1, -1, 1]), np.zeros((3, 2))), "at least 0"),
+        ((np.zeros(3), np.zeros((3, 2))), "positive sum"),
+        ((np.full(3, np.inf), np.zeros((3, 2))), "positive sum"),
+        ((np.ones(3), np.zeros((3, 3))), "dimensions, target in"),
+    ],
+)
+def test_wrong_points(wrong, words):
+    for pair in ((wrong, ONE), (ONE, wrong)):
+        if words == "dimensions, target in" and pair[0] is ONE:
+            continue
+        with pytest.raises(InputError, match=words) as caught:
+            sinkhorn(*pair, backend="numpy")
+        assert "\n" not in str(caught.value)
+
+
+def test_a_measure_and_plain_points_of_the_same_space(rng):
+    image = clmorph.lift(rng.random((6, 7, 3)))
+    got = sinkhorn(image, (image.weights, image.points), backend="numpy")
+    assert np.abs(got.f - got.g).max() < 1e-3 * got.epsilon
+
+
+def test_a_start_saves_iterations_and_changes_nothing(rng):
+    pair = clouds(rng, 60, 60)
+    cold = sinkhorn(*pair, 0.05, 1.0, backend="numpy")
+    warm = sinkhorn(*pair, 0.05, 1.0, backend="numpy", start=cold)
+    assert warm.n_iter <= 2
+    assert warm.dual == pytest.approx(cold.dual, abs=cold.gap)
+    near = sinkhorn(*pair, 0.045, 1.0, backend="numpy", start=cold)
+    assert near.n_iter < sinkhorn(*pair, 0.045, 1.0, backend="numpy").n_iter
+    with pytest.raises(InputError, match="60 and 64 points"):
+        sinkhorn(*clouds(rng, 60, 64), 0.05, 1.0, backend="numpy", start=cold)
