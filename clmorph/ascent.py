@@ -102,7 +102,7 @@ class Ascent:
         self.tol, self.precision = tol, precision
         self.residuals: list[float] = []
         self._blur, self._max_iter, self._report = blur, max_iter, report
-        self._done, self._level_share = 0.0, 1.0
+        self._done, self._level_share, self._told = 0.0, 1.0, 0.0
         self._measured = 0  # softmins that were no updates
 
     @property
@@ -130,7 +130,12 @@ class Ascent:
             self._done += self._level_share
         self._level_share = 1.0 - self._done
         self._last_level(g)
-        self._report(1.0)
+        self._tell(1.0)
+
+    def _tell(self, share: float) -> None:
+        """Report the share done, which never falls."""
+        self._told = max(self._told, share)
+        self._report(self._told)
 
     def _levels(self) -> list[float]:
         """Blurs from about the diameter down to the last but one."""
@@ -225,9 +230,9 @@ class Ascent:
             image, f, t_columns = problem.update_g(f, t_columns, epsilon)
             self.residuals.append(residual)
             first = first or residual
-            self._report(self._done + self._level_share * _share(first, residual, tol))
             since_best = 0 if residual < 0.9 * best else since_best + 1
             best = min(best, residual)
+            self._tell(self._done + self._level_share * _share(first, best, tol))
             stalled = since_best >= STALLED and residual <= rounding
             if residual <= tol or stalled or self.n_iter >= limit:
                 self.status = "max_iter"

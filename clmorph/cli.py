@@ -236,6 +236,23 @@ def check(device: str | None, every: bool, report: Path | None) -> int:
     return check_devices(device, every, report)
 
 
+@cli.command()
+@click.option("--device", metavar="NAME", help="The device to tune.  [default: auto's]")
+@click.option("--all", "every", is_flag=True, help="Tune every usable device.")
+@click.option("--reset", is_flag=True, help="Forget what tuning found.")
+def tune(device: str | None, every: bool, reset: bool) -> None:
+    """Find the fastest kernel constants for a device, and use them from now on.
+
+    Takes a minute or so, mostly for building kernels; without it they are chosen by the
+    kind of device.
+    """
+    from clmorph.device_commands import tune_devices
+
+    if device is not None and every:
+        raise InputError(f"--device {device} and --all contradict: give one of them")
+    tune_devices(device, every, reset)
+
+
 def _in_option_names(message: str) -> str:
     """Name an option as it is written on the command line: n_frames=1 becomes --frames 1."""
     name, equals, rest = message.partition("=")

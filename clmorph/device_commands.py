@@ -73,15 +73,30 @@ def _print_table(devices: tuple[Device, ...], auto: str) -> None:
     RESULTS.print(table)
 
 
+def _choose(spec: str | None, every: bool) -> list[Device]:
+    """Return the one device that is meant, or every usable one."""
+    devices = [device for device in _find() if device.usable]
+    return devices if every and devices else [choose_device(spec or "auto")]
+
+
+def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
+    """Tune devices, or forget how they were tuned."""
+    from clmorph.opencl.tuning import forget_tuning, tune
+
+    for device in _choose(spec, every):
+        click.echo(f"[{device.index}] {device.name} ({device.platform}, driver {device.driver})")
+        if reset:
+            forget_tuning(device.handle)
+            click.echo("  tuning forgotten")
+            continue
+        knobs, before, after = tune(device.handle, lambda line: click.echo(f"  {line}"))
+        click.echo(f"  kept: {knobs}")
+        click.echo(f"  {before / 1e9:.2f} to {after / 1e9:.2f}·10⁹ pairs/s")
+
+
 def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
     """Compare devices with NumPy, print the findings; 1 if any is out of tolerance."""
-    if every:
-        devices = [device for device in _find() if device.usable]
-        if not devices:
-            choose_device("auto")  # raises, and says why
-    else:
-        with NOTES.status("trying OpenCL devices (remembered from the second time on)"):
-            devices = [choose_device(spec or "auto")]
+    devices = _choose(spec, every)
     writer = _report_writer(report)
     bundles = [_check_one(device) for device in devices]
     if report is not None:

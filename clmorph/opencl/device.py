@@ -155,7 +155,8 @@ def _code_identity() -> str:
     return digest.hexdigest()
 
 
-def _verdict_key(device: "cl.Device") -> str:
+def verdict_key(device: "cl.Device") -> str:
+    """Digest of a device, its driver, the processor and our kernels."""
     identity = (
         device.name, device.driver_version, device.platform.name, device.platform.version,
         _cpu_identity(), _code_identity(),
@@ -218,7 +219,7 @@ def find_devices() -> tuple[Device, ...]:
     verdicts = load_record(_VERDICTS)
     devices = []
     for index, handle in raw_devices():
-        key = _verdict_key(handle)
+        key = verdict_key(handle)
         verdict = verdicts.get(key)
         if not isinstance(verdict, dict) or {"usable", "reason", "pairs_per_second"} - set(verdict):
             verdict = run_probe(index)

@@ -106,7 +106,10 @@ def apply_quirks(knobs: Knobs, quirks: frozenset[str]) -> Knobs:
         knobs = replace(knobs, precise=1)
     if "small_local_memory" in quirks:
         tile = max(16, knobs.width)
-        knobs = replace(knobs, tile=tile, group=min(knobs.group, tile // knobs.width))
+        knobs = replace(
+            knobs, tile=tile, group=min(knobs.group, tile // knobs.width),
+            unroll=min(knobs.unroll, tile),
+        )  # fmt: skip
     return knobs
 
 
@@ -117,7 +120,7 @@ def cpu_knobs(vector: int) -> Knobs:
         width=width,
         tile=64,
         group=1,
-        unroll=16 if width == 16 else 8,
+        unroll=32 if width == 16 else 8,
         exp2_builtin=0,
         precise=2,
         bin=8,

@@ -10,10 +10,11 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.errors import DeviceError
-from clmorph.opencl.knobs import Knobs, choose_knobs
+from clmorph.opencl.knobs import Knobs
 from clmorph.opencl.launches import Workspace
 from clmorph.opencl.reductions import Cloud, Reductions
 from clmorph.opencl.splatting import ParticleSet, Splats, Splatting
+from clmorph.opencl.tuning import tuned_knobs
 from clmorph.operations import Bins, Float32, Float64, PlanRows
 
 P = ParamSpec("P")
@@ -50,13 +51,13 @@ class OpenCLOperations:
     ----------
     device : pyopencl.Device
     knobs : Knobs, optional
-        Build-time constants; chosen by the kind of device if not given.
+        Build-time constants; if not given, as tuned, else by the kind of device.
     """
 
     def __init__(self, device: cl.Device, knobs: Knobs | None = None) -> None:
         self.device = device
         self.lock = threading.RLock()
-        self.knobs = knobs or choose_knobs(device)
+        self.knobs = knobs or tuned_knobs(device)
         self.bin_size = self.knobs.bin
         self.sum_roundoff = self.exponent_roundoff = 2.0**-24
         self.precise_roundoff = 2.0**-46  # inputs are pairs of float32

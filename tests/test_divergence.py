@@ -1,0 +1,160 @@
+"""The debiased divergence: a distance-like value with a certain interval."""
+
+import numpy as np
+import pytest
+from conftest import USABLE
+
+import clmorph
+from clmorph import InputError, reference, sinkhorn, sinkhorn_divergence
+
+REACHES = [0.1, 0.5, 3.0, None]
+
+
+@pytest.fixture(params=["numpy", *(device.index for device in USABLE)])
+def backend(request):
+    return request.param
+
+
+def clouds(rng, n=40, m=55, dimension=3, balanced=False):
+    a, b = rng.random(n), 2 * rng.random(m)
+    if balanced:
+        a, b = a / a.sum(), b / b.sum()
+    return (a, rng.random((n, dimension))), (b, 0.3 + rng.random((m, dimension)))
+
+
+def dense_divergence(source, target, blur, reach):
+    """From converged dense solves, by the definition."""
+
+    def value(one, other):
+        return reference.sinkhorn(one, other, blur, reach, 1e-11, 10**5).dual
+
+    masses = source[0].sum(), target[0].sum()
+    cross = value(source, target) + 0.5 * blur**2 * (masses[0] - masses[1]) ** 2
+    return cross - 0.5 * (value(source, source) + value(target, target))
+
+
+@pytest.mark.parametrize("reach", REACHES)
+def test_against_the_definition(backend, rng, reach):
+    pair = clouds(rng, balanced=reach is None)
+    got = sinkhorn_divergence(*pair, 0.3, reach, 1e-4, backend=backend)
+    want = dense_divergence(*pair, 0.3, reach)
+    assert got.converged
+    assert got.interval[0] <= want <= got.interval[1]
+    assert got.interval[0] <= got.value <= got.interval[1]
+    assert float(got) == got.value == pytest.approx(want, rel=2e-5)
+
+
+@pytest.mark.parametrize("reach", REACHES[:-1])
+def test_closed_form_at_the_optimum(rng, reach):
+    source, target = clouds(rng)
+    got = sinkhorn_divergence(source, target, 0.3, reach, 1e-9, backend="numpy")
+    rho, epsilon = reach**2, 0.09
+    terms = source[0] @ (
+        np.exp(-got.source_self.f / rho) - np.exp(-got.cross.f / rho)
+    ) + target[0] @ (np.exp(-got.target_self.g / rho) - np.exp(-got.cross.g / rho))  # fmt: skip
+    assert got.value == pytest.approx((rho + epsilon / 2) * terms, rel=1e-7)
+
+
+@pytest.mark.parametrize("reach", REACHES)
+def test_zero_for_equal_measures_only(backend, rng, reach):
+    source, _ = clouds(rng, balanced=reach is None)
+    same = sinkhorn_divergence(source, source, 0.2, reach, backend=backend)
+    assert same.value == 0.0
+    assert same.interval[0] == 0.0
+    # The same measure, told otherwise: points in another order, one split in two.
+    a, x = source
+    order = rng.permutation(len(a))
+    split = np.concatenate((a[order], [a[0] / 2])), np.concatenate((x[order], x[:1]))
+    split[0][np.flatnonzero(order == 0)] /= 2
+    again = sinkhorn_divergence(source, split, 0.2, reach, 1e-5, backend=backend)
+    assert again.interval[0] <= 0.0
+    assert again.value < 2e-6
+    moved = sinkhorn_divergence(source, (a, x + 0.1), 0.2, reach, 1e-5, backend=backend)
+    assert moved.interval[0] > again.interval[1]
+
+
+@pytest.mark.parametrize("reach", REACHES)
+def test_symmetric(backend, rng, reach):
+    pair = clouds(rng, balanced=reach is None)
+    one = sinkhorn_divergence(*pair, 0.3, reach, 1e-4, backend=backend)
+    other = sinkhorn_divergence(*pair[::-1], 0.3, reach, 1e-4, backend=backend)
+    assert one.value == pytest.approx(other.value, rel=1e-5)
+
+
+def test_only_masses_differ(backend):
+    """One point: S follows from two Diracs at cost 0."""
+    point = np.zeros((1, 2))
+    epsilon, rho = 0.04, 0.25
+
+    def value(a, b):
+        plan = (a * b) ** ((rho + epsilon) / (2 * rho + epsilon))
+        return rho * (a + b) + epsilon * a * b - (2 * rho + epsilon) * plan
+
+    for a, b in ((1.0, 1.0), (0.5, 3.0), (1e-4, 1e3)):
+        got = sinkhorn_divergence(([a], point), ([b], point), 0.2, 0.5, 1e-5, backend=backend)
+        want = value(a, b) - 0.5 * (value(a, a) + value(b, b)) + 0.5 * epsilon * (a - b) ** 2
+        assert got.value == pytest.approx(want, rel=1e-6, abs=1e-6 * epsilon * max(a, b) ** 2)
+
+
+def test_comparisons_are_proven_or_open(rng):
+    (a, x), _ = clouds(rng)
+    near = sinkhorn_divergence((a, x), (a, x + 0.1), 0.2, 0.5, backend="numpy")
+    far = sinkhorn_divergence((a, x), (a, x + 0.5), 0.2, 0.5, backend="numpy")
+    assert near.closer_than(far) is True
+    assert far.closer_than(near) is False
+    assert near.closer_than(near) is None
+    assert "certainly within" in repr(near)
+
+
+def test_even_an_unfinished_solve_is_certain(rng):
+    pair = clouds(rng)
+    want = dense_divergence(*pair, 0.2, 1.0)
+    for max_iter in (1, 2, 4, 8):
+        with pytest.warns(clmorph.ConvergenceWarning):
+            got = sinkhorn_divergence(*pair, 0.2, 1.0, 1e-9, max_iter, "numpy")
+        assert not got.converged
+        assert got.interval[0] <= want <= got.interval[1]
+
+
+def test_debiased_potentials_are_no_plan(device):
+    """The trap of section 3.2: differences of potentials leak the plan's mass."""
+    y, x = np.mgrid[:24, :24] / 24
+    one = np.stack([x, y, (x + y > 0.9) * 0.8], axis=-1)
+    two = np.stack([(x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.1, y, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
+    source, target = clmorph.lift(one), clmorph.lift(two)
+    got = sinkhorn_divergence(source, target, 0.05, None, 1e-4, backend=device)
+    raw = reference.transport_plan(source, target, got.cross)
+    assert np.abs(raw.sum(axis=1) - source.weights).sum() < 1e-3
+    cost = reference.transport.cost_matrix(source, target)
+    f, g = got.cross.f - got.source_self.f, got.cross.g - got.target_self.g
+    debiased = np.exp((f[:, None] + g - cost) / got.cross.epsilon)
+    debiased *= np.outer(source.weights, target.weights)
+    assert np.abs(debiased.sum(axis=1) - source.weights).sum() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"reach": (0.1, 0.2)}, "one number for both"),
+        ({"rho": (0.1, 0.2)}, "one number for both"),
+        ({"blur": -1}, "blur=-1"), ({"tol": 0}, "tol=0"), ({"precision": "x"}, "precision"),
+        ({"reach": None}, "masses"), ({"blur": 0.1, "epsilon": 0.1}, "give one of them"),
+    ],
+)  # fmt: skip
+def test_wrong_options(rng, options, words):
+    with pytest.raises(InputError, match=words):
+        sinkhorn_divergence(*clouds(rng), backend="numpy", **options)
+
+
+def test_progress(rng):
+    shares = []
+    sinkhorn_divergence(*clouds(rng), backend="numpy", progress=shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1
+
+
+def test_a_larger_reach_is_a_larger_divergence(rng):
+    pair = clouds(rng)
+    values = [float(sinkhorn_divergence(*pair, 0.2, r, backend="numpy")) for r in (0.1, 0.3, 1.0)]
+    assert values == sorted(values)
+    assert sinkhorn(*pair, 0.2, 0.3, backend="numpy").converged
