@@ -31,7 +31,7 @@ CASES = (
 
 
 def photograph(name: str) -> np.ndarray:
-    """The middle of a picture that comes with scikit-image."""
+    """Return the middle of a picture that comes with scikit-image."""
     pixels = as_rgb(getattr(data, name)())
     side = min(pixels.shape[:2])
     top, left = ((length - side) // 2 for length in pixels.shape[:2])
@@ -40,7 +40,7 @@ def photograph(name: str) -> np.ndarray:
 
 
 def sprites() -> tuple[np.ndarray, np.ndarray]:
-    """The demo's cat, and an apple of 16 x 16 blocks."""
+    """Return the demo's cat and an apple of 16 x 16 blocks."""
     cat = resize(demo_images()[0], (SIDE, SIDE), order=0, anti_aliasing=False)
     y, x = np.mgrid[:16, :16]
     apple = np.ones((16, 16, 3))
@@ -52,7 +52,7 @@ def sprites() -> tuple[np.ndarray, np.ndarray]:
 
 
 def pairs() -> dict[str, tuple[Measure, Measure]]:
-    """The five pairs, lifted."""
+    """Return the five pairs, lifted."""
     cat, apple = sprites()
     photos = {name: photograph(name) for name in ("chelsea", "astronaut", "coffee", "rocket")}
     images = {
@@ -66,7 +66,7 @@ def pairs() -> dict[str, tuple[Measure, Measure]]:
 
 
 def plain_iterations(pair: tuple[Measure, Measure], device: str, blur: float, reach) -> str:
-    """Iterations of f = Delta T(g), g = Delta T(f) from zero."""
+    """Count iterations of f = Delta T(g), g = Delta T(f) from zero."""
     rho = np.inf if reach is None else reach**2
     problem, epsilon = Problem(get_backend(device), *pair, (rho, rho)), blur**2
     source, target = problem.damping(epsilon)
