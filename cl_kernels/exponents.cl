@@ -37,7 +37,15 @@ typedef CONCAT(double, WIDTH) ereal;
 #endif
 #elif PRECISE == 1
 typedef float staged_real;
+#if WIDTH == 1
+typedef float2 ereal; // a struct's functions, inlined, leave intrinsics that simulators lack
+#define HIGH(e) ((e).s0)
+#define LOW(e) ((e).s1)
+#else
 typedef struct { vreal high, low; } ereal;
+#define HIGH(e) ((e).high)
+#define LOW(e) ((e).low)
+#endif
 #else
 typedef float staged_real;
 typedef vreal ereal;
@@ -55,8 +63,8 @@ static inline ereal e_load(const __global float* p, const size_t plane)
     return VLOAD(0, p);
 #elif PRECISE == 1
     ereal e;
-    e.high = VLOAD(0, p);
-    e.low = VLOAD(0, p + plane);
+    HIGH(e) = VLOAD(0, p);
+    LOW(e) = VLOAD(0, p + plane);
     return e;
 #else
     return TO_EREAL(VLOAD(0, p)) + TO_EREAL(VLOAD(0, p + plane));
@@ -67,33 +75,33 @@ static inline ereal e_load(const __global float* p, const size_t plane)
 static inline ereal e_sum(const ereal a, const ereal b)
 {
     ereal s;
-    s.high = a.high + b.high;
-    const vreal t = s.high - a.high;
-    s.low = ((a.high - (s.high - t)) + (b.high - t)) + (a.low + b.low);
+    HIGH(s) = HIGH(a) + HIGH(b);
+    const vreal t = HIGH(s) - HIGH(a);
+    LOW(s) = ((HIGH(a) - (HIGH(s) - t)) + (HIGH(b) - t)) + (LOW(a) + LOW(b));
     return s;
 }
 
 static inline ereal e_product(const ereal a, const ereal b)
 {
     ereal p;
-    p.high = a.high * b.high;
-    p.low = fma(a.high, b.high, -p.high) + (a.high * b.low + a.low * b.high);
+    HIGH(p) = HIGH(a) * HIGH(b);
+    LOW(p) = fma(HIGH(a), HIGH(b), -HIGH(p)) + (HIGH(a) * LOW(b) + LOW(a) * HIGH(b));
     return p;
 }
 
 static inline ereal e_negative(const ereal a)
 {
     ereal n;
-    n.high = -a.high;
-    n.low = -a.low;
+    HIGH(n) = -HIGH(a);
+    LOW(n) = -LOW(a);
     return n;
 }
 
 static inline ereal e_constant(const float high, const float low)
 {
     ereal e;
-    e.high = (vreal)(high);
-    e.low = (vreal)(low);
+    HIGH(e) = (vreal)(high);
+    LOW(e) = (vreal)(low);
     return e;
 }
 #else
@@ -114,7 +122,7 @@ static inline ereal e_constant(const float high, const float low)
 static inline vreal e_nearest(const ereal e)
 {
 #if PRECISE == 1
-    return e.high + e.low;
+    return HIGH(e) + LOW(e);
 #else
     return TO_VREAL(e);
 #endif
@@ -123,7 +131,7 @@ static inline vreal e_nearest(const ereal e)
 static inline vreal e_above(const ereal e, const vreal m)
 {
 #if PRECISE == 1
-    return (e.high - m) + e.low;
+    return (HIGH(e) - m) + LOW(e);
 #else
     return TO_VREAL(e - TO_EREAL(m));
 #endif
@@ -136,8 +144,8 @@ static inline void e_stage(const ereal e, __local staged_real* p)
 #if PRECISE == 0
     VSTORE(e, 0, p);
 #elif PRECISE == 1
-    VSTORE(e.high, 0, p);
-    VSTORE(e.low, 0, p + (DIM + 1) * TILE);
+    VSTORE(HIGH(e), 0, p);
+    VSTORE(LOW(e), 0, p + (DIM + 1) * TILE);
 #else
     VSTORE(e, 0, p);
 #endif

@@ -61,10 +61,10 @@
 // staged[d][j] = k (v - (p - q))_d for d < DIM, staged[DIM][j] = the part without u.
 static inline void stage_columns(
     const uint q, const uint row_tile, const uint column_stride, const uint n_column_tiles,
-    const ereal k, const __global float* restrict row_centers,
-    const __global float* restrict column_offsets, const __global float* restrict column_centers,
-    const __global float* restrict column_potentials, const __global float* restrict level,
-    __local staged_real* restrict staged)
+    const ereal k, const __global float* row_centers,
+    const __global float* column_offsets, const __global float* column_centers,
+    const __global float* column_potentials, const __global float* level,
+    __local staged_real* staged)
 {
     ereal shift[DIM];
     for (int d = 0; d < DIM; ++d)
@@ -86,7 +86,7 @@ static inline void stage_columns(
 }
 
 static inline void load_rows(
-    const __global float* restrict row_offsets, const uint row_stride, const uint row, ereal* u)
+    const __global float* row_offsets, const uint row_stride, const uint row, ereal* u)
 {
     for (int d = 0; d < DIM; ++d)
         u[d] = e_load(row_offsets + (size_t)d * row_stride + row, (size_t)DIM * row_stride);

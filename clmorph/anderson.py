@@ -10,9 +10,11 @@ gets ahead of the best factor when few modes are slow.
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.problem import inner
+
 Array = NDArray[np.float64]
 
-#: Pairs (x, G(x)) remembered.
+#: Iterates remembered.
 MEMORY = 16
 #: Share of the remaining residual that is added, as in over-relaxation.
 MIXING = 1.5
@@ -27,9 +29,17 @@ class Anderson:
     """Remembers the last iterates and combines them."""
 
     def __init__(self) -> None:
+        self._trust, self._was_cut = TRUST, False
+        self._begin()
+
+    def _begin(self) -> None:
+        self._weights: Array | None = None
+        self._image: Array | None = None
+        self._residual: Array | None = None
+        # Differences of one iterate to the next, and the inner products of the residuals'.
         self._images: list[Array] = []
         self._residuals: list[Array] = []
-        self._trust, self._was_cut = TRUST, False
+        self._products = np.zeros((0, 0))
 
     def accepted(self) -> None:
         """Learn that the last extrapolation was good."""
@@ -39,8 +49,7 @@ class Anderson:
     def rejected(self) -> None:
         """Learn that it was not, and begin anew."""
         self._trust = max(1.0, SHRINKAGE * self._trust)
-        self._images.clear()
-        self._residuals.clear()
+        self._begin()
 
     def extrapolate(self, x: Array, image: Array, weights: Array) -> Array | None:
         """Remember x and G(x) and return a better next x than G(x).
@@ -49,35 +58,50 @@ class Anderson:
         ----------
         x, image : (n,) arrays
         weights : (n,) array
-            Of the inner product.
+            Of the inner product; those of the first iterate count.
 
         Returns
         -------
         (n,) array or None
             None while there is nothing to combine.
         """
-        self._images.append(image)
-        self._residuals.append(image - x)
-        if len(self._images) > MEMORY + 1:
-            del self._images[0], self._residuals[0]
-        if len(self._images) == 1:
+        residual = image - x
+        if self._image is None or self._residual is None or self._weights is None:
+            self._image, self._residual, self._weights = image, residual, weights
             return None
-        residual = self._residuals[-1]
-        differences = np.stack([residual - old for old in self._residuals[:-1]])
-        weighted = differences * weights
-        normal = weighted @ differences.T
-        scale = np.sqrt(np.diag(normal))
+        weights = self._weights
+        self._remember(image - self._image, residual - self._residual, weights)
+        self._image, self._residual = image, residual
+        scale = np.sqrt(np.diag(self._products))
         if not np.all(scale > 0):
             return None
-        normal = normal / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
-        coefficients = np.linalg.solve(normal, (weighted @ residual) / scale) / scale
-        images = np.stack([image - old for old in self._images[:-1]])
-        step = (MIXING - 1) * (residual - coefficients @ differences) - coefficients @ images
+        right = np.array([inner(d, weights * residual) for d in self._residuals])
+        normal = self._products / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
+        coefficients = np.linalg.solve(normal, right / scale) / scale
+        step = (MIXING - 1) * residual
+        for c, of_image, of_residual in zip(
+            coefficients, self._images, self._residuals, strict=True
+        ):
+            step -= c * (of_image + (MIXING - 1) * of_residual)
         longest = self._trust * _norm(residual, weights)
         length = _norm(step, weights)
         self._was_cut = length > longest
         return image + (longest / length if self._was_cut else 1.0) * step
 
+    def _remember(self, of_image: Array, of_residual: Array, weights: Array) -> None:
+        self._images.append(of_image)
+        self._residuals.append(of_residual)
+        weighted = of_residual * weights
+        row = np.array([inner(weighted, other) for other in self._residuals])
+        size = len(row)
+        products = np.empty((size, size))
+        products[:-1, :-1] = self._products
+        products[-1], products[:, -1] = row, row
+        if size > MEMORY:
+            del self._images[0], self._residuals[0]
+            products = products[1:, 1:]
+        self._products = products
+
 
 def _norm(x: Array, weights: Array) -> float:
-    return float(np.sqrt(weights @ x**2))
+    return float(np.sqrt(inner(x * weights, x)))

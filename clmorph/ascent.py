@@ -165,28 +165,28 @@ class Ascent:
         self.precise = self._needs_more(epsilon, self.tol)
         operations = self.problem.operations
         if self.precision != "auto" or operations.exponent_roundoff == operations.precise_roundoff:
-            self._measure(self._climb(g, epsilon, self.tol, limit, self.precise), epsilon)
+            reached = self._climb(g, epsilon, self.tol, limit, self.precise)
+            self._measure(reached, epsilon, self.precise)
             return
         coarse_tol = self.tol
         if self.precise:
             coarse_tol = max(self.tol, ROUNDING_MARGIN * self._measured_rounding(g, epsilon))
         reached = self._climb(g, epsilon, coarse_tol, limit, precise=False)
-        if reached.residual > coarse_tol and self.status == "max_iter":
-            self._measure(reached, epsilon)
-            return
-        if not self.precise:
+        out = self.status == "max_iter" and reached.residual > coarse_tol
+        if out or not self.precise:
             # Float32 was enough, if precise softmins agree.
-            self._measure(reached._replace(precise=True), epsilon)
-            if self.state.residual <= self.tol:
+            self._measure(reached, epsilon, precise=True)
+            if out or self.status == "converged":
                 return
-        self._measure(self._climb(reached.g, epsilon, self.tol, limit, precise=True), epsilon)
+        reached = self._climb(reached.g, epsilon, self.tol, limit, precise=True)
+        self._measure(reached, epsilon, precise=True)
 
-    def _measure(self, reached: _Reached, epsilon: float) -> None:
+    def _measure(self, reached: _Reached, epsilon: float, precise: bool) -> None:
         """Take the softmins of the potentials that are returned, and their residual."""
-        f, g, t_columns, _, precise = reached
+        f, g, t_columns, _, was_precise = reached
         t_rows = self.problem.softmin_rows(g, epsilon, precise)
         self._measured += 1
-        if precise and not self.precise:
+        if precise != was_precise:
             t_columns = self.problem.softmin_columns(f, epsilon, precise)
             self._measured += 1
         residual = self.problem.residual(f, g, t_rows, t_columns, epsilon)

@@ -68,11 +68,7 @@ def check_blur(value: Any) -> float:
 
 
 def check_reach(value: Any) -> float | None:
-    """Return a reach: positive, same unit; None or infinity is balanced transport.
-
-    A reach beyond a thousand image sides is balanced transport but for masses that differ,
-    and its potentials, of size reach^2, would leave no digits for epsilon.
-    """
+    """Return a reach: positive, same unit; None or infinity is balanced transport."""
     if value is None or (isinstance(value, float) and value == math.inf):
         return None
     try:

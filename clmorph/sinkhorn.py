@@ -27,7 +27,8 @@ METHODS = ("certified", "geomloss")
 PRECISIONS = ("auto", "float32", "float64")
 #: Relative difference of masses up to which balanced transport is feasible.
 MASS_TOLERANCE = 1e-6
-#: Largest cost, in units of epsilon: beyond it float64 itself leaves no digits.
+#: Largest cost and largest rho, in units of epsilon: potentials are of their size, and beyond
+#: this float64 itself leaves no digits for epsilon.
 MAX_SPREAD = 1e12
 
 
@@ -163,6 +164,12 @@ def check_problem(
             f"blur={given.blur:g} is too small for points up to {np.sqrt(2 * largest):.3g} apart: "
             f"expected at least {np.sqrt(largest / MAX_SPREAD):.1g}; raise it, or scale the points"
         )
+    for rho in given.rho:
+        if np.isfinite(rho) and rho > MAX_SPREAD * given.epsilon:
+            raise InputError(
+                f"reach={rho**0.5:g} is too large for blur={given.blur:g}: expected at most "
+                f"{np.sqrt(MAX_SPREAD) * given.blur:g}, or None (balanced) for equal masses"
+            )
     if precision == "float64" and not operations.has_float64:
         raise DeviceError(
             f"precision='float64': {operations.description} has no double precision; use "

@@ -114,7 +114,7 @@ def test_two_names_of_a_strength(rng):
         ({"rho": (1, 2, 3)}, "a pair"), ({"reach": (1,)}, "a pair"),
         ({"method": "fast"}, "method='fast'"), ({"precision": "half"}, "precision='half'"),
         ({"scaling": 1.0}, "scaling=1"), ({"start": 3}, "start is a int"),
-        ({"blur": 1e-6}, "too small"),
+        ({"blur": 1e-6}, "too small"), ({"reach": 1e6}, "too large for blur"),
     ],
 )  # fmt: skip
 def test_wrong_strengths_and_options(rng, options, words):

@@ -74,7 +74,7 @@ def test_options_reach_the_morph(pictures, monkeypatch):
     assert seen["n_frames"] == 7
     assert seen["shapes"] == ((4, 6, 3), (6, 4, 3))
     wanted = {
-        "blur": 0.1, "reach": None, "color_weight": 3, "sigma_start": 2, "sigma_end": 1,
+        "blur": 0.1, "reach": np.inf, "color_weight": 3, "sigma_start": 2, "sigma_end": 1,
         "gamma": 0.1, "extent": "true", "unmatched": "fade",
     }  # fmt: skip
     assert {name: seen[name] for name in wanted} == wanted

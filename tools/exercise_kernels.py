@@ -12,6 +12,7 @@ run. Results are compared with NumPy.
 
 import sys
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,12 @@ from clmorph.opencl.operations import OpenCLOperations
 from clmorph.operations import Operations
 from clmorph.reference import NumPyOperations
 
+#: Both kinds of devices, with float64 and without.
 BUILDS = {
     "scalar-16": gpu_knobs(16),
-    "scalar-64": gpu_knobs(64),
+    "scalar-64-pairs": replace(gpu_knobs(64), precise=1),
     "vector-4": cpu_knobs(4),
-    "vector-16": cpu_knobs(16),
+    "vector-16-pairs": replace(cpu_knobs(16), precise=1),
 }
 
 
@@ -43,9 +45,15 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     results = [
         operations.softmin(rows, columns, g, 0.01),
         operations.softmin(columns, rows, f, 0.01),
+        operations.softmin(rows, columns, g, 0.01, True),
+        operations.softmin(columns, rows, f, 0.01, True),
         operations.row_maxima(rows, columns, g, 0.01),
-        operations.plan_rows(rows, columns, f, g, 0.01, np.full(n, -9.0), np.full(m, np.inf)).mass,
     ]
+    for precise in (False, True):
+        kept = operations.plan_rows(
+            rows, columns, f, g, 0.01, np.full(n, -9.0), np.full(m, np.inf), precise
+        )
+        results.append(kept.mass)
     moving = operations.upload_particles(
         rng.random((40, 5)), rng.integers(0, 40, (150, 2)).astype(np.uint32), rng.random((150, 2))
     )

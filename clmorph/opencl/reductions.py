@@ -192,8 +192,11 @@ class Reductions:
             )  # fmt: skip
             for values, buffer in zip(out, buffers, strict=True):
                 cl.enqueue_copy(self._work.queue, values, buffer)
-            m = out[0].max(axis=0).astype(float)
             section = slice(part.start * tile, part.stop * tile)
+            if shares == 1:
+                maxima[section], sums[section] = out[0, 0], out[1, 0]
+                continue
+            m = out[0].max(axis=0).astype(float)
             maxima[section] = m
             sums[section] = np.sum(out[1] * np.exp2(out[0] - m), axis=0)
         n = len(rows)

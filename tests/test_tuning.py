@@ -1,0 +1,118 @@
+"""Constants found by trying: kept, used, forgotten, and never trusted blindly."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clmorph.cli import main
+from clmorph.opencl import tuning
+from clmorph.opencl.knobs import choose_knobs, cpu_knobs, gpu_knobs
+from clmorph.opencl.operations import OpenCLOperations
+from clmorph.opencl.storage import load_record, save_record
+from clmorph.opencl.tuning import CANDIDATES, forget_tuning, is_possible, tune, tuned_knobs
+
+
+@pytest.fixture(autouse=True)
+def empty_cache(monkeypatch, tmp_path):
+    monkeypatch.setattr("clmorph.opencl.storage.cache_folder", lambda: tmp_path)
+
+
+@pytest.fixture
+def fast_tile(monkeypatch):
+    """A device that likes large tiles and no others changes."""
+    tried = []
+
+    def speed(device, knobs):
+        tried.append(knobs)
+        return 1e9 * (2 if knobs.tile == 128 else 1) / (1 + knobs.exp2_builtin)
+
+    monkeypatch.setattr(tuning, "_speed", speed)
+    return tried
+
+
+@pytest.mark.parametrize("knobs", [cpu_knobs(16), cpu_knobs(4), gpu_knobs(256), gpu_knobs(16)])
+def test_every_variant_can_be_built(knobs):
+    for name in CANDIDATES:
+        for other in tuning.variants(knobs, name, 256):
+            assert is_possible(other, 256)
+            assert other.tile % (other.width * other.group) == 0
+            assert other.tile % other.unroll == 0
+
+
+def test_variants_compute_the_same(device, rng):
+    """A sample of them: constants change speed only."""
+    points = rng.random((300, 5)), rng.random((200, 5))
+    g = 0.1 * rng.random(200)
+    start = choose_knobs(device.device)
+    results = []
+    for name in ("tile", "unroll", "width"):
+        for knobs in list(tuning.variants(start, name, 64))[:2]:
+            operations = OpenCLOperations(device.device, knobs)
+            clouds = [operations.upload(x, np.full(len(x), 0.01)) for x in points]
+            results.append(operations.softmin(*clouds, g, 0.01))
+    assert len(results) > 3
+    assert np.ptp(results, axis=0).max() < 1e-5 * 0.01 * 10
+
+
+def test_tuning_is_kept_and_used(device, fast_tile):
+    lines = []
+    start = choose_knobs(device.device)
+    best, before, after = tune(device.device, lines.append)
+    assert best == replace(start, tile=128)
+    assert (before, after) == (1e9, 2e9)
+    assert len(lines) <= len(fast_tile)
+    assert tuned_knobs(device.device) == best
+    assert OpenCLOperations(device.device).knobs == best
+    forget_tuning(device.device)
+    assert tuned_knobs(device.device) == start
+
+
+def test_quirks_come_after_tuning(device, fast_tile, monkeypatch):
+    tune(device.device, lambda line: None)
+    monkeypatch.setenv("CLMORPH_QUIRKS", "small_local_memory,no_float64")
+    knobs = tuned_knobs(device.device)
+    assert knobs.precise == 1
+    assert knobs == choose_knobs(device.device)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        "nonsense",
+        {"tile": 7},
+        {"tile": "64"},
+        {"unknown": 1},
+        {"group": 256, "tile": 32},
+        {"tile": []},
+    ],
+)
+def test_a_damaged_record_is_ignored(device, entry):
+    save_record("tuning.json", {tuning._key(device.device): entry})
+    assert tuned_knobs(device.device) == choose_knobs(device.device)
+
+
+def test_builds_that_fail_are_passed_over(device, monkeypatch):
+    from clmorph import DeviceError
+
+    start = choose_knobs(device.device)
+
+    def speed(device, knobs):
+        if knobs != start:
+            raise DeviceError("no")
+        return 1e9
+
+    monkeypatch.setattr(tuning, "_speed", speed)
+    assert tune(device.device, lambda line: None)[0] == start
+
+
+def test_the_command(capsys, fast_tile, monkeypatch):
+    assert main(["tune"]) == 0
+    assert "1.00 to 2.00·10⁹ pairs/s" in capsys.readouterr().out
+    assert len(load_record("tuning.json")) == 1
+    assert main(["tune", "--all"]) == 0
+    assert main(["tune", "--all", "--reset"]) == 0
+    assert "tuning forgotten" in capsys.readouterr().out
+    assert load_record("tuning.json") == {}
+    assert main(["tune", "--device", "pocl", "--all"]) == 2
+    assert "contradict" in capsys.readouterr().err
