@@ -131,7 +131,8 @@ static inline vreal e_nearest(const ereal e)
 static inline vreal e_above(const ereal e, const vreal m)
 {
 #if PRECISE == 1
-    return (HIGH(e) - m) + LOW(e);
+    // Cut, for low parts beside two sentinels, which are no differences of exponents.
+    return min((HIGH(e) - m) + LOW(e), (vreal)(100.0f));
 #else
     return TO_VREAL(e - TO_EREAL(m));
 #endif

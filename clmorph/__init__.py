@@ -4,6 +4,7 @@ from importlib.metadata import version
 
 from clmorph import reference
 from clmorph.backends import get_backend
+from clmorph.displacement import Displacement, displacement_statistics
 from clmorph.divergence import Divergence, sinkhorn_divergence
 from clmorph.errors import (
     ClmorphError,
@@ -20,14 +21,17 @@ from clmorph.morph import Morph, morph
 from clmorph.plan import Plan, transport_plan
 from clmorph.points import WeightedPoints
 from clmorph.potentials import Potentials
+from clmorph.sampling import Barycentric, barycentric_plan, sample_plan
 from clmorph.sinkhorn import sinkhorn
 
 __version__ = version("clmorph")
 
 __all__ = [
+    "Barycentric",
     "ClmorphError",
     "ConvergenceWarning",
     "DeviceError",
+    "Displacement",
     "Divergence",
     "ImageWarning",
     "InputError",
@@ -38,6 +42,8 @@ __all__ = [
     "Plan",
     "Potentials",
     "WeightedPoints",
+    "barycentric_plan",
+    "displacement_statistics",
     "fit",
     "get_backend",
     "lift",
@@ -45,6 +51,7 @@ __all__ = [
     "particles",
     "read_image",
     "reference",
+    "sample_plan",
     "sinkhorn",
     "sinkhorn_divergence",
     "transport_plan",

@@ -23,6 +23,8 @@ SCALING = 0.9
 MAX_ITER = 2000
 #: A pair is kept from this share of its row's or its column's largest on.
 PLAN_RELATIVE = 1e-4
+#: The most that the pairs of a plan may take, in bytes.
+MAX_PLAN_BYTES = 4 * 2.0**30
 #: Named sets of options of ``clmorph morph``. "photo" (the default) looks well on arbitrary
 #: pictures: sharp ends, and colors that rather change than fade. "paper" is section 4 of the
 #: paper, with its axes (each stretched to [0, 1]) and its particles (nothing drawn for

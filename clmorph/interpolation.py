@@ -10,6 +10,7 @@ from clmorph.checks import check_choice
 from clmorph.errors import InputError
 from clmorph.measures import Measure
 from clmorph.plan import Plan
+from clmorph.sampling import Barycentric
 
 #: What happens to mass that the plan does not move: "fade" draws it dying at its source
 #: and being born at its target; "drop" leaves it out, as the paper's code does.
@@ -25,8 +26,9 @@ class Particles:
 
     Attributes
     ----------
-    table : (N + M, 5) array
-        Positions in the common frame and colors: the source's points, then the target's.
+    table : (P, 5) array
+        Positions in the common frame and colors: the source's points, then the target's, then
+        mean destinations, if particles go there.
     links : (K, 2) array of uint32
         Rows of `table` where each particle starts and ends.
     weights : (K, 2) array
@@ -54,7 +56,7 @@ class Particles:
 
 
 def particles(
-    source: Measure, target: Measure, plan: Plan, *, unmatched: str = "fade"
+    source: Measure, target: Measure, plan: Plan | Barycentric, *, unmatched: str = "fade"
 ) -> Particles:
     """Turn a plan into particles.
 
@@ -67,7 +69,9 @@ def particles(
     Parameters
     ----------
     source, target : Measure
-    plan : Plan
+    plan : Plan or Barycentric
+        With the latter each source point is one particle, which ends at its mean destination
+        in its mean color; so the frame at t = 1 is not quite the target.
     unmatched : {"fade", "drop"}
 
     Returns
@@ -80,22 +84,27 @@ def particles(
         If `unmatched` is neither, or "drop" would leave no particle.
     """
     check_choice("unmatched", unmatched, UNMATCHED)
-    if unmatched == "drop" and not len(plan):
+    if unmatched == "drop" and not plan.row_mass.any():
         raise InputError(
             "unmatched='drop': nothing travels, so there is nothing to draw; raise the reach, "
             "or use unmatched='fade'"
         )
     n = len(source)
-    table = np.concatenate(
-        [np.column_stack((measure.positions, measure.colors)) for measure in (source, target)]
-    )
-    i, j = plan.rows, plan.indices.astype(np.int64)
+    ends = [(measure.positions, measure.colors) for measure in (source, target)]
+    if isinstance(plan, Plan):
+        i, j, mass = plan.rows, plan.indices.astype(np.int64), plan.mass
+    else:
+        ends.append((plan.positions, plan.colors))
+        i = np.flatnonzero(plan.row_mass)
+        j, mass = len(target) + i, plan.row_mass[i]
+    table = np.concatenate([np.column_stack(end) for end in ends])
     links = np.column_stack((i, n + j))
-    weights = np.column_stack((plan.mass, plan.mass))
+    weights = np.column_stack((mass, mass))
     if unmatched == "fade":
         r, c = plan.row_mass, plan.column_mass
         weights[:, 0] *= _share(source.weights, r)[i]
-        weights[:, 1] *= _share(target.weights, c)[j]
+        if isinstance(plan, Plan):
+            weights[:, 1] *= _share(target.weights, c)[j]
         dying = np.maximum(0.0, source.weights - r)
         born = np.maximum(0.0, target.weights - c)
         dies, comes = np.flatnonzero(dying), np.flatnonzero(born)

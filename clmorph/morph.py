@@ -18,12 +18,14 @@ from clmorph.checks import (
     check_number,
     check_sigma,
 )
+from clmorph.errors import InputError
 from clmorph.interpolation import UNMATCHED, Particles, particles
 from clmorph.measures import EXTENTS, Measure, lift
 from clmorph.operations import Operations
 from clmorph.plan import Plan, transport_plan
 from clmorph.potentials import Potentials
 from clmorph.rendering import SPLATTING, Canvas, KernelWidth, canvas_at, effective_count, render
+from clmorph.sampling import MAX_DRAWS, Barycentric, barycentric_plan, sample_plan
 from clmorph.sinkhorn import check_solver_options, sinkhorn
 from clmorph.strengths import Reach, strengths
 
@@ -39,7 +41,7 @@ class Morph:
     ----------
     source, target : Measure
     potentials : Potentials
-    plan : Plan
+    plan : Plan or Barycentric
     particles : Particles
     times : (n_frames,) array
         From 0 to 1.
@@ -51,7 +53,7 @@ class Morph:
     source: Measure
     target: Measure
     potentials: Potentials
-    plan: Plan
+    plan: Plan | Barycentric
     particles: Particles
     times: NDArray[np.float64]
     kernel_width: KernelWidth
@@ -147,6 +149,9 @@ def check_options(
     extent: str = "true",
     splatting: str = "adaptive",
     unmatched: str = "fade",
+    barycentric: bool = False,
+    sample: int | None = None,
+    seed: int = 0,
 ) -> None:
     """Check the options of `morph` without doing any of its work.
 
@@ -165,6 +170,11 @@ def check_options(
     check_choice("extent", extent, EXTENTS)
     check_choice("splatting", splatting, SPLATTING)
     check_choice("unmatched", unmatched, UNMATCHED)
+    if sample is not None:
+        check_integer("sample", sample, 1, MAX_DRAWS)
+        if barycentric:
+            raise InputError(f"barycentric=True and sample={sample} contradict: give one of them")
+    check_integer("seed", seed, 0, 2**63)
 
 
 def morph(
@@ -186,6 +196,9 @@ def morph(
     extent: str = "true",
     splatting: str = "adaptive",
     unmatched: str = "fade",
+    barycentric: bool = False,
+    sample: int | None = None,
+    seed: int = 0,
     progress: StageProgress | None = None,
 ) -> Morph:
     """Morph one image into another by unbalanced optimal transport.
@@ -217,6 +230,13 @@ def morph(
         nearest pixel.
     unmatched : {"fade", "drop"}
         Draw mass that does not travel as it dies and is born, or leave it out.
+    barycentric : bool
+        One particle for each source pixel, to its mean destination, in place of one for each
+        kept pair of the plan; for images whose plan is too large.
+    sample : int, optional
+        So many pairs drawn from each row of the plan, in place of all kept ones.
+    seed : int
+        Of these draws.
     progress : callable, optional
         Called with a stage's name and the share of it done.
 
@@ -239,7 +259,8 @@ def morph(
     check_options(
         n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
         epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
-        splatting=splatting, unmatched=unmatched,
+        splatting=splatting, unmatched=unmatched, barycentric=barycentric, sample=sample,
+        seed=seed,
     )  # fmt: skip
     report = progress or (lambda stage, share: None)
     operations = get_backend(backend)
@@ -252,9 +273,15 @@ def morph(
         progress=lambda share: report("transport", share),
     )  # fmt: skip
     report("plan", 0.0)
-    plan = transport_plan(source, target, potentials, backend=operations)
+    plan: Plan | Barycentric
+    if barycentric:
+        plan = barycentric_plan(source, target, potentials, backend=operations)
+    elif sample is not None:
+        plan = sample_plan(source, target, potentials, sample, seed=seed, backend=operations)
+    else:
+        plan = transport_plan(source, target, potentials, backend=operations)
     report("plan", 1.0)
-    moves = len(plan) > 0
+    moves = bool(plan.row_mass.any())
     return Morph(
         source=source,
         target=target,

@@ -89,6 +89,22 @@ class Operations(Protocol):
     def row_maxima(self, rows: Any, columns: Any, potential: Float64, epsilon: float) -> Float64:
         """Return max_j [(g_j - C_ij) / epsilon + log b_j]: (N,) array, in nats."""
 
+    def count_plan_rows(
+        self,
+        rows: Any,
+        columns: Any,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        precise: bool = False,
+    ) -> NDArray[np.int64]:
+        """Return how many pairs of each row `plan_rows` keeps: (N,) array.
+
+        Parameters as there.
+        """
+
     def plan_rows(
         self,
         rows: Any,
@@ -99,6 +115,7 @@ class Operations(Protocol):
         row_thresholds: Float64,
         column_thresholds: Float64,
         precise: bool = False,
+        counts: NDArray[np.int64] | None = None,
     ) -> PlanRows:
         """Return the pairs of the plan (Eq. 2) above a threshold, without a dense plan.
 
@@ -114,6 +131,60 @@ class Operations(Protocol):
             +inf never keeps, -inf always does.
         precise : bool
             As in `softmin`.
+        counts : (N,) array, optional
+            What `count_plan_rows` returned for the same arguments; saves counting again.
+        """
+
+    def plan_moments(
+        self,
+        rows: Any,
+        columns: Any,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        precise: bool = False,
+    ) -> tuple[Float64, Float64]:
+        """Return mean and covariance of each row's destinations, over the whole plan.
+
+        Row i goes to Y_j with the share pi_ij / (pi 1)_i, which needs g alone.
+
+        Parameters
+        ----------
+        rows, columns : clouds of N and M points in D dimensions
+        g : (M,) array, cost units
+        softmin : (N,) array, cost units
+            T(g), by `softmin` with the same `precise`.
+        epsilon : float, cost units
+        precise : bool
+            As in `softmin`.
+
+        Returns
+        -------
+        mean : (N, D) array
+        covariance : (N, D, D) array
+        """
+
+    def sample_plan_rows(
+        self,
+        rows: Any,
+        columns: Any,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        thresholds: Float64,
+        precise: bool = False,
+    ) -> NDArray[np.int32]:
+        """Return columns drawn from each plan row, pi_ij / (pi 1)_i: (N, k) array.
+
+        Draw s of row i is the first column, in an order of the backend's own, up to which
+        the shares add to more than thresholds[i, s]; so uniform thresholds draw without bias.
+
+        Parameters
+        ----------
+        rows, columns, g, softmin, epsilon, precise
+            As in `plan_moments`.
+        thresholds : (N, k) array
+            Within [0, 1), ascending in each row.
         """
 
     def upload_particles(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clmorph import defaults
 from clmorph.backends import Backend, get_backend
-from clmorph.checks import check_number
+from clmorph.checks import check_choice, check_number
 from clmorph.errors import InputError
 from clmorph.operations import PlanRows
 from clmorph.points import MeasureLike, as_pair
@@ -17,6 +17,12 @@ from clmorph.potentials import Potentials
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
+
+#: What a kept pair takes: its column (4 bytes) and its mass (8).
+BYTES_PER_PAIR = 12
+#: What the share `relative` is of: the largest pair of the row or the column, or of the plan.
+RELATIVE_TO = ("rows", "plan")
 
 
 @dataclass(frozen=True, repr=False)
@@ -32,23 +38,35 @@ class Plan:
     mass : (kept,) array
         Mass pi_ij of each pair.
     shape : (N, M)
-    total_mass : float
-        Mass of the whole plan, dropped pairs included.
+    whole_row_mass : (N,) array
+        First marginal of the whole plan, dropped pairs included.
     """
 
     indptr: NDArray[np.int64]
     indices: NDArray[np.int32]
     mass: NDArray[np.float64]
     shape: tuple[int, int]
-    total_mass: float
+    whole_row_mass: NDArray[np.float64]
 
     def __repr__(self) -> str:
         return (
-            f"<Plan {self.shape[0]} x {self.shape[1]}, {len(self)} pairs, mass {self.total_mass:g}>"
+            f"<Plan {self.shape[0]} x {self.shape[1]}, {len(self)} pairs, "
+            f"{self.nbytes / 1e6:.1f} MB, mass {self.total_mass:g}, "
+            f"{100 * self.dropped_mass:.2g} % of it dropped>"
         )
 
     def __len__(self) -> int:
         return len(self.mass)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the pairs."""
+        return self.indptr.nbytes + self.indices.nbytes + self.mass.nbytes
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of the whole plan, dropped pairs included."""
+        return float(self.whole_row_mass.sum())
 
     @cached_property
     def rows(self) -> NDArray[np.int64]:
@@ -68,9 +86,17 @@ class Plan:
     @property
     def dropped_mass(self) -> float:
         """Share of the plan's mass in the pairs that were not kept."""
-        if self.total_mass == 0:
-            return 0.0
-        return max(0.0, 1.0 - float(self.mass.sum()) / self.total_mass)
+        return float(_share_dropped(self.mass.sum(), self.total_mass))
+
+    @property
+    def dropped_row_mass(self) -> NDArray[np.float64]:
+        """(N,) the same for each row; 0 where nothing leaves."""
+        return _share_dropped(self.row_mass, self.whole_row_mass)
+
+    @property
+    def worst_dropped_row_mass(self) -> float:
+        """The largest share of its mass that a row lost."""
+        return float(self.dropped_row_mass.max())
 
     def to_scipy(self) -> "csr_array[Any, tuple[int, int]]":
         """Return the plan as a `scipy.sparse.csr_array` of shape (N, M)."""
@@ -79,18 +105,28 @@ class Plan:
         return csr_array((self.mass, self.indices, self.indptr), shape=self.shape)
 
 
+def _share_dropped(kept: Any, whole: Any) -> Any:
+    """Return 1 - kept / whole, within [0, 1], 0 where there is nothing."""
+    whole = np.asarray(whole, float)
+    share = np.divide(kept, whole, out=np.ones_like(whole), where=whole > 0)
+    return np.clip(1.0 - share, 0.0, 1.0)
+
+
 def transport_plan(
     source: MeasureLike,
     target: MeasureLike,
     potentials: Potentials,
     *,
     relative: float = defaults.PLAN_RELATIVE,
+    relative_to: str = "rows",
     log_threshold: float | None = None,
+    max_bytes: float = defaults.MAX_PLAN_BYTES,
     backend: Backend = "auto",
 ) -> Plan:
     """Build the plan of potentials, in streaming: never a dense one.
 
-    log pi_ij = (f_i + g_j - C_ij) / epsilon + log a_i + log b_j (Eq. 2).
+    log pi_ij = (f_i + g_j - C_ij) / epsilon + log a_i + log b_j (Eq. 2). Pairs are counted
+    first and then written, each row at its own place.
 
     Parameters
     ----------
@@ -98,11 +134,15 @@ def transport_plan(
         Those the potentials were computed for.
     potentials : Potentials
     relative : float
-        A pair is kept when its mass exceeds this share of its row's or its column's
-        largest one, so that faint points keep their pairs at any resolution.
+        A pair is kept when its mass exceeds this share of the largest one.
+    relative_to : {"rows", "plan"}
+        The largest of its row or of its column, so that faint points keep their pairs at any
+        resolution; or the largest of the whole plan (the paper's code).
     log_threshold : float, optional
         Keep the pairs with log pi_ij above this instead (the paper's tau = -13, which
         scales with 1 / N^2 and drops everything for large images).
+    max_bytes : float
+        The most that the pairs may take, 12 bytes each; checked before they are written.
     backend : str or Operations
         See `clmorph.get_backend`.
 
@@ -113,10 +153,13 @@ def transport_plan(
     Raises
     ------
     InputError
-        If an argument cannot be used, or no pair is kept.
+        If an argument cannot be used, no pair is kept, or the pairs take more than
+        `max_bytes`.
     """
     source, target = as_pair(source, target)
     relative = check_number("relative", relative, 0.0, 1.0, open_low=True)
+    check_choice("relative_to", relative_to, RELATIVE_TO)
+    max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
     f, g, epsilon = potentials.f, potentials.g, potentials.epsilon
     if (len(f), len(g)) != (len(source), len(target)):
         raise InputError(
@@ -128,37 +171,50 @@ def transport_plan(
     columns = operations.upload(target.points, target.weights)
     with np.errstate(divide="ignore"):
         log_a, log_b = np.log(source.weights), np.log(target.weights)
-    if log_threshold is None:
-        log_share = np.log(relative)
-        row_maxima = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon + log_a
-        column_maxima = operations.row_maxima(columns, rows, f, epsilon) + g / epsilon + log_b
-        row_thresholds, column_thresholds = row_maxima + log_share, column_maxima + log_share
-    else:
-        tau = check_number("log_threshold", log_threshold, -1e4, 1e4)
-        row_thresholds = np.full(len(source), tau)
-        column_thresholds = np.full(len(target), np.inf)
-    kept: PlanRows = operations.plan_rows(
-        rows, columns, f, g, epsilon, row_thresholds, column_thresholds, potentials.precise
-    )
-    if log_threshold is not None and not len(kept.mass):
-        raise InputError(
-            f"log_threshold={log_threshold}: no pair of the plan exceeds it; lower it, or use "
-            "the default relative threshold"
-        )
-    with np.errstate(over="ignore", divide="ignore"):
+    with np.errstate(over="ignore"):
         softmin = operations.softmin(rows, columns, g, epsilon, potentials.precise)
-        total = float(np.exp((f - softmin) / epsilon + log_a).sum())
+        whole = np.exp((f - softmin) / epsilon + log_a)
+    total = float(whole.sum())
     if not total <= 1e3 * max(source.mass, target.mass):
         raise InputError(
             f"the plan of these potentials has mass {total:.2g}: they are too far from a "
             f"solution (residual {potentials.residual:.1e} epsilon); raise max_iter, or use a "
             "larger blur or a smaller color_weight"
         )
-    return _without_empty_pairs(kept, (len(source), len(target)), total)
+    if log_threshold is not None:
+        tau = check_number("log_threshold", log_threshold, -1e4, 1e4)
+        row_thresholds, column_thresholds = np.full(len(f), tau), np.full(len(g), np.inf)
+    else:
+        row_maxima = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon + log_a
+        row_thresholds = row_maxima + np.log(relative)
+        if relative_to == "plan":
+            row_thresholds[:] = row_thresholds.max()
+            column_thresholds = np.full(len(g), np.inf)
+        else:
+            column_maxima = operations.row_maxima(columns, rows, f, epsilon) + g / epsilon + log_b
+            column_thresholds = column_maxima + np.log(relative)
+    arguments = rows, columns, f, g, epsilon, row_thresholds, column_thresholds, potentials.precise
+    counts = operations.count_plan_rows(*arguments)
+    kept = int(counts.sum())
+    if kept * BYTES_PER_PAIR > max_bytes:
+        raise InputError(
+            f"the plan would keep {kept} pairs ({kept * BYTES_PER_PAIR / 1e9:.3g} GB), more than "
+            f"max_bytes={max_bytes:.3g}: raise max_bytes or relative, or use a smaller blur or "
+            "smaller images"
+        )
+    if log_threshold is not None and not kept:
+        raise InputError(
+            f"log_threshold={log_threshold}: no pair of the plan exceeds it; lower it, or use "
+            "the default relative threshold"
+        )
+    pairs = operations.plan_rows(*arguments, counts)
+    return _without_empty_pairs(pairs, (len(source), len(target)), whole)
 
 
-def _without_empty_pairs(rows: PlanRows, shape: tuple[int, int], total: float) -> Plan:
+def _without_empty_pairs(
+    rows: PlanRows, shape: tuple[int, int], whole: NDArray[np.float64]
+) -> Plan:
     """Drop pairs whose mass is smaller than any number, as all are at a tiny reach."""
     massive = rows.mass > 0
     before = np.concatenate(([0], np.cumsum(massive, dtype=np.int64)))
-    return Plan(before[rows.indptr], rows.indices[massive], rows.mass[massive], shape, total)
+    return Plan(before[rows.indptr], rows.indices[massive], rows.mass[massive], shape, whole)

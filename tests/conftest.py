@@ -8,7 +8,7 @@ import pytest
 
 import clmorph
 from clmorph.opencl.device import Device, find_devices
-from clmorph.opencl.knobs import cpu_knobs, gpu_knobs
+from clmorph.opencl.knobs import apply_quirks, cpu_knobs, gpu_knobs
 from clmorph.opencl.operations import OpenCLOperations
 
 DEVICES = find_devices()
@@ -37,7 +37,8 @@ def _label(device: Device) -> str:
 
 
 #: Each device with its own build-time constants, and with the other kind's: a CPU runs what
-#: a GPU would (scalars, work-groups, barriers, shares of the columns), and the reverse.
+#: a GPU without float64 would (scalars, work-groups, barriers, shares of the columns, pairs of
+#: float32), and the reverse.
 VARIANTS = [pytest.param((device, False), id=_label(device)) for device in USABLE]
 VARIANTS += [pytest.param((device, True), id=_label(device) + "-swapped") for device in USABLE]
 
@@ -49,7 +50,7 @@ def variant(request: pytest.FixtureRequest) -> OpenCLOperations:
     if not swapped:
         return OpenCLOperations(device.handle)
     knobs = gpu_knobs(256) if device.kind == "CPU" else cpu_knobs(4)
-    return OpenCLOperations(device.handle, knobs)
+    return OpenCLOperations(device.handle, apply_quirks(knobs, frozenset({"no_float64"})))
 
 
 @pytest.fixture(scope="session", params=USABLE, ids=_label)

@@ -146,7 +146,8 @@ def test_public_signatures_are_mirrored():
         beyond = set(ours) - set(theirs)
         assert beyond <= {
             "backend", "progress", "relative", "log_threshold", "splatting", "method", "scaling",
-            "precision", "start",
+            "precision", "start", "relative_to", "max_bytes",
+            "barycentric", "sample", "seed",
         }  # fmt: skip
 
 

@@ -27,7 +27,7 @@ def _potential(rng, n, epsilon):
 def test_twins_have_the_protocols_signatures():
     names = [name for name in vars(Operations) if not name.startswith("_")]
     operations = [name for name in names if callable(getattr(Operations, name, None))]
-    assert len(operations) == 9
+    assert len(operations) == 12
     for name in operations:
         wanted = list(inspect.signature(getattr(Operations, name)).parameters)
         for backend in (NumPyOperations, OpenCLOperations):
@@ -48,6 +48,11 @@ def test_softmin_and_row_maxima(variant, rng, name, blur):
     want = REFERENCE.softmin(exact_rows, exact_columns, g, epsilon)
     assert np.all(np.isfinite(got))
     assert np.abs(got - want).max() / epsilon <= tolerance
+
+    got = variant.softmin(rows, columns, g, epsilon, True)
+    assert np.all(np.isfinite(got))
+    precise = log_sum_exp_tolerance(variant, *pair, epsilon, True)
+    assert np.abs(got - want).max() / epsilon <= precise
 
     got = variant.row_maxima(rows, columns, g, epsilon)
     want = REFERENCE.row_maxima(exact_rows, exact_columns, g, epsilon)
@@ -72,6 +77,8 @@ def test_softmin_survives_huge_potentials(variant, rng):
     got = variant.softmin(*_upload(variant, pair), g, 0.01)
     want = REFERENCE.softmin(*_upload(REFERENCE, pair), g, 0.01)
     assert np.abs(got - want).max() / 0.01 <= log_sum_exp_tolerance(variant, *pair, 0.01)
+    got = variant.softmin(*_upload(variant, pair), g, 0.01, True)
+    assert np.abs(got - want).max() / 0.01 <= log_sum_exp_tolerance(variant, *pair, 0.01, True)
 
 
 def test_softmin_of_one_pair_is_its_cost(variant):
@@ -112,6 +119,11 @@ def test_plan_rows(variant, rng, name, blur):
     want = REFERENCE.plan_rows(*exact, *arguments)
     assert got.indptr[0] == 0
     assert got.indptr[-1] == len(got.mass) == len(got.indices)
+    counts = variant.count_plan_rows(*_upload(variant, pair), *arguments)
+    assert np.array_equal(counts, np.diff(got.indptr))
+    again = variant.plan_rows(*_upload(variant, pair), *arguments, False, counts)
+    assert all(np.array_equal(one, other) for one, other in zip(got, again, strict=True))
+    assert np.array_equal(REFERENCE.count_plan_rows(*exact, *arguments), np.diff(want.indptr))
     got_mass, want_mass = (_dense(rows, len(g)) for rows in (got, want))
     both = (got_mass > 0) & (want_mass > 0)
     assert both.any()
@@ -251,3 +263,62 @@ def test_splatting_launches_are_cut_without_changing_a_bit(variant, rng):
     cut = variant.splat(splats, (300, 41), 2.0, 9.0)
     assert np.array_equal(whole[0], cut[0])
     assert np.array_equal(whole[1], cut[1])
+
+
+@pytest.mark.parametrize("blur", [1.0, 0.1, 0.02])
+@pytest.mark.parametrize("name", PAIRS)
+def test_plan_moments(variant, rng, name, blur):
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    g = _potential(rng, len(pair[1][0]), epsilon)
+    exact = _upload(REFERENCE, pair)
+    mean, covariance = REFERENCE.plan_moments(
+        *exact, g, REFERENCE.softmin(*exact, g, epsilon), epsilon
+    )
+    ours = _upload(variant, pair)
+    softmin = variant.softmin(*ours, g, epsilon, True)
+    got_mean, got_covariance = variant.plan_moments(*ours, g, softmin, epsilon, True)
+    # Sums of M terms of the size of the cloud, and of its square.
+    low = np.minimum(pair[0][0].min(axis=0), pair[1][0].min(axis=0))
+    high = np.maximum(pair[0][0].max(axis=0), pair[1][0].max(axis=0))
+    size = float(np.max(high - low)) + 1e-6
+    tolerance = UNIT * (32 + 4 * np.sqrt(len(g)))
+    assert np.abs(got_mean - mean).max() <= tolerance * (size + np.abs(mean).max())
+    assert np.abs(got_covariance - covariance).max() <= 8 * tolerance * size**2
+
+
+@pytest.mark.parametrize("n_draws", [1, 3, 16])
+@pytest.mark.parametrize("name", PAIRS)
+def test_sample_plan_rows(variant, rng, name, n_draws):
+    """Every row's draws split its mass as their thresholds do."""
+    pair = PAIRS[name](rng)
+    epsilon = 0.05**2
+    n, m = len(pair[0][0]), len(pair[1][0])
+    g = _potential(rng, m, epsilon)
+    thresholds = (np.arange(n_draws) + rng.random((n, n_draws))) / n_draws
+    for backend in (variant, REFERENCE):
+        clouds = _upload(backend, pair)
+        softmin = backend.softmin(*clouds, g, epsilon)
+        draws = backend.sample_plan_rows(*clouds, g, softmin, epsilon, thresholds)
+        assert draws.shape == (n, n_draws)
+        assert draws.min() >= 0
+        assert draws.max() < m
+        assert np.all(pair[1][1][draws] > 0)
+
+
+def test_draws_are_unbiased(variant, rng):
+    """Over many thresholds each column comes as often as its share says."""
+    pair = [(rng.random((3, 5)), np.ones(3)), (rng.random((90, 5)), rng.random(90))]
+    epsilon, n_draws = 0.3**2, 4000
+    g = _potential(rng, 90, epsilon)
+    clouds, exact = _upload(variant, pair), _upload(REFERENCE, pair)
+    thresholds = np.tile((np.arange(n_draws) + 0.5) / n_draws, (3, 1))
+    softmin = variant.softmin(*clouds, g, epsilon)
+    draws = variant.sample_plan_rows(*clouds, g, softmin, epsilon, thresholds)
+    cost = 0.5 * np.sum((pair[0][0][:, None] - pair[1][0]) ** 2, axis=2)
+    share = pair[1][1] * np.exp(
+        (g - cost + REFERENCE.softmin(*exact, g, epsilon)[:, None]) / epsilon
+    )
+    for row in range(3):
+        counts = np.bincount(draws[row], minlength=90)
+        assert np.abs(counts / n_draws - share[row]).max() <= 1.01 / n_draws + 1e-5

@@ -3,7 +3,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from clmorph import InputError, lift, particles, reference, sinkhorn, transport_plan
+from clmorph import (
+    InputError,
+    displacement_statistics,
+    lift,
+    particles,
+    reference,
+    sinkhorn,
+    transport_plan,
+)
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +61,97 @@ def test_the_papers_threshold(device, pair):
         transport_plan(source, target, potentials, log_threshold=5.0, backend=device)
 
 
+def test_relative_to_the_whole_plan(device, pair):
+    """The paper's code: one threshold, so bright rows silence faint ones."""
+    source, target, potentials, dense = pair
+    plan = transport_plan(
+        source, target, potentials, relative=1e-2, relative_to="plan", backend=device
+    )
+    got = plan.to_scipy().toarray() > 0
+    share = dense / dense.max()
+    clear = np.abs(np.log(share / 1e-2)) > 1e-3
+    assert np.array_equal(got[clear], (share > 1e-2)[clear])
+
+
+def test_reports(device, pair):
+    source, target, potentials, dense = pair
+    plan = transport_plan(source, target, potentials, relative=0.05, backend=device)
+    kept = plan.to_scipy().toarray()
+    rows = 1 - kept.sum(axis=1) / dense.sum(axis=1)
+    assert np.allclose(plan.dropped_row_mass, rows, atol=1e-4)
+    assert plan.worst_dropped_row_mass == pytest.approx(rows.max(), abs=1e-4)
+    assert plan.worst_dropped_row_mass > plan.dropped_mass > 1e-3
+    assert np.allclose(plan.whole_row_mass, dense.sum(axis=1), rtol=1e-4)
+    assert plan.nbytes == 12 * len(plan) + 8 * (len(source) + 1)
+    assert "dropped" in repr(plan)
+
+
+def test_too_many_pairs_are_refused_before_they_are_written(device, pair, monkeypatch):
+    source, target, potentials, _ = pair
+    plan = transport_plan(source, target, potentials, backend=device)
+    exactly = 12 * len(plan)
+    again = transport_plan(source, target, potentials, max_bytes=exactly, backend=device)
+    assert len(again) == len(plan)
+    monkeypatch.setattr(device, "plan_rows", None)
+    with pytest.raises(InputError, match=f"would keep {len(plan)} pairs.*max_bytes") as caught:
+        transport_plan(source, target, potentials, max_bytes=exactly - 1, backend=device)
+    assert "\n" not in str(caught.value)
+
+
+def test_displacements(device, pair):
+    source, target, potentials, dense = pair
+    plan = transport_plan(source, target, potentials, relative=1e-9, backend=device)
+    got = displacement_statistics(source, target, plan)
+    mass = dense.sum(axis=1)
+    field = (dense @ target.positions / mass[:, None] - source.positions) * 8  # 9 x 8 pixels
+    assert np.allclose(got.field.reshape(-1, 2), field, atol=1e-3)
+    length = np.hypot(*field.T)
+    assert got.max == pytest.approx(length.max(), rel=1e-3)
+    assert got.mean == pytest.approx(length.mean(), rel=1e-3)
+    assert got.mass_weighted_mean == pytest.approx((length * mass).sum() / mass.sum(), rel=1e-3)
+    assert got.source_mass.shape == got.destroyed.shape == (9, 8)
+    assert got.target_mass.shape == got.created.shape == (7, 11)
+    assert np.allclose(got.destroyed.ravel(), np.maximum(source.weights - mass, 0), atol=1e-6)
+    columns = dense.sum(axis=0)
+    assert np.allclose(got.created.ravel(), np.maximum(target.weights - columns, 0), atol=1e-6)
+    assert "pixels" in repr(got)
+
+
+def test_the_mask_of_table_1(pair):
+    source, target, potentials, _ = pair
+    plan = transport_plan(source, target, potentials, backend="numpy")
+    cut = float(np.median(plan.row_mass))
+    got = displacement_statistics(source, target, plan, mask=cut)
+    rests = plan.row_mass.reshape(source.shape) <= cut
+    assert 0 < rests.sum() < rests.size
+    assert np.all(got.length[rests] == 0)
+    assert np.all(got.length[~rests] > 0)
+    assert displacement_statistics(source, target, plan, mask=1.0).max == 0
+    everything = displacement_statistics(source, target, plan)
+    assert everything.max >= got.max
+
+
+def test_stretched_axes_count_as_the_paper_does(rng):
+    source, target = (lift(rng.random((4, 6, 3)), extent="unit") for _ in range(2))
+    potentials = sinkhorn(source, target, 0.1, 0.4, backend="numpy")
+    plan = transport_plan(source, target, potentials, backend="numpy")
+    got = displacement_statistics(source, target, plan)
+    dense = plan.to_scipy().toarray()
+    field = dense @ target.positions / dense.sum(axis=1)[:, None] - source.positions
+    assert np.allclose(got.field.reshape(-1, 2), field * [6, 4])
+
+
+def test_displacements_need_images_and_their_plan(pair):
+    source, target, potentials, _ = pair
+    plan = transport_plan(source, target, potentials, backend="numpy")
+    with pytest.raises(InputError, match="build it for these"):
+        displacement_statistics(target, source, plan)
+    with pytest.raises(InputError, match="expected a Measure"):
+        displacement_statistics((source.weights, source.points), target, plan)
+    with pytest.raises(InputError, match="mask"):
+        displacement_statistics(source, target, plan, mask=-1)
+
+
 def test_wrong_options(pair):
     source, target, potentials, _ = pair
     with pytest.raises(InputError, match="potentials are for"):
@@ -60,6 +159,9 @@ def test_wrong_options(pair):
     for relative in (0, -1, 2, np.nan):
         with pytest.raises(InputError, match="relative"):
             transport_plan(source, target, potentials, relative=relative, backend="numpy")
+    for options in ({"relative_to": "columns"}, {"max_bytes": 0}, {"max_bytes": np.nan}):
+        with pytest.raises(InputError, match=next(iter(options))):
+            transport_plan(source, target, potentials, backend="numpy", **options)
 
 
 def test_the_default_threshold_drops_little(device, pair):

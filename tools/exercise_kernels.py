@@ -54,6 +54,11 @@ def exercise(operations: Operations) -> list[np.ndarray]:
             rows, columns, f, g, 0.01, np.full(n, -9.0), np.full(m, np.inf), precise
         )
         results.append(kept.mass)
+        softmin = operations.softmin(rows, columns, g, 0.01, precise)
+        results += operations.plan_moments(rows, columns, g, softmin, 0.01, precise)
+    thresholds = np.tile([0.1, 0.4, 0.9], (n, 1))
+    draws = operations.sample_plan_rows(rows, columns, g, softmin, 0.01, thresholds)
+    results.append(np.array([float(draws.max() < m)]))
     moving = operations.upload_particles(
         rng.random((40, 5)), rng.integers(0, 40, (150, 2)).astype(np.uint32), rng.random((150, 2))
     )

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pyopencl as cl
 
 from clmorph.opencl.quirks import find_quirks
 
 #: Stands for minus infinity in float32 exponents: far under any of them, yet the sum of
-#: a few is still finite.
-SENTINEL = -1e30
+#: a few is still finite. Exact in float32, so that it is the same number in any precision.
+SENTINEL = float(np.float32(-1e30))
 #: Columns taken together where exponents fill two registers each.
 PRECISE_UNROLL = 4
 

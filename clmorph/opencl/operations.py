@@ -10,9 +10,10 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.errors import DeviceError
+from clmorph.opencl.clouds import Cloud
 from clmorph.opencl.knobs import Knobs
 from clmorph.opencl.launches import Workspace
-from clmorph.opencl.reductions import Cloud, Reductions
+from clmorph.opencl.plan_reductions import PlanReductions
 from clmorph.opencl.splatting import ParticleSet, Splats, Splatting
 from clmorph.opencl.tuning import tuned_knobs
 from clmorph.operations import Bins, Float32, Float64, PlanRows
@@ -75,7 +76,7 @@ class OpenCLOperations:
                 "choose another device with --device or CLMORPH_DEVICE"
             ) from error
         self.work = Workspace(self.context, self.queue)
-        self.reductions = Reductions(self.work, self.knobs)
+        self.reductions = PlanReductions(self.work, self.knobs)
 
     @functools.cached_property
     def splatting(self) -> Splatting:
@@ -112,6 +113,23 @@ class OpenCLOperations:
         return self.reductions.row_maxima(rows, columns, potential, epsilon)
 
     @_operation
+    def count_plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        precise: bool = False,
+    ) -> NDArray[np.int64]:
+        """Return how many pairs of each row `plan_rows` keeps."""
+        return self.reductions.count_plan_rows(
+            rows, columns, f, g, epsilon, row_thresholds, column_thresholds, precise
+        )
+
+    @_operation
     def plan_rows(
         self,
         rows: Cloud,
@@ -122,10 +140,40 @@ class OpenCLOperations:
         row_thresholds: Float64,
         column_thresholds: Float64,
         precise: bool = False,
+        counts: NDArray[np.int64] | None = None,
     ) -> PlanRows:
-        """Return the pairs of the plan (Eq. 2) above a threshold: count, then fill."""
+        """Return the pairs of the plan (Eq. 2) above a threshold."""
         return self.reductions.plan_rows(
-            rows, columns, f, g, epsilon, row_thresholds, column_thresholds, precise
+            rows, columns, f, g, epsilon, row_thresholds, column_thresholds, precise, counts
+        )
+
+    @_operation
+    def plan_moments(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        precise: bool = False,
+    ) -> tuple[Float64, Float64]:
+        """Return mean and covariance of each row's destinations."""
+        return self.reductions.plan_moments(rows, columns, g, softmin, epsilon, precise)
+
+    @_operation
+    def sample_plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        thresholds: Float64,
+        precise: bool = False,
+    ) -> NDArray[np.int32]:
+        """Return columns drawn from each plan row."""
+        return self.reductions.sample_plan_rows(
+            rows, columns, g, softmin, epsilon, thresholds, precise
         )
 
     # --- particles -----------------------------------------------------------------

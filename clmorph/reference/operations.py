@@ -73,6 +73,24 @@ class NumPyOperations:
             result[block] = exponents.max(axis=1)
         return result
 
+    def count_plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        precise: bool = False,
+    ) -> NDArray[np.int64]:
+        """Return how many pairs of each row `plan_rows` keeps."""
+        counts = np.zeros(len(rows.points), np.int64)
+        blocks = _plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
+        for block, _, keep in blocks:
+            counts[block] = keep.sum(axis=1)
+        return counts
+
     def plan_rows(
         self,
         rows: Cloud,
@@ -83,18 +101,60 @@ class NumPyOperations:
         row_thresholds: Float64,
         column_thresholds: Float64,
         precise: bool = False,
+        counts: NDArray[np.int64] | None = None,
     ) -> PlanRows:
         """Return the pairs of the plan (Eq. 2) above a threshold."""
-        counts = np.zeros(len(rows.points) + 1, np.int64)
-        indices, mass = [], []
-        for block, exponents in _exponent_blocks(rows, columns, g, epsilon):
-            log_plan = exponents + (f[block] / epsilon + rows.log_weights[block])[:, None]
-            keep = log_plan > np.minimum(row_thresholds[block][:, None], column_thresholds)
-            keep &= log_plan > -np.inf
-            counts[1:][block] = keep.sum(axis=1)
+        lengths, indices, mass = [np.zeros(1, np.int64)], [], []
+        blocks = _plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
+        for _, log_plan, keep in blocks:
+            lengths.append(keep.sum(axis=1))
             indices.append(np.nonzero(keep)[1].astype(np.int32))
             mass.append(np.exp(log_plan[keep]))
-        return PlanRows(np.cumsum(counts), np.concatenate(indices), np.concatenate(mass))
+        indptr = np.cumsum(np.concatenate(lengths))
+        return PlanRows(indptr, np.concatenate(indices), np.concatenate(mass))
+
+    def plan_moments(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        precise: bool = False,
+    ) -> tuple[Float64, Float64]:
+        """Return mean and covariance of each row's destinations."""
+        n, dimension = rows.points.shape
+        mean, covariance = np.empty((n, dimension)), np.empty((n, dimension, dimension))
+        for block, exponents in _exponent_blocks(rows, columns, g, epsilon):
+            share = np.exp(exponents + softmin[block, None] / epsilon)
+            share /= share.sum(axis=1, keepdims=True)
+            mean[block] = share @ columns.points
+            for d in range(dimension):
+                for e in range(dimension):
+                    product = (columns.points[:, d] - mean[block, d, None]) * (
+                        columns.points[:, e] - mean[block, e, None]
+                    )
+                    covariance[block, d, e] = (share * product).sum(axis=1)
+        return mean, covariance
+
+    def sample_plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        thresholds: Float64,
+        precise: bool = False,
+    ) -> NDArray[np.int32]:
+        """Return columns drawn from each plan row."""
+        draws = np.empty(thresholds.shape, np.int32)
+        for block, exponents in _exponent_blocks(rows, columns, g, epsilon):
+            sums = np.cumsum(np.exp(exponents + softmin[block, None] / epsilon), axis=1)
+            sums /= sums[:, -1:]
+            for row, (own, wanted) in enumerate(zip(sums, thresholds[block], strict=True)):
+                draws[block][row] = np.searchsorted(own, wanted, side="right")
+        return draws
 
     def upload_particles(
         self,
@@ -167,6 +227,22 @@ def _exponent_blocks(
         exponents /= epsilon
         exponents += columns.log_weights
         yield block, exponents
+
+
+def _plan_blocks(
+    rows: Cloud,
+    columns: Cloud,
+    f: Float64,
+    g: Float64,
+    epsilon: float,
+    row_thresholds: Float64,
+    column_thresholds: Float64,
+) -> Iterator[tuple[slice, Float64, NDArray[np.bool_]]]:
+    """Yield log pi_ij, and which of them are kept, for blocks of rows."""
+    for block, exponents in _exponent_blocks(rows, columns, g, epsilon):
+        log_plan = exponents + (f[block] / epsilon + rows.log_weights[block])[:, None]
+        keep = log_plan > np.minimum(row_thresholds[block][:, None], column_thresholds)
+        yield block, log_plan, keep & (log_plan > -np.inf)
 
 
 def _kernel(d: Float64, sigma: float, radius: float) -> Float64:

@@ -1,0 +1,106 @@
+"""Clouds on the device: sorted into tiles, split into what float32 holds and the rest."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clmorph.errors import DeviceError
+from clmorph.opencl.knobs import SENTINEL
+from clmorph.opencl.launches import Workspace
+from clmorph.operations import MAX_POINTS, Float64
+from clmorph.tiles import tile_order
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A cloud on the device, sorted into tiles and padded to whole ones.
+
+    Attributes
+    ----------
+    order : (N,) array
+        Where each sorted point stood in the caller's arrays.
+    centers : (tiles, D) array
+        Tile centers; exact in float32.
+    log2_weights : (N,) array
+        Sorted; SENTINEL for zero mass.
+    half_squares : (N,) array
+        Sorted; half the squared distance of each point to its tile's center.
+    stride : int
+        N padded to whole tiles.
+    offsets_buffer : (2, D, stride) float32
+        Points less their tile's center, and what that rounds off.
+    centers_buffer : (tiles, D) float32
+    """
+
+    order: NDArray[np.intp]
+    centers: Float64
+    log2_weights: Float64
+    half_squares: Float64
+    stride: int
+    offsets_buffer: cl.Buffer
+    centers_buffer: cl.Buffer
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+
+def make_cloud(work: Workspace, tile: int, points: Float64, weights: Float64) -> Cloud:
+    """Sort a weighted cloud into tiles and put it on the device.
+
+    Parameters
+    ----------
+    work : Workspace
+    tile : int
+        Points of one tile.
+    points : (N, D) array
+    weights : (N,) array
+
+    Raises
+    ------
+    DeviceError
+        If there are more points than kernels can count.
+    """
+    points = np.asarray(points, float)
+    n, dimension = points.shape
+    if n > MAX_POINTS:
+        raise DeviceError(f"{n} points are too many: expected at most 2^24; reduce the image")
+    order = tile_order(points, tile)
+    n_tiles = -(-n // tile)
+    padded = np.pad(points[order], ((0, n_tiles * tile - n), (0, 0)), mode="edge")
+    tiles = padded.reshape(n_tiles, tile, dimension)
+    centers = 0.5 * (tiles.min(axis=1) + tiles.max(axis=1))
+    # Rounded first, so that the device's copy is exact and offsets absorb the rounding.
+    centers = centers.astype(np.float32).astype(float)
+    offsets = (tiles - centers[:, None]).reshape(-1, dimension)
+    with np.errstate(divide="ignore"):
+        log2_weights = np.log2(np.asarray(weights, float)[order])
+    return Cloud(
+        order=order,
+        centers=centers,
+        log2_weights=np.maximum(log2_weights, SENTINEL),
+        half_squares=0.5 * np.sum(offsets[:n] ** 2, axis=1),
+        stride=n_tiles * tile,
+        offsets_buffer=work.buffer(split(offsets.T)),
+        centers_buffer=work.buffer(centers),
+    )
+
+
+def split(values: Float64) -> NDArray[np.float32]:
+    """Return (2, ...) float32: the nearest, and what it rounds off."""
+    high = values.astype(np.float32)
+    return np.stack((high, (values - high).astype(np.float32)))
+
+
+def pad(values: Float64, length: int, filler: float) -> Float64:
+    """Return values with `filler` behind them, up to `length`."""
+    return np.concatenate((values, np.full(length - len(values), filler)))
+
+
+def unsort(cloud: Cloud, values: NDArray[Any]) -> NDArray[Any]:
+    """Bring values of sorted points back to the caller's order."""
+    result = np.empty_like(values)
+    result[cloud.order] = values
+    return result

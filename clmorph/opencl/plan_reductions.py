@@ -1,0 +1,221 @@
+"""Reductions over the rows of a plan: pairs above a threshold, moments, draws."""
+
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clmorph.opencl.clouds import Cloud, pad, split, unsort
+from clmorph.opencl.knobs import SENTINEL
+from clmorph.opencl.reductions import LOG2_E, Reductions
+from clmorph.operations import Float64, PlanRows
+
+#: Thresholds of draws stay below row sums that rounding made a little less than 1.
+LARGEST_THRESHOLD = 1.0 - 1e-5
+
+
+class PlanReductions(Reductions):
+    """The transport half of `OpenCLOperations`."""
+
+    def count_plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        precise: bool = False,
+    ) -> NDArray[np.int64]:
+        """Return how many pairs of each row `plan_rows` keeps."""
+        levels = self._plan_levels(rows, columns, f, g, epsilon)
+        shared = self._plan_buffers(rows, columns, levels, row_thresholds, column_thresholds)
+        kernel, tile = self._row_kernels(rows, precise)["count_plan_rows"], self._knobs.tile
+        counts = np.empty(rows.stride, np.int32)
+        for part in self._row_parts(rows, columns):
+            out = self._work.empty(len(part) * tile * 4)
+            self._launch_rows(
+                kernel, rows, columns, *levels[:4], part, *shared, out, precise=precise
+            )
+            cl.enqueue_copy(self._work.queue, counts[part.start * tile : part.stop * tile], out)
+        return unsort(rows, counts[: len(rows)].astype(np.int64))
+
+    def plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        precise: bool = False,
+        counts: NDArray[np.int64] | None = None,
+    ) -> PlanRows:
+        """Return the pairs of the plan (Eq. 2) above a threshold, each row at its own place."""
+        arguments = (rows, columns, f, g, epsilon, row_thresholds, column_thresholds, precise)
+        if counts is None:
+            counts = self.count_plan_rows(*arguments)
+        levels = self._plan_levels(rows, columns, f, g, epsilon)
+        shared = self._plan_buffers(rows, columns, levels, row_thresholds, column_thresholds)
+        kernel, tile = self._row_kernels(rows, precise)["fill_plan_rows"], self._knobs.tile
+        n = len(rows)
+        sorted_counts = np.zeros(rows.stride, np.int64)
+        sorted_counts[:n] = counts[rows.order]
+        indices, mass = [], []
+        for part in self._row_parts(rows, columns, sorted_counts):
+            in_part = sorted_counts[part.start * tile : part.stop * tile]
+            ends = np.cumsum(in_part)
+            kept = int(ends[-1])
+            column_buffer, mass_buffer = self._work.empty(4 * kept), self._work.empty(4 * kept)
+            self._launch_rows(
+                kernel, rows, columns, *levels[:4], part, *shared,
+                self._work.buffer(ends - in_part, np.uint32), column_buffer, mass_buffer,
+                precise=precise,
+            )  # fmt: skip
+            found = np.empty(kept, np.int32)
+            log2_masses = np.empty(kept, np.float32)
+            if kept:
+                cl.enqueue_copy(self._work.queue, found, column_buffer)
+                cl.enqueue_copy(self._work.queue, log2_masses, mass_buffer)
+            indices.append(columns.order[found].astype(np.int32))
+            mass.append(np.exp2(log2_masses.astype(float)))
+        return _unsort_rows(
+            rows, len(columns), sorted_counts[:n], np.concatenate(indices), np.concatenate(mass)
+        )
+
+    def plan_moments(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        precise: bool = False,
+    ) -> tuple[Float64, Float64]:
+        """Return mean and covariance of each row's destinations."""
+        kernel, tile = self._row_kernels(rows, precise)["plan_moments"], self._knobs.tile
+        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon)
+        dimension, n = rows.centers.shape[1], len(rows)
+        moments = np.empty((1 + dimension + dimension * (dimension + 1) // 2, rows.stride))
+        for part in self._row_parts(rows, columns):
+            out = np.empty((len(moments), len(part) * tile), np.float32)
+            buffer = self._work.empty(out.nbytes)
+            self._launch_rows(
+                kernel, rows, columns, *levels, part, np.uint32(out.shape[1]), base, buffer,
+                precise=precise,
+            )  # fmt: skip
+            cl.enqueue_copy(self._work.queue, out, buffer)
+            moments[:, part.start * tile : part.stop * tile] = out
+        moments = moments[1:, :n] / moments[0, :n]
+        k = LOG2_E / epsilon
+        mean, covariance = np.empty((n, dimension)), np.empty((n, dimension, dimension))
+        first, number = np.empty((dimension, n)), 0
+        for d in range(dimension):
+            first[d] = moments[number]
+            mean[:, d] = np.repeat(rows.centers[:, d], tile)[:n] + first[d] / k
+            for e in range(d + 1):
+                second = moments[number + 1 + e] - first[d] * first[e]
+                covariance[:, d, e] = covariance[:, e, d] = second / k**2
+            number += d + 2
+        return unsort(rows, mean), unsort(rows, covariance)
+
+    def sample_plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        thresholds: Float64,
+        precise: bool = False,
+    ) -> NDArray[np.int32]:
+        """Return columns drawn from each plan row."""
+        kernel, tile = self._row_kernels(rows, precise)["sample_plan_rows"], self._knobs.tile
+        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon)
+        n, n_draws = thresholds.shape
+        ordered = np.zeros((rows.stride, n_draws), np.float32)
+        ordered[:n] = np.minimum(thresholds[rows.order], LARGEST_THRESHOLD)
+        draws = np.empty((rows.stride, n_draws), np.int32)
+        for part in self._row_parts(rows, columns):
+            section = slice(part.start * tile, part.stop * tile)
+            draws[section] = -1
+            buffer = self._work.buffer(draws[section], np.int32)
+            self._launch_rows(
+                kernel, rows, columns, *levels, part, np.uint32(n_draws), base,
+                self._work.buffer(ordered[section]), buffer, precise=precise,
+            )  # fmt: skip
+            cl.enqueue_copy(self._work.queue, draws[section], buffer)
+        # Row sums that rounding keeps from the last thresholds: as the draw before them.
+        for number in range(1, n_draws):
+            missing = draws[:n, number] < 0
+            draws[:n][missing, number] = draws[:n][missing, number - 1]
+        return unsort(rows, columns.order[np.maximum(draws[:n], 0)].astype(np.int32))
+
+    def _conditional_levels(
+        self, rows: Cloud, columns: Cloud, g: Float64, softmin: Float64, epsilon: float
+    ) -> tuple[cl.Buffer, Float64, Float64, float, cl.Buffer]:
+        """Columns' heights and tops, rows' tops, k, and what makes log2 of pi_ij / r_i of e_ij."""
+        k = LOG2_E / epsilon
+        heights, tops = self._column_heights(columns, g, k)
+        tops_of_rows = self._row_tops(rows, columns, tops, k)
+        bases = np.repeat(tops_of_rows, self._knobs.tile)[: len(rows)] - k * rows.half_squares
+        bases += k * softmin[rows.order]
+        base = self._work.buffer(split(pad(bases, rows.stride, SENTINEL)))
+        return heights, tops, tops_of_rows, k, base
+
+    def _plan_levels(
+        self, rows: Cloud, columns: Cloud, f: Float64, g: Float64, epsilon: float
+    ) -> tuple[cl.Buffer, Float64, Float64, float, Float64]:
+        """Columns' heights and tops, rows' tops, k, and what makes log2 pi_ij of e_ij."""
+        k = LOG2_E / epsilon
+        heights, tops = self._column_heights(columns, g, k)
+        tops_of_rows = self._row_tops(rows, columns, tops, k)
+        # log2 pi_ij = e_ij + bases_i; a row without mass keeps nothing.
+        bases = np.repeat(tops_of_rows, self._knobs.tile)[: len(rows)] - k * rows.half_squares
+        bases += f[rows.order] * k + rows.log2_weights
+        bases[rows.log2_weights <= SENTINEL] = SENTINEL
+        return heights, tops, tops_of_rows, k, bases
+
+    def _plan_buffers(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        levels: tuple[Any, ...],
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+    ) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
+        """Bases and thresholds, as both kernels want them."""
+        by_row = _log2_threshold(row_thresholds)[rows.order]
+        by_column = _log2_threshold(column_thresholds)[columns.order]
+        return (
+            self._work.buffer(split(pad(levels[4], rows.stride, SENTINEL))),
+            self._work.buffer(pad(by_row, rows.stride, -SENTINEL)),
+            self._work.buffer(pad(by_column, columns.stride, -SENTINEL)),
+        )
+
+
+def _log2_threshold(values: Float64) -> Float64:
+    """Convert nats to base 2, and infinities to what float32 arithmetic survives."""
+    return np.clip(np.asarray(values, float) * LOG2_E, 0.25 * SENTINEL, -SENTINEL)
+
+
+def _unsort_rows(
+    rows: Cloud,
+    n_columns: int,
+    counts: NDArray[np.int64],
+    indices: NDArray[np.int32],
+    mass: Float64,
+) -> PlanRows:
+    """Bring plan rows, and the columns inside each, back to the caller's order."""
+    from scipy.sparse import csr_array
+
+    indptr = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+    plan = csr_array((mass, indices, indptr), shape=(len(rows), n_columns))
+    inverse = np.empty_like(rows.order)
+    inverse[rows.order] = np.arange(len(rows))
+    plan = plan[inverse]
+    plan.sort_indices()
+    return PlanRows(plan.indptr.astype(np.int64), plan.indices.astype(np.int32), plan.data)

@@ -1,0 +1,182 @@
+"""Summaries of a plan that is too large to keep: draws from its rows, or their moments."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends import Backend, get_backend
+from clmorph.checks import check_integer
+from clmorph.errors import InputError
+from clmorph.measures import Measure
+from clmorph.operations import Operations
+from clmorph.plan import Plan
+from clmorph.points import AnyMeasure, MeasureLike, as_pair
+from clmorph.potentials import Potentials
+
+Array = NDArray[np.float64]
+
+#: Draws from one row.
+MAX_DRAWS = 4096
+
+
+@dataclass(frozen=True, repr=False)
+class Barycentric:
+    """Where each source pixel goes on average, over the whole plan, and how widely.
+
+    Attributes
+    ----------
+    positions : (N, 2) array
+        Mean destination sum_j pi_ij y_j / r_i, in the common frame.
+    colors : (N, 3) array
+        Mean color there.
+    covariance : (N, 5, 5) array
+        Of the destination, lifted: (x, y, lambda r, lambda g, lambda b).
+    row_mass, column_mass : (N,) and (M,) arrays
+        Marginals of the plan.
+    """
+
+    positions: Array
+    colors: Array
+    covariance: Array
+    row_mass: Array
+    column_mass: Array
+
+    def __repr__(self) -> str:
+        return f"<Barycentric of {len(self)} points, mass {self.row_mass.sum():g}>"
+
+    def __len__(self) -> int:
+        return len(self.row_mass)
+
+
+def sample_plan(
+    source: MeasureLike,
+    target: MeasureLike,
+    potentials: Potentials,
+    draws: int,
+    *,
+    seed: int = 0,
+    backend: Backend = "auto",
+) -> Plan:
+    """Draw targets from each row of a plan, in streaming and without bias.
+
+    Each draw carries the same share of its row's mass. Thresholds are stratified: draw s falls
+    into the s-th of equal parts of the row, so that few draws already spread as the row does.
+
+    Parameters
+    ----------
+    source, target : Measure, WeightedPoints, or (weights, points)
+    potentials : Potentials
+    draws : int
+        From each row; a target drawn twice is one pair of twice the mass.
+    seed : int
+    backend : str or Operations
+        See `clmorph.get_backend`. Backends order targets differently, so the same seed draws
+        others.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+    """
+    from scipy.sparse import coo_array
+
+    source, target = as_pair(source, target)
+    draws = check_integer("draws", draws, 1, MAX_DRAWS)
+    seed = check_integer("seed", seed, 0, 2**63)
+    operations, clouds, softmin = _rows(source, target, potentials, backend)
+    whole = _row_mass(source.weights, potentials, softmin)
+    rng = np.random.default_rng(seed)
+    thresholds = (np.arange(draws) + rng.random((len(source), draws))) / draws
+    # Dividing can round up to 1.
+    thresholds = np.minimum(thresholds, np.nextafter(1.0, 0.0))
+    columns = operations.sample_plan_rows(
+        *clouds, potentials.g, softmin, potentials.epsilon, thresholds, potentials.precise
+    )
+    rows = np.repeat(np.arange(len(source)), draws)
+    mass = np.repeat(whole / draws, draws)
+    shape = (len(source), len(target))
+    travels = mass > 0
+    plan = coo_array((mass[travels], (rows[travels], columns.ravel()[travels])), shape).tocsr()
+    plan.sort_indices()
+    return Plan(
+        plan.indptr.astype(np.int64), plan.indices.astype(np.int32), plan.data, shape, whole
+    )
+
+
+def barycentric_plan(
+    source: Measure, target: Measure, potentials: Potentials, *, backend: Backend = "auto"
+) -> Barycentric:
+    """Compute mean and covariance of every pixel's destination, in streaming, nothing pruned.
+
+    Parameters
+    ----------
+    source, target : Measure
+    potentials : Potentials
+    backend : str or Operations
+        See `clmorph.get_backend`.
+
+    Returns
+    -------
+    Barycentric
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used; if the color weight is 0, as colors then play no part in
+        the plan and have no mean in it.
+    """
+    for name, measure in (("source", source), ("target", target)):
+        if not isinstance(measure, Measure):
+            raise InputError(
+                f"{name} is a {type(measure).__name__}: expected a Measure; make one with "
+                "clmorph.lift(image)"
+            )
+    as_pair(source, target)
+    if source.color_weight == 0:
+        raise InputError(
+            "color_weight=0: expected a positive one for barycentric destinations, which have "
+            "a mean color; use a small one, or draws from the plan"
+        )
+    operations, clouds, softmin = _rows(source, target, potentials, backend)
+    epsilon, precise = potentials.epsilon, potentials.precise
+    mean, covariance = operations.plan_moments(*clouds, potentials.g, softmin, epsilon, precise)
+    columns = operations.softmin(*clouds[::-1], potentials.f, epsilon, precise)
+    with np.errstate(divide="ignore"):
+        column_mass = np.exp((potentials.g - columns) / epsilon + np.log(target.weights))
+    return Barycentric(
+        positions=mean[:, :2],
+        colors=np.clip(mean[:, 2:] / source.color_weight, 0.0, 1.0),
+        covariance=covariance,
+        row_mass=_row_mass(source.weights, potentials, softmin),
+        column_mass=column_mass,
+    )
+
+
+def _rows(
+    source: AnyMeasure, target: AnyMeasure, potentials: Potentials, backend: Backend
+) -> tuple[Operations, tuple[Any, Any], Array]:
+    """Return the operations, the uploaded clouds and T(g)."""
+    sizes = len(potentials.f), len(potentials.g)
+    if sizes != (len(source), len(target)):
+        raise InputError(
+            f"potentials are for {sizes[0]} and {sizes[1]} points: expected {len(source)} and "
+            f"{len(target)}; compute them for these measures"
+        )
+    operations = get_backend(backend)
+    clouds = (
+        operations.upload(source.points, source.weights),
+        operations.upload(target.points, target.weights),
+    )
+    softmin = operations.softmin(*clouds, potentials.g, potentials.epsilon, potentials.precise)
+    return operations, clouds, softmin
+
+
+def _row_mass(weights: Array, potentials: Potentials, softmin: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        return np.exp((potentials.f - softmin) / potentials.epsilon + np.log(weights))

@@ -1,0 +1,142 @@
+"""Plans too large to keep: draws from their rows, and moments of them."""
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph import (
+    InputError,
+    barycentric_plan,
+    lift,
+    morph,
+    particles,
+    reference,
+    sample_plan,
+    sinkhorn,
+    transport_plan,
+)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    rng = np.random.default_rng(7)
+    source, target = lift(rng.random((9, 8, 3)), 0.7), lift(rng.random((7, 11, 3)), 0.7)
+    potentials = sinkhorn(source, target, 0.15, 0.4, 1e-6, backend="numpy")
+    return source, target, potentials, reference.transport_plan(source, target, potentials)
+
+
+@pytest.fixture(params=["numpy", "device"])
+def backend(request, device):
+    return "numpy" if request.param == "numpy" else device
+
+
+def test_draws_keep_rows_and_average_to_the_plan(backend, pair):
+    source, target, potentials, dense = pair
+    plans = [
+        sample_plan(source, target, potentials, 8, seed=seed, backend=backend) for seed in range(60)
+    ]
+    for plan in plans:
+        assert np.allclose(plan.row_mass, dense.sum(axis=1), rtol=1e-4)
+        assert np.all(np.diff(plan.indptr) <= 8)
+        assert plan.dropped_mass < 1e-4
+    mean = np.mean([plan.to_scipy().toarray() for plan in plans], axis=0)
+    # Stratified draws deviate less than independent ones: sqrt(p / (8 * 60)) of a row.
+    rows = dense.sum(axis=1, keepdims=True)
+    deviation = np.sqrt(dense / rows / (8 * 60))
+    assert np.all(np.abs(mean - dense) / rows <= 5 * deviation + 1 / (8 * 60))
+    assert np.abs(mean - dense).sum() < 0.1 * dense.sum()
+
+
+def test_the_same_seed_draws_the_same(device, pair):
+    source, target, potentials, _ = pair
+    one, same, other = (
+        sample_plan(source, target, potentials, 4, seed=seed, backend=device) for seed in (3, 3, 4)
+    )
+    assert np.array_equal(one.indices, same.indices)
+    assert np.array_equal(one.mass, same.mass)
+    assert not np.array_equal(one.indices, other.indices)
+
+
+def test_many_draws_are_the_plan(backend, pair):
+    source, target, potentials, dense = pair
+    plan = sample_plan(source, target, potentials, 2000, backend=backend)
+    assert np.abs(plan.to_scipy().toarray() - dense).sum() < 0.02 * dense.sum()
+
+
+def test_barycentric(backend, pair):
+    source, target, potentials, dense = pair
+    got = barycentric_plan(source, target, potentials, backend=backend)
+    share = dense / dense.sum(axis=1, keepdims=True)
+    assert np.allclose(got.positions, share @ target.positions, atol=1e-5)
+    assert np.allclose(got.colors, share @ target.colors, atol=1e-5)
+    assert np.allclose(got.row_mass, dense.sum(axis=1), rtol=1e-4)
+    assert np.allclose(got.column_mass, dense.sum(axis=0), rtol=1e-4)
+    for row in (0, 17, 71):
+        want = np.cov(target.points.T, aweights=share[row], ddof=0)
+        assert np.allclose(got.covariance[row], want, atol=2e-5)
+    assert len(got) == len(source)
+
+
+def test_their_particles(device, pair):
+    source, target, potentials, _ = pair
+    for plan in (
+        sample_plan(source, target, potentials, 3, backend=device),
+        barycentric_plan(source, target, potentials, backend=device),
+    ):
+        moving = particles(source, target, plan)
+        assert moving.mass(0.0) == pytest.approx(source.mass, rel=1e-4)
+        assert len(particles(source, target, plan, unmatched="drop")) < len(moving)
+    # Exact ends, as with the whole plan, for draws.
+    moving = particles(source, target, sample_plan(source, target, potentials, 3, backend=device))
+    at_end = np.bincount(moving.links[:, 1], moving.weights[:, 1], len(source) + len(target))
+    assert np.allclose(at_end[len(source) :], target.weights, rtol=1e-6)
+
+
+@pytest.mark.parametrize("options", [{"sample": 6}, {"barycentric": True}])
+def test_morphs_of_summaries_look_like_the_whole(device, options):
+    y, x = np.mgrid[:24, :24] / 24
+    one = np.stack([x, y, 0.5 + 0.3 * np.sin(6 * x)], axis=-1)
+    two = np.stack([y, 1 - x, 0.5 + 0.3 * np.cos(5 * y)], axis=-1)
+    whole = morph(one, two, 3, backend=device)
+    less = morph(one, two, 3, backend=device, **options)
+    assert len(less.particles) < 0.5 * len(whole.particles)
+    for ours, theirs in zip(less.frames, whole.frames, strict=True):
+        assert np.sqrt(np.mean((ours - theirs) ** 2)) < 0.06
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda s, t, p: sample_plan(s, t, p, 0, backend="numpy"), "draws=0"),
+        (lambda s, t, p: sample_plan(s, t, p, 2.5, backend="numpy"), "draws=2.5"),
+        (lambda s, t, p: sample_plan(s, t, p, 2, seed=-1, backend="numpy"), "seed=-1"),
+        (lambda s, t, p: sample_plan(t, s, p, 2, backend="numpy"), "compute them for these"),
+        (lambda s, t, p: barycentric_plan(t, s, p, backend="numpy"), "compute them for these"),
+        (lambda s, t, p: barycentric_plan((s.weights, s.points), t, p), "expected a Measure"),
+        (lambda s, t, p: morph(np.zeros((2, 2)), np.zeros((2, 2)), sample=0), "sample=0"),
+        (
+            lambda s, t, p: morph(np.zeros((2, 2)), np.zeros((2, 2)), sample=2, barycentric=True),
+            "contradict",
+        ),
+    ],
+)
+def test_mistakes(pair, call, words):
+    with pytest.raises(InputError, match=words) as caught:
+        call(*pair[:3])
+    assert "\n" not in str(caught.value)
+
+
+def test_without_color_weight_there_is_no_mean_color(pair):
+    source, target = lift(np.zeros((2, 2)), 0.0), lift(np.ones((2, 2)), 0.0)
+    potentials = sinkhorn(source, target, backend="numpy")
+    with pytest.raises(InputError, match="color_weight=0"):
+        barycentric_plan(source, target, potentials, backend="numpy")
+
+
+def test_a_plan_without_mass_draws_nothing(device):
+    """A reach so small that all mass dies where it is."""
+    source, target = (clmorph.WeightedPoints(np.full((3, 2), at), np.ones(3)) for at in (0.0, 50.0))
+    potentials = sinkhorn(source, target, 0.05, 0.05, backend=device)
+    plan = sample_plan(source, target, potentials, 2, backend=device)
+    assert len(plan) == 0
+    assert plan.total_mass == transport_plan(source, target, potentials, backend=device).total_mass
