@@ -3,8 +3,8 @@
 //
 // -D PRECISE  0 (default): float32; an error of about 2e-8 C / epsilon nats.
 //             1: unevaluated sums of two float32 (about 48 bits), for devices without
-//             float64; 4 times the work. Dekker 1971; Ogita, Rump, Oishi 2005 (Dot2).
-//             2: float64; on CPUs 1.3 times the work.
+//             float64; 4 times the time. Dekker 1971; Ogita, Rump, Oishi 2005 (Dot2).
+//             2: float64; on CPUs 2.3 times the time.
 // Inputs are float32 in all: PLANES of them, the second with what the first rounds off.
 // -D DIM, TILE  see rows.cl
 
@@ -131,8 +131,7 @@ static inline vreal e_nearest(const ereal e)
 static inline vreal e_above(const ereal e, const vreal m)
 {
 #if PRECISE == 1
-    // Cut, for low parts beside two sentinels, which are no differences of exponents.
-    return min((HIGH(e) - m) + LOW(e), (vreal)(100.0f));
+    return (HIGH(e) - m) + LOW(e);
 #else
     return TO_VREAL(e - TO_EREAL(m));
 #endif

@@ -110,7 +110,8 @@ void log_sum_exp(
 
     ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
-    vreal m = (vreal)(SENTINEL);
+    // Above columns without mass: the difference of two sentinels is no exponent.
+    vreal m = (vreal)(0.5f * SENTINEL);
     vreal s = (vreal)(0.0f);
     for (uint q = share * tiles_per_share; q < q_end; ++q) {
         stage_columns(q, row_tile, column_stride, n_column_tiles, e_constant(k, k_low),
