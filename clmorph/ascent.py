@@ -32,8 +32,10 @@ ANNEALING_SHARE = 0.5
 SHORT = 20
 #: Iterations without a new best residual after which rounding is held to be the reason.
 STALLED = 10
-#: A residual of so many times the rounding of one softmin can be due to it.
+#: A residual of so many times the bound on the rounding of one softmin can be due to it.
 ROUNDING_MARGIN = 8.0
+#: Float32 is left for better exponents at so many times its rounding as measured.
+LEAVING_MARGIN = 4.0
 
 
 class State(NamedTuple):
@@ -170,15 +172,16 @@ class Ascent:
             return
         coarse_tol = self.tol
         if self.precise:
-            coarse_tol = max(self.tol, ROUNDING_MARGIN * self._measured_rounding(g, epsilon))
-        reached = self._climb(g, epsilon, coarse_tol, limit, precise=False)
+            coarse_tol = max(self.tol, LEAVING_MARGIN * self._measured_rounding(g, epsilon))
+        memory = Anderson()
+        reached = self._climb(g, epsilon, coarse_tol, limit, precise=False, memory=memory)
         out = self.status == "max_iter" and reached.residual > coarse_tol
         if out or not self.precise:
             # Float32 was enough, if precise softmins agree.
             self._measure(reached, epsilon, precise=True)
             if out or self.status == "converged":
                 return
-        reached = self._climb(reached.g, epsilon, self.tol, limit, precise=True)
+        reached = self._climb(reached.g, epsilon, self.tol, limit, precise=True, memory=memory)
         self._measure(reached, epsilon, precise=True)
 
     def _measure(self, reached: _Reached, epsilon: float, precise: bool) -> None:
@@ -204,11 +207,19 @@ class Ascent:
         self._measured += 2
         return float(np.abs(coarse - fine)[self.problem.a > 0].max() / epsilon)
 
-    def _climb(self, g: Array, epsilon: float, tol: float, limit: int, precise: bool) -> _Reached:
+    def _climb(
+        self,
+        g: Array,
+        epsilon: float,
+        tol: float,
+        limit: int,
+        precise: bool,
+        memory: Anderson | None = None,
+    ) -> _Reached:
         """Iterate at one epsilon until the residual is `tol`, or `limit` iterations are over."""
         problem = self.problem
         self.rounding = rounding = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
-        memory = Anderson()
+        memory = memory or Anderson()
         fallback: Array | None = None  # what the plain iteration would have gone on with
         floor = -np.inf  # the dual that it had reached
         first, best, since_best = 0.0, np.inf, 0

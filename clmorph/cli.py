@@ -7,6 +7,7 @@ in one line; 130 interrupted.
 
 import math
 import os
+import re
 import sys
 import time
 import warnings
@@ -254,11 +255,14 @@ def tune(device: str | None, every: bool, reset: bool) -> None:
 
 
 def _in_option_names(message: str) -> str:
-    """Name an option as it is written on the command line: n_frames=1 becomes --frames 1."""
-    name, equals, rest = message.partition("=")
+    """Name options as they are written on the command line: n_frames=1 becomes --frames 1."""
     options = {parameter.name: parameter.opts[0] for parameter in morph.params}
     options["n_frames"] = "--frames"
-    return f"{options[name]} {rest}" if equals and name in options else message
+    return re.sub(
+        r"\b(\w+)=",
+        lambda found: f"{options[found[1]]} " if found[1] in options else found[0],
+        message,
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

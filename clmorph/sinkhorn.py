@@ -160,9 +160,10 @@ def check_problem(
         )
     largest = largest_cost(source.points, target.points)
     if largest > MAX_SPREAD * given.epsilon:
+        enough = 1.1 * np.sqrt(largest / MAX_SPREAD)  # still enough when rounded
         raise InputError(
             f"blur={given.blur:g} is too small for points up to {np.sqrt(2 * largest):.3g} apart: "
-            f"expected at least {np.sqrt(largest / MAX_SPREAD):.1g}; raise it, or scale the points"
+            f"expected at least {enough:.2g}; raise it, or scale the points"
         )
     for rho in given.rho:
         if np.isfinite(rho) and rho > MAX_SPREAD * given.epsilon:

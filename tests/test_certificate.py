@@ -188,3 +188,14 @@ def test_a_start_saves_iterations_and_changes_nothing(rng):
     assert near.n_iter < sinkhorn(*pair, 0.045, 1.0, backend="numpy").n_iter
     with pytest.raises(InputError, match="60 and 64 points"):
         sinkhorn(*clouds(rng, 60, 64), 0.05, 1.0, backend="numpy", start=cold)
+
+
+def test_the_blur_that_is_proposed_is_enough(rng):
+    (a, x), (b, y) = clouds(rng)
+    with pytest.raises(InputError, match="too small") as caught:
+        sinkhorn((a, 3 * x), (b, 3 * y), 1e-6, backend="numpy")
+    proposed = float(str(caught.value).split("at least ")[1].split(";")[0])
+    assert 1e-6 < proposed < 1e-5
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        assert sinkhorn((a, 3 * x), (b, 3 * y), proposed, max_iter=1, backend="numpy").n_iter == 1

@@ -62,11 +62,11 @@ OPTIONS = [
     ("a.png b.jpg -o x.gif --backend warp-drive", "warp-drive"),
     ("a.png b.jpg -o x.gif --device 9:9", "9:9"),
     ("a.png b.jpg -o x.gif --device pocl --backend numpy", "contradict"),
-    ("a.png b.jpg -o x.gif --blur 0.05 --epsilon 0.0025", "give one of them"),
-    ("a.png b.jpg -o x.gif --reach 0.3 --rho 0.09", "give one of them"),
+    ("a.png b.jpg -o x.gif --blur 0.05 --epsilon 0.0025", "--blur 0.05 and --epsilon 0.0025"),
+    ("a.png b.jpg -o x.gif --reach 0.3 --rho 0.09", "--reach 0.3 and --rho 0.09"),
     ("a.png b.jpg -o x.gif --reach 0.3,0.3,0.3", "a pair"),
     ("a.png b.jpg -o x.gif --reach 0.3,far", "far"),
-    ("a.png b.jpg -o x.gif --blur 1e-6", "too small"),
+    ("a.png b.jpg -o x.gif --blur 1e-6", "too small for points"),
 ]
 CASES = FILES + OUTPUTS + OPTIONS
 CASES += [
