@@ -197,7 +197,8 @@ class Ascent:
         if residual <= self.tol:
             self.status = "converged"
         elif self.status == "converged":
-            self.status = "max_iter"
+            # Exactly, the last half-step can only have lowered the residual.
+            self.status = "precision"
         self.state = State(f, g, t_rows, t_columns, residual)
 
     def _measured_rounding(self, g: Array, epsilon: float) -> float:
