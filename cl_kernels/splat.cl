@@ -9,6 +9,11 @@
 // within its reach. Bins are squares of BIN pixels; bin (0, 0) begins MARGIN bins
 // outside the canvas, and particles farther out fall into the outermost ones.
 //
+// Widths can differ between particles: each then stands on a rung of a ladder of widths
+// (choose_rungs), every rung has bins of its own, and rungs are gathered one by one.
+//
+// -D RUNGS       rungs of the ladder
+// -D BASE_RUNG   the one whose width is sigma; RUNGS_PER_OCTAVE of them double the width
 // -D BIN         side of a bin in pixels, a power of two
 // -D CHUNK       particles added up before they join the total (bounds rounding)
 // -D TILE_GROUP  work-items of a splatting work-group along x and y
@@ -18,6 +23,9 @@
 #ifndef BIN
 #error "BIN (side of a bin in pixels) must be given"
 #endif
+#ifndef RUNGS
+#error "RUNGS, BASE_RUNG and RUNGS_PER_OCTAVE (ladder of widths) must be given"
+#endif
 #ifndef CHUNK
 #define CHUNK 256 // rounding grows with CHUNK + n / CHUNK
 #endif
@@ -25,25 +33,71 @@
 #define TILE_GROUP 1
 #endif
 
-// Position, weight and color of every particle at time t. One work-item a particle.
+// Position, weight, color and spacing of every particle at time t. One work-item each.
 __kernel void place(
     const uint first, const float t, const float2 scale, const float2 center,
-    const __global float* restrict table,       // (points, 5): x, y in the frame, color
+    const __global float* restrict table,       // (points, 6): x, y in the frame, color, spacing
     const __global uint2* restrict links,       // (particles,): where it starts, where it ends
     const __global float2* restrict weights,    // (particles,): weight at t = 0 and at t = 1
     __global float* restrict positions,         // (particles, 2): pixels
-    __global float* restrict samples)           // (particles, 4): weight, color
+    __global float* restrict samples,           // (particles, 4): weight, color
+    __global float* restrict spacings)          // (particles,): pixels
 {
     const size_t i = (size_t)first + get_global_id(0);
     const uint2 link = links[i];
-    const __global float* a = table + 5 * (size_t)link.x;
-    const __global float* b = table + 5 * (size_t)link.y;
+    const __global float* a = table + 6 * (size_t)link.x;
+    const __global float* b = table + 6 * (size_t)link.y;
     const float s = 1.0f - t;
     positions[2 * i] = (s * a[0] + t * b[0] - 0.5f) * scale.x + center.x;
     positions[2 * i + 1] = (s * a[1] + t * b[1] - 0.5f) * scale.y + center.y;
     samples[4 * i] = s * weights[i].x + t * weights[i].y;
     for (int channel = 0; channel < 3; ++channel)
         samples[4 * i + 1 + channel] = s * a[2 + channel] + t * b[2 + channel];
+    spacings[i] = (s * a[5] + t * b[5]) * 0.5f * (scale.x + scale.y);
+}
+
+// Samples whose first color is the weight: their sums are those of masses and of squares.
+__kernel void weigh(
+    const uint first,
+    const __global float4* restrict samples, // (particles,): weight, color
+    __global float4* restrict weighed)       // (particles,): weight, weight, 0, 0
+{
+    const size_t i = (size_t)first + get_global_id(0);
+    const float weight = samples[i].x;
+    weighed[i] = (float4)(weight, weight, 0.0f, 0.0f);
+}
+
+// Rung of every particle: its width is the larger of sigma times its own spacing and of half
+// the distance between particles where it stands, which is read between pixels, bilinearly.
+// Its weight is scaled so that the kernel's sum is that of sigma.
+__kernel void choose_rungs(
+    const uint first, const int2 shape, // (width, height) of the canvas
+    const float sigma,
+    const __global float* restrict distances,  // (height, width): pixels
+    const __global float2* restrict positions, // (particles,)
+    const __global float4* restrict samples,   // (particles,): weight, color
+    const __global float* restrict spacings,   // (particles,): pixels
+    __global uchar* restrict rungs,            // (particles,)
+    __global float4* restrict scaled)          // (particles,): samples, their weights scaled
+{
+    const size_t i = (size_t)first + get_global_id(0);
+    const float x = clamp(positions[i].x, 0.0f, shape.x - 1.0f);
+    const float y = clamp(positions[i].y, 0.0f, shape.y - 1.0f);
+    const int x0 = min((int)x, max(0, shape.x - 2));
+    const int y0 = min((int)y, max(0, shape.y - 2));
+    const int x1 = min(x0 + 1, shape.x - 1);
+    const int y1 = min(y0 + 1, shape.y - 1);
+    const float u = x - x0;
+    const float v = y - y0;
+    const float above = (1.0f - u) * distances[y0 * shape.x + x0] + u * distances[y0 * shape.x + x1];
+    const float below = (1.0f - u) * distances[y1 * shape.x + x0] + u * distances[y1 * shape.x + x1];
+    const float gap = 0.5f * ((1.0f - v) * above + v * below);
+    const float width = max(sigma * spacings[i], gap) / sigma;
+    const float rung = rint(RUNGS_PER_OCTAVE * log2(max(width, 1e-30f))) + BASE_RUNG;
+    rungs[i] = (uchar)clamp(rung, 0.0f, RUNGS - 1.0f);
+    // (sigma / width)^2, for the width of the rung
+    const float ratio = exp2((BASE_RUNG - (float)rungs[i]) * (2.0f / RUNGS_PER_OCTAVE));
+    scaled[i] = (float4)(samples[i].x * ratio, samples[i].y, samples[i].z, samples[i].w);
 }
 
 // Which bin a pixel position falls into. (n_bins_x, n_bins_y) include the margins.
@@ -54,27 +108,40 @@ static inline uint bin_of(const float2 position, const int margin, const int2 n_
     return (uint)(by * n_bins.x + bx);
 }
 
+// The same among the bins of all rungs; without rungs there is one.
+static inline size_t bin_of_particle(
+    const uint i, const int margin, const int2 n_bins, const int has_rungs,
+    const __global float2* positions, const __global uchar* rungs)
+{
+    const size_t rung = has_rungs ? rungs[i] : 0;
+    return rung * (size_t)(n_bins.x * n_bins.y) + bin_of(positions[i], margin, n_bins);
+}
+
 // counts[bin][slice] = particles of this slice in the bin. One work-item a slice of
 // consecutive particles, from first_slice on; counts are zero before.
 __kernel void count_bins(
     const uint n_particles, const uint slice_size, const uint first_slice, const uint n_slices,
     const int margin, const int2 n_bins,
+    const int has_rungs,
     const __global float2* restrict positions, // (n_particles,)
-    __global uint* restrict counts)            // (bins, slices)
+    const __global uchar* restrict rungs,      // (n_particles,), read if there are any
+    __global uint* restrict counts)            // (bins of all rungs, slices)
 {
     const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
     for (uint i = slice * slice_size; i < end; ++i)
-        ++counts[(size_t)bin_of(positions[i], margin, n_bins) * n_slices + slice];
+        ++counts[bin_of_particle(i, margin, n_bins, has_rungs, positions, rungs) * n_slices + slice];
 }
 
 // Sort into bins: slots[bin][slice] is where the slice's first particle of the bin goes.
 __kernel void fill_bins(
     const uint n_particles, const uint slice_size, const uint first_slice, const uint n_slices,
     const int margin, const int2 n_bins,
+    const int has_rungs,
     const __global float2* restrict positions, // (n_particles,)
+    const __global uchar* restrict rungs,      // (n_particles,), read if there are any
     const __global float4* restrict samples,   // (n_particles,)
-    __global uint* restrict slots,             // (bins, slices)
+    __global uint* restrict slots,             // (bins of all rungs, slices)
     __global uint* restrict order,             // (n_particles,)
     __global float2* restrict sorted_positions,
     __global float4* restrict sorted_samples)
@@ -82,8 +149,8 @@ __kernel void fill_bins(
     const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
     for (uint i = slice * slice_size; i < end; ++i) {
-        const uint slot =
-            slots[(size_t)bin_of(positions[i], margin, n_bins) * n_slices + slice]++;
+        const size_t bin = bin_of_particle(i, margin, n_bins, has_rungs, positions, rungs);
+        const uint slot = slots[bin * n_slices + slice]++;
         order[slot] = i;
         sorted_positions[slot] = positions[i];
         sorted_samples[slot] = samples[i];
@@ -128,7 +195,7 @@ void splat(
     const uint last_particle, const int margin, const int2 n_bins,
     const float exponent_scale, // -log2(e) / (2 sigma^2)
     const float radius, const int nearest,
-    const __global uint* restrict bin_starts,     // (bins + 1,)
+    const __global uint* restrict bin_starts,     // (bins + 1,) of this rung
     const __global float2* restrict positions,    // sorted into bins
     const __global float4* restrict samples,      // sorted into bins: weight, color
     const ulong plane,                            // padded height * padded width

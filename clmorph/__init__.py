@@ -17,10 +17,11 @@ from clmorph.errors import (
 from clmorph.images import fit, read_image
 from clmorph.interpolation import Particles, particles
 from clmorph.measures import Measure, lift
-from clmorph.morph import Morph, morph
+from clmorph.morph import morph
 from clmorph.plan import Plan, transport_plan
 from clmorph.points import WeightedPoints
 from clmorph.potentials import Potentials
+from clmorph.result import Morph
 from clmorph.sampling import Barycentric, barycentric_plan, sample_plan
 from clmorph.sinkhorn import sinkhorn
 

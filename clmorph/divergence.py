@@ -126,6 +126,11 @@ def sinkhorn_divergence(
         )
     check_solver_options(tol, max_iter, precision=precision)
     pair = as_pair(source, target)
+    if pair[0].offsets is not None or pair[1].offsets is not None:
+        raise InputError(
+            "a cost with a metric for each source pixel is no distance, so there is no "
+            "divergence: use one metric for all pixels"
+        )
     operations = get_backend(backend)
     check_problem(*pair, given, operations, precision)
     report = progress or (lambda share: None)

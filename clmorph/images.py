@@ -1,4 +1,4 @@
-"""Images in, as arrays of sRGB values in [0, 1]."""
+"""Images in, as arrays of sRGB values in [0, 1], with opacity where there is some."""
 
 import warnings
 from os import PathLike
@@ -15,15 +15,21 @@ from clmorph.errors import ImageWarning, InputError
 MAX_PIXELS = 64_000_000
 
 
-def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
-    """Return an image as (H, W, 3) float64 in [0, 1].
+def as_pixels(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
+    """Return an image as (H, W, 3) or (H, W, 4) float64 in [0, 1].
 
     Parameters
     ----------
     image : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) array
-        uint8, uint16, bool, or float in [0, 1]. Transparent parts are laid on white.
+        uint8, uint16, bool, or float in [0, 1].
     name : str
         What messages call it.
+
+    Returns
+    -------
+    (H, W, 3) or (H, W, 4) array
+        With a fourth channel, opacity, if any pixel is not opaque; colors are not multiplied
+        by it.
 
     Raises
     ------
@@ -61,9 +67,26 @@ def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
         )
     pixels = np.clip(pixels, 0.0, 1.0)
     if pixels.shape[2] == 4:
-        alpha = pixels[..., 3:]
-        pixels = pixels[..., :3] * alpha + (1.0 - alpha)
+        return np.ascontiguousarray(pixels if np.any(pixels[..., 3] < 1) else pixels[..., :3])
     return np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
+
+
+def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
+    """Return an image as (H, W, 3) float64 in [0, 1], transparent parts laid on white.
+
+    Parameters and errors as `as_pixels`.
+    """
+    colors, alpha = split_alpha(as_pixels(image, name))
+    return colors if alpha is None else colors * alpha[..., None] + (1.0 - alpha[..., None])
+
+
+def split_alpha(
+    pixels: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Return (H, W, 3) colors and (H, W) opacity, None if all is opaque."""
+    if pixels.shape[2] == 3:
+        return pixels, None
+    return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3]
 
 
 def block_size(image: NDArray[np.float64]) -> int:
@@ -90,13 +113,13 @@ def fit(image: NDArray[np.float64], size: int) -> NDArray[np.float64]:
 
     Parameters
     ----------
-    image : (H, W, 3) array
+    image : (H, W, 3) or (H, W, 4) array
     size : int
         Pixels; a smaller image is returned as it is.
 
     Returns
     -------
-    (H', W', 3) array
+    (H', W', 3) or (H', W', 4) array
         The aspect ratio kept. Anti-aliased; but a sprite, made of blocks of k x k pixels,
         keeps its blocks at the largest whole number of pixels that fits.
     """
@@ -112,7 +135,15 @@ def fit(image: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     from skimage.transform import resize
 
     shape = [max(1, round(side * size / longer)) for side in (height, width)]
-    return np.clip(np.asarray(resize(image, (*shape, 3), order=1, anti_aliasing=True)), 0, 1)
+    colors, alpha = split_alpha(image)
+    if alpha is None:
+        return np.clip(np.asarray(resize(image, (*shape, 3), order=1, anti_aliasing=True)), 0, 1)
+    # What cannot be seen must not bleed into what can: averages are weighted by opacity.
+    seen = np.dstack((colors * alpha[..., None], alpha))
+    seen = np.clip(np.asarray(resize(seen, (*shape, 4), order=1, anti_aliasing=True)), 0, 1)
+    opacity = seen[..., 3:]
+    colors = np.divide(seen[..., :3], opacity, out=np.zeros_like(seen[..., :3]), where=opacity > 0)
+    return np.dstack((np.clip(colors, 0, 1), opacity))
 
 
 def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> NDArray[np.float64]:
@@ -122,15 +153,14 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
     ----------
     path : path
         PNG, JPEG, WebP, GIF, BMP, TIFF or what else Pillow reads; the first picture of an
-        animation. EXIF orientation is applied, transparent parts are laid on white, colors
-        are taken as sRGB.
+        animation. EXIF orientation is applied, colors are taken as sRGB.
     max_pixels : int
         A larger image is refused before it is decoded.
 
     Returns
     -------
-    (H, W, 3) array
-        sRGB in [0, 1].
+    (H, W, 3) array, or (H, W, 4) if parts are transparent
+        sRGB in [0, 1], and opacity.
 
     Raises
     ------
@@ -153,7 +183,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
             raise InputError(f"{file}: no such file; expected an image such as a PNG or a JPEG")
         if not file.is_file():
             raise InputError(f"{file} is not a file; expected an image such as a PNG or a JPEG")
-        return as_rgb(_decode(file, max_pixels), str(file))
+        return as_pixels(_decode(file, max_pixels), str(file))
     except UnidentifiedImageError:
         raise InputError(
             f"{file} is not an image that can be read; expected a PNG, JPEG or similar"
@@ -170,7 +200,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
 
 
 def _decode(file: Path, max_pixels: int) -> NDArray[Any]:
-    """Decode a file to an array that `as_rgb` takes."""
+    """Decode a file to an array that `as_pixels` takes."""
     from PIL import Image, ImageOps
 
     limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # ours comes below
@@ -240,7 +270,7 @@ def _decode_deep_tiff(file: Path, max_pixels: int) -> NDArray[Any] | None:
 
 
 def _to_array(picture: Any) -> NDArray[Any]:
-    """Turn a Pillow image into an array that `as_rgb` takes."""
+    """Turn a Pillow image into an array that `as_pixels` takes."""
     if picture.mode.startswith("I;16"):
         return np.asarray(picture).astype(np.uint16)
     if picture.mode == "I":  # 16-bit gray PNGs in older versions of Pillow

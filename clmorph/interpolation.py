@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.checks import check_choice
+from clmorph.colors import to_space
 from clmorph.errors import InputError
 from clmorph.measures import Measure
 from clmorph.plan import Plan
@@ -26,18 +27,26 @@ class Particles:
 
     Attributes
     ----------
-    table : (P, 5) array
-        Positions in the common frame and colors: the source's points, then the target's, then
-        mean destinations, if particles go there.
+    table : (P, 6) array
+        Positions in the common frame, colors in the space of the path, and the distance of
+        neighbors: the source's points, then the target's, then mean destinations, if particles
+        go there.
     links : (K, 2) array of uint32
         Rows of `table` where each particle starts and ends.
     weights : (K, 2) array
         Its mass at t = 0 and at t = 1.
+    path_space : str
+        In which colors change evenly, see `clmorph.colors.to_space`.
+    opacity : (K, 2) array, optional
+        Share of the image's area that it covers opaquely, at both ends; None if both images are
+        opaque all over.
     """
 
     table: NDArray[np.float64]
     links: NDArray[np.uint32]
     weights: NDArray[np.float64]
+    path_space: str = "srgb"
+    opacity: NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         return f"<{len(self)} Particles>"
@@ -56,7 +65,12 @@ class Particles:
 
 
 def particles(
-    source: Measure, target: Measure, plan: Plan | Barycentric, *, unmatched: str = "fade"
+    source: Measure,
+    target: Measure,
+    plan: Plan | Barycentric,
+    *,
+    unmatched: str = "fade",
+    path_space: str = "srgb",
 ) -> Particles:
     """Turn a plan into particles.
 
@@ -73,6 +87,8 @@ def particles(
         With the latter each source point is one particle, which ends at its mean destination
         in its mean color; so the frame at t = 1 is not quite the target.
     unmatched : {"fade", "drop"}
+    path_space : {"srgb", "linear", "lab", "luv", "oklab"}
+        In which colors change evenly between both ends.
 
     Returns
     -------
@@ -81,7 +97,7 @@ def particles(
     Raises
     ------
     InputError
-        If `unmatched` is neither, or "drop" would leave no particle.
+        If an option is not one of these, or "drop" would leave no particle.
     """
     check_choice("unmatched", unmatched, UNMATCHED)
     if unmatched == "drop" and not plan.row_mass.any():
@@ -90,11 +106,15 @@ def particles(
             "or use unmatched='fade'"
         )
     n = len(source)
-    ends = [(measure.positions, measure.colors) for measure in (source, target)]
+    ends = [
+        (measure.positions, to_space(measure.colors, path_space), np.full(len(measure), pitch))
+        for measure, pitch in ((source, source.spacing), (target, target.spacing))
+    ]
     if isinstance(plan, Plan):
         i, j, mass = plan.rows, plan.indices.astype(np.int64), plan.mass
     else:
-        ends.append((plan.positions, plan.colors))
+        colors = to_space(plan.colors, path_space)
+        ends.append((plan.positions, colors, np.full(len(plan), target.spacing)))
         i = np.flatnonzero(plan.row_mass)
         j, mass = len(target) + i, plan.row_mass[i]
     table = np.concatenate([np.column_stack(end) for end in ends])
@@ -114,7 +134,27 @@ def particles(
         fading[: len(dies), 0] = dying[dies]
         fading[len(dies) :, 1] = born[comes]
         weights = np.concatenate((weights, fading))
-    return Particles(table, links.astype(np.uint32), weights)
+    opacity = None
+    if source.alpha is not None or target.alpha is not None:
+        # A particle covers as much of its pixel's opacity as it has of its mass.
+        start, end = opacity_per_mass(source), opacity_per_mass(target)
+        if isinstance(plan, Barycentric):
+            arriving = plan.column_mass / plan.column_mass.sum()
+            end = np.concatenate((end, np.full(len(plan), end @ arriving)))
+        opacity = np.zeros_like(weights)
+        # Only those that rest are born or die; none starts at the target or ends at the source.
+        starts, stops = links[:, 0] < n, links[:, 1] >= n
+        opacity[starts, 0] = weights[starts, 0] * start[links[starts, 0]]
+        opacity[stops, 1] = weights[stops, 1] * end[links[stops, 1] - n]
+    return Particles(table, links.astype(np.uint32), weights, path_space, opacity)
+
+
+def opacity_per_mass(measure: Measure) -> NDArray[np.float64]:
+    """Return alpha_i / (N a_i): (N,) share of the image's area that a unit of mass covers."""
+    opaque = np.ones(len(measure)) if measure.alpha is None else measure.alpha
+    share = np.zeros(len(measure))
+    np.divide(opaque, len(measure) * measure.weights, out=share, where=measure.weights > 0)
+    return share
 
 
 def _share(wanted: NDArray[np.float64], moved: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""From an image to a measure: weighted points in position and color (paper, 2.3)."""
+"""From an image to a measure: weighted points in position and color (paper, 2.3, 5)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,13 +8,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from clmorph import defaults
 from clmorph.checks import check_choice, check_color_weight
+from clmorph.colors import as_metric, from_space, square_root, to_space
 from clmorph.errors import InputError
-from clmorph.images import as_rgb
+from clmorph.images import as_pixels, split_alpha
 from clmorph.operations import MAX_POINTS
 
 #: How pixels stand in the common frame: "true" keeps the aspect ratio, "unit" stretches
 #: each axis to [0, 1].
 EXTENTS = ("true", "unit")
+
+#: What a pixel weighs, apart from its opacity: the same everywhere, its luminance (Y of CIE
+#: XYZ), or, said expressly, its opacity alone.
+MASSES = ("uniform", "luminance", "alpha")
+
+#: Share of linear red, green and blue in luminance (ITU-R BT.709).
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 @dataclass(frozen=True, repr=False)
@@ -35,6 +43,13 @@ class Measure:
         lambda, the weight of color against position.
     extent : {"true", "unit"}
         How the pixels stand in the common frame.
+    color_space : str
+        In which colors are compared, see `clmorph.colors.to_space`.
+    color_metric : (3, 3) or (N, 3, 3) array, optional
+        M, with which they are compared there: (c - d)^T M (c - d), times lambda^2; one for all
+        pixels, or one each (of the source).
+    alpha : (N,) array, optional
+        Opacity of each pixel; None if all are opaque.
     """
 
     positions: NDArray[np.float64]
@@ -43,6 +58,11 @@ class Measure:
     shape: tuple[int, int]
     color_weight: float
     extent: str
+    color_space: str = "srgb"
+    color_metric: NDArray[np.float64] | None = None
+    alpha: NDArray[np.float64] | None = None
+    #: Only measures of other costs have some, see `clmorph.points.WeightedPoints`.
+    offsets = None
 
     def __repr__(self) -> str:
         return f"<Measure of {len(self)} points, mass {self.mass:g}>"
@@ -52,8 +72,43 @@ class Measure:
 
     @cached_property
     def points(self) -> NDArray[np.float64]:
-        """(N, 5) lifted points (x, y, lambda r, lambda g, lambda b); Eq. 1."""
-        return np.column_stack((self.positions, self.color_weight * self.colors))
+        """(N, 5) lifted points (x, y, lambda r, lambda g, lambda b); Eq. 1.
+
+        In other color spaces than sRGB their coordinates, with a metric M = L L^T these times L.
+        """
+        if self.has_metric_map:
+            raise InputError(
+                "a source with a map of color metrics has no points of its own: its cost needs "
+                "a target"
+            )
+        colors = self.coordinates
+        if self.color_metric is not None:
+            colors = colors @ square_root(self.color_metric)
+        return np.column_stack((self.positions, self.color_weight * colors))
+
+    @cached_property
+    def coordinates(self) -> NDArray[np.float64]:
+        """(N, 3) colors in the space in which they are compared."""
+        return to_space(self.colors, self.color_space)
+
+    @property
+    def has_metric_map(self) -> bool:
+        """Whether every pixel has its own metric of color."""
+        return self.color_metric is not None and self.color_metric.ndim == 3
+
+    def colors_of(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sRGB colors (K, 3) of lifted points (K, 5), the inverse of lifting."""
+        coordinates = points[:, 2:5] / self.color_weight
+        if self.color_metric is not None and not self.has_metric_map:
+            coordinates = coordinates @ np.linalg.pinv(square_root(self.color_metric))
+        return from_space(coordinates, self.color_space)
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighboring pixels in the common frame; the axes' mean if it differs."""
+        height, width = self.shape
+        sides = 2 * max(height, width) - 2 if self.extent == "true" else height + width - 2
+        return 2.0 / max(1, sides)
 
     @property
     def mass(self) -> float:
@@ -92,20 +147,33 @@ def lift(
     color_weight: float = defaults.COLOR_WEIGHT,
     *,
     weights: ArrayLike | None = None,
+    mass: str = "uniform",
     extent: str = "true",
+    color_space: str = "srgb",
+    color_metric: ArrayLike | None = None,
 ) -> Measure:
     """Lift an image into position and color (paper, section 2.3).
 
     Parameters
     ----------
     image : array
-        See `clmorph.images.as_rgb`.
+        See `clmorph.images.as_pixels`. Opacity, if there is any, multiplies the mass.
     color_weight : float
-        lambda: how many image sides a full step of one color channel is worth.
+        lambda: how many image sides a full step of one color channel is worth. Color spaces are
+        scaled so that it means the same in all of them.
     weights : (H, W) array, optional
-        Masses of the pixels, at least 0, of positive sum; 1 / (H W) each if not given.
+        Masses of the pixels, at least 0, of positive sum, in place of `mass`; taken as they are
+        (times opacity).
+    mass : {"uniform", "luminance", "alpha"}
+        The same for every pixel, by its luminance, or by its opacity alone, which there must
+        then be. The sum is 1.
     extent : {"true", "unit"}
         See `pixel_positions`.
+    color_space : {"srgb", "linear", "lab", "luv", "oklab"}
+        In which colors are compared.
+    color_metric : (3, 3), (H, W, 3, 3) or (H, W) array, optional
+        Metric M of color, constant or (for a source) one for each pixel; a map of numbers
+        stands for these times the identity. Distances are lambda^2 (c - d)^T M (c - d).
 
     Returns
     -------
@@ -122,17 +190,20 @@ def lift(
             f"the image has shape {sides}: expected at most {MAX_POINTS} pixels in all; "
             "reduce it with clmorph.fit"
         )
-    pixels = as_rgb(image)
+    colors, alpha = split_alpha(as_pixels(image))
     color_weight = check_color_weight(color_weight)
     check_choice("extent", extent, EXTENTS)
-    shape = (pixels.shape[0], pixels.shape[1])
+    check_choice("mass", mass, MASSES)
+    shape = (colors.shape[0], colors.shape[1])
     n = shape[0] * shape[1]
     if weights is None:
-        masses = np.full(n, 1.0 / n)
+        masses = _masses(colors, alpha, mass)
     else:
-        masses = np.asarray(weights, dtype=float)
+        masses = np.array(weights, dtype=float)
         if masses.shape != shape:
             raise InputError(f"weights have shape {masses.shape}: expected the image's, {shape}")
+        if alpha is not None:
+            masses *= alpha
         masses = masses.ravel()
         with np.errstate(over="ignore"):
             total = masses.sum()
@@ -141,11 +212,34 @@ def lift(
                 "weights: expected masses of at least 0 with a positive sum, from 1e-30 to 1e30; "
                 "replace negative or missing ones by 0, and scale them"
             )
+    colors = colors.reshape(n, 3)
+    to_space(colors[:1], color_space)  # is there such a one?
     return Measure(
         positions=pixel_positions(shape, extent),
-        colors=pixels.reshape(n, 3),
+        colors=colors,
         weights=masses,
         shape=shape,
         color_weight=color_weight,
         extent=extent,
+        color_space=color_space,
+        color_metric=None if color_metric is None else as_metric(color_metric, shape),
+        alpha=None if alpha is None else alpha.ravel(),
     )
+
+
+def _masses(
+    colors: NDArray[np.float64], alpha: NDArray[np.float64] | None, mass: str
+) -> NDArray[np.float64]:
+    """Masses by a rule: (N,) array of sum 1."""
+    if mass == "alpha" and alpha is None:
+        raise InputError("mass='alpha': the image is opaque; use 'uniform', or an RGBA image")
+    masses = np.ones(colors.shape[:2])
+    if mass == "luminance":
+        masses = to_space(colors, "linear") @ LUMINANCE
+    if alpha is not None:
+        masses = masses * alpha
+    total = masses.sum()
+    if total <= 0:
+        what = "black" if mass == "luminance" else "transparent"
+        raise InputError(f"mass={mass!r}: every pixel of the image is {what}, so there is no mass")
+    return (masses / total).ravel()

@@ -1,13 +1,11 @@
 """The composition: two images in, a morph out."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from functools import cached_property
-from os import PathLike
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clmorph import defaults
 from clmorph.backends import Backend, get_backend
@@ -18,119 +16,24 @@ from clmorph.checks import (
     check_number,
     check_sigma,
 )
+from clmorph.colors import COLOR_SPACES
+from clmorph.endpoints import ENDPOINTS
 from clmorph.errors import InputError
-from clmorph.interpolation import UNMATCHED, Particles, particles
-from clmorph.measures import EXTENTS, Measure, lift
-from clmorph.operations import Operations
+from clmorph.images import as_pixels
+from clmorph.interpolation import UNMATCHED, particles
+from clmorph.measures import EXTENTS, MASSES, Measure, lift
 from clmorph.plan import Plan, transport_plan
-from clmorph.potentials import Potentials
-from clmorph.rendering import SPLATTING, Canvas, KernelWidth, canvas_at, effective_count, render
+from clmorph.rendering import SPLATTING, effective_count
+from clmorph.result import Morph
 from clmorph.sampling import MAX_DRAWS, Barycentric, barycentric_plan, sample_plan
 from clmorph.sinkhorn import check_solver_options, sinkhorn
 from clmorph.strengths import Reach, strengths
+from clmorph.widths import KernelWidth, auto_sigma
 
 #: Called with the name of a stage and the share of it that is done.
 StageProgress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True, repr=False)
-class Morph:
-    """A morph between two images; frames are rendered when asked for.
-
-    Attributes
-    ----------
-    source, target : Measure
-    potentials : Potentials
-    plan : Plan or Barycentric
-    particles : Particles
-    times : (n_frames,) array
-        From 0 to 1.
-    kernel_width : KernelWidth
-    operations : Operations
-        What renders the frames.
-    """
-
-    source: Measure
-    target: Measure
-    potentials: Potentials
-    plan: Plan | Barycentric
-    particles: Particles
-    times: NDArray[np.float64]
-    kernel_width: KernelWidth
-    operations: Operations = field(repr=False)
-
-    def __repr__(self) -> str:
-        (h, w), (height, width) = self.source.shape, self.target.shape
-        return (
-            f"<Morph of {w} x {h} into {width} x {height} pixels, {len(self.times)} frames, "
-            f"{len(self.particles)} particles, {self.potentials.message}>"
-        )
-
-    @cached_property
-    def _uploaded(self) -> Any:
-        moving = self.particles
-        return self.operations.upload_particles(moving.table, moving.links, moving.weights)
-
-    def canvas(self, t: float) -> Canvas:
-        """Return the canvas at time t."""
-        return canvas_at(t, self.source.shape, self.target.shape, self.source.extent)
-
-    @cached_property
-    def sigma(self) -> NDArray[np.float64]:
-        """(n_frames,) kernel width at `times`, in pixels; 0 where there is no kernel."""
-        return np.array([self.kernel_width.at(t, self.canvas(t)) for t in self.times])
-
-    def frame(self, t: float) -> NDArray[np.float32]:
-        """Render the frame at time t.
-
-        Parameters
-        ----------
-        t : float in [0, 1]
-
-        Returns
-        -------
-        (H(t), W(t), 3) float32 array
-            sRGB in [0, 1].
-        """
-        return self._render(t)[0]
-
-    def coverage(self, t: float) -> NDArray[np.float32]:
-        """Return how well the particles cover each pixel at time t, before filling.
-
-        Returns
-        -------
-        (H(t), W(t)) float32 array
-            Kernel mass as a share of what an even spread would give; under
-            `clmorph.rendering.HOLE_COVERAGE` a pixel is a hole.
-        """
-        return self._render(t)[1]
-
-    def _render(self, t: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        t = check_number("t", t, 0.0, 1.0)
-        canvas = self.canvas(t)
-        sigma = self.kernel_width.at(t, canvas)
-        return render(self.operations, self._uploaded, self.particles.mass(t), t, canvas, sigma)
-
-    def iter_frames(self) -> Iterator[NDArray[np.float32]]:
-        """Render the frames one by one, without keeping them."""
-        return (self.frame(t) for t in self.times)
-
-    @cached_property
-    def frames(self) -> list[NDArray[np.float32]]:
-        """All frames, at `times`; rendered at the first access, then kept."""
-        return list(self.iter_frames())
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the morph to a file chosen by its ending, see `clmorph.export.save`.
-
-        Raises
-        ------
-        OutputError
-            If it cannot be written there.
-        """
-        from clmorph.export import save
-
-        save(self.frames, self.times, path)
+#: A kernel width in pixels, or "auto": by the image's own resolution.
+Sigma = float | str
 
 
 def check_options(
@@ -138,8 +41,8 @@ def check_options(
     blur: float = defaults.BLUR,
     reach: Reach = defaults.REACH,
     color_weight: float = defaults.COLOR_WEIGHT,
-    sigma_start: float = defaults.SIGMA_START,
-    sigma_end: float = defaults.SIGMA_END,
+    sigma_start: Sigma = defaults.SIGMA_START,
+    sigma_end: Sigma = defaults.SIGMA_END,
     gamma: float = defaults.GAMMA,
     *,
     epsilon: float | None = None,
@@ -148,7 +51,12 @@ def check_options(
     max_iter: int = defaults.MAX_ITER,
     extent: str = "true",
     splatting: str = "adaptive",
+    sigma: str | None = None,
+    endpoints: str = "exact",
     unmatched: str = "fade",
+    mass: str = "uniform",
+    color_space: str = "srgb",
+    path_space: str = "srgb",
     barycentric: bool = False,
     sample: int | None = None,
     seed: int = 0,
@@ -163,13 +71,23 @@ def check_options(
     check_integer("n_frames", n_frames, 2, 100_000)
     strengths(blur, reach, epsilon, rho)
     check_color_weight(color_weight)
-    check_sigma("sigma_start", sigma_start)
-    check_sigma("sigma_end", sigma_end)
+    for name, width in (("sigma_start", sigma_start), ("sigma_end", sigma_end)):
+        if not (isinstance(width, str) and width == "auto"):
+            check_sigma(name, width)
     check_number("gamma", gamma, 0.0, 1e4)
     check_solver_options(tol, max_iter)
     check_choice("extent", extent, EXTENTS)
     check_choice("splatting", splatting, SPLATTING)
+    if sigma is not None and (sigma != "optimal" or splatting not in ("adaptive", "local")):
+        raise InputError(
+            f"sigma={sigma!r}: expected 'optimal' or nothing, and splatting 'adaptive' or 'local' "
+            "with it; widths in pixels are sigma_start and sigma_end"
+        )
+    check_choice("endpoints", endpoints, ENDPOINTS)
     check_choice("unmatched", unmatched, UNMATCHED)
+    check_choice("mass", mass, MASSES)
+    check_choice("color_space", color_space, COLOR_SPACES)
+    check_choice("path_space", path_space, COLOR_SPACES)
     if sample is not None:
         check_integer("sample", sample, 1, MAX_DRAWS)
         if barycentric:
@@ -184,8 +102,8 @@ def morph(
     blur: float = defaults.BLUR,
     reach: Reach = defaults.REACH,
     color_weight: float = defaults.COLOR_WEIGHT,
-    sigma_start: float = defaults.SIGMA_START,
-    sigma_end: float = defaults.SIGMA_END,
+    sigma_start: Sigma = defaults.SIGMA_START,
+    sigma_end: Sigma = defaults.SIGMA_END,
     gamma: float = defaults.GAMMA,
     backend: Backend = "auto",
     *,
@@ -195,7 +113,14 @@ def morph(
     max_iter: int = defaults.MAX_ITER,
     extent: str = "true",
     splatting: str = "adaptive",
+    sigma: str | None = None,
+    endpoints: str = "exact",
     unmatched: str = "fade",
+    mass: str = "uniform",
+    weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
+    color_space: str = "srgb",
+    color_metric: ArrayLike | None = None,
+    path_space: str = "srgb",
     barycentric: bool = False,
     sample: int | None = None,
     seed: int = 0,
@@ -206,7 +131,7 @@ def morph(
     Parameters
     ----------
     image_a, image_b : arrays
-        See `clmorph.images.as_rgb`; of any sizes. The work grows with the product of
+        See `clmorph.images.as_pixels`; of any sizes. The work grows with the product of
         their numbers of pixels: reduce photographs with `clmorph.fit`.
     n_frames : int
         At least 2; both ends are included.
@@ -218,18 +143,35 @@ def morph(
     color_weight : float
         lambda, the weight of color against position.
     sigma_start, sigma_end, gamma : float
-        Kernel width at both ends and its bulge between, in canvas pixels (Eq. 4).
+        Kernel width at both ends and its bulge between, in canvas pixels (Eq. 4). "auto" takes
+        half the smallest detail of that image, see `clmorph.widths.auto_sigma`.
     backend : str or Operations
         See `clmorph.get_backend`.
     epsilon, rho, tol, max_iter
         See `clmorph.sinkhorn`; the first two in place of `blur` and `reach`.
     extent : {"true", "unit"}
         Keep the aspect ratio in the cost and the motion, or stretch both axes to [0, 1].
-    splatting : {"adaptive", "fixed", "none"}
-        Kernel width of Eq. 4; `sigma_start` throughout; or each particle into its
-        nearest pixel.
+    splatting : {"adaptive", "local", "fixed", "none"}
+        Kernel width of Eq. 4; a width for each particle, by the density around it and without
+        `gamma`; `sigma_start` throughout; or each particle into its nearest pixel.
+    sigma : "optimal", optional
+        In place of Eq. 4 the widths whose frames are nearest to the particles themselves, see
+        `clmorph.optimal_width`; for "adaptive".
+    endpoints : {"exact", "paper"}
+        Bring the first and last frame to the images themselves, with a correction that travels
+        and fades towards the middle; or leave them blurred by the kernel (Eq. 4 as printed).
     unmatched : {"fade", "drop"}
         Draw mass that does not travel as it dies and is born, or leave it out.
+    mass : {"uniform", "luminance", "alpha"}
+        What pixels weigh, see `clmorph.lift`; opacity always counts.
+    weights : (map_a, map_b), optional
+        Maps (H, W) of mass in its place.
+    color_space : {"srgb", "linear", "lab", "luv", "oklab"}
+        In which the cost compares colors.
+    color_metric : (3, 3), (H, W, 3, 3) or (H, W) array, optional
+        With which it does, see `clmorph.lift`; a map is of image_a's pixels.
+    path_space : {"srgb", "linear", "lab", "luv", "oklab"}
+        In which colors change evenly on the way, and are averaged.
     barycentric : bool
         One particle for each source pixel, to its mean destination, in place of one for each
         kept pair of the plan; for images whose plan is too large.
@@ -259,14 +201,21 @@ def morph(
     check_options(
         n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
         epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
-        splatting=splatting, unmatched=unmatched, barycentric=barycentric, sample=sample,
+        splatting=splatting, sigma=sigma, endpoints=endpoints, unmatched=unmatched, mass=mass,
+        color_space=color_space, path_space=path_space, barycentric=barycentric, sample=sample,
         seed=seed,
     )  # fmt: skip
     report = progress or (lambda stage, share: None)
+    images = as_pixels(image_a, "image_a"), as_pixels(image_b, "image_b")
+    maps = _pair_of_weights(weights)
+    source, target = (
+        lift(
+            image, color_weight, weights=given, mass=mass, extent=extent,
+            color_space=color_space, color_metric=metric,
+        )
+        for image, given, metric in zip(images, maps, _metrics(color_metric), strict=True)
+    )  # fmt: skip
     operations = get_backend(backend)
-
-    source = lift(image_a, color_weight, extent=extent)
-    target = lift(image_b, color_weight, extent=extent)
     report("transport", 0.0)
     potentials = sinkhorn(
         source, target, blur, reach, tol, max_iter, operations, epsilon=epsilon, rho=rho,
@@ -281,18 +230,54 @@ def morph(
     else:
         plan = transport_plan(source, target, potentials, backend=operations)
     report("plan", 1.0)
-    moves = bool(plan.row_mass.any())
-    return Morph(
+    ends = [
+        auto_sigma(image) if isinstance(width, str) else float(width)
+        for width, image in zip((sigma_start, sigma_end), images, strict=True)
+    ]
+    result = Morph(
         source=source,
         target=target,
         potentials=potentials,
         plan=plan,
-        particles=particles(source, target, plan, unmatched=unmatched),
+        particles=particles(source, target, plan, unmatched=unmatched, path_space=path_space),
         times=np.linspace(0.0, 1.0, int(n_frames)),
         kernel_width=KernelWidth(
-            float(sigma_start), float(sigma_end), float(gamma),
-            effective_count(plan.row_mass if moves else source.weights),
-            effective_count(plan.column_mass if moves else target.weights), splatting,
+            ends[0], ends[1], float(gamma),
+            *_effective_counts(source, target, plan), splatting,
         ),
         operations=operations,
+        endpoints=endpoints,
+        unmatched=unmatched,
     )  # fmt: skip
+    if sigma is None:
+        return result
+    from clmorph.optimal_width import optimal_curve
+
+    curve = optimal_curve(result, progress=lambda share: report("width", share))
+    return replace(result, kernel_width=replace(result.kernel_width, curve=curve))
+
+
+def _pair_of_weights(weights: Any) -> tuple[Any, Any]:
+    """Return the maps of mass of both images."""
+    if weights is None:
+        return None, None
+    if not isinstance(weights, tuple | list) or len(weights) != 2:
+        raise InputError(
+            "weights: expected a pair of maps (H, W), one for each image; None in it stands for "
+            "the rule that `mass` names"
+        )
+    return weights[0], weights[1]
+
+
+def _metrics(metric: ArrayLike | None) -> tuple[Any, Any]:
+    """Return the color metrics of source and target: a map belongs to the source alone."""
+    return metric, metric if np.shape(cast(Any, metric)) == (3, 3) else None
+
+
+def _effective_counts(
+    source: Measure, target: Measure, plan: Plan | Barycentric
+) -> tuple[float, float]:
+    """N_eff at both ends, by the plan's marginals (Eq. 3); the images' own if nothing moves."""
+    if not plan.row_mass.any():
+        return effective_count(source.weights), effective_count(target.weights)
+    return effective_count(plan.row_mass), effective_count(plan.column_mass)

@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 #: Points of one cloud: kernels count columns in float32, exactly up to here.
 MAX_POINTS = 1 << 24
 #: Dimensions of points: a kernel keeps one register for each.
-MAX_DIMENSION = 8
+MAX_DIMENSION = 11
+
+#: Where particles differ in width, they stand on rungs of a ladder: rung r has the width
+#: sigma 2^((r - BASE_RUNG) / RUNGS_PER_OCTAVE), from sigma / 4 to 45 sigma.
+RUNGS, BASE_RUNG, RUNGS_PER_OCTAVE = 16, 4, 2
 
 Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -50,7 +54,7 @@ class Operations(Protocol):
     #: Whether precise exponents are float64 (or better), not pairs of float32.
     has_float64: bool
 
-    def upload(self, points: Float64, weights: Float64) -> Any:
+    def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Any:
         """Take a weighted cloud.
 
         Parameters
@@ -59,6 +63,10 @@ class Operations(Protocol):
             Coordinates in any unit; costs are in that unit squared.
         weights : (N,) array
             Masses, at least 0, of positive sum.
+        offsets : (N,) array, optional
+            In cost units, added to the cost of every pair with this point:
+            C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j. With them any cost that is a sum of products
+            of features of both points can be had.
         """
 
     def softmin(
@@ -197,8 +205,9 @@ class Operations(Protocol):
 
         Parameters
         ----------
-        table : (P, 5) array
-            Positions in the common frame and colors of the points particles travel between.
+        table : (P, 6) array
+            Positions in the common frame and colors of the points particles travel between,
+            and the spacing of points there, in units of that frame.
         links : (K, 2) array
             Rows of `table` where each particle starts and ends.
         weights : (K, 2) array
@@ -219,8 +228,62 @@ class Operations(Protocol):
         splats
         """
 
-    def upload_splats(self, positions: Float32, colors: Float32, weights: Float32) -> Any:
-        """Take resting particles: (K, 2) pixel positions, (K, 3) colors, (K,) masses."""
+    def upload_splats(
+        self,
+        positions: Float32,
+        colors: Float32,
+        weights: Float32,
+        spacings: Float32 | None = None,
+    ) -> Any:
+        """Take resting particles.
+
+        Parameters
+        ----------
+        positions : (K, 2) array, in pixels
+        colors : (K, 3) array
+        weights : (K,) array
+            Masses.
+        spacings : (K,) array, optional
+            Distance of neighbors where each belongs, in pixels; 1 if not given.
+        """
+
+    def deposit(self, splats: Any, shape: tuple[int, int]) -> tuple[Float64, Float64]:
+        """Return what lies nearest to each pixel: sum of masses and of their squares.
+
+        Parameters
+        ----------
+        splats
+            Without widths of their own.
+        shape : (height, width) of the canvas, in pixels
+
+        Returns
+        -------
+        mass, squares : (height, width) arrays
+        """
+
+    def adapt_widths(self, splats: Any, distances: Float64, sigma: float) -> Any:
+        """Give every splat a width of its own: Eq. 3 with the distance of neighbors there.
+
+        max(sigma * spacing, distance / 2), rounded to a rung of the ladder of widths around
+        sigma; distances are read between pixels bilinearly, and at the border outside.
+
+        Parameters
+        ----------
+        splats
+        distances : (height, width) array
+            Of neighboring particles around each pixel of the canvas, in pixels.
+        sigma : float
+            In units of the spacing.
+
+        Returns
+        -------
+        splats
+            For `splat` with the same `sigma`. Weights are scaled so that the sum of each
+            kernel over the canvas is that of a kernel of width sigma.
+        """
+
+    def rungs(self, splats: Any) -> NDArray[np.int64]:
+        """Return on which rung each splat stands: (K,) array, BASE_RUNG without own widths."""
 
     def bin_splats(self, splats: Any, shape: tuple[int, int], margin: int) -> Bins:
         """Sort splats into bins.
@@ -237,6 +300,8 @@ class Operations(Protocol):
         self, splats: Any, shape: tuple[int, int], sigma: float, radius: float
     ) -> tuple[Float64, Float64]:
         """Return the two sums of a Nadaraya-Watson frame (paper, section 3.3).
+
+        Splats with widths of their own use these in place of `sigma`, and `radius` grows alike.
 
         Parameters
         ----------

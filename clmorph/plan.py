@@ -167,8 +167,8 @@ def transport_plan(
             f"{len(target)}; compute them for these measures"
         )
     operations = get_backend(backend)
-    rows = operations.upload(source.points, source.weights)
-    columns = operations.upload(target.points, target.weights)
+    rows = operations.upload(source.points, source.weights, source.offsets)
+    columns = operations.upload(target.points, target.weights, target.offsets)
     with np.errstate(divide="ignore"):
         log_a, log_b = np.log(source.weights), np.log(target.weights)
     with np.errstate(over="ignore"):

@@ -23,10 +23,13 @@ class WeightedPoints:
     points : (N, D) array
     weights : (N,) array
         Masses, at least 0.
+    offsets : (N,) array, optional
+        Added to the cost of each point.
     """
 
     points: NDArray[np.float64]
     weights: NDArray[np.float64]
+    offsets: NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         return f"<{len(self)} WeightedPoints in {self.points.shape[1]}D, mass {self.mass:g}>"
@@ -47,25 +50,47 @@ MeasureLike = AnyMeasure | tuple[ArrayLike, ArrayLike]
 
 
 def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
-    """Return two measures that live in one space.
+    """Return two measures with points in one space.
 
     Parameters
     ----------
     source, target : Measure, WeightedPoints, or (weights, points)
 
+    Returns
+    -------
+    two of Measure or WeightedPoints
+        C_ij = |X_i - Y_j|^2 / 2, plus their `offsets` if they have some.
+
     Raises
     ------
     InputError
-        If they are not, or do not.
+        If they are no measures, or not of one space.
     """
+    pair = as_measures(source, target)
+    if isinstance(pair[0], Measure) and isinstance(pair[1], Measure) and pair[0].has_metric_map:
+        return _bilinear(pair[0], pair[1])
+    return pair
+
+
+def as_measures(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
+    """Return two measures that can be compared, see `as_pair`, as they are."""
     pair = _as_measure("source", source), _as_measure("target", target)
     if isinstance(pair[0], Measure) and isinstance(pair[1], Measure):
-        for name in ("color_weight", "extent"):
+        for name in ("color_weight", "extent", "color_space"):
             ours, theirs = getattr(pair[0], name), getattr(pair[1], name)
             if ours != theirs:
                 raise InputError(
                     f"source has {name}={ours!r}, target {theirs!r}: lift both with the same"
                 )
+        ours, theirs = pair[0].color_metric, pair[1].color_metric
+        alike = ours is theirs if ours is None or theirs is None else np.array_equal(ours, theirs)
+        if pair[1].has_metric_map or not (alike or (pair[0].has_metric_map and theirs is None)):
+            raise InputError(
+                "source and target have different color metrics: lift both with the same "
+                "matrix, or the source alone with a map of them"
+            )
+        if pair[0].has_metric_map:
+            return pair
     dimensions = pair[0].points.shape[1], pair[1].points.shape[1]
     if dimensions[0] != dimensions[1]:
         raise InputError(
@@ -73,6 +98,30 @@ def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
             "expected the same"
         )
     return pair
+
+
+def _bilinear(source: Measure, target: Measure) -> tuple[WeightedPoints, WeightedPoints]:
+    """Lift a cost whose metric of color depends on the source pixel (paper, section 5).
+
+    |c - d|^2_M / 2 = c^T M c / 2 - (M c)^T d + sum_k M_kk d_k^2 / 2 + sum_(k<l) M_kl d_k d_l is
+    a sum of products of what depends on the source pixel and what depends on the target's.
+    With these nine numbers for colors C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j.
+    """
+    c, d = (measure.color_weight * measure.coordinates for measure in (source, target))
+    metric = source.color_metric
+    assert metric is not None  # a map, as the caller saw
+    mc = np.einsum("nkl,nl->nk", metric, c)
+    k, m = np.triu_indices(3)
+    half = np.where(k == m, 0.5, 1.0)
+    x = np.column_stack((source.positions, mc, -half * metric[:, k, m]))
+    y = np.column_stack((target.positions, d, d[:, k] * d[:, m]))
+    own = np.sum(source.positions**2, axis=1) + np.sum(mc * c, axis=1)
+    return (
+        WeightedPoints(x, source.weights, 0.5 * (own - np.sum(x**2, axis=1))),
+        WeightedPoints(
+            y, target.weights, 0.5 * (np.sum(target.positions**2, axis=1) - np.sum(y**2, axis=1))
+        ),
+    )
 
 
 def _as_measure(name: str, value: Any) -> AnyMeasure:

@@ -66,10 +66,10 @@ class Problem:
         rho: tuple[float, float],
     ) -> None:
         self.operations = operations
-        self._rows = operations.upload(source.points, source.weights)
+        self._rows = operations.upload(source.points, source.weights, source.offsets)
         self._columns = self._rows
         if target is not source:
-            self._columns = operations.upload(target.points, target.weights)
+            self._columns = operations.upload(target.points, target.weights, target.offsets)
         self.a, self.b = source.weights, target.weights
         with np.errstate(divide="ignore"):
             self.log_a, self.log_b = np.log(self.a), np.log(self.b)

@@ -1,21 +1,24 @@
 """Canvas, kernel width and Nadaraya-Watson frames (paper, 3.3, Eq. 3 and 4)."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.checks import check_choice, check_number, check_sigma
 from clmorph.operations import Operations
 
-#: How particles become pixels: with the width of Eq. 4, with sigma_start throughout, or
-#: each into its nearest pixel (the paper's two baselines).
-SPLATTING = ("adaptive", "fixed", "none")
+#: How particles become pixels: with the width of Eq. 4; with one of its own for every
+#: particle, by the density around it; with sigma_start throughout, or each into its nearest
+#: pixel (the paper's two baselines).
+SPLATTING = ("adaptive", "local", "fixed", "none")
 
 #: Where the Gaussian is cut, in kernel widths: what lies beyond is at most
 #: exp(-4.5^2 / 2) = 4e-5 of the particles' mass.
 CUT = 4.5
+
+#: Width, in pixels, of the window in which "local" widths look for neighbors.
+PILOT = 1.0
 
 #: Coverage under which a pixel is a hole: its kernel mass as a share of what a uniform
 #: spread of the particles would give.
@@ -77,47 +80,38 @@ def effective_count(weights: NDArray[np.float64]) -> float:
     return float(scaled.sum() ** 2 / np.sum(scaled**2))
 
 
-@dataclass(frozen=True)
-class KernelWidth:
-    """The kernel's width as a function of time (Eq. 3 and 4).
+class Widths(NamedTuple):
+    """Kernel widths at one time.
 
     Attributes
     ----------
-    sigma_start, sigma_end : float
-        Pixels, at t = 0 and t = 1.
-    gamma : float
-        Height of the bulge at t = 1/2, in pixels.
-    n_start, n_end : float
-        Effective numbers of particles by the plan's two marginals.
-    splatting : {"adaptive", "fixed", "none"}
+    sigma : float
+        Pixels; 0 gives each particle to its nearest pixel.
+    local : bool
+        If so, every particle has its own width: the larger of sigma times its own spacing and
+        of half the distance to its neighbors where it stands (Eq. 3, locally).
     """
 
-    sigma_start: float
-    sigma_end: float
-    gamma: float
-    n_start: float
-    n_end: float
-    splatting: str = "adaptive"
+    sigma: float
+    local: bool = False
 
-    def __post_init__(self) -> None:
-        check_choice("splatting", self.splatting, SPLATTING)
-        check_sigma("sigma_start", self.sigma_start)
-        check_sigma("sigma_end", self.sigma_end)
-        check_number("gamma", self.gamma, 0.0, 1e4)
 
-    def floor(self, t: float, canvas: Canvas) -> float:
-        """Half the mean distance of the particles, in pixels (Eq. 3)."""
-        count = (1 - t) * self.n_start + t * self.n_end
-        return 0.5 * float(np.sqrt(canvas.shape[0] * canvas.shape[1] / count))
+class Sums(NamedTuple):
+    """A frame before it is a picture.
 
-    def at(self, t: float, canvas: Canvas) -> float:
-        """Width in pixels at time t (Eq. 4); 0 stands for no kernel."""
-        if self.splatting == "none":
-            return 0.0
-        if self.splatting == "fixed":
-            return self.sigma_start
-        path = (1 - t) * self.sigma_start + t * self.sigma_end + 4 * self.gamma * t * (1 - t)
-        return max(self.floor(t, canvas), path)
+    Attributes
+    ----------
+    colors : (H, W, 3) array
+        In the space of the path; holes are filled.
+    coverage : (H, W) array
+        Kernel mass of each pixel, before filling, as a share of a uniform spread's.
+    density : (H, W) array
+        Kernel mass of each pixel, after filling, per kernel's sum: mass per pixel.
+    """
+
+    colors: NDArray[np.float64]
+    coverage: NDArray[np.float64]
+    density: NDArray[np.float64]
 
 
 def render(
@@ -126,8 +120,10 @@ def render(
     mass: float,
     t: float,
     canvas: Canvas,
-    sigma: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    widths: Widths,
+    *,
+    fill: bool = True,
+) -> Sums:
     """Reconstruct one frame from particles (Nadaraya-Watson regression, 3.3).
 
     Parameters
@@ -139,33 +135,64 @@ def render(
         The particles' total mass at time t.
     t : float
     canvas : Canvas
-    sigma : float
-        Kernel width in pixels. 0: nearest pixel; pixels without a particle stay black.
-        Otherwise pixels in holes are filled by widening the kernel there.
+    widths : Widths
+        Without a kernel, pixels without a particle are 0; with one, pixels in holes are filled
+        by widening it there.
+    fill : bool
+        Whether they are.
 
     Returns
     -------
-    frame : (H, W, 3) float32 array in [0, 1]
-    coverage : (H, W) float32 array
-        Kernel mass of each pixel, before filling, as a share of a uniform spread's.
+    Sums
     """
     splats = operations.place(particles, t, canvas.scale, canvas.center)
-    numerator, denominator = operations.splat(splats, canvas.shape, sigma, CUT * sigma)
+    sigma = widths.sigma
+    shaped = splats
+    if widths.local:
+        distances = neighbor_distances(operations, splats, canvas)
+        shaped = operations.adapt_widths(splats, distances, sigma)
+    numerator, denominator = operations.splat(shaped, canvas.shape, sigma, CUT * sigma)
     coverage = denominator / uniform_density(mass, canvas, sigma)
+    density = denominator / kernel_sum(sigma)
     width = sigma
     open_pixels = coverage < HOLE_COVERAGE
-    while sigma > 0 and width < max(canvas.shape) and open_pixels.any():
+    while fill and sigma > 0 and width < max(canvas.shape) and open_pixels.any():
         width *= 2
         wider_numerator, wider = operations.splat(splats, canvas.shape, width, CUT * width)
         filled = open_pixels & (wider >= HOLE_COVERAGE * uniform_density(mass, canvas, width))
         numerator[filled], denominator[filled] = wider_numerator[filled], wider[filled]
+        density[filled] = wider[filled] / kernel_sum(width)
         open_pixels &= ~filled
     tiny = np.finfo(np.float64).tiny
-    frame = numerator / np.maximum(denominator, tiny)[..., None]
-    return np.clip(frame, 0.0, 1.0).astype(np.float32), coverage.astype(np.float32)
+    return Sums(numerator / np.maximum(denominator, tiny)[..., None], coverage, density)
+
+
+def neighbor_distances(
+    operations: Operations, splats: Any, canvas: Canvas
+) -> NDArray[np.float64]:
+    """Estimate how far apart particles are around every pixel: (H, W), in pixels.
+
+    From sums over a window of Kish's effective number (sum w)^2 / sum w^2 for each pixel; of
+    one lone particle at most sqrt(2 pi) window widths.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    # Into pixels first: then the window costs the same for any number of particles.
+    mass, squares = (
+        gaussian_filter(part, PILOT, mode="reflect")
+        for part in operations.deposit(splats, canvas.shape)
+    )
+    farthest = float(np.sqrt(2 * np.pi) * PILOT)
+    distances = np.full(canvas.shape, farthest)
+    np.divide(np.sqrt(squares), mass, out=distances, where=mass > 1e-12 * mass.max())
+    return np.minimum(distances, farthest)
+
+
+def kernel_sum(sigma: float) -> float:
+    """Sum of a kernel over all pixels."""
+    return float(2 * np.pi * sigma**2) if sigma > 0 else 1.0
 
 
 def uniform_density(mass: float, canvas: Canvas, sigma: float) -> float:
     """Kernel mass that each pixel would have were the particles spread evenly."""
-    kernel_sum = 2 * np.pi * sigma**2 if sigma > 0 else 1.0
-    return float(mass * kernel_sum / (canvas.shape[0] * canvas.shape[1]))
+    return float(mass * kernel_sum(sigma) / (canvas.shape[0] * canvas.shape[1]))

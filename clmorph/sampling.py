@@ -30,7 +30,7 @@ class Barycentric:
     positions : (N, 2) array
         Mean destination sum_j pi_ij y_j / r_i, in the common frame.
     colors : (N, 3) array
-        Mean color there.
+        Mean color there, taken in the color space of the cost.
     covariance : (N, 5, 5) array
         Of the destination, lifted: (x, y, lambda r, lambda g, lambda b).
     row_mass, column_mass : (N,) and (M,) arrays
@@ -137,13 +137,13 @@ def barycentric_plan(
                 f"{name} is a {type(measure).__name__}: expected a Measure; make one with "
                 "clmorph.lift(image)"
             )
-    as_pair(source, target)
+    pair = as_pair(source, target)
     if source.color_weight == 0:
         raise InputError(
             "color_weight=0: expected a positive one for barycentric destinations, which have "
             "a mean color; use a small one, or draws from the plan"
         )
-    operations, clouds, softmin = _rows(source, target, potentials, backend)
+    operations, clouds, softmin = _rows(*pair, potentials, backend)
     epsilon, precise = potentials.epsilon, potentials.precise
     mean, covariance = operations.plan_moments(*clouds, potentials.g, softmin, epsilon, precise)
     columns = operations.softmin(*clouds[::-1], potentials.f, epsilon, precise)
@@ -151,7 +151,7 @@ def barycentric_plan(
         column_mass = np.exp((potentials.g - columns) / epsilon + np.log(target.weights))
     return Barycentric(
         positions=mean[:, :2],
-        colors=np.clip(mean[:, 2:] / source.color_weight, 0.0, 1.0),
+        colors=target.colors_of(mean),
         covariance=covariance,
         row_mass=_row_mass(source.weights, potentials, softmin),
         column_mass=column_mass,
@@ -170,8 +170,8 @@ def _rows(
         )
     operations = get_backend(backend)
     clouds = (
-        operations.upload(source.points, source.weights),
-        operations.upload(target.points, target.weights),
+        operations.upload(source.points, source.weights, source.offsets),
+        operations.upload(target.points, target.weights, target.offsets),
     )
     softmin = operations.softmin(*clouds, potentials.g, potentials.epsilon, potentials.precise)
     return operations, clouds, softmin

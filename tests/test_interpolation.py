@@ -29,9 +29,9 @@ def test_both_ends_stand_on_the_pixels(parts):
     moving = particles(source, target, plan)
     ends = moving.table[moving.links[:, 0]][: len(plan)]
     assert np.array_equal(ends[:, :2], source.positions[plan.rows])
-    assert np.array_equal(ends[:, 2:], source.colors[plan.rows])
+    assert np.array_equal(ends[:, 2:5], source.colors[plan.rows])
     assert np.array_equal(
-        moving.table[moving.links[: len(plan), 1], 2:], target.colors[plan.indices]
+        moving.table[moving.links[: len(plan), 1], 2:5], target.colors[plan.indices]
     )
 
 

@@ -36,7 +36,7 @@ def expected(photographs):
 
 def test_paper_parameters_agree_with_the_reference(device, photographs, expected):
     want, frames = expected
-    got = morph(*photographs, n_frames=5, backend=device)
+    got = morph(*photographs, n_frames=5, endpoints="paper", backend=device)
     assert got.potentials.converged
     assert want.potentials.converged
     assert np.array_equal(got.times, want.times)
@@ -73,7 +73,7 @@ CASES = {
 def test_variants_agree_with_the_reference(device, rng, case):
     shape_a, shape_b, options = CASES[case]
     images = _small(rng, shape_a), _small(rng, shape_b)
-    got = morph(*images, n_frames=4, tol=1e-4, backend=device, **options)
+    got = morph(*images, n_frames=4, tol=1e-4, endpoints="paper", backend=device, **options)
     want = reference.morph(*images, n_frames=4, tol=1e-5, **options)
     for t, frame, exact in zip(got.times, got.frames, want.frames, strict=True):
         covered = got.coverage(t) >= HOLE_COVERAGE
@@ -109,9 +109,8 @@ def test_result(device, rng):
     assert middle.shape == (15, 10, 3)
     assert middle.dtype == np.float32
     assert 0 <= middle.min() <= middle.max() <= 1
-    # A blurred copy of each image stands at its end.
     for frame, image in ((result.frames[0], images[0]), (result.frames[-1], images[1])):
-        assert np.abs(frame - image).mean() < 0.1
+        assert np.abs(frame - image).max() < 1e-3
     for t in (-0.1, 1.1, np.nan, "half"):
         with pytest.raises(InputError, match=r"t="):
             result.frame(t)
@@ -147,7 +146,8 @@ def test_public_signatures_are_mirrored():
         assert beyond <= {
             "backend", "progress", "relative", "log_threshold", "splatting", "method", "scaling",
             "precision", "start", "relative_to", "max_bytes",
-            "barycentric", "sample", "seed",
+            "barycentric", "sample", "seed", "sigma", "endpoints", "mass", "weights",
+            "color_space", "color_metric", "path_space",
         }  # fmt: skip
 
 

@@ -239,7 +239,7 @@ def test_nearest_pixel_gives_each_splat_to_one_pixel(variant, rng):
 
 @pytest.mark.parametrize("t", [0.0, 0.37, 1.0])
 def test_place(variant, rng, t):
-    table = rng.random((90, 5))
+    table = rng.random((90, 6))
     links = rng.integers(0, 90, (700, 2)).astype(np.uint32)
     weights = rng.random((700, 2))
     shape, scale, center = (50, 60), (59.0, 49.0), (29.5, 24.5)

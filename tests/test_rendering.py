@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from clmorph import InputError, lift
-from clmorph.rendering import HOLE_COVERAGE, Canvas, KernelWidth, canvas_at, render
+from clmorph.rendering import HOLE_COVERAGE, Canvas, Widths, canvas_at, render
+from clmorph.widths import KernelWidth
 
 
 @pytest.mark.parametrize("sides", [(48, 48), (64, 16), (16, 64), (3, 1000), (1, 7)])
@@ -64,7 +65,7 @@ def test_wrong_widths(options):
 
 def _upload(operations, positions, colors):
     """Resting particles of equal mass, positions in the common frame."""
-    table = np.column_stack((positions, colors))
+    table = np.column_stack((positions, colors, np.full(len(colors), 0.02)))
     links = np.repeat(np.arange(len(table)), 2).reshape(-1, 2).astype(np.uint32)
     return operations.upload_particles(table, links, np.full((len(table), 2), 1 / len(table)))
 
@@ -74,9 +75,8 @@ def test_a_constant_image_stays_constant(device):
     moving = _upload(device, measure.positions, measure.colors)
     canvas = canvas_at(0.0, (20, 30), (20, 30))
     for sigma in (0.3, 1.0, 5.0):
-        frame, coverage = render(device, moving, 1.0, 0.0, canvas, sigma)
+        frame, coverage, _ = render(device, moving, 1.0, 0.0, canvas, Widths(sigma))
         assert frame.shape == (20, 30, 3)
-        assert frame.dtype == np.float32
         assert np.abs(frame - 0.25).max() < 1e-5
         # Narrow kernels gather more on the pixels than an even spread, wide ones lose
         # some over the edges.
@@ -89,7 +89,7 @@ def test_resolution_does_not_darken(device):
         measure = lift(np.ones((side, side, 3)))
         moving = _upload(device, measure.positions, measure.colors)
         canvas = canvas_at(0.0, (side, side), (side, side))
-        frame, _ = render(device, moving, 1.0, 0.0, canvas, 0.5)
+        frame = render(device, moving, 1.0, 0.0, canvas, Widths(0.5)).colors
         assert frame.min() > 0.9999
 
 
@@ -98,14 +98,15 @@ def test_holes_are_filled(device):
     positions = np.random.default_rng(0).random((200, 2)) * 0.1
     moving = _upload(device, positions, np.tile([0.8, 0.4, 0.2], (200, 1)))
     canvas = canvas_at(0.0, (40, 40), (40, 40))
-    frame, coverage = render(device, moving, 1.0, 0.0, canvas, 0.7)
+    frame, coverage, _ = render(device, moving, 1.0, 0.0, canvas, Widths(0.7))
     assert coverage[-1, -1] < HOLE_COVERAGE
     assert np.abs(frame - [0.8, 0.4, 0.2]).max() < 1e-4
 
 
 def test_without_a_kernel_holes_stay_black(device):
     moving = _upload(device, np.array([[0.5, 0.5]]), np.ones((1, 3)))
-    frame, coverage = render(device, moving, 1.0, 0.0, canvas_at(0.0, (5, 5), (5, 5)), 0.0)
+    canvas = canvas_at(0.0, (5, 5), (5, 5))
+    frame, coverage, _ = render(device, moving, 1.0, 0.0, canvas, Widths(0.0))
     assert frame.sum() == 3
     assert frame[2, 2].tolist() == [1, 1, 1]
     assert coverage[2, 2] == 25

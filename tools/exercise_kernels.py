@@ -60,11 +60,15 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     draws = operations.sample_plan_rows(rows, columns, g, softmin, 0.01, thresholds)
     results.append(np.array([float(draws.max() < m)]))
     moving = operations.upload_particles(
-        rng.random((40, 5)), rng.integers(0, 40, (150, 2)).astype(np.uint32), rng.random((150, 2))
+        rng.random((40, 6)), rng.integers(0, 40, (150, 2)).astype(np.uint32), rng.random((150, 2))
     )
     splats = operations.place(moving, 0.3, (20.0, 15.0), (10.0, 7.5))
     results += operations.splat(splats, (16, 21), 1.3, 5.0)
     results += operations.splat(splats, (16, 21), 0.0, 0.5)
+    results += operations.deposit(splats, (16, 21))
+    own = operations.adapt_widths(splats, 4 * rng.random((16, 21)), 1.3)
+    results.append(operations.rungs(own).astype(float))
+    results += operations.splat(own, (16, 21), 1.3, 5.0)
     resting = operations.upload_splats(
         rng.uniform(-9, 30, (90, 2)).astype(np.float32),
         rng.random((90, 3)).astype(np.float32),

@@ -26,8 +26,10 @@ class Cloud:
         Tile centers; exact in float32.
     log2_weights : (N,) array
         Sorted; SENTINEL for zero mass.
-    half_squares : (N,) array
-        Sorted; half the squared distance of each point to its tile's center.
+    offsets : (N,) array
+        Sorted; what is added to the cost of each point.
+    own_costs : (N,) array
+        Sorted; half the squared distance of each point to its tile's center, and its offset.
     stride : int
         N padded to whole tiles.
     offsets_buffer : (2, D, stride) float32
@@ -38,7 +40,8 @@ class Cloud:
     order: NDArray[np.intp]
     centers: Float64
     log2_weights: Float64
-    half_squares: Float64
+    offsets: Float64
+    own_costs: Float64
     stride: int
     offsets_buffer: cl.Buffer
     centers_buffer: cl.Buffer
@@ -47,7 +50,13 @@ class Cloud:
         return len(self.order)
 
 
-def make_cloud(work: Workspace, tile: int, points: Float64, weights: Float64) -> Cloud:
+def make_cloud(
+    work: Workspace,
+    tile: int,
+    points: Float64,
+    weights: Float64,
+    offsets: Float64 | None = None,
+) -> Cloud:
     """Sort a weighted cloud into tiles and put it on the device.
 
     Parameters
@@ -57,6 +66,8 @@ def make_cloud(work: Workspace, tile: int, points: Float64, weights: Float64) ->
         Points of one tile.
     points : (N, D) array
     weights : (N,) array
+    offsets : (N,) array, optional
+        Added to the cost of each point.
 
     Raises
     ------
@@ -74,16 +85,18 @@ def make_cloud(work: Workspace, tile: int, points: Float64, weights: Float64) ->
     centers = 0.5 * (tiles.min(axis=1) + tiles.max(axis=1))
     # Rounded first, so that the device's copy is exact and offsets absorb the rounding.
     centers = centers.astype(np.float32).astype(float)
-    offsets = (tiles - centers[:, None]).reshape(-1, dimension)
+    shifts = (tiles - centers[:, None]).reshape(-1, dimension)
+    added = np.zeros(n) if offsets is None else np.asarray(offsets, float)[order]
     with np.errstate(divide="ignore"):
         log2_weights = np.log2(np.asarray(weights, float)[order])
     return Cloud(
         order=order,
         centers=centers,
         log2_weights=np.maximum(log2_weights, SENTINEL),
-        half_squares=0.5 * np.sum(offsets[:n] ** 2, axis=1),
+        offsets=added,
+        own_costs=0.5 * np.sum(shifts[:n] ** 2, axis=1) + added,
         stride=n_tiles * tile,
-        offsets_buffer=work.buffer(split(offsets.T)),
+        offsets_buffer=work.buffer(split(shifts.T)),
         centers_buffer=work.buffer(centers),
     )
 

@@ -6,6 +6,7 @@ import numpy as np
 import pyopencl as cl
 
 from clmorph.opencl.quirks import find_quirks
+from clmorph.operations import BASE_RUNG, RUNGS, RUNGS_PER_OCTAVE
 
 #: Stands for minus infinity in float32 exponents: far under any of them, yet the sum of
 #: a few is still finite. Exact in float32, so that it is the same number in any precision.
@@ -70,9 +71,12 @@ class Knobs:
     def splat_constants(self) -> dict[str, int | float]:
         """Return the macros of ``splat.cl``."""
         return {
+            "BASE_RUNG": BASE_RUNG,
             "BIN": self.bin,
             "CHUNK": self.chunk,
             "EXP2_BUILTIN": self.exp2_builtin,
+            "RUNGS": RUNGS,
+            "RUNGS_PER_OCTAVE": RUNGS_PER_OCTAVE,
             "SENTINEL": SENTINEL,
             "TILE_GROUP": self.tile_group,
             "WIDTH": self.width,

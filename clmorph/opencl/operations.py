@@ -89,9 +89,9 @@ class OpenCLOperations:
     # --- clouds and row reductions
 
     @_operation
-    def upload(self, points: Float64, weights: Float64) -> Cloud:
+    def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
         """Take a weighted cloud."""
-        return self.reductions.upload(points, weights)
+        return self.reductions.upload(points, weights, offsets)
 
     @_operation
     def softmin(
@@ -200,9 +200,30 @@ class OpenCLOperations:
         return self.splatting.place(particles, t, scale, center)
 
     @_operation
-    def upload_splats(self, positions: Float32, colors: Float32, weights: Float32) -> Splats:
+    def upload_splats(
+        self,
+        positions: Float32,
+        colors: Float32,
+        weights: Float32,
+        spacings: Float32 | None = None,
+    ) -> Splats:
         """Take resting particles."""
-        return self.splatting.upload_splats(positions, colors, weights)
+        return self.splatting.upload_splats(positions, colors, weights, spacings)
+
+    @_operation
+    def deposit(self, splats: Splats, shape: tuple[int, int]) -> tuple[Float64, Float64]:
+        """Return what lies nearest to each pixel: sum of masses and of their squares."""
+        return self.splatting.deposit(splats, shape)
+
+    @_operation
+    def adapt_widths(self, splats: Splats, distances: Float64, sigma: float) -> Splats:
+        """Give every splat a width of its own."""
+        return self.splatting.adapt_widths(splats, distances, sigma)
+
+    @_operation
+    def rungs(self, splats: Splats) -> NDArray[np.int64]:
+        """Return on which rung each splat stands."""
+        return self.splatting.rungs(splats)
 
     @_operation
     def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:

@@ -161,7 +161,7 @@ class PlanReductions(Reductions):
         k = LOG2_E / epsilon
         heights, tops = self._column_heights(columns, g, k)
         tops_of_rows = self._row_tops(rows, columns, tops, k)
-        bases = np.repeat(tops_of_rows, self._knobs.tile)[: len(rows)] - k * rows.half_squares
+        bases = np.repeat(tops_of_rows, self._knobs.tile)[: len(rows)] - k * rows.own_costs
         bases += k * softmin[rows.order]
         base = self._work.buffer(split(pad(bases, rows.stride, SENTINEL)))
         return heights, tops, tops_of_rows, k, base
@@ -174,7 +174,7 @@ class PlanReductions(Reductions):
         heights, tops = self._column_heights(columns, g, k)
         tops_of_rows = self._row_tops(rows, columns, tops, k)
         # log2 pi_ij = e_ij + bases_i; a row without mass keeps nothing.
-        bases = np.repeat(tops_of_rows, self._knobs.tile)[: len(rows)] - k * rows.half_squares
+        bases = np.repeat(tops_of_rows, self._knobs.tile)[: len(rows)] - k * rows.own_costs
         bases += f[rows.order] * k + rows.log2_weights
         bases[rows.log2_weights <= SENTINEL] = SENTINEL
         return heights, tops, tops_of_rows, k, bases

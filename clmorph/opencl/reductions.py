@@ -27,9 +27,9 @@ class Reductions:
         self._budget = LaunchBudget()
         self._kernels: dict[tuple[int, bool], dict[str, cl.Kernel]] = {}
 
-    def upload(self, points: Float64, weights: Float64) -> Cloud:
+    def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
         """Take a weighted cloud."""
-        return make_cloud(self._work, self._knobs.tile, points, weights)
+        return make_cloud(self._work, self._knobs.tile, points, weights, offsets)
 
     def softmin(
         self,
@@ -80,7 +80,7 @@ class Reductions:
             maxima[section] = m
             sums[section] = np.sum(out[1] * np.exp2(out[0] - m), axis=0)
         n = len(rows)
-        offsets = np.repeat(tops_of_rows, tile)[:n] - k * rows.half_squares
+        offsets = np.repeat(tops_of_rows, tile)[:n] - k * rows.own_costs
         return maxima[:n] + offsets, sums[:n]
 
     def _column_heights(
@@ -88,7 +88,9 @@ class Reductions:
     ) -> tuple[cl.Buffer, Float64]:
         """Split k g + log2 b into the largest of each tile (float64) and the rest (device)."""
         values = pad(
-            potential[columns.order] * k + columns.log2_weights, columns.stride, SENTINEL
+            (potential[columns.order] - columns.offsets) * k + columns.log2_weights,
+            columns.stride,
+            SENTINEL,
         ).reshape(-1, self._knobs.tile)
         values[values < 0.5 * SENTINEL] = SENTINEL
         tops = values.max(axis=1)

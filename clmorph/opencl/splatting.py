@@ -1,7 +1,7 @@
 """Launches of ``cl_kernels/splat.cl``: place, bin, gather."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +12,15 @@ from clmorph.errors import DeviceError
 from clmorph.opencl import program
 from clmorph.opencl.knobs import Knobs
 from clmorph.opencl.launches import LaunchBudget, Workspace
-from clmorph.operations import Bins, Float32, Float64, bin_grid
+from clmorph.operations import (
+    BASE_RUNG,
+    RUNGS,
+    RUNGS_PER_OCTAVE,
+    Bins,
+    Float32,
+    Float64,
+    bin_grid,
+)
 
 #: Entries of the (bins, slices) table of counts; fewer slices are used on large canvases.
 COUNT_ENTRIES = 1 << 22
@@ -28,7 +36,7 @@ class ParticleSet:
 
     count: int
     unit: float
-    table: cl.Buffer  # (points, 5) float32
+    table: cl.Buffer  # (points, 6) float32
     links: cl.Buffer  # (count, 2) uint32
     weights: cl.Buffer  # (count, 2) float32
 
@@ -41,13 +49,15 @@ class Splats:
     unit: float
     positions: cl.Buffer  # (count, 2) float32, pixels
     samples: cl.Buffer  # (count, 4) float32: weight, color
+    spacings: cl.Buffer  # (count,) float32, pixels
+    rungs: cl.Buffer | None = None  # (count,) uint8, if widths differ
 
 
 class SortedSplats(NamedTuple):
-    """Splats by bin: see `clmorph.operations.Bins`; `order` still on the device."""
+    """Splats by rung and bin: see `clmorph.operations.Bins`; `order` still on the device."""
 
     shape: tuple[int, int]
-    starts: NDArray[np.int64]
+    starts: NDArray[np.int64]  # (rungs, bins + 1); one rung if all have the same width
     order: cl.Buffer
     positions: cl.Buffer
     samples: cl.Buffer
@@ -59,7 +69,7 @@ class Splatting:
     def __init__(self, work: Workspace, knobs: Knobs) -> None:
         self._work, self._knobs = work, knobs
         built = program.build(work.context, "splat.cl", knobs.splat_constants())
-        names = ("place", "count_bins", "fill_bins", "splat")
+        names = ("place", "weigh", "choose_rungs", "count_bins", "fill_bins", "splat")
         self._kernels = {name: cl.Kernel(built, name) for name in names}
         self._budget = LaunchBudget()
 
@@ -76,7 +86,13 @@ class Splatting:
             weights=self._work.buffer(weights / unit),
         )
 
-    def upload_splats(self, positions: Float32, colors: Float32, weights: Float32) -> Splats:
+    def upload_splats(
+        self,
+        positions: Float32,
+        colors: Float32,
+        weights: Float32,
+        spacings: Float32 | None = None,
+    ) -> Splats:
         """Take resting particles; see `clmorph.operations.Operations`."""
         unit = _unit(weights)
         samples = np.column_stack((weights.astype(float) / unit, colors))
@@ -85,6 +101,7 @@ class Splatting:
             unit,
             self._work.buffer(positions),
             self._work.buffer(samples),
+            self._work.buffer(np.ones(len(weights)) if spacings is None else spacings),
         )
 
     def place(
@@ -97,27 +114,58 @@ class Splatting:
         """Move particles to time t and onto a canvas; see `clmorph.operations.Operations`."""
         n = particles.count
         positions, samples = self._work.empty(8 * n), self._work.empty(16 * n)
-        for first in range(0, n, LAUNCH_PARTICLES):
-            self._run(
-                "place", (min(LAUNCH_PARTICLES, n - first),), None,
-                np.uint32(first), np.float32(t),
-                cl.cltypes.make_float2(*scale), cl.cltypes.make_float2(*center),
-                particles.table, particles.links, particles.weights, positions, samples,
-            )  # fmt: skip
-        return Splats(n, particles.unit, positions, samples)
+        spacings = self._work.empty(4 * n)
+        self._over_particles(
+            "place", n, np.float32(t),
+            cl.cltypes.make_float2(*scale), cl.cltypes.make_float2(*center),
+            particles.table, particles.links, particles.weights, positions, samples, spacings,
+        )  # fmt: skip
+        return Splats(n, particles.unit, positions, samples, spacings)
+
+    def deposit(self, splats: Splats, shape: tuple[int, int]) -> tuple[Float64, Float64]:
+        """Return masses and their squares by pixel; see `clmorph.operations.Operations`."""
+        weighed = self._work.empty(16 * splats.count)
+        self._over_particles("weigh", splats.count, splats.samples, weighed)
+        squares, mass = self.splat(replace(splats, samples=weighed), shape, 0.0, 0.0)
+        return mass, squares[..., 0] * splats.unit
+
+    def adapt_widths(self, splats: Splats, distances: Float64, sigma: float) -> Splats:
+        """Give every splat its own width; see `clmorph.operations.Operations`."""
+        rungs, scaled = self._work.empty(splats.count), self._work.empty(16 * splats.count)
+        self._over_particles(
+            "choose_rungs", splats.count,
+            cl.cltypes.make_int2(distances.shape[1], distances.shape[0]), np.float32(sigma),
+            self._work.buffer(np.minimum(distances, 1e30)), splats.positions, splats.samples,
+            splats.spacings, rungs, scaled,
+        )  # fmt: skip
+        return replace(splats, samples=scaled, rungs=rungs)
+
+    def _over_particles(self, name: str, count: int, *arguments: Any) -> None:
+        """Run a kernel of one work-item a particle, in launches of a bounded size."""
+        for first in range(0, count, LAUNCH_PARTICLES):
+            items = min(LAUNCH_PARTICLES, count - first)
+            self._run(name, (items,), None, np.uint32(first), *arguments)
+
+    def rungs(self, splats: Splats) -> NDArray[np.int64]:
+        """Return on which rung each splat stands; see `clmorph.operations.Operations`."""
+        if splats.rungs is None:
+            return np.full(splats.count, BASE_RUNG)
+        rungs = np.empty(splats.count, np.uint8)
+        cl.enqueue_copy(self._work.queue, rungs, splats.rungs)
+        return rungs.astype(np.int64)
 
     def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:
         """Sort splats into bins; see `clmorph.operations.Operations`."""
         by_bin = self._sort(splats, shape, margin)
         order = np.empty(splats.count, np.uint32)
         cl.enqueue_copy(self._work.queue, order, by_bin.order)
-        return Bins(by_bin.shape, by_bin.starts, order.astype(np.int64))
+        return Bins(by_bin.shape, by_bin.starts[0], order.astype(np.int64))
 
     def _sort(self, splats: Splats, shape: tuple[int, int], margin: int) -> SortedSplats:
         """Sort splats into bins, without atomics: count by slice, add up, fill."""
         n = splats.count
         grid = bin_grid(shape, margin, self._knobs.bin)
-        n_bins = grid[0] * grid[1]
+        n_bins = grid[0] * grid[1] * (1 if splats.rungs is None else RUNGS)
         units = self._work.context.devices[0].max_compute_units
         slices = max(1, min(self._knobs.slices_per_unit * units, COUNT_ENTRIES // n_bins, n))
         slice_size = -(-n // slices)
@@ -130,20 +178,26 @@ class Splatting:
                 self._run(
                     name, (min(per_launch, slices - first),), None,
                     np.uint32(n), np.uint32(slice_size), np.uint32(first), np.uint32(slices),
-                    np.int32(margin), cl.cltypes.make_int2(grid[1], grid[0]), *arguments,
+                    np.int32(margin), cl.cltypes.make_int2(grid[1], grid[0]),
+                    np.int32(splats.rungs is not None), splats.positions,
+                    # Not read where there are none, but some drivers want a buffer.
+                    splats.positions if splats.rungs is None else splats.rungs, *arguments,
                 )  # fmt: skip
 
-        over_slices("count_bins", splats.positions, counts_buffer)
+        over_slices("count_bins", counts_buffer)
         cl.enqueue_copy(self._work.queue, counts, counts_buffer)
         ends = np.cumsum(counts, dtype=np.int64)
         slots = ends.reshape(counts.shape) - counts
         order = self._work.empty(4 * n)
         positions, samples = self._work.empty(8 * n), self._work.empty(16 * n)
         over_slices(
-            "fill_bins", splats.positions, splats.samples, self._work.buffer(slots, np.uint32),
+            "fill_bins", splats.samples, self._work.buffer(slots, np.uint32),
             order, positions, samples,
         )  # fmt: skip
-        return SortedSplats(grid, np.append(slots[:, 0], n), order, positions, samples)
+        starts = np.append(slots[:, 0], n)
+        bins = grid[0] * grid[1]
+        by_rung = [starts[first : first + bins + 1] for first in range(0, n_bins, bins)]
+        return SortedSplats(grid, np.stack(by_rung), order, positions, samples)
 
     def splat(
         self, splats: Splats, shape: tuple[int, int], sigma: float, radius: float
@@ -155,41 +209,68 @@ class Splatting:
             radius = 0.5
         bins = self._sort(splats, shape, MARGIN)
         side = self._knobs.width * self._knobs.tile_group
-        blocks_y, blocks_x = -(-height // side), -(-width // side)
-        padded = blocks_y * side, blocks_x * side
-        starts = self._work.buffer(bins.starts, np.uint32)
+        blocks = -(-height // side), -(-width // side)
+        padded = blocks[0] * side, blocks[1] * side
         sums = np.zeros((4, *padded), np.float32)
         buffer = self._work.buffer(sums)
-        exponent_scale = 0.0 if nearest else -np.log2(np.e) / (2 * sigma**2)
-        visits = self._visits(bins, (blocks_y, blocks_x), side, radius)
+        for rung, starts in enumerate(bins.starts):
+            if starts[0] == starts[-1]:
+                continue
+            zoom = 1.0
+            if splats.rungs is not None:
+                zoom = 2.0 ** ((rung - BASE_RUNG) / RUNGS_PER_OCTAVE)
+            scale = 0.0 if nearest else -np.log2(np.e) / (2 * (zoom * sigma) ** 2)
+            self._gather(
+                bins, starts, blocks, side,
+                (np.float32(scale), np.float32(zoom * radius), np.int32(nearest)), buffer,
+            )  # fmt: skip
+        cl.enqueue_copy(self._work.queue, sums, buffer)
+        frame = sums[:, :height, :width].astype(float) * splats.unit
+        return np.moveaxis(frame[1:], 0, -1), frame[0]
+
+    def _gather(
+        self,
+        bins: SortedSplats,
+        starts: NDArray[np.int64],
+        blocks: tuple[int, int],
+        side: int,
+        kernel: tuple[np.float32, np.float32, np.int32],
+        sums: cl.Buffer,
+    ) -> None:
+        """Add the splats of one rung to the sums of all blocks of pixels."""
+        blocks_y, blocks_x = blocks
+        on_device = self._work.buffer(starts, np.uint32)
+        visits = self._visits(bins.shape, starts, blocks, side, float(kernel[1]))
         group = self._knobs.tile_group
+        first_particle, end = int(starts[0]), int(starts[-1])
         # Crowded blocks are given their particles in parts, of a fixed size so that rounding
         # does not depend on how fast the device is today.
-        part = splats.count if visits.max() <= LAUNCH_PARTICLES else LAUNCH_PARTICLES
-        for particle in range(0, splats.count, part):
+        part = LAUNCH_PARTICLES if visits.max() > LAUNCH_PARTICLES else end - first_particle
+        for particle in range(first_particle, end, part):
             for first, stop in self._block_parts(np.minimum(visits, LAUNCH_PARTICLES), side):
                 with self._budget.measure(_cost(visits[first:stop], side)):
                     self._run(
                         "splat", ((stop - first) * group, group), (group, group),
                         np.uint32(first), np.uint32(blocks_x), np.uint32(particle),
-                        np.uint32(min(splats.count, particle + part)),
+                        np.uint32(min(end, particle + part)),
                         np.int32(MARGIN), cl.cltypes.make_int2(bins.shape[1], bins.shape[0]),
-                        np.float32(exponent_scale), np.float32(radius), np.int32(nearest),
-                        starts, bins.positions, bins.samples,
-                        np.uint64(padded[0] * padded[1]), buffer,
+                        *kernel, on_device, bins.positions, bins.samples,
+                        np.uint64(blocks_y * blocks_x * side**2), sums,
                     )  # fmt: skip
-        cl.enqueue_copy(self._work.queue, sums, buffer)
-        frame = sums[:, :height, :width].astype(float) * splats.unit
-        return np.moveaxis(frame[1:], 0, -1), frame[0]
 
     def _visits(
-        self, bins: SortedSplats, blocks: tuple[int, int], side: int, radius: float
+        self,
+        shape: tuple[int, int],
+        starts: NDArray[np.int64],
+        blocks: tuple[int, int],
+        side: int,
+        radius: float,
     ) -> NDArray[np.int64]:
         """Particles that each block of pixels looks at, row by row."""
-        sums = np.zeros((bins.shape[0] + 1, bins.shape[1] + 1), np.int64)
-        sums[1:, 1:] = np.diff(bins.starts).reshape(bins.shape).cumsum(axis=0).cumsum(axis=1)
+        sums = np.zeros((shape[0] + 1, shape[1] + 1), np.int64)
+        sums[1:, 1:] = np.diff(starts).reshape(shape).cumsum(axis=0).cumsum(axis=1)
         low, high = [], []
-        for count, n_bins in zip(blocks, bins.shape, strict=True):
+        for count, n_bins in zip(blocks, shape, strict=True):
             first = np.arange(count) * side
             reach = np.array([-radius, side - 1 + radius])[:, None] + first
             ends = np.clip(np.floor(reach / self._knobs.bin) + MARGIN, 0, n_bins - 1).astype(int)

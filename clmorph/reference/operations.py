@@ -6,17 +6,27 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.operations import Bins, Float32, Float64, PlanRows, bin_grid
+from clmorph.operations import (
+    BASE_RUNG,
+    RUNGS,
+    RUNGS_PER_OCTAVE,
+    Bins,
+    Float32,
+    Float64,
+    PlanRows,
+    bin_grid,
+)
 
 #: Entries of a dense block of rows, so that memory stays bounded (128 MB of float64).
 BLOCK_ENTRIES = 1 << 24
 
 
 class Cloud(NamedTuple):
-    """A weighted cloud: (N, D) points and the logarithms of its (N,) masses."""
+    """A weighted cloud: (N, D) points, the logarithms of its (N,) masses, cost offsets."""
 
     points: Float64
     log_weights: Float64
+    offsets: Float64
 
 
 class ParticleSet(NamedTuple):
@@ -28,11 +38,13 @@ class ParticleSet(NamedTuple):
 
 
 class Splats(NamedTuple):
-    """Resting particles: (K, 2) pixel positions, (K, 3) colors, (K,) masses."""
+    """Resting particles: (K, 2) pixel positions, (K, 3) colors, (K,) masses and spacings."""
 
     positions: Float64
     colors: Float64
     weights: Float64
+    spacings: Float64
+    rungs: NDArray[np.int64] | None = None  # if widths differ
 
 
 class NumPyOperations:
@@ -43,10 +55,12 @@ class NumPyOperations:
     sum_roundoff = exponent_roundoff = precise_roundoff = 2.0**-53
     has_float64 = True
 
-    def upload(self, points: Float64, weights: Float64) -> Cloud:
+    def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
         """Take a weighted cloud."""
         with np.errstate(divide="ignore"):
-            return Cloud(np.asarray(points, float), np.log(np.asarray(weights, float)))
+            log_weights = np.log(np.asarray(weights, float))
+        added = np.zeros(len(points)) if offsets is None else np.asarray(offsets, float)
+        return Cloud(np.asarray(points, float), log_weights, added)
 
     def softmin(
         self,
@@ -177,11 +191,46 @@ class NumPyOperations:
         moved = (1 - t) * start + t * end
         weights = (1 - t) * particles.weights[:, 0] + t * particles.weights[:, 1]
         positions = (moved[:, :2] - 0.5) * np.asarray(scale) + np.asarray(center)
-        return Splats(positions, moved[:, 2:], weights)
+        spacings = moved[:, 5] * 0.5 * (scale[0] + scale[1])
+        return Splats(positions, moved[:, 2:5], weights, spacings)
 
-    def upload_splats(self, positions: Float32, colors: Float32, weights: Float32) -> Splats:
+    def upload_splats(
+        self,
+        positions: Float32,
+        colors: Float32,
+        weights: Float32,
+        spacings: Float32 | None = None,
+    ) -> Splats:
         """Take resting particles."""
-        return Splats(positions.astype(float), colors.astype(float), weights.astype(float))
+        given = np.ones(len(weights)) if spacings is None else spacings
+        return Splats(*(array.astype(float) for array in (positions, colors, weights, given)))
+
+    def deposit(self, splats: Splats, shape: tuple[int, int]) -> tuple[Float64, Float64]:
+        """Return what lies nearest to each pixel: sum of masses and of their squares."""
+        column, row = np.floor(splats.positions + 0.5).T.astype(np.int64)
+        inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+        pixel = (row * shape[1] + column)[inside]
+        sums = [
+            np.bincount(pixel, splats.weights[inside] ** power, shape[0] * shape[1])
+            for power in (1, 2)
+        ]
+        return sums[0].reshape(shape), sums[1].reshape(shape)
+
+    def adapt_widths(self, splats: Splats, distances: Float64, sigma: float) -> Splats:
+        """Give every splat a width of its own."""
+        from scipy.ndimage import map_coordinates
+
+        gap = 0.5 * map_coordinates(
+            np.minimum(distances, 1e30), splats.positions[:, ::-1].T, order=1, mode="nearest"
+        )
+        width = np.maximum(sigma * splats.spacings, gap) / sigma
+        rungs = np.rint(RUNGS_PER_OCTAVE * np.log2(np.maximum(width, 1e-30))) + BASE_RUNG
+        rungs = np.clip(rungs, 0, RUNGS - 1).astype(np.int64)
+        return splats._replace(weights=splats.weights / _zoom(rungs) ** 2, rungs=rungs)
+
+    def rungs(self, splats: Splats) -> NDArray[np.int64]:
+        """Return on which rung each splat stands."""
+        return np.full(len(splats.weights), BASE_RUNG) if splats.rungs is None else splats.rungs
 
     def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:
         """Sort splats into bins."""
@@ -203,9 +252,10 @@ class NumPyOperations:
             part = slice(first, first + chunk)
             x = np.arange(width) - splats.positions[part, 0, None]
             y = np.arange(height) - splats.positions[part, 1, None]
-            along_x = _kernel(x, sigma, radius)
+            zoom = _zoom(self.rungs(splats)[part, None])
+            along_x = _kernel(x / zoom, sigma, radius)
             # The kernel is a product, so the sum over particles is a matrix product.
-            along_y = _kernel(y, sigma, radius) * splats.weights[part, None]
+            along_y = _kernel(y / zoom, sigma, radius) * splats.weights[part, None]
             sums[0] += along_y.T @ along_x
             for channel in range(3):
                 sums[channel + 1] += (along_y * splats.colors[part, channel, None]).T @ along_x
@@ -223,7 +273,8 @@ def _exponent_blocks(
         exponents = np.zeros((len(x), len(y)))
         for d in range(x.shape[1]):
             exponents -= 0.5 * (x[:, d, None] - y[:, d]) ** 2
-        exponents += potential
+        exponents += potential - columns.offsets
+        exponents -= rows.offsets[block, None]
         exponents /= epsilon
         exponents += columns.log_weights
         yield block, exponents
@@ -243,6 +294,11 @@ def _plan_blocks(
         log_plan = exponents + (f[block] / epsilon + rows.log_weights[block])[:, None]
         keep = log_plan > np.minimum(row_thresholds[block][:, None], column_thresholds)
         yield block, log_plan, keep & (log_plan > -np.inf)
+
+
+def _zoom(rungs: NDArray[np.int64]) -> Float64:
+    """Widths of rungs, in units of the base's."""
+    return np.asarray(2.0 ** ((rungs - BASE_RUNG) / RUNGS_PER_OCTAVE))
 
 
 def _kernel(d: Float64, sigma: float, radius: float) -> Float64:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from clmorph import defaults
 from clmorph.checks import check_number
 from clmorph.errors import InputError
-from clmorph.points import AnyMeasure, MeasureLike, as_pair
+from clmorph.measures import Measure
+from clmorph.points import AnyMeasure, MeasureLike, as_measures
 from clmorph.potentials import Potentials
 from clmorph.problem import Certificate
 from clmorph.strengths import Reach, Strengths, strengths
@@ -21,14 +22,24 @@ MAX_PAIRS = 1 << 25
 
 
 def cost_matrix(source: AnyMeasure, target: AnyMeasure) -> Array:
-    """Return C_ij = |X_i - Y_j|^2 / 2 (Eq. 1 with the factor 1/2): (N, M) array."""
-    x, y = source.points, target.points
-    if len(x) * len(y) > MAX_PAIRS:
+    """Return C_ij = |X_i - Y_j|^2 / 2 (Eq. 1 with the factor 1/2): (N, M) array.
+
+    Or, with a metric of color for each source pixel (section 5),
+    |x_i - y_j|^2 / 2 + lambda^2 (c_i - d_j)^T M_i (c_i - d_j) / 2.
+    """
+    if len(source) * len(target) > MAX_PAIRS:
         raise InputError(
-            f"{len(x)} x {len(y)} pairs are too many for a dense plan: expected at most "
+            f"{len(source)} x {len(target)} pairs are too many for a dense plan: expected at most "
             f"{MAX_PAIRS}; reduce the images, or use clmorph.morph"
         )
-    return 0.5 * np.sum((x[:, None, :] - y[None, :, :]) ** 2, axis=2)
+    if isinstance(source, Measure) and isinstance(target, Measure) and source.has_metric_map:
+        difference = source.positions[:, None] - target.positions
+        cost = 0.5 * np.sum(difference**2, axis=2)
+        difference = source.coordinates[:, None] - target.coordinates
+        metric = source.color_weight**2 * np.asarray(source.color_metric)
+        cost += 0.5 * np.einsum("ijk,ikl,ijl->ij", difference, metric, difference)
+        return cost
+    return 0.5 * np.sum((source.points[:, None, :] - target.points[None, :, :]) ** 2, axis=2)
 
 
 def _log_sum_exp(values: Array, axis: int) -> Array:
@@ -59,7 +70,7 @@ def sinkhorn(
     """
     given = strengths(blur, reach, epsilon, rho)
     tol = check_number("tol", tol, 0.0, 1e3, open_low=True)
-    source, target = as_pair(source, target)
+    source, target = as_measures(source, target)
     epsilon = given.epsilon
     damping = [1.0 if np.isinf(value) else value / (value + epsilon) for value in given.rho]
     cost = cost_matrix(source, target)
@@ -117,7 +128,7 @@ def _kullback_leibler(p: Array, q: Array) -> float:
 
 def transport_plan(source: MeasureLike, target: MeasureLike, potentials: Potentials) -> Array:
     """Return the whole plan, Eq. 2: (N, M) array."""
-    source, target = as_pair(source, target)
+    source, target = as_measures(source, target)
     return _plan(source, target, potentials.f, potentials.g, potentials.epsilon)
 
 

@@ -1,0 +1,196 @@
+"""Frames that are the images themselves at both ends, whatever the kernel width.
+
+A frame at t = 0 is the source seen through a kernel. What the kernel takes away, source less
+frame, is given back to its pixels: it travels as they do, seen through a narrow kernel, so that
+the first frames are as sharp as the source and their detail moves along; likewise backwards
+from the target. It fades with `share`, which is 1 at both ends and 0 halfway, where a frame is
+Eq. 4 alone. What still lacks then at the ends (pixels from which nothing travels if unmatched
+mass is dropped, or rounding) fades at its place.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.measures import Measure
+from clmorph.operations import Operations
+from clmorph.plan import Plan
+from clmorph.rendering import CUT, Canvas, kernel_sum
+from clmorph.sampling import Barycentric
+
+Array = NDArray[np.float64]
+
+#: What is done about the ends: nothing (Eq. 4 as printed), or the above.
+ENDPOINTS = ("exact", "paper")
+
+#: Kernel width of what is given back, in distances of pixels: hardly reaches the next.
+NARROW = 0.35
+
+#: What is smaller everywhere is not seen, and left.
+NEGLIGIBLE = 1e-4
+
+
+def share(t: float) -> float:
+    """How much is given back at time t, of each end's share (1 - t) or t; smooth."""
+    return float(np.cos(np.pi * t) ** 2)
+
+
+class Details:
+    """What one image's frame lacks, as particles that travel.
+
+    Parameters
+    ----------
+    operations : Operations
+    measure : Measure
+        The source, or the target.
+    missing : (H, W, 3) array
+        Image less frame at its end, in the space of the path.
+    destinations : (N, 2) array
+        Where each pixel goes, or comes from, on average.
+    moving : (N,) array
+        Share of it that does; the rest stays.
+    backwards : bool
+        Whether it arrives, as the target's do.
+    """
+
+    def __init__(
+        self,
+        operations: Operations,
+        measure: Measure,
+        missing: Array,
+        destinations: Array,
+        moving: NDArray[np.float64],
+        backwards: bool,
+    ) -> None:
+        self._operations, self._spacing = operations, measure.spacing
+        n = len(measure)
+        colors = missing.reshape(n, 3)
+        spacing = np.full(n, measure.spacing)
+        table = np.concatenate(
+            [np.column_stack((at, colors, spacing)) for at in (measure.positions, destinations)]
+        )
+        here, there = np.arange(n), n + np.arange(n)
+        path = (there, here) if backwards else (here, there)
+        links = np.concatenate((np.column_stack(path), np.column_stack((here, here))))
+        weights = np.concatenate((moving, 1.0 - moving)) * np.tile(measure.weights > 0, 2)
+        kept = weights > 0
+        self._particles = None
+        if kept.any():
+            self._particles = operations.upload_particles(
+                table, links[kept].astype(np.uint32), np.column_stack((weights, weights))[kept]
+            )
+
+    def at(self, t: float, canvas: Canvas) -> Array | float:
+        """Return what is to be added to a frame: (H, W, 3) array, before it is faded."""
+        if self._particles is None:
+            return 0.0
+        pitch = max(1e-3, self._spacing * 0.5 * sum(canvas.scale))
+        sigma = NARROW * pitch
+        splats = self._operations.place(self._particles, t, canvas.scale, canvas.center)
+        numerator, denominator = self._operations.splat(splats, canvas.shape, sigma, CUT * sigma)
+        # Where pixels have moved apart there is less to give back than an even spread has.
+        even = kernel_sum(sigma) / pitch**2
+        return numerator / np.maximum(denominator, even)[..., None]
+
+
+class EndCorrection:
+    """What brings both ends of a morph to its images.
+
+    Parameters
+    ----------
+    details : (source's, target's)
+        Given back along the path; None where nothing lacks.
+    """
+
+    def __init__(self, details: tuple[Details | None, Details | None]) -> None:
+        self._details = details
+        self._rest: list[Array | None] = [None, None]
+
+    def moving(self, t: float, canvas: Canvas) -> Array | float:
+        """Return what is to be added to colors at time t, in the space of the path."""
+        total: Array | float = 0.0
+        for end, details in zip(((1 - t), t), self._details, strict=True):
+            if details is not None and end * share(t) > 0:
+                total = total + end * share(t) * details.at(t, canvas)
+        return total
+
+    def set_rest(self, end: int, missing: Array) -> None:
+        """Set what the frame at an end, 0 or 1, lacks even so: (H, W, C) array."""
+        if np.abs(missing).max() > NEGLIGIBLE:
+            self._rest[end] = missing
+
+    def resting(self, t: float, canvas: Canvas) -> Array | float:
+        """Return what is to be added to the finished frame at t: (H, W, C) array, or 0."""
+        total: Array | float = 0.0
+        for end, missing in zip(((1 - t), t), self._rest, strict=True):
+            if missing is not None and end * share(t) > 0:
+                total = total + end * share(t) * _resized(missing, canvas.shape)
+        return total
+
+
+def make_details(
+    operations: Operations,
+    measures: tuple[Measure, Measure],
+    plan: Plan | Barycentric,
+    missing: tuple[Array, Array],
+    unmatched: str,
+) -> tuple[Details | None, Details | None]:
+    """Return what both ends lack, travelling as the plan does on average.
+
+    Parameters
+    ----------
+    operations : Operations
+    measures : (source, target)
+    plan : Plan or Barycentric
+    missing : two (H, W, 3) arrays
+        Image less frame at t = 0 and at t = 1, in the space of the path.
+    unmatched : {"fade", "drop"}
+        With "drop" nothing stays behind.
+    """
+    source, target = measures
+    masses = plan.row_mass, plan.column_mass
+    destinations: tuple[Array, Array]
+    if isinstance(plan, Plan):
+        destinations = (
+            _means(plan.rows, plan.mass, target.positions[plan.indices], source.positions),
+            _means(plan.indices, plan.mass, source.positions[plan.rows], target.positions),
+        )
+    else:
+        # Where a target pixel comes from on average is not known; its detail stays in place.
+        destinations = plan.positions, target.positions
+    result: list[Details | None] = []
+    for end, measure in enumerate(measures):
+        if np.abs(missing[end]).max() <= NEGLIGIBLE:
+            result.append(None)
+            continue
+        moved, own = masses[end], measure.weights
+        moving = np.divide(moved, own, out=np.zeros_like(own), where=own > 0)
+        moving = np.minimum(moving, 1.0) if unmatched == "fade" else (moving > 0).astype(float)
+        result.append(
+            Details(
+                operations, measure, missing[end],
+                np.where(moved[:, None] > 0, destinations[end], measure.positions),
+                moving, backwards=end == 1,
+            )
+        )  # fmt: skip
+    return result[0], result[1]
+
+
+def _means(groups: NDArray[Any], mass: Array, ends: Array, own: Array) -> Array:
+    """Mean end of the pairs of each group, and its own place where there are none."""
+    totals = np.bincount(groups, mass, len(own))
+    means = own.copy()
+    moves = totals > 0
+    for axis in range(2):
+        means[moves, axis] = np.bincount(groups, mass * ends[:, axis], len(own))[moves]
+        means[moves, axis] /= totals[moves]
+    return means
+
+
+def _resized(image: Array, shape: tuple[int, int]) -> Array:
+    if image.shape[:2] == shape:
+        return image
+    from skimage.transform import resize
+
+    return np.asarray(resize(image, (*shape, image.shape[2]), order=1, mode="edge"))

@@ -1,0 +1,255 @@
+"""How good frames are: divergences along the path (paper, 4.3, Table 2), holes, sharpness, steps."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clmorph import defaults
+from clmorph.backends import Backend
+from clmorph.checks import check_choice, check_integer, check_number
+from clmorph.colors import from_space
+from clmorph.divergence import Divergence, sinkhorn_divergence
+from clmorph.errors import InputError
+from clmorph.measures import LUMINANCE, Measure
+from clmorph.points import WeightedPoints
+from clmorph.rendering import HOLE_COVERAGE, Canvas, Sums
+from clmorph.result import Morph
+
+Array = NDArray[np.float64]
+
+#: How a frame is taken as a measure: every pixel the same mass (the paper), or its kernel mass.
+FRAME_WEIGHTS = ("kernel", "uniform")
+#: What frames are compared with: the target image, or the particles themselves.
+REFERENCES = ("target", "particles")
+
+#: Points to which particles are merged before they are compared.
+MERGED_POINTS = 8192
+#: Coverage, as a share of that around it, under which a pixel is a hole, and the width in
+#: pixels of "around".
+HOLE_SHARE, HOLE_SURROUNDINGS = 0.1, 3.0
+
+
+def frame_measure(
+    morph: Morph, t: float, *, weights: str = "kernel", sums: Sums | None = None
+) -> WeightedPoints:
+    """Take a frame as a measure, lifted as the images were.
+
+    Parameters
+    ----------
+    morph : Morph
+    t : float
+    weights : {"kernel", "uniform"}
+        A pixel's mass: what the particles' kernels give it, of the particles' mass in all; or
+        the same for every pixel, of sum 1 (the paper's way, which cannot see holes).
+    sums : Sums, optional
+        What `morph.sums(t)` or another rendering returned; the frame itself if not given.
+
+    Returns
+    -------
+    WeightedPoints
+
+    Raises
+    ------
+    InputError
+        If an option is none of these.
+    """
+    t = check_number("t", t, 0.0, 1.0)
+    check_choice("weights", weights, FRAME_WEIGHTS)
+    canvas = morph.canvas(t)
+    if sums is None:
+        sums = morph.sums(t)
+        colors = morph.frame(t)[..., :3].astype(float)
+    else:
+        colors = from_space(sums.colors, morph.particles.path_space)
+    n = canvas.shape[0] * canvas.shape[1]
+    masses = np.full(n, 1.0 / n)
+    if weights == "kernel":
+        masses = np.maximum(sums.density.ravel(), 0.0)
+        masses = masses * (morph.particles.mass(t) / masses.sum())
+    return WeightedPoints(_lifted(morph, _frame_positions(canvas), colors.reshape(n, 3)), masses)
+
+
+def particle_measure(
+    morph: Morph, t: float, *, max_points: int = MERGED_POINTS
+) -> tuple[WeightedPoints, float]:
+    """Return the particles at time t as a measure, those near each other merged.
+
+    Parameters
+    ----------
+    morph : Morph
+    t : float
+    max_points : int
+        Particles are merged to their centers of mass in cells of one size, in position and
+        color, the smallest that leaves no more points than this.
+
+    Returns
+    -------
+    measure : WeightedPoints
+    spread : float
+        Root mean square distance of particles to the point they were merged to, in image sides;
+        0 if none was.
+    """
+    t = check_number("t", t, 0.0, 1.0)
+    max_points = check_integer("max_points", max_points, 16, 1 << 20)
+    moving = morph.particles
+    mass = (1 - t) * moving.weights[:, 0] + t * moving.weights[:, 1]
+    links = moving.links[mass > 0]
+    mass = mass[mass > 0]
+    at = (1 - t) * moving.table[links[:, 0], :5] + t * moving.table[links[:, 1], :5]
+    points = _lifted(morph, at[:, :2], from_space(at[:, 2:], moving.path_space))
+    if len(points) <= max_points:
+        return WeightedPoints(points, mass), 0.0
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = float(np.max(high - low)) / 64
+    while True:
+        # 12 bits an axis: the cell's number in one integer.
+        cells = np.minimum((points - low) / size, 4095).astype(np.int64)
+        key = cells @ (np.int64(1) << (12 * np.arange(points.shape[1], dtype=np.int64)))
+        _, group = np.unique(key, return_inverse=True)
+        count = int(group.max()) + 1
+        if count <= max_points:
+            break
+        size *= max(1.05, (count / max_points) ** 0.25)
+    merged = np.bincount(group, mass)
+    centers = np.column_stack(
+        [np.bincount(group, mass * points[:, d]) / merged for d in range(points.shape[1])]
+    )
+    spread = np.sum(mass * np.sum((points - centers[group]) ** 2, axis=1)) / mass.sum()
+    return WeightedPoints(centers, merged), float(np.sqrt(spread))
+
+
+def path_divergence(
+    morph: Morph,
+    times: Sequence[float],
+    to: str = "target",
+    *,
+    weights: str | None = None,
+    blur: float | None = None,
+    reach: float | None = None,
+    tol: float = defaults.TOL,
+    max_points: int = MERGED_POINTS,
+    backend: Backend | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[Divergence]:
+    """Return the Sinkhorn divergence of frames to the target, or to the particles.
+
+    Parameters
+    ----------
+    morph : Morph
+    times : sequence of float
+    to : {"target", "particles"}
+        Table 2 of the paper; or mu_t itself, of which the frame is to be a picture.
+    weights : {"uniform", "kernel"}, optional
+        See `frame_measure`; "uniform" for the target, "kernel" for particles if not given.
+    blur, reach : float, optional
+        The morph's own if not given; one reach for both measures.
+    tol : float
+        Of each solve, in units of epsilon.
+    max_points : int
+        See `particle_measure`; intervals hold for the merged particles.
+    backend : str or Operations, optional
+        The morph's own if not given.
+    progress : callable, optional
+
+    Returns
+    -------
+    list of Divergence
+        With certain intervals.
+
+    Raises
+    ------
+    InputError
+        If an option cannot be used, or the morph's reach is a pair and none is given.
+    """
+    check_choice("to", to, REFERENCES)
+    if morph.source.has_metric_map:
+        raise InputError("a cost with a metric for each source pixel is no distance")
+    blur = morph.potentials.blur if blur is None else blur
+    own_reach = morph.potentials.reach if reach is None else reach
+    if isinstance(own_reach, tuple):
+        raise InputError(f"the morph's reach is {own_reach}: give one reach for both measures")
+    operations = morph.operations if backend is None else backend
+    if weights is None:
+        weights = "uniform" if to == "target" else "kernel"
+    result = []
+    for number, t in enumerate(times):
+        frame = frame_measure(morph, t, weights=weights)
+        other = (
+            WeightedPoints(morph.target.points, morph.target.weights)
+            if to == "target"
+            else particle_measure(morph, t, max_points=max_points)[0]
+        )
+        result.append(sinkhorn_divergence(frame, other, blur, own_reach, tol, backend=operations))
+        if progress:
+            progress((number + 1) / len(times))
+    return result
+
+
+def hole_fraction(coverage: ArrayLike) -> float:
+    """Return the share of pixels that are holes: torn out of what surrounds them, or empty.
+
+    Parameters
+    ----------
+    coverage : (H, W) array
+        By `Morph.coverage`.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    values = np.asarray(coverage, float)
+    around = gaussian_filter(values, HOLE_SURROUNDINGS, mode="reflect")
+    return float(np.mean((values < HOLE_SHARE * around) | (values < HOLE_COVERAGE)))
+
+
+def sharpness(frame: ArrayLike) -> float:
+    """Return the root mean square gradient of a frame's luma, per pixel.
+
+    Parameters
+    ----------
+    frame : (H, W, C) array
+    """
+    luma = np.asarray(frame, float)[..., :3] @ LUMINANCE
+    slopes = [np.diff(luma, axis=axis) ** 2 for axis in (0, 1)]
+    count = sum(slope.size for slope in slopes)
+    return float(np.sqrt(sum(slope.sum() for slope in slopes) / max(1, count)))
+
+
+def step_sizes(frames: Sequence[ArrayLike]) -> Array:
+    """Return the root mean square change from each frame to the next: (n - 1,) array.
+
+    Parameters
+    ----------
+    frames : sequence of (H, W, C) arrays
+        Smaller ones are enlarged to the largest sides first.
+    """
+    from skimage.transform import resize
+
+    pictures = [np.asarray(frame, float) for frame in frames]
+    shape = tuple(max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
+    pictures = [
+        picture
+        if picture.shape[:2] == shape
+        else np.asarray(resize(picture, (*shape, picture.shape[2]), order=1, mode="edge"))
+        for picture in pictures
+    ]
+    return np.array(
+        [np.sqrt(np.mean((b - a) ** 2)) for a, b in zip(pictures, pictures[1:], strict=False)]
+    )
+
+
+def _frame_positions(canvas: Canvas) -> Array:
+    """Where the pixels of a canvas stand in the common frame."""
+    y, x = np.mgrid[: canvas.shape[0], : canvas.shape[1]].reshape(2, -1)
+    pixels = np.column_stack((x, y)) - np.asarray(canvas.center)
+    return 0.5 + pixels / np.maximum(canvas.scale, 1e-9)
+
+
+def _lifted(morph: Morph, positions: Array, colors: Array) -> Array:
+    """(K, 5) points, as `Measure.points` lifts them."""
+    source = morph.source
+    return Measure(
+        positions, colors, np.ones(len(colors)), source.shape, source.color_weight, source.extent,
+        source.color_space, source.color_metric,
+    ).points  # fmt: skip
+
+

@@ -1,0 +1,197 @@
+"""A morph: what the transport found, and its frames, rendered when asked for."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.checks import check_number
+from clmorph.colors import from_space, to_space
+from clmorph.endpoints import EndCorrection, make_details
+from clmorph.interpolation import Particles
+from clmorph.measures import Measure
+from clmorph.operations import Operations
+from clmorph.plan import Plan
+from clmorph.potentials import Potentials
+from clmorph.rendering import Canvas, Sums, canvas_at, render
+from clmorph.sampling import Barycentric
+from clmorph.widths import KernelWidth
+
+#: Between opaque ends, matter is let thin out to this share before it lets the ground through.
+THINNEST = 0.5
+
+
+@dataclass(frozen=True, repr=False)
+class Morph:
+    """A morph between two images; frames are rendered when asked for.
+
+    Attributes
+    ----------
+    source, target : Measure
+    potentials : Potentials
+    plan : Plan or Barycentric
+    particles : Particles
+    times : (n_frames,) array
+        From 0 to 1.
+    kernel_width : KernelWidth
+    operations : Operations
+        What renders the frames.
+    endpoints : {"exact", "paper"}
+        Whether the first and the last frame are brought to the images themselves.
+    unmatched : {"fade", "drop"}
+    """
+
+    source: Measure
+    target: Measure
+    potentials: Potentials
+    plan: Plan | Barycentric
+    particles: Particles
+    times: NDArray[np.float64]
+    kernel_width: KernelWidth
+    operations: Operations = field(repr=False)
+    endpoints: str = "exact"
+    unmatched: str = "fade"
+
+    def __repr__(self) -> str:
+        (h, w), (height, width) = self.source.shape, self.target.shape
+        return (
+            f"<Morph of {w} x {h} into {width} x {height} pixels, {len(self.times)} frames, "
+            f"{len(self.particles)} particles, {self.potentials.message}>"
+        )
+
+    @cached_property
+    def _uploaded(self) -> Any:
+        moving = self.particles
+        return self.operations.upload_particles(moving.table, moving.links, moving.weights)
+
+    @cached_property
+    def _uploaded_opacity(self) -> Any:
+        moving = self.particles
+        assert moving.opacity is not None  # asked for by those who saw that there is some
+        return self.operations.upload_particles(moving.table, moving.links, moving.opacity)
+
+    def canvas(self, t: float) -> Canvas:
+        """Return the canvas at time t."""
+        return canvas_at(t, self.source.shape, self.target.shape, self.source.extent)
+
+    @cached_property
+    def sigma(self) -> NDArray[np.float64]:
+        """(n_frames,) kernel width at `times`, in pixels; 0 where there is no kernel."""
+        return np.array([self.kernel_width.at(t, self.canvas(t)) for t in self.times])
+
+    def frame(self, t: float) -> NDArray[np.float32]:
+        """Render the frame at time t.
+
+        Parameters
+        ----------
+        t : float in [0, 1]
+
+        Returns
+        -------
+        (H(t), W(t), 3) float32 array
+            sRGB in [0, 1]; if one of the images is not opaque all over, (H(t), W(t), 4), with
+            opacity.
+        """
+        t = check_number("t", t, 0.0, 1.0)
+        canvas = self.canvas(t)
+        picture = self._picture(t, self.sums(t), self._correction)
+        if self._correction is not None:
+            picture = np.clip(picture + self._correction.resting(t, canvas), 0.0, 1.0)
+        return picture.astype(np.float32)
+
+    def coverage(self, t: float) -> NDArray[np.float32]:
+        """Return how well the particles cover each pixel at time t, before filling.
+
+        Returns
+        -------
+        (H(t), W(t)) float32 array
+            Kernel mass as a share of what an even spread would give; under
+            `clmorph.rendering.HOLE_COVERAGE` a pixel is a hole.
+        """
+        return self.sums(check_number("t", t, 0.0, 1.0)).coverage.astype(np.float32)
+
+    def sums(self, t: float) -> Sums:
+        """Render colors, coverage and density at time t, without the correction of the ends."""
+        canvas = self.canvas(t)
+        widths = self.kernel_width.widths(t, canvas)
+        return render(self.operations, self._uploaded, self.particles.mass(t), t, canvas, widths)
+
+    def _picture(
+        self, t: float, sums: Sums, correction: EndCorrection | None
+    ) -> NDArray[np.float64]:
+        """Colors of a frame, and its opacity if it has one; what lacks at its place left out."""
+        colors = sums.colors
+        if correction is not None:
+            colors = colors + correction.moving(t, self.canvas(t))
+        picture = from_space(colors, self.particles.path_space)
+        if self.particles.opacity is None:
+            return picture
+        return np.dstack((picture, self._opacity(t)))
+
+    def _opacity(self, t: float) -> NDArray[np.float64]:
+        """(H, W) share of each pixel that opaque matter covers."""
+        assert self.particles.opacity is not None
+        canvas = self.canvas(t)
+        start, end = self.particles.opacity.sum(axis=0)
+        sums = render(
+            self.operations, self._uploaded_opacity, float((1 - t) * start + t * end), t, canvas,
+            self.kernel_width.widths(t, canvas), fill=False,
+        )  # fmt: skip
+        # Particles never spread quite evenly; that alone must not let the ground show through.
+        enough = 1.0 - 4 * t * (1 - t) * (1.0 - THINNEST)
+        pixels = canvas.shape[0] * canvas.shape[1]
+        return np.clip(sums.density * pixels / enough, 0.0, 1.0)
+
+    @cached_property
+    def _correction(self) -> EndCorrection | None:
+        """What the ends lack; None if they are left as they are."""
+        if self.endpoints == "paper":
+            return None
+        measures = self.source, self.target
+        ends = self.sums(0.0), self.sums(1.0)
+        space = self.particles.path_space
+        lacking = []
+        for measure, sums in zip(measures, ends, strict=True):
+            wanted = to_space(measure.colors, space).reshape(*measure.shape, 3)
+            lacking.append(wanted - sums.colors)
+        details = make_details(
+            self.operations, measures, self.plan, (lacking[0], lacking[1]), self.unmatched
+        )
+        correction = EndCorrection(details)
+        for end, (measure, sums) in enumerate(zip(measures, ends, strict=True)):
+            picture = self._picture(float(end), sums, correction)
+            image = measure.colors.reshape(*measure.shape, 3)
+            rest = image - picture[..., :3]
+            if self.particles.opacity is not None:
+                alpha = np.ones(measure.shape)
+                if measure.alpha is not None:
+                    alpha = measure.alpha.reshape(measure.shape)
+                rest = np.dstack((np.where(alpha[..., None] > 0, rest, 0.0), alpha))
+                rest[..., 3] -= picture[..., 3]
+            correction.set_rest(end, rest)
+        return correction
+
+    def iter_frames(self) -> Iterator[NDArray[np.float32]]:
+        """Render the frames one by one, without keeping them."""
+        return (self.frame(t) for t in self.times)
+
+    @cached_property
+    def frames(self) -> list[NDArray[np.float32]]:
+        """All frames, at `times`; rendered at the first access, then kept."""
+        return list(self.iter_frames())
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the morph to a file chosen by its ending, see `clmorph.export.save`.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written there.
+        """
+        from clmorph.export import save
+
+        save(self.frames, self.times, path)
