@@ -109,15 +109,28 @@ class Morph:
         Returns
         -------
         (H(t), W(t)) float32 array
-            Kernel mass as a share of what an even spread would give; under
-            `clmorph.rendering.HOLE_COVERAGE` a pixel is a hole.
+            Kernel mass as a share of what an even spread would give; see
+            `clmorph.quality.hole_fraction`.
         """
         return self.sums(check_number("t", t, 0.0, 1.0)).coverage.astype(np.float32)
 
-    def sums(self, t: float) -> Sums:
-        """Render colors, coverage and density at time t, without the correction of the ends."""
+    def sums(self, t: float, *, sigma: float | None = None) -> Sums:
+        """Render colors, coverage and density at time t, without the correction of the ends.
+
+        Parameters
+        ----------
+        t : float in [0, 1]
+        sigma : float, optional
+            Kernel width in place of the morph's, in pixels.
+
+        Returns
+        -------
+        Sums
+        """
         canvas = self.canvas(t)
         widths = self.kernel_width.widths(t, canvas)
+        if sigma is not None:
+            widths = widths._replace(sigma=sigma)
         return render(self.operations, self._uploaded, self.particles.mass(t), t, canvas, widths)
 
     def _picture(

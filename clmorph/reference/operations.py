@@ -211,7 +211,7 @@ class NumPyOperations:
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
         pixel = (row * shape[1] + column)[inside]
         sums = [
-            np.bincount(pixel, splats.weights[inside] ** power, shape[0] * shape[1])
+            np.bincount(pixel, splats.weights[inside] ** power, shape[0] * shape[1]).astype(float)
             for power in (1, 2)
         ]
         return sums[0].reshape(shape), sums[1].reshape(shape)
