@@ -172,7 +172,9 @@ def render(
         density[filled] = wider[filled] / kernel_sum(width)
         if widths.local:
             coverage[filled] = share[filled]
-        open_pixels &= torn
+            open_pixels = is_torn(coverage)
+        else:
+            open_pixels &= torn
     tiny = np.finfo(np.float64).tiny
     return Sums(numerator / np.maximum(denominator, tiny)[..., None], coverage, density)
 
