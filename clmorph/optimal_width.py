@@ -2,8 +2,8 @@
 
 The paper judges a kernel by the Sinkhorn divergence of its frames (4.3) and sets its width by
 hand (gamma). Here sigma(t) is the width whose frame, weighted by its kernel mass, has the least
-divergence to the particles mu_t that it is a picture of. The divergence prefers grain to blur:
-an average of colors is a color that no particle has.
+divergence to the particles mu_t that it is a picture of; torn pixels are closed. The divergence
+prefers grain to blur: an average of colors is a color that no particle has.
 """
 
 from collections.abc import Callable
@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 from clmorph.divergence import sinkhorn_divergence
 from clmorph.errors import InputError
 from clmorph.quality import frame_measure, particle_measure
+from clmorph.rendering import Widths
 
 if TYPE_CHECKING:
     from clmorph.result import Morph
 
 #: Times at which widths are sought; in between they are interpolated.
 KNOTS = np.linspace(0.0, 1.0, 5)
-#: Widths between which they are sought, in pixels, and how exactly, as a factor. Narrower, a
-#: particle between two pixels would be on neither.
-NARROWEST, WIDEST, EXACTNESS = 0.25, 6.0, 1.08
+#: Widths among which they are sought, in pixels; the curve can have several valleys, so all are
+#: tried, and then so often again between the best one's neighbors.
+WIDTHS = 0.1 * 2.0 ** (0.5 * np.arange(12))
+REFINEMENTS = 3
 #: Points to which frames' particles are merged meanwhile.
 POINTS = 4096
-#: Ratio of the golden section.
-GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
 def optimal_curve(
@@ -59,39 +59,34 @@ def optimal_curve(
         )
     widths = []
     for number, t in enumerate(KNOTS):
-        widths.append(_golden_section(_objective(morph, float(t))))
+        widths.append(_least(_objective(morph, float(t))))
         if progress:
             progress((number + 1) / len(KNOTS))
     return KNOTS, np.array(widths)
 
 
 def _objective(morph: "Morph", t: float) -> Callable[[float], float]:
-    """Divergence of the frame at t to its particles, as a function of the width's logarithm."""
+    """Divergence of the frame at t to its particles, as a function of the width."""
     particles, _ = particle_measure(morph, t, max_points=POINTS)
     blur, reach = morph.potentials.blur, morph.potentials.reach
+    assert not isinstance(reach, tuple)  # as the caller saw
 
-    def divergence(log_width: float) -> float:
-        sums = morph.sums(t, sigma=float(np.exp(log_width)))
+    local = morph.kernel_width.splatting == "local"
+
+    def divergence(width: float) -> float:
+        sums = morph.sums(t, widths=Widths(width, local, closed=True))
         frame = frame_measure(morph, t, sums=sums)
-        return float(
-            sinkhorn_divergence(frame, particles, blur, reach, backend=morph.operations)  # type: ignore[arg-type]
-        )
+        return float(sinkhorn_divergence(frame, particles, blur, reach, backend=morph.operations))
 
     return divergence
 
 
-def _golden_section(objective: Callable[[float], float]) -> float:
-    """Return the width with the least objective, if it has one valley."""
-    low, high = np.log(NARROWEST), np.log(WIDEST)
-    inner = [high - GOLDEN * (high - low), low + GOLDEN * (high - low)]
-    values = [objective(place) for place in inner]
-    while high - low > np.log(EXACTNESS):
-        if values[0] <= values[1]:
-            high, inner[1], values[1] = inner[1], inner[0], values[0]
-            inner[0] = high - GOLDEN * (high - low)
-            values[0] = objective(inner[0])
-        else:
-            low, inner[0], values[0] = inner[0], inner[1], values[1]
-            inner[1] = low + GOLDEN * (high - low)
-            values[1] = objective(inner[1])
-    return float(np.exp(inner[int(np.argmin(values))]))
+def _least(objective: Callable[[float], float]) -> float:
+    """Return the width with the least objective."""
+    tried = [(objective(width), float(width)) for width in WIDTHS]
+    step = float(np.sqrt(WIDTHS[1] / WIDTHS[0]))
+    for _ in range(REFINEMENTS):
+        best = min(tried)[1]
+        tried += [(objective(width), width) for width in (best / step, best * step)]
+        step = float(np.sqrt(step))
+    return min(tried)[1]

@@ -93,12 +93,15 @@ class Widths(NamedTuple):
         Pixels; 0 gives each particle to its nearest pixel.
     local : bool
         If so, every particle has its own width: the larger of sigma times its own spacing and
-        of half the distance to its neighbors where it stands (Eq. 3, locally); and a pixel that
-        is torn even so is given the narrowest that covers it.
+        of half the distance to its neighbors where it stands (Eq. 3, locally).
+    closed : bool
+        Whether pixels that are torn out of their surroundings even so are given the narrowest
+        kernel that covers them.
     """
 
     sigma: float
     local: bool = False
+    closed: bool = False
 
 
 class Sums(NamedTuple):
@@ -110,7 +113,7 @@ class Sums(NamedTuple):
         In the space of the path; holes are filled.
     coverage : (H, W) array
         Kernel mass of each pixel as a share of a uniform spread's; before empty pixels are
-        filled, but with the widening that belongs to local widths.
+        filled, but after torn ones are closed, if they are.
     density : (H, W) array
         Kernel mass of each pixel, after filling, per kernel's sum: mass per pixel.
     """
@@ -161,16 +164,16 @@ def render(
     coverage = denominator / uniform_density(mass, canvas, sigma)
     density = denominator / kernel_sum(sigma)
     width = sigma
-    open_pixels = is_torn(coverage) if widths.local else coverage < HOLE_COVERAGE
+    open_pixels = is_torn(coverage) if widths.closed else coverage < HOLE_COVERAGE
     while fill and sigma > 0 and width < max(canvas.shape) and open_pixels.any():
         width *= WIDENING
         wider_numerator, wider = operations.splat(splats, canvas.shape, width, CUT * width)
         share = wider / uniform_density(mass, canvas, width)
-        torn = is_torn(share) if widths.local else share < HOLE_COVERAGE
+        torn = is_torn(share) if widths.closed else share < HOLE_COVERAGE
         filled = open_pixels & ~torn
         numerator[filled], denominator[filled] = wider_numerator[filled], wider[filled]
         density[filled] = wider[filled] / kernel_sum(width)
-        if widths.local:
+        if widths.closed:
             coverage[filled] = share[filled]
             open_pixels = is_torn(coverage)
         else:

@@ -23,7 +23,8 @@ class KernelWidth:
         Effective numbers of particles by the plan's two marginals (N_eff of Eq. 3).
     splatting : {"adaptive", "local", "fixed", "none"}
     curve : (times, widths), optional
-        Two arrays between which sigma(t) is interpolated, in place of Eq. 4; pixels.
+        Two arrays between which sigma(t) is interpolated, in place of Eq. 4; pixels. Torn pixels
+        are then closed, as with "local", so that a narrow width is no reason for holes.
     """
 
     sigma_start: float
@@ -66,7 +67,8 @@ class KernelWidth:
 
     def widths(self, t: float, canvas: Canvas) -> Widths:
         """Widths at time t, as `clmorph.rendering.render` takes them."""
-        return Widths(self.at(t, canvas), self.splatting == "local")
+        local = self.splatting == "local"
+        return Widths(self.at(t, canvas), local, closed=local or self.curve is not None)
 
 
 #: Share of its edges' energy that an enlarged sprite has on the grid of its blocks.
