@@ -20,6 +20,11 @@ from clmorph.rendering import Widths
 if TYPE_CHECKING:
     from clmorph.result import Morph
 
+#: What those are told whose morph has none.
+NO_DIVERGENCE = (
+    "sigma='optimal' needs a divergence: one reach for both images, and one color metric for all "
+    "pixels"
+)
 #: Times at which widths are sought; in between they are interpolated.
 KNOTS = np.linspace(0.0, 1.0, 5)
 #: Widths among which they are sought, in pixels; the curve can have several valleys, so all are
@@ -53,10 +58,7 @@ def optimal_curve(
         If the morph has no divergence: its reach is a pair, or its metric of color a map.
     """
     if morph.source.has_metric_map or isinstance(morph.potentials.reach, tuple):
-        raise InputError(
-            "sigma='optimal' needs a divergence: one reach for both images, and one color "
-            "metric for all pixels"
-        )
+        raise InputError(NO_DIVERGENCE)
     widths = []
     for number, t in enumerate(KNOTS):
         widths.append(_least(_objective(morph, float(t))))
