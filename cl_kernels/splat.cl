@@ -108,38 +108,31 @@ static inline uint bin_of(const float2 position, const int margin, const int2 n_
     return (uint)(by * n_bins.x + bx);
 }
 
-// The same among the bins of all rungs; without rungs there is one.
-static inline size_t bin_of_particle(
-    const uint i, const int margin, const int2 n_bins, const int has_rungs,
-    const __global float2* positions, const __global uchar* rungs)
-{
-    const size_t rung = has_rungs ? rungs[i] : 0;
-    return rung * (size_t)(n_bins.x * n_bins.y) + bin_of(positions[i], margin, n_bins);
-}
-
 // counts[bin][slice] = particles of this slice in the bin. One work-item a slice of
 // consecutive particles, from first_slice on; counts are zero before.
 __kernel void count_bins(
     const uint n_particles, const uint slice_size, const uint first_slice, const uint n_slices,
     const int margin, const int2 n_bins,
-    const int has_rungs,
+    const uint rung_bins, // bins of one rung; 0 if there are no rungs
     const __global float2* restrict positions, // (n_particles,)
-    const __global uchar* restrict rungs,      // (n_particles,), read if there are any
+    const __global uchar* restrict rungs,      // (n_particles,)
     __global uint* restrict counts)            // (bins of all rungs, slices)
 {
     const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
-    for (uint i = slice * slice_size; i < end; ++i)
-        ++counts[bin_of_particle(i, margin, n_bins, has_rungs, positions, rungs) * n_slices + slice];
+    for (uint i = slice * slice_size; i < end; ++i) {
+        const size_t bin = (size_t)rung_bins * rungs[i] + bin_of(positions[i], margin, n_bins);
+        ++counts[bin * n_slices + slice];
+    }
 }
 
 // Sort into bins: slots[bin][slice] is where the slice's first particle of the bin goes.
 __kernel void fill_bins(
     const uint n_particles, const uint slice_size, const uint first_slice, const uint n_slices,
     const int margin, const int2 n_bins,
-    const int has_rungs,
+    const uint rung_bins, // bins of one rung; 0 if there are no rungs
     const __global float2* restrict positions, // (n_particles,)
-    const __global uchar* restrict rungs,      // (n_particles,), read if there are any
+    const __global uchar* restrict rungs,      // (n_particles,)
     const __global float4* restrict samples,   // (n_particles,)
     __global uint* restrict slots,             // (bins of all rungs, slices)
     __global uint* restrict order,             // (n_particles,)
@@ -149,7 +142,7 @@ __kernel void fill_bins(
     const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
     for (uint i = slice * slice_size; i < end; ++i) {
-        const size_t bin = bin_of_particle(i, margin, n_bins, has_rungs, positions, rungs);
+        const size_t bin = (size_t)rung_bins * rungs[i] + bin_of(positions[i], margin, n_bins);
         const uint slot = slots[bin * n_slices + slice]++;
         order[slot] = i;
         sorted_positions[slot] = positions[i];

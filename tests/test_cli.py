@@ -80,7 +80,7 @@ def test_transparent_pictures_give_transparent_frames(pictures):
     with Image.open("c.png") as picture:
         picture.putpixel((4, 4), (10, 200, 30, 255))
         picture.save("c.png")
-    assert main("morph c.png b.jpg -o frames --frames 3".split()) == 0
+    assert main(["morph", "c.png", "b.jpg", "-o", "frames", "--frames", "3"]) == 0
     with Image.open("frames/frame-0000.png") as frame:
         assert frame.mode == "RGBA"
         assert frame.getpixel((4, 4)) == (10, 200, 30, 255)

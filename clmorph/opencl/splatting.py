@@ -179,8 +179,8 @@ class Splatting:
                     name, (min(per_launch, slices - first),), None,
                     np.uint32(n), np.uint32(slice_size), np.uint32(first), np.uint32(slices),
                     np.int32(margin), cl.cltypes.make_int2(grid[1], grid[0]),
-                    np.int32(splats.rungs is not None), splats.positions,
-                    # Not read where there are none, but some drivers want a buffer.
+                    np.uint32(0 if splats.rungs is None else grid[0] * grid[1]), splats.positions,
+                    # Counts for nothing where there are none, but drivers want a buffer.
                     splats.positions if splats.rungs is None else splats.rungs, *arguments,
                 )  # fmt: skip
 
