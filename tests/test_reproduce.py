@@ -83,7 +83,7 @@ def test_table_1(made):
         means = [float(row[f"mean px ({method})"]) for row in table.values()]
         assert means[-3] > means[-2] > means[-1]
         assert means[-1] < 0.05
-    assert all(float(row["residual (certified)"]) <= 1e-5 for row in table.values())
+    assert all(float(row["residual (certified)"]) < 1e-4 for row in table.values())
     assert all(float(row["residual (geomloss)"]) > 1e-4 for row in table.values())
     assert float(table["balanced"]["mass moved (certified)"]) == pytest.approx(1, abs=1e-5)
     for row in table.values():

@@ -12,6 +12,7 @@ from paper.setting import (
     AS_PAPER,
     AS_PAPER_TEXT,
     FIXED_SIGMA,
+    TOL,
     Section,
     Setting,
     listed,
@@ -37,7 +38,7 @@ def convergence(setting: Setting) -> list[Section]:
     for side in setting.each("Section 5", sides):
         images = setting.pair.sampled(side)
         for rule, options in RULES.items():
-            one = paper_morph(setting, images, **options)
+            one = paper_morph(setting, images, tol=TOL, **options)
             frames[rule, side] = frame_measure(one, MIDDLE)
     particles, spread = particle_measure(one, MIDDLE)
     rows: list[list[Any]] = []

@@ -90,9 +90,9 @@ class Setting:
 
 
 def paper_morph(setting: Setting, images: Sequence[np.ndarray], **options: Any) -> clmorph.Morph:
-    """Morph as the authors' code does, but converged; `options` replace `AS_PAPER`'s."""
+    """Morph as the authors' code does, but with a solver that converges; `options` go on top."""
     one = clmorph.morph(
-        *images, backend=setting.operations, **{**AS_PAPER, "n_frames": 2, "tol": TOL, **options}
+        *images, backend=setting.operations, **{**AS_PAPER, "n_frames": 2, **options}
     )
     counted = COUNTED_SHARE * len(one.plan)
     return replace(one, kernel_width=replace(one.kernel_width, n_start=counted, n_end=counted))
