@@ -24,6 +24,8 @@ class Displacement:
         destination, sum_j pi_ij y_j / sum_j pi_ij. 0 where nothing leaves.
     source_mass, target_mass : (H, W) arrays
         Kept mass that leaves each source pixel, and that arrives at each target pixel.
+    moves : (H, W) array of bool
+        Whether that mass is more than the mask.
     destroyed, created : (H, W) arrays
         What does not leave its source pixel, (a_i - r_i)_+, and what is new at its target
         pixel, (b_j - c_j)_+. Unbalanced transport can also move more than there is.
@@ -32,6 +34,7 @@ class Displacement:
     field: Array
     source_mass: Array
     target_mass: Array
+    moves: NDArray[np.bool_]
     destroyed: Array
     created: Array
 
@@ -59,9 +62,10 @@ class Displacement:
 
     @property
     def mass_weighted_mean(self) -> float:
-        """Its mean over the mass that leaves, in pixels; 0 if none does."""
-        mass = self.source_mass.sum()
-        return float((self.length * self.source_mass).sum() / mass) if mass > 0 else 0.0
+        """Its mean over the mass that leaves (of rows above the mask), in pixels; 0 if none."""
+        mass = np.where(self.moves, self.source_mass, 0.0)
+        total = mass.sum()
+        return float((self.length * mass).sum() / total) if total > 0 else 0.0
 
 
 def displacement_statistics(
@@ -116,6 +120,7 @@ def displacement_statistics(
         field=field.reshape(height, width, 2),
         source_mass=plan.row_mass.reshape(source.shape),
         target_mass=plan.column_mass.reshape(target.shape),
+        moves=moves.reshape(height, width),
         destroyed=np.maximum(source.weights - plan.row_mass, 0.0).reshape(source.shape),
         created=np.maximum(target.weights - plan.column_mass, 0.0).reshape(target.shape),
     )

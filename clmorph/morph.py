@@ -246,7 +246,7 @@ def morph(
         times=np.linspace(0.0, 1.0, int(n_frames)),
         kernel_width=KernelWidth(
             ends[0], ends[1], float(gamma),
-            *_effective_counts(source, target, plan), splatting,
+            *_effective_counts(source, target, plan, unmatched), splatting,
         ),
         operations=operations,
         endpoints=endpoints,
@@ -276,9 +276,9 @@ def _metrics(metric: ArrayLike | None) -> tuple[Any, Any]:
 
 
 def _effective_counts(
-    source: Measure, target: Measure, plan: Plan | Barycentric
+    source: Measure, target: Measure, plan: Plan | Barycentric, unmatched: str
 ) -> tuple[float, float]:
-    """N_eff at both ends, by the plan's marginals (Eq. 3); the images' own if nothing moves."""
-    if not plan.row_mass.any():
+    """N_eff at both ends (Eq. 3), of what is drawn there: with "drop" the plan's marginals."""
+    if unmatched == "fade":
         return effective_count(source.weights), effective_count(target.weights)
     return effective_count(plan.row_mass), effective_count(plan.column_mass)

@@ -192,7 +192,8 @@ def is_torn(coverage: NDArray[np.float64]) -> NDArray[np.bool_]:
     """
     from scipy.ndimage import gaussian_filter
 
-    around = gaussian_filter(coverage, HOLE_SURROUNDINGS, mode="reflect")
+    # A mean of roots: a few spikes of a narrow kernel say nothing about their surroundings.
+    around = gaussian_filter(np.sqrt(coverage), HOLE_SURROUNDINGS, mode="reflect") ** 2
     return (coverage < HOLE_SHARE * around) | (coverage < HOLE_COVERAGE)
 
 

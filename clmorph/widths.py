@@ -20,7 +20,7 @@ class KernelWidth:
     gamma : float
         Height of the bulge at t = 1/2, in pixels; "local" has none, it widens where needed.
     n_start, n_end : float
-        Effective numbers of particles by the plan's two marginals (N_eff of Eq. 3).
+        Effective numbers of particles at both ends (N_eff of Eq. 3).
     splatting : {"adaptive", "local", "fixed", "none"}
     curve : (times, widths), optional
         Two arrays between which sigma(t) is interpolated, in place of Eq. 4; pixels. Torn pixels

@@ -35,13 +35,17 @@ def canvas_shape(t: float, source: Measure, target: Measure) -> tuple[int, int]:
 def kernel_width(
     t: float,
     shape: tuple[int, int],
-    plan: Array,
+    masses: tuple[Array, Array],
     sigma_start: float,
     sigma_end: float,
     gamma: float,
 ) -> float:
-    """Return sigma(t) in pixels, Eq. 4, with the floor of Eq. 3."""
-    r, c = plan.sum(axis=1), plan.sum(axis=0)
+    """Return sigma(t) in pixels, Eq. 4, with the floor of Eq. 3.
+
+    `masses` are those drawn at both ends: the plan's marginals, or with births and deaths the
+    images' own.
+    """
+    r, c = masses
     n_eff = (1 - t) * r.sum() ** 2 / np.sum(r**2) + t * c.sum() ** 2 / np.sum(c**2)
     sigma_min = 0.5 * np.sqrt(shape[0] * shape[1] / n_eff)
     sigma = (1 - t) * sigma_start + t * sigma_end + gamma * 4 * t * (1 - t)
@@ -165,7 +169,10 @@ class ReferenceMorph:
 
     def _sigma(self, t: float) -> float:
         shape = canvas_shape(t, self.source, self.target)
-        return kernel_width(t, shape, self.plan, self.sigma_start, self.sigma_end, self.gamma)
+        masses = self.source.weights, self.target.weights
+        if self.unmatched == "drop":
+            masses = self.plan.sum(axis=1), self.plan.sum(axis=0)
+        return kernel_width(t, shape, masses, self.sigma_start, self.sigma_end, self.gamma)
 
     def frame(self, t: float) -> Array:
         """Return the (H(t), W(t), 3) frame at time t."""

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from clmorph.optimal_width import EXACTNESS, NARROWEST
+from clmorph.optimal_width import WIDTHS
 from clmorph.quality import REFERENCES
 from paper import drawing
 from paper.report import html_table
@@ -83,7 +83,7 @@ def table_2_and_figures_7_and_8(setting: Setting) -> list[Section]:
             "particles' mean distance, by their effective number. For the local rule, the width "
             "where particles are neither torn apart nor crowded.",
             f"{parameters} The optimal width has the least divergence to μ(t) and is sought from "
-            f"{NARROWEST:g} px on.",
+            f"{WIDTHS[0]:g} px on.",
             _says_widths(found),
             ["rule", "t", "sigma px", "floor px"],
             _width_rows(found),
@@ -171,7 +171,7 @@ def _says_widths(found: Curves) -> str:
     text = sigmas(found, "adaptive-text")
     floor = [floor_at(found, t) for t in found.times]
     acts = np.mean(np.isclose(text, floor))
-    least = " (the least that is sought)" if max(optimal) < NARROWEST * EXACTNESS else ""
+    least = " (the least that is sought)" if max(optimal) <= WIDTHS[0] else ""
     return (
         f"The optimal width is {_span(optimal)} px{least}, Section 4's {_span(text)} px, which "
         f"Eq. 3's floor decides at {100 * acts:.0f} % of the times."
