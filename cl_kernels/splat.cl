@@ -117,40 +117,43 @@ static inline size_t bin_of_particle(
     return rung * (size_t)(n_bins.x * n_bins.y) + bin_of(positions[i], margin, n_bins);
 }
 
-// counts[bin][slice] = particles of this slice in the bin. One work-item a slice of
-// consecutive particles, from first_slice on; counts are zero before.
+// counts[slice][bin] = particles of this slice in the bin. One work-item a slice of
+// consecutive particles, from first_slice on; counts are zero before. Slices come first so
+// that no two cores write to the same cache line.
 __kernel void count_bins(
-    const uint n_particles, const uint slice_size, const uint first_slice, const uint n_slices,
+    const uint n_particles, const uint slice_size, const uint first_slice, const uint all_bins,
     const int margin, const int2 n_bins,
     const int has_rungs,
     const __global float2* restrict positions, // (n_particles,)
     const __global uchar* restrict rungs,      // (n_particles,), read if there are any
-    __global uint* restrict counts)            // (bins of all rungs, slices)
+    __global uint* restrict counts)            // (slices, bins of all rungs)
 {
     const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
+    __global uint* own = counts + (size_t)slice * all_bins;
     for (uint i = slice * slice_size; i < end; ++i)
-        ++counts[bin_of_particle(i, margin, n_bins, has_rungs, positions, rungs) * n_slices + slice];
+        ++own[bin_of_particle(i, margin, n_bins, has_rungs, positions, rungs)];
 }
 
-// Sort into bins: slots[bin][slice] is where the slice's first particle of the bin goes.
+// Sort into bins: slots[slice][bin] is where the slice's first particle of the bin goes.
 __kernel void fill_bins(
-    const uint n_particles, const uint slice_size, const uint first_slice, const uint n_slices,
+    const uint n_particles, const uint slice_size, const uint first_slice, const uint all_bins,
     const int margin, const int2 n_bins,
     const int has_rungs,
     const __global float2* restrict positions, // (n_particles,)
     const __global uchar* restrict rungs,      // (n_particles,), read if there are any
     const __global float4* restrict samples,   // (n_particles,)
-    __global uint* restrict slots,             // (bins of all rungs, slices)
+    __global uint* restrict slots,             // (slices, bins of all rungs)
     __global uint* restrict order,             // (n_particles,)
     __global float2* restrict sorted_positions,
     __global float4* restrict sorted_samples)
 {
     const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
+    __global uint* own = slots + (size_t)slice * all_bins;
     for (uint i = slice * slice_size; i < end; ++i) {
         const size_t bin = bin_of_particle(i, margin, n_bins, has_rungs, positions, rungs);
-        const uint slot = slots[bin * n_slices + slice]++;
+        const uint slot = own[bin]++;
         order[slot] = i;
         sorted_positions[slot] = positions[i];
         sorted_samples[slot] = samples[i];

@@ -20,6 +20,7 @@ import pyopencl as cl
 
 from clmorph.opencl.device import raw_devices
 from clmorph.opencl.knobs import cpu_knobs, gpu_knobs
+from clmorph.opencl.launches import Workspace
 from clmorph.opencl.operations import OpenCLOperations
 from clmorph.operations import Operations
 from clmorph.reference import NumPyOperations
@@ -80,7 +81,7 @@ def exercise(operations: Operations) -> list[np.ndarray]:
 
 
 def keep_buffers() -> None:
-    """Never release a buffer.
+    """Never release a buffer, nor use one again.
 
     Oclgrind 21.10 gives a released buffer's place to the next one, with the old one's size
     in its record of what is initialized, and then calls the rest uninitialized.
@@ -92,6 +93,9 @@ def keep_buffers() -> None:
         return kept[-1]
 
     cl.Buffer = create_and_keep
+    Workspace.empty = lambda work, n_bytes: cl.Buffer(
+        work.context, cl.mem_flags.READ_WRITE, max(4, n_bytes)
+    )
 
 
 def main(arguments: list[str]) -> int:

@@ -131,7 +131,7 @@ def cpu_knobs(vector: int) -> Knobs:
         bin=8,
         chunk=256,
         tile_group=1,
-        slices_per_unit=32,
+        slices_per_unit=8,
     )
 
 

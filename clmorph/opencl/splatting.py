@@ -22,8 +22,8 @@ from clmorph.operations import (
     bin_grid,
 )
 
-#: Entries of the (bins, slices) table of counts; fewer slices are used on large canvases.
-COUNT_ENTRIES = 1 << 22
+#: Entries of the (slices, bins) table of counts; fewer slices are used on large canvases.
+COUNT_ENTRIES = 1 << 21
 #: Particles that one launch moves, sorts or lets a block of pixels look at.
 LAUNCH_PARTICLES = 1 << 20
 #: Bins around the canvas; particles farther out fall into these, wherever they are.
@@ -166,18 +166,22 @@ class Splatting:
         n = splats.count
         grid = bin_grid(shape, margin, self._knobs.bin)
         n_bins = grid[0] * grid[1] * (1 if splats.rungs is None else RUNGS)
-        units = self._work.context.devices[0].max_compute_units
-        slices = max(1, min(self._knobs.slices_per_unit * units, COUNT_ENTRIES // n_bins, n))
+        device = self._work.context.devices[0]
+        slices = self._knobs.slices_per_unit * device.max_compute_units
+        slices = max(1, min(slices, COUNT_ENTRIES // n_bins, n))
+        # Slices are few: left alone, drivers of CPUs put all of them into one work-group, on
+        # one core, and turn them into the lanes of scattered accesses.
+        group = (1,) if device.type & cl.device_type.CPU else None
         slice_size = -(-n // slices)
         per_launch = max(1, LAUNCH_PARTICLES // slice_size)
-        counts = np.zeros((n_bins, slices), np.uint32)
+        counts = np.zeros((slices, n_bins), np.uint32)
         counts_buffer = self._work.buffer(counts, np.uint32)
 
         def over_slices(name: str, *arguments: Any) -> None:
             for first in range(0, slices, per_launch):
                 self._run(
-                    name, (min(per_launch, slices - first),), None,
-                    np.uint32(n), np.uint32(slice_size), np.uint32(first), np.uint32(slices),
+                    name, (min(per_launch, slices - first),), group,
+                    np.uint32(n), np.uint32(slice_size), np.uint32(first), np.uint32(n_bins),
                     np.int32(margin), cl.cltypes.make_int2(grid[1], grid[0]),
                     np.int32(splats.rungs is not None), splats.positions,
                     # Not read where there are none, but some drivers want a buffer.
@@ -186,15 +190,16 @@ class Splatting:
 
         over_slices("count_bins", counts_buffer)
         cl.enqueue_copy(self._work.queue, counts, counts_buffer)
-        ends = np.cumsum(counts, dtype=np.int64)
-        slots = ends.reshape(counts.shape) - counts
+        # A bin's particles stay together, in the order of the slices.
+        by_bin = counts.sum(axis=0, dtype=np.int64)
+        starts = np.concatenate(([0], np.cumsum(by_bin)))
+        slots = starts[:-1] + np.cumsum(counts, axis=0, dtype=np.int64) - counts
         order = self._work.empty(4 * n)
         positions, samples = self._work.empty(8 * n), self._work.empty(16 * n)
         over_slices(
             "fill_bins", splats.samples, self._work.buffer(slots, np.uint32),
             order, positions, samples,
         )  # fmt: skip
-        starts = np.append(slots[:, 0], n)
         bins = grid[0] * grid[1]
         by_rung = [starts[first : first + bins + 1] for first in range(0, n_bins, bins)]
         return SortedSplats(grid, np.stack(by_rung), order, positions, samples)
