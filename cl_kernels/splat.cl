@@ -6,23 +6,20 @@
 // in four steps without atomics, so that the result does not depend on scheduling:
 // place the particles at time t, count them by bin, sort them into bins (the order
 // inside a bin is the particles' own), and let every tile of pixels gather the bins
-// within its reach. Bins are squares of BIN pixels; bin (0, 0) begins MARGIN bins
-// outside the canvas, and particles farther out fall into the outermost ones.
+// within its reach. Bins are squares of 1 / bins_per_pixel pixels, a power of two; bin
+// (0, 0) begins `margin` bins outside the canvas, and particles farther out fall into the
+// outermost ones. Where particles are many, moments.cl takes the place of the last step.
 //
 // Widths can differ between particles: each then stands on a rung of a ladder of widths
 // (choose_rungs), every rung has bins of its own, and rungs are gathered one by one.
 //
 // -D RUNGS       rungs of the ladder
 // -D BASE_RUNG   the one whose width is sigma; RUNGS_PER_OCTAVE of them double the width
-// -D BIN         side of a bin in pixels, a power of two
 // -D CHUNK       particles added up before they join the total (bounds rounding)
 // -D TILE_GROUP  work-items of a splatting work-group along x and y
 
 #include "common.cl"
 
-#ifndef BIN
-#error "BIN (side of a bin in pixels) must be given"
-#endif
 #ifndef RUNGS
 #error "RUNGS, BASE_RUNG and RUNGS_PER_OCTAVE (ladder of widths) must be given"
 #endif
@@ -101,20 +98,23 @@ __kernel void choose_rungs(
 }
 
 // Which bin a pixel position falls into. (n_bins_x, n_bins_y) include the margins.
-static inline uint bin_of(const float2 position, const int margin, const int2 n_bins)
+static inline uint bin_of(
+    const float2 position, const float bins_per_pixel, const int margin, const int2 n_bins)
 {
-    const int bx = (int)clamp(floor(position.x * (1.0f / BIN)) + margin, 0.0f, n_bins.x - 1.0f);
-    const int by = (int)clamp(floor(position.y * (1.0f / BIN)) + margin, 0.0f, n_bins.y - 1.0f);
+    const float2 bin = floor(position * bins_per_pixel) + margin;
+    const int bx = (int)clamp(bin.x, 0.0f, n_bins.x - 1.0f);
+    const int by = (int)clamp(bin.y, 0.0f, n_bins.y - 1.0f);
     return (uint)(by * n_bins.x + bx);
 }
 
 // The same among the bins of all rungs; without rungs there is one.
 static inline size_t bin_of_particle(
-    const uint i, const int margin, const int2 n_bins, const int has_rungs,
+    const uint i, const float bins_per_pixel, const int margin, const int2 n_bins,
+    const int has_rungs,
     const __global float2* positions, const __global uchar* rungs)
 {
     const size_t rung = has_rungs ? rungs[i] : 0;
-    return rung * (size_t)(n_bins.x * n_bins.y) + bin_of(positions[i], margin, n_bins);
+    return rung * (size_t)(n_bins.x * n_bins.y) + bin_of(positions[i], bins_per_pixel, margin, n_bins);
 }
 
 // counts[slice][bin] = particles of this slice in the bin. One work-item a slice of
@@ -122,8 +122,7 @@ static inline size_t bin_of_particle(
 // that no two cores write to the same cache line.
 __kernel void count_bins(
     const uint n_particles, const uint slice_size, const uint first_slice, const uint all_bins,
-    const int margin, const int2 n_bins,
-    const int has_rungs,
+    const float bins_per_pixel, const int margin, const int2 n_bins, const int has_rungs,
     const __global float2* restrict positions, // (n_particles,)
     const __global uchar* restrict rungs,      // (n_particles,), read if there are any
     __global uint* restrict counts)            // (slices, bins of all rungs)
@@ -132,31 +131,31 @@ __kernel void count_bins(
     const uint end = min(n_particles, (slice + 1) * slice_size);
     __global uint* own = counts + (size_t)slice * all_bins;
     for (uint i = slice * slice_size; i < end; ++i)
-        ++own[bin_of_particle(i, margin, n_bins, has_rungs, positions, rungs)];
+        ++own[bin_of_particle(i, bins_per_pixel, margin, n_bins, has_rungs, positions, rungs)];
 }
 
 // Sort into bins: slots[slice][bin] is where the slice's first particle of the bin goes.
 __kernel void fill_bins(
     const uint n_particles, const uint slice_size, const uint first_slice, const uint all_bins,
-    const int margin, const int2 n_bins,
-    const int has_rungs,
+    const float bins_per_pixel, const int margin, const int2 n_bins, const int has_rungs,
     const __global float2* restrict positions, // (n_particles,)
     const __global uchar* restrict rungs,      // (n_particles,), read if there are any
     const __global float4* restrict samples,   // (n_particles,)
     __global uint* restrict slots,             // (slices, bins of all rungs)
     __global uint* restrict order,             // (n_particles,)
     __global float2* restrict sorted_positions,
-    __global float4* restrict sorted_samples)
+    __global float4* restrict sorted_samples)  // (n_particles,): weight, weight times color
 {
     const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
     __global uint* own = slots + (size_t)slice * all_bins;
     for (uint i = slice * slice_size; i < end; ++i) {
-        const size_t bin = bin_of_particle(i, margin, n_bins, has_rungs, positions, rungs);
+        const size_t bin =
+            bin_of_particle(i, bins_per_pixel, margin, n_bins, has_rungs, positions, rungs);
         const uint slot = own[bin]++;
         order[slot] = i;
         sorted_positions[slot] = positions[i];
-        sorted_samples[slot] = samples[i];
+        sorted_samples[slot] = samples[i].x * (float4)(1.0f, samples[i].yzw);
     }
 }
 
@@ -195,12 +194,12 @@ static inline vreal kernel_1d(
 __kernel __attribute__((reqd_work_group_size(TILE_GROUP, TILE_GROUP, 1)))
 void splat(
     const uint first_block, const uint blocks_x, const uint first_particle,
-    const uint last_particle, const int margin, const int2 n_bins,
+    const uint last_particle, const float bins_per_pixel, const int margin, const int2 n_bins,
     const float exponent_scale, // -log2(e) / (2 sigma^2)
     const float radius, const int nearest,
     const __global uint* restrict bin_starts,     // (bins + 1,) of this rung
     const __global float2* restrict positions,    // sorted into bins
-    const __global float4* restrict samples,      // sorted into bins: weight, color
+    const __global float4* restrict samples,      // sorted into bins: weight, weighed color
     const ulong plane,                            // padded height * padded width
     __global float* restrict sums)                // (4, padded height, padded width)
 {
@@ -224,8 +223,8 @@ void splat(
 
     const float2 low = (float2)(x0 - radius, y0 - radius);
     const float2 high = (float2)(x0 + last + radius, y0 + last + radius);
-    const uint bin_low = bin_of(low, margin, n_bins);
-    const uint bin_high = bin_of(high, margin, n_bins);
+    const uint bin_low = bin_of(low, bins_per_pixel, margin, n_bins);
+    const uint bin_high = bin_of(high, bins_per_pixel, margin, n_bins);
     const int bin_width = (int)(bin_high % n_bins.x) - (int)(bin_low % n_bins.x);
     for (uint row = bin_low; row <= bin_high; row += n_bins.x) {
         const uint end = min(last_particle, bin_starts[row + bin_width + 1]);
@@ -239,10 +238,11 @@ void splat(
                 if (p.x < low.x || p.y < low.y || p.x > high.x || p.y > high.y)
                     continue;
                 const float4 sample = samples[i];
-                const vreal kx = sample.x * kernel_1d(pixel_x - p.x, exponent_scale, radius, nearest);
-                const vreal kr = kx * sample.y;
-                const vreal kg = kx * sample.z;
-                const vreal kb = kx * sample.w;
+                const vreal kernel_x = kernel_1d(pixel_x - p.x, exponent_scale, radius, nearest);
+                const vreal kx = kernel_x * sample.x;
+                const vreal kr = kernel_x * sample.y;
+                const vreal kg = kernel_x * sample.z;
+                const vreal kb = kernel_x * sample.w;
                 float ky[WIDTH];
                 VSTORE(kernel_1d(pixel_y - p.y, exponent_scale, radius, nearest), 0, ky);
                 const int y_begin = max(0, (int)floor(p.y - y0 - radius));

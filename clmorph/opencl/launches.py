@@ -14,6 +14,8 @@ from pyopencl.tools import ImmediateAllocator, MemoryPool
 
 #: Length that launches aim at, in seconds; well under the limit of 0.2 s.
 TARGET_SECONDS = 0.08
+#: Particles that one launch moves, sorts or lets a block of pixels look at.
+LAUNCH_PARTICLES = 1 << 20
 #: Bytes of released buffers that are kept for the next ones.
 HELD_BYTES = 1 << 28
 
