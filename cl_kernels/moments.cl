@@ -43,13 +43,21 @@
 typedef float4 vblock;
 #define LOAD_BLOCK(i, p) vload4(i, p)
 #define STORE_BLOCK(v, i, p) vstore4(v, i, p)
-#define FOLD(v) (v)
+static inline float4 fold(const vblock v)
+{
+    return v;
+}
 #else
 #define BLOCK 4
 typedef float16 vblock;
 #define LOAD_BLOCK(i, p) vload16(i, p)
 #define STORE_BLOCK(v, i, p) vstore16(v, i, p)
-#define FOLD(v) ((v).s0123 + (v).s4567 + ((v).s89ab + (v).scdef))
+static inline float4 fold(const vblock v) // Oclgrind takes shuffles for uninitialized
+{
+    float parts[16];
+    vstore16(v, 0, parts);
+    return vload4(0, parts) + vload4(1, parts) + (vload4(2, parts) + vload4(3, parts));
+}
 #endif
 #define BLOCKS (TERMS / BLOCK)
 #define TERM_B(term) ((term) < 24 ? (term) / 8 : (term) / 4 - 3)
@@ -138,18 +146,14 @@ static inline void add_moments(
     const int16 fourth = (int16)((int4)(0), (int4)(0), (int4)(0), (int4)(-1));
     for (uint first = begin; first < end; first += LANES) {
         const uint count = min((uint)LANES, end - first);
-        float xy[2 * LANES];
-        if (count == LANES) {
-            vstore16(vload16(0, (const __global float*)(positions + first)), 0, xy);
-            vstore16(vload16(1, (const __global float*)(positions + first)), 1, xy);
-        } else {
-            for (uint i = 0; i < LANES; ++i)
-                vstore2(positions[first + min(i, count - 1)], i, xy);
+        float p_x[LANES], p_y[LANES];
+        for (uint i = 0; i < LANES; ++i) {
+            const float2 position = positions[min(first + i, end - 1)];
+            p_x[i] = position.x;
+            p_y[i] = position.y;
         }
-        const float16 head = vload16(0, xy);
-        const float16 tail = vload16(1, xy);
-        const float16 u_x = (float16)(head.even, tail.even) * per_pixel - corner.x;
-        const float16 u_y = (float16)(head.odd, tail.odd) * per_pixel - corner.y;
+        const float16 u_x = vload16(0, p_x) * per_pixel - corner.x;
+        const float16 u_y = vload16(0, p_y) * per_pixel - corner.y;
         const float most = (float)cells;
         const int16 within = (u_x >= 0.0f) & (u_y >= 0.0f) & (u_x <= most) & (u_y <= most);
         // u rounds up to `cells` just left of the bin's end.
@@ -270,14 +274,14 @@ __kernel void sum_rows(
 {
     const int row = (int)(first_row + get_global_id(1));
     const int bin_y = row / cells;
-    const int y = row - bin_y * cells;
+    const int y = row & (cells - 1); // a power of two
     const int begin = (int)get_global_id(0) * span;
     const int end = min(width, begin + span);
     for (int x = begin; x < end; ++x) {
         vblock sums[ROWS];
         for (int b = 0; b < ROWS; ++b)
             sums[b] = (vblock)(0.0f);
-        const int phase = x - (x / phases) * phases;
+        const int phase = x & (phases - 1); // a power of two
         const int first = first_cell(x, per_pixel, phases, reach) + margin * cells;
         const int last = min(first + taps, n_bins_x * cells);
         for (int bin_x = max(0, first) / cells; bin_x * cells < last; ++bin_x) {
@@ -300,7 +304,7 @@ __kernel void sum_rows(
         }
         const size_t at = ORDERS * ((size_t)row * width + x);
         for (int b = 0; b < ROWS; ++b)
-            vstore4(FOLD(sums[b]), at + b, along_x);
+            vstore4(fold(sums[b]), at + b, along_x);
     }
 }
 
@@ -316,7 +320,7 @@ __kernel void sum_columns(
     __global float* restrict sums)               // (4, padded height, padded width)
 {
     const int y = (int)(first_y + get_global_id(1));
-    const int phase = y - (y / phases) * phases;
+    const int phase = y & (phases - 1); // a power of two
     const int first = first_cell(y, per_pixel, phases, reach) - strip_row;
     const int begin = (int)get_global_id(0) * span;
     const int end = min(width, begin + span);

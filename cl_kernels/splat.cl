@@ -101,20 +101,9 @@ __kernel void choose_rungs(
 static inline uint bin_of(
     const float2 position, const float bins_per_pixel, const int margin, const int2 n_bins)
 {
-    const float2 bin = floor(position * bins_per_pixel) + margin;
-    const int bx = (int)clamp(bin.x, 0.0f, n_bins.x - 1.0f);
-    const int by = (int)clamp(bin.y, 0.0f, n_bins.y - 1.0f);
+    const int bx = (int)clamp(floor(position.x * bins_per_pixel) + margin, 0.0f, n_bins.x - 1.0f);
+    const int by = (int)clamp(floor(position.y * bins_per_pixel) + margin, 0.0f, n_bins.y - 1.0f);
     return (uint)(by * n_bins.x + bx);
-}
-
-// The same among the bins of all rungs; without rungs there is one.
-static inline size_t bin_of_particle(
-    const uint i, const float bins_per_pixel, const int margin, const int2 n_bins,
-    const int has_rungs,
-    const __global float2* positions, const __global uchar* rungs)
-{
-    const size_t rung = has_rungs ? rungs[i] : 0;
-    return rung * (size_t)(n_bins.x * n_bins.y) + bin_of(positions[i], bins_per_pixel, margin, n_bins);
 }
 
 // counts[slice][bin] = particles of this slice in the bin. One work-item a slice of
@@ -122,24 +111,26 @@ static inline size_t bin_of_particle(
 // that no two cores write to the same cache line.
 __kernel void count_bins(
     const uint n_particles, const uint slice_size, const uint first_slice, const uint all_bins,
-    const float bins_per_pixel, const int margin, const int2 n_bins, const int has_rungs,
+    const float bins_per_pixel, const int margin, const int2 n_bins,
+    const uint rung_bins, // bins of one rung; 0 if there are no rungs
     const __global float2* restrict positions, // (n_particles,)
-    const __global uchar* restrict rungs,      // (n_particles,), read if there are any
+    const __global uchar* restrict rungs,      // (n_particles,)
     __global uint* restrict counts)            // (slices, bins of all rungs)
 {
     const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
     __global uint* own = counts + (size_t)slice * all_bins;
     for (uint i = slice * slice_size; i < end; ++i)
-        ++own[bin_of_particle(i, bins_per_pixel, margin, n_bins, has_rungs, positions, rungs)];
+        ++own[(size_t)rung_bins * rungs[i] + bin_of(positions[i], bins_per_pixel, margin, n_bins)];
 }
 
 // Sort into bins: slots[slice][bin] is where the slice's first particle of the bin goes.
 __kernel void fill_bins(
     const uint n_particles, const uint slice_size, const uint first_slice, const uint all_bins,
-    const float bins_per_pixel, const int margin, const int2 n_bins, const int has_rungs,
+    const float bins_per_pixel, const int margin, const int2 n_bins,
+    const uint rung_bins, // bins of one rung; 0 if there are no rungs
     const __global float2* restrict positions, // (n_particles,)
-    const __global uchar* restrict rungs,      // (n_particles,), read if there are any
+    const __global uchar* restrict rungs,      // (n_particles,)
     const __global float4* restrict samples,   // (n_particles,)
     __global uint* restrict slots,             // (slices, bins of all rungs)
     __global uint* restrict order,             // (n_particles,)
@@ -151,11 +142,14 @@ __kernel void fill_bins(
     __global uint* own = slots + (size_t)slice * all_bins;
     for (uint i = slice * slice_size; i < end; ++i) {
         const size_t bin =
-            bin_of_particle(i, bins_per_pixel, margin, n_bins, has_rungs, positions, rungs);
+            (size_t)rung_bins * rungs[i] + bin_of(positions[i], bins_per_pixel, margin, n_bins);
         const uint slot = own[bin]++;
         order[slot] = i;
         sorted_positions[slot] = positions[i];
-        sorted_samples[slot] = samples[i].x * (float4)(1.0f, samples[i].yzw);
+        const float4 sample = samples[i];
+        const float weight = sample.x;
+        sorted_samples[slot] =
+            (float4)(weight, weight * sample.y, weight * sample.z, weight * sample.w);
     }
 }
 

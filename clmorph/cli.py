@@ -18,9 +18,14 @@ from typing import Any
 import click
 
 from clmorph import __version__
+from clmorph.colors import COLOR_SPACES
 from clmorph.defaults import N_FRAMES, PRESETS
+from clmorph.endpoints import ENDPOINTS
 from clmorph.errors import ClmorphError, ConvergenceWarning, InputError
 from clmorph.images import MAX_PIXELS
+from clmorph.interpolation import UNMATCHED
+from clmorph.measures import EXTENTS, MASSES
+from clmorph.rendering import SPLATTING
 from clmorph.terminal import NOTES, Stages
 
 #: Value of ``--reach`` that stands for no creation or destruction of mass.
@@ -46,6 +51,20 @@ class _Reach(click.ParamType):
         if number == math.inf:
             self.fail(f"{value!r}: expected a finite number, or {BALANCED!r}.", param, ctx)
         return number
+
+
+class _Sigma(click.ParamType):
+    """A number, or "auto"."""
+
+    name = "number|auto"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if value == "auto":
+            return value
+        try:
+            return float(value)
+        except ValueError:
+            self.fail(f"{value!r} is neither a number nor 'auto'.", param, ctx)
 
 
 def _print_version(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
@@ -143,9 +162,24 @@ def _open_backend(device: str | None, backend: str | None) -> Any:
 @click.option("--epsilon", type=float, help="The square of blur, in its place.")
 @click.option("--rho", type=_Reach(), help="The square of reach, in its place.")
 @click.option("--color-weight", type=float, help="Weight of color against position.")
-@click.option("--sigma-start", type=float, help="Kernel width at the start, in pixels.")
-@click.option("--sigma-end", type=float, help="Kernel width at the end, in pixels.")
-@click.option("--gamma", type=float, help="Bulge of the kernel width in between, in pixels.")
+@click.option("--color-space", type=click.Choice(COLOR_SPACES), help="In which colors compare.")
+@click.option("--path-space", type=click.Choice(COLOR_SPACES), help="In which colors change.")
+@click.option("--mass", type=click.Choice(MASSES), help="What a pixel weighs.")
+@click.option(
+    "--splatting",
+    type=click.Choice(SPLATTING),
+    help="Kernel width: the paper's, each particle's own, fixed, or none.",
+)
+@click.option("--sigma-start", type=_Sigma(), help="Kernel width at the start, in pixels.")
+@click.option("--sigma-end", type=_Sigma(), help="Kernel width at the end, in pixels.")
+@click.option("--gamma", type=float, help="Its bulge in between (adaptive splatting).")
+@click.option("--sigma", type=click.Choice(["optimal"]), help="Find the widths instead; slow.")
+@click.option("--endpoints", type=click.Choice(ENDPOINTS), help="Ends as the images, or blurred.")
+@click.option("--unmatched", type=click.Choice(UNMATCHED), help="Mass that does not move.")
+@click.option("--extent", type=click.Choice(EXTENTS), help="True aspect ratio, or unit square.")
+@click.option("--barycentric", is_flag=True, default=None, help="One particle a pixel.")
+@click.option("--sample", type=int, help="So many particles a pixel, drawn from the plan.")
+@click.option("--seed", type=int, help="Of these draws.")
 @click.option("--tol", type=float, help="Residual at which the solver stops, in epsilons.")
 @click.option("--max-iter", type=int, help="Iterations after which it stops all the same.")
 @_device_options
@@ -179,6 +213,13 @@ def morph(
     for name, other in (("blur", "epsilon"), ("reach", "rho")):
         if other in given and name not in given:
             del parameters[name]  # the preset's gives way
+    if "gamma" in given:
+        if given.get("splatting", "adaptive") != "adaptive":
+            raise InputError(
+                "--gamma belongs to adaptive splatting, not to "
+                f"{given['splatting']!r}: leave one out"
+            )
+        parameters["splatting"] = "adaptive"
     size = parameters.pop("size")
     check_options(n_frames=frames, **parameters)
     source, target = (fit(_read(path, max_pixels), size) for path in (image_a, image_b))

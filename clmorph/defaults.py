@@ -26,18 +26,21 @@ PLAN_RELATIVE = 1e-4
 #: The most that the pairs of a plan may take, in bytes.
 MAX_PLAN_BYTES = 4 * 2.0**30
 #: Named sets of options of ``clmorph morph``. "photo" (the default) looks well on arbitrary
-#: pictures: sharp ends, and colors that rather change than fade. "paper" is section 4 of the
-#: paper, with its axes (each stretched to [0, 1]) and its particles (nothing drawn for
-#: unmatched mass). `size` is the longer side, in pixels, to which images are reduced.
+#: pictures: sharp ends, no holes, no mud, and colors that rather change than fade. "paper" is
+#: section 4 of the paper, with its axes (each stretched to [0, 1]), its particles (nothing drawn
+#: for unmatched mass) and its blurred ends. `size` is the longer side, in pixels, to which
+#: images are reduced.
 PRESETS: dict[str, dict[str, float | int | str | None]] = {
     "photo": {
         "size": 128,
         "blur": 0.03,
         "reach": 0.3,
         "color_weight": 0.5,
-        "sigma_start": 0.6,
-        "sigma_end": 0.5,
-        "gamma": 0.4,
+        "sigma_start": "auto",
+        "sigma_end": "auto",
+        "splatting": "local",
+        "endpoints": "exact",
+        "path_space": "oklab",
         "extent": "true",
         "unmatched": "fade",
     },
@@ -49,6 +52,9 @@ PRESETS: dict[str, dict[str, float | int | str | None]] = {
         "sigma_start": SIGMA_START,
         "sigma_end": SIGMA_END,
         "gamma": GAMMA,
+        "splatting": "adaptive",
+        "endpoints": "paper",
+        "path_space": "srgb",
         "extent": "unit",
         "unmatched": "drop",
     },

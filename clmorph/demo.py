@@ -18,10 +18,9 @@ SPRITE_ZOOM = 3
 PHOTO_SIDE = 128
 N_FRAMES = 40
 #: A little more blur than the preset: few colors meet many.
-PARAMETERS = {name: PRESETS["photo"][name] for name in ("reach", "sigma_start", "sigma_end")} | {
+PARAMETERS = {name: value for name, value in PRESETS["photo"].items() if name != "size"} | {
     "blur": 0.04,
     "color_weight": 1.0,
-    "gamma": 0.4,
 }
 
 
@@ -67,7 +66,7 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
         stages("files", number / len(writers))
         writer(frames, result.times)
         stages("files", (number + 1) / len(writers))
-    options = ", ".join(f"{name} {value:g}" for name, value in PARAMETERS.items())
+    options = ", ".join(f"{name} {value}" for name, value in PARAMETERS.items())
     times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in stages.seconds.items())
     return [
         f"images: {sprite.shape[1]}x{sprite.shape[0]} to {photo.shape[1]}x{photo.shape[0]}, "

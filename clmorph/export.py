@@ -5,7 +5,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ SHEET_COLUMNS = 5
 #: Milliseconds of a GIF's frame, and of its first and last.
 GIF_FRAME_MS = 50
 GIF_HOLD_MS = 700
+#: Colors of its palette; the last entry stands for what is transparent.
+GIF_COLORS = 255
 
 
 def output_writer(path: str | PathLike[str]) -> Callable[[Frames, NDArray[np.float64]], None]:
@@ -41,7 +43,8 @@ def output_writer(path: str | PathLike[str]) -> Callable[[Frames, NDArray[np.flo
     Returns
     -------
     callable
-        Called with frames (H, W, 3 floats in [0, 1]) and their times.
+        Called with frames (H, W, 3 or 4 floats in [0, 1]) and their times. Opacity is kept in a
+        folder, rounded to all or nothing in a GIF, and laid on white in a contact sheet.
 
     Raises
     ------
@@ -129,10 +132,15 @@ def _enlarged(
         return picture
     factor = min(size[0] / picture.width, size[1] / picture.height)
     fitted = max(1, round(picture.width * factor)), max(1, round(picture.height * factor))
-    picture = picture.resize(fitted, Image.Resampling.BICUBIC)
+    if picture.mode == "RGBA":
+        # Multiplied by opacity meanwhile, so that unseen colors do not show at the edges.
+        resized = picture.convert("RGBa").resize(fitted, Image.Resampling.BICUBIC)
+        picture, page = resized.convert("RGBA"), Image.new("RGBA", size, (0, 0, 0, 0))
+    else:
+        picture = picture.resize(fitted, Image.Resampling.BICUBIC)
+        page = Image.new("RGB", size, background)
     if fitted == size:
         return picture
-    page = Image.new("RGB", size, background)
     page.paste(picture, ((size[0] - fitted[0]) // 2, (size[1] - fitted[1]) // 2))
     return page
 
@@ -159,20 +167,31 @@ def _write_gif(frames: Frames, times: NDArray[np.float64], file: Path) -> None:
 
     size = _common_size(frames, GIF_SIDE)
     # One palette for all frames, so that nothing flickers: taken from samples of each.
-    samples = [to_bytes(frame).reshape(-1, 3) for frame in frames]
+    samples = [to_bytes(frame[..., :3]).reshape(-1, 3) for frame in frames]
     step = max(1, sum(map(len, samples)) // 250_000)
     bars = np.zeros((256, 3), np.uint8)  # what stands beside frames of another shape
     pool = np.concatenate([sample[::step] for sample in samples] + [bars])[:, None]
-    palette = Image.fromarray(pool).quantize(256, method=Image.Quantize.MEDIANCUT)
-    pictures = [
-        _enlarged(frame, size).quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
-        for frame in frames
-    ]
+    palette = Image.fromarray(pool).quantize(GIF_COLORS, method=Image.Quantize.MEDIANCUT)
+    pictures = []
+    for frame in frames:
+        picture = _enlarged(frame, size)
+        colors = picture.convert("RGB").quantize(
+            palette=palette, dither=Image.Dither.FLOYDSTEINBERG
+        )
+        if picture.mode == "RGBA":
+            clear = picture.getchannel("A").point(lambda alpha: 255 * (alpha < 128))
+            colors.paste(GIF_COLORS, mask=clear)
+        pictures.append(colors)
     durations = [GIF_FRAME_MS] * len(pictures)
     durations[0] = durations[-1] = GIF_HOLD_MS
+    options: dict[str, Any] = {}
+    if any(frame.shape[2] == 4 for frame in frames):
+        # What was drawn before must not show through.
+        options = {"transparency": GIF_COLORS, "disposal": 2}
     pictures[0].save(
-        file, save_all=True, append_images=pictures[1:], duration=durations, loop=0, optimize=False
-    )
+        file, save_all=True, append_images=pictures[1:], duration=durations, loop=0,
+        optimize=False, **options,
+    )  # fmt: skip
 
 
 def _write_sheet(frames: Frames, times: NDArray[np.float64], file: Path) -> None:
@@ -194,7 +213,8 @@ def _write_sheet(frames: Frames, times: NDArray[np.float64], file: Path) -> None
     for place, index in enumerate(chosen):
         x = gap + (place % columns) * (width + gap)
         y = gap + (place // columns) * (height + label + gap)
-        sheet.paste(_enlarged(frames[index], (width, height), "white"), (x, y))
+        picture = _enlarged(frames[index], (width, height), "white")
+        sheet.paste(picture, (x, y), picture if picture.mode == "RGBA" else None)
         caption = f"t = {times[index]:.2f}"
         draw.text((x + width / 2, y + height + 3), caption, fill="black", font=font, anchor="ma")
     sheet.save(file)

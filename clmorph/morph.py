@@ -22,6 +22,7 @@ from clmorph.errors import InputError
 from clmorph.images import as_pixels
 from clmorph.interpolation import UNMATCHED, particles
 from clmorph.measures import EXTENTS, MASSES, Measure, lift
+from clmorph.optimal_width import NO_DIVERGENCE, optimal_curve
 from clmorph.plan import Plan, transport_plan
 from clmorph.rendering import SPLATTING, effective_count
 from clmorph.result import Morph
@@ -69,7 +70,7 @@ def check_options(
         If one cannot be used.
     """
     check_integer("n_frames", n_frames, 2, 100_000)
-    strengths(blur, reach, epsilon, rho)
+    given = strengths(blur, reach, epsilon, rho)
     check_color_weight(color_weight)
     for name, width in (("sigma_start", sigma_start), ("sigma_end", sigma_end)):
         if not (isinstance(width, str) and width == "auto"):
@@ -83,6 +84,8 @@ def check_options(
             f"sigma={sigma!r}: expected 'optimal' or nothing, and splatting 'adaptive' or 'local' "
             "with it; widths in pixels are sigma_start and sigma_end"
         )
+    if sigma is not None and isinstance(given.reach, tuple):
+        raise InputError(NO_DIVERGENCE)
     check_choice("endpoints", endpoints, ENDPOINTS)
     check_choice("unmatched", unmatched, UNMATCHED)
     check_choice("mass", mass, MASSES)
@@ -251,8 +254,6 @@ def morph(
     )  # fmt: skip
     if sigma is None:
         return result
-    from clmorph.optimal_width import optimal_curve
-
     curve = optimal_curve(result, progress=lambda share: report("width", share))
     return replace(result, kernel_width=replace(result.kernel_width, curve=curve))
 

@@ -1,6 +1,7 @@
-"""How good frames are: divergences along the path (paper, 4.3, Table 2), holes, sharpness, steps."""
+"""How good frames are: divergences on the path (paper, 4.3, Table 2), holes, sharpness, steps."""
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +14,7 @@ from clmorph.divergence import Divergence, sinkhorn_divergence
 from clmorph.errors import InputError
 from clmorph.measures import LUMINANCE, Measure
 from clmorph.points import WeightedPoints
-from clmorph.rendering import HOLE_COVERAGE, Canvas, Sums
+from clmorph.rendering import Canvas, Sums, is_torn
 from clmorph.result import Morph
 
 Array = NDArray[np.float64]
@@ -25,9 +26,6 @@ REFERENCES = ("target", "particles")
 
 #: Points to which particles are merged before they are compared.
 MERGED_POINTS = 8192
-#: Coverage, as a share of that around it, under which a pixel is a hole, and the width in
-#: pixels of "around".
-HOLE_SHARE, HOLE_SURROUNDINGS = 0.1, 3.0
 
 
 def frame_measure(
@@ -111,7 +109,7 @@ def particle_measure(
         if count <= max_points:
             break
         size *= max(1.05, (count / max_points) ** 0.25)
-    merged = np.bincount(group, mass)
+    merged = np.asarray(np.bincount(group, mass), float)
     centers = np.column_stack(
         [np.bincount(group, mass * points[:, d]) / merged for d in range(points.shape[1])]
     )
@@ -194,11 +192,7 @@ def hole_fraction(coverage: ArrayLike) -> float:
     coverage : (H, W) array
         By `Morph.coverage`.
     """
-    from scipy.ndimage import gaussian_filter
-
-    values = np.asarray(coverage, float)
-    around = gaussian_filter(values, HOLE_SURROUNDINGS, mode="reflect")
-    return float(np.mean((values < HOLE_SHARE * around) | (values < HOLE_COVERAGE)))
+    return float(np.mean(is_torn(np.asarray(coverage, float))))
 
 
 def sharpness(frame: ArrayLike) -> float:
@@ -233,7 +227,7 @@ def step_sizes(frames: Sequence[ArrayLike]) -> Array:
         for picture in pictures
     ]
     return np.array(
-        [np.sqrt(np.mean((b - a) ** 2)) for a, b in zip(pictures, pictures[1:], strict=False)]
+        [np.sqrt(np.mean((after - before) ** 2)) for before, after in pairwise(pictures)]
     )
 
 
@@ -251,5 +245,3 @@ def _lifted(morph: Morph, positions: Array, colors: Array) -> Array:
         positions, colors, np.ones(len(colors)), source.shape, source.color_weight, source.extent,
         source.color_space, source.color_metric,
     ).points  # fmt: skip
-
-

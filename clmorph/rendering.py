@@ -20,9 +20,13 @@ CUT = 4.5
 #: Width, in pixels, of the window in which "local" widths look for neighbors.
 PILOT = 1.0
 
-#: Coverage under which a pixel is a hole: its kernel mass as a share of what a uniform
+#: Coverage under which a pixel is empty: its kernel mass as a share of what a uniform
 #: spread of the particles would give.
 HOLE_COVERAGE = 1e-3
+#: The same as a share of that around it, within so many pixels: torn.
+HOLE_SHARE, HOLE_SURROUNDINGS = 0.1, 3.0
+#: Factor by which the kernel widens until a hole is filled.
+WIDENING = 2.0
 
 
 @dataclass(frozen=True)
@@ -90,10 +94,14 @@ class Widths(NamedTuple):
     local : bool
         If so, every particle has its own width: the larger of sigma times its own spacing and
         of half the distance to its neighbors where it stands (Eq. 3, locally).
+    closed : bool
+        Whether pixels that are torn out of their surroundings even so are given the narrowest
+        kernel that covers them.
     """
 
     sigma: float
     local: bool = False
+    closed: bool = False
 
 
 class Sums(NamedTuple):
@@ -104,7 +112,8 @@ class Sums(NamedTuple):
     colors : (H, W, 3) array
         In the space of the path; holes are filled.
     coverage : (H, W) array
-        Kernel mass of each pixel, before filling, as a share of a uniform spread's.
+        Kernel mass of each pixel as a share of a uniform spread's; before empty pixels are
+        filled, but after torn ones are closed, if they are.
     density : (H, W) array
         Kernel mass of each pixel, after filling, per kernel's sum: mass per pixel.
     """
@@ -155,21 +164,39 @@ def render(
     coverage = denominator / uniform_density(mass, canvas, sigma)
     density = denominator / kernel_sum(sigma)
     width = sigma
-    open_pixels = coverage < HOLE_COVERAGE
+    open_pixels = is_torn(coverage) if widths.closed else coverage < HOLE_COVERAGE
     while fill and sigma > 0 and width < max(canvas.shape) and open_pixels.any():
-        width *= 2
+        width *= WIDENING
         wider_numerator, wider = operations.splat(splats, canvas.shape, width, CUT * width)
-        filled = open_pixels & (wider >= HOLE_COVERAGE * uniform_density(mass, canvas, width))
+        share = wider / uniform_density(mass, canvas, width)
+        torn = is_torn(share) if widths.closed else share < HOLE_COVERAGE
+        filled = open_pixels & ~torn
         numerator[filled], denominator[filled] = wider_numerator[filled], wider[filled]
         density[filled] = wider[filled] / kernel_sum(width)
-        open_pixels &= ~filled
+        if widths.closed:
+            coverage[filled] = share[filled]
+            open_pixels = is_torn(coverage)
+        else:
+            open_pixels &= torn
     tiny = np.finfo(np.float64).tiny
     return Sums(numerator / np.maximum(denominator, tiny)[..., None], coverage, density)
 
 
-def neighbor_distances(
-    operations: Operations, splats: Any, canvas: Canvas
-) -> NDArray[np.float64]:
+def is_torn(coverage: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which pixels are holes: far less covered than what surrounds them, or not at all.
+
+    Parameters
+    ----------
+    coverage : (H, W) array
+        Kernel mass as a share of a uniform spread's.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    around = gaussian_filter(coverage, HOLE_SURROUNDINGS, mode="reflect")
+    return (coverage < HOLE_SHARE * around) | (coverage < HOLE_COVERAGE)
+
+
+def neighbor_distances(operations: Operations, splats: Any, canvas: Canvas) -> NDArray[np.float64]:
     """Estimate how far apart particles are around every pixel: (H, W), in pixels.
 
     From sums over a window of Kish's effective number (sum w)^2 / sum w^2 for each pixel; of

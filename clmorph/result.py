@@ -17,7 +17,7 @@ from clmorph.measures import Measure
 from clmorph.operations import Operations
 from clmorph.plan import Plan
 from clmorph.potentials import Potentials
-from clmorph.rendering import Canvas, Sums, canvas_at, render
+from clmorph.rendering import Canvas, Sums, Widths, canvas_at, render
 from clmorph.sampling import Barycentric
 from clmorph.widths import KernelWidth
 
@@ -109,15 +109,26 @@ class Morph:
         Returns
         -------
         (H(t), W(t)) float32 array
-            Kernel mass as a share of what an even spread would give; under
-            `clmorph.rendering.HOLE_COVERAGE` a pixel is a hole.
+            Kernel mass as a share of what an even spread would give; see
+            `clmorph.quality.hole_fraction`.
         """
         return self.sums(check_number("t", t, 0.0, 1.0)).coverage.astype(np.float32)
 
-    def sums(self, t: float) -> Sums:
-        """Render colors, coverage and density at time t, without the correction of the ends."""
+    def sums(self, t: float, *, widths: Widths | None = None) -> Sums:
+        """Render colors, coverage and density at time t, without the correction of the ends.
+
+        Parameters
+        ----------
+        t : float in [0, 1]
+        widths : Widths, optional
+            In place of the morph's.
+
+        Returns
+        -------
+        Sums
+        """
         canvas = self.canvas(t)
-        widths = self.kernel_width.widths(t, canvas)
+        widths = widths or self.kernel_width.widths(t, canvas)
         return render(self.operations, self._uploaded, self.particles.mass(t), t, canvas, widths)
 
     def _picture(

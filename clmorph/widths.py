@@ -23,7 +23,8 @@ class KernelWidth:
         Effective numbers of particles by the plan's two marginals (N_eff of Eq. 3).
     splatting : {"adaptive", "local", "fixed", "none"}
     curve : (times, widths), optional
-        Two arrays between which sigma(t) is interpolated, in place of Eq. 4; pixels.
+        Two arrays between which sigma(t) is interpolated, in place of Eq. 4; pixels. Torn pixels
+        are then closed, as with "local", so that a narrow width is no reason for holes.
     """
 
     sigma_start: float
@@ -66,11 +67,14 @@ class KernelWidth:
 
     def widths(self, t: float, canvas: Canvas) -> Widths:
         """Widths at time t, as `clmorph.rendering.render` takes them."""
-        return Widths(self.at(t, canvas), self.splatting == "local")
+        local = self.splatting == "local"
+        return Widths(self.at(t, canvas), local, closed=local or self.curve is not None)
 
 
 #: Share of its edges' energy that an enlarged sprite has on the grid of its blocks.
 BLOCK_SHARE = 0.9
+#: Effective number of lines of edges from which on they tell a grid.
+FEWEST_LINES = 4.0
 #: Share of an image's edges' energy up to the frequency that counts as its highest.
 BAND_SHARE = 0.99
 
@@ -100,7 +104,8 @@ def _block_side(image: NDArray[np.float64]) -> int:
     """Largest k for which nearly all edges lie on one grid of k x k blocks, else 1."""
     edges = [np.sum(np.diff(image, axis=axis) ** 2, axis=(1 - axis, 2)) for axis in (0, 1)]
     total = sum(float(along.sum()) for along in edges)
-    if total == 0:
+    # A few lines lie on many grids.
+    if total == 0 or total**2 < FEWEST_LINES * sum(float(np.sum(along**2)) for along in edges):
         return 1
     # With fewer than 8 blocks along a side any few edges would do.
     for side in range(min(image.shape[:2]) // 8, 1, -1):

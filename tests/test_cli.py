@@ -59,6 +59,34 @@ def test_a_folder_and_a_sheet(pictures):
     assert size("sheet.png")[0] > 700
 
 
+def test_motion_and_color_options(pictures):
+    """What no preset asks for, through to the file."""
+    for number, options in enumerate(
+        (
+            "--color-space lab --path-space linear --mass luminance --splatting fixed",
+            "--sigma optimal --endpoints paper --unmatched drop --extent unit",
+            "--sample 3 --seed 4 --sigma-start auto --sigma-end 1.5 --splatting local",
+            "--barycentric --splatting none",
+        )
+    ):
+        name = f"{number}.gif"
+        arguments = ["morph", "a.png", "b.jpg", "-o", name, "--frames", "3", "--size", "10"]
+        assert main([*arguments, *options.split()]) == 0
+        assert Path(name).exists()
+
+
+def test_transparent_pictures_give_transparent_frames(pictures):
+    Image.new("RGBA", (9, 9), (200, 30, 30, 0)).save("c.png")
+    with Image.open("c.png") as picture:
+        picture.putpixel((4, 4), (10, 200, 30, 255))
+        picture.save("c.png")
+    assert main(["morph", "c.png", "b.jpg", "-o", "frames", "--frames", "3"]) == 0
+    with Image.open("frames/frame-0000.png") as frame:
+        assert frame.mode == "RGBA"
+        assert frame.getpixel((4, 4)) == (10, 200, 30, 255)
+        assert frame.getpixel((0, 0))[3] == 0
+
+
 def test_options_reach_the_morph(pictures, monkeypatch):
     seen = {}
 
@@ -75,7 +103,8 @@ def test_options_reach_the_morph(pictures, monkeypatch):
     assert seen["shapes"] == ((4, 6, 3), (6, 4, 3))
     wanted = {
         "blur": 0.1, "reach": np.inf, "color_weight": 3, "sigma_start": 2, "sigma_end": 1,
-        "gamma": 0.1, "extent": "true", "unmatched": "fade",
+        "gamma": 0.1, "extent": "true", "unmatched": "fade", "splatting": "adaptive",
+        "endpoints": "exact", "path_space": "oklab",
     }  # fmt: skip
     assert {name: seen[name] for name in wanted} == wanted
     arguments = "morph a.png b.jpg -o x.gif --backend numpy --preset paper"

@@ -4,7 +4,7 @@ import tifffile
 from PIL import Image
 
 from clmorph import ImageWarning, InputError, fit, read_image
-from clmorph.images import as_rgb, block_size
+from clmorph.images import as_pixels, as_rgb, block_size
 
 
 @pytest.mark.parametrize(
@@ -29,6 +29,27 @@ def test_transparency_is_laid_on_white():
     image = np.zeros((1, 2, 4), np.uint8)
     image[0, 1] = 0, 0, 0, 255
     assert as_rgb(image).tolist() == [[[1, 1, 1], [0, 0, 0]]]
+
+
+def test_opacity_is_kept_where_there_is_some():
+    image = np.full((2, 3, 4), 0.5)
+    assert np.array_equal(as_pixels(image), image)
+    image[..., 3] = 1
+    assert as_pixels(image).shape == (2, 3, 3)
+
+
+def test_reducing_does_not_show_what_is_transparent():
+    """A red disc on fully transparent blue: no blue comes in at its edge."""
+    y, x = np.mgrid[:64, :64] - 31.5
+    inside = np.hypot(x, y) < 20
+    image = np.zeros((64, 64, 4))
+    image[..., 2] = ~inside
+    image[..., 0] = image[..., 3] = inside
+    small = fit(image, 16)
+    assert small.shape == (16, 16, 4)
+    seen = small[..., 3] > 1e-3
+    assert np.abs(small[seen] - [1, 0, 0, 0])[:, :3].max() < 1e-6
+    assert small[..., 3].mean() == pytest.approx(inside.mean(), abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -148,12 +169,12 @@ def test_deep_tiffs(tmp_path, rng, shape, dtype):
     assert np.abs(read_image(tmp_path / "deep.tif") - want).max() < 1e-4
 
 
-def test_palette_transparency_is_laid_on_white(tmp_path):
+def test_palette_transparency_is_opacity(tmp_path):
     picture = Image.new("P", (2, 1))
     picture.putpalette([255, 0, 0, 0, 0, 255])
     picture.putpixel((1, 0), 1)
     picture.save(tmp_path / "p.png", transparency=0)
-    assert read_image(tmp_path / "p.png").tolist() == [[[1, 1, 1], [0, 0, 1]]]
+    assert read_image(tmp_path / "p.png").tolist() == [[[1, 0, 0, 0], [0, 0, 1, 1]]]
 
 
 def test_foreign_profiles_are_noted(tmp_path):

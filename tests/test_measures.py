@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from clmorph import InputError, lift
+from clmorph.colors import COLOR_SPACES, to_space
 from clmorph.measures import pixel_positions
 
 
@@ -51,6 +52,46 @@ def test_given_weights(rng):
     assert np.array_equal(lift(np.zeros((4, 6)), weights=weights).weights, weights.ravel())
 
 
+def test_masses(rng):
+    image = rng.random((4, 6, 4))
+    image[0, :, 3] = 0
+    opaque = image[..., :3]
+    assert np.allclose(lift(opaque).weights, 1 / 24)
+    alpha = image[..., 3].ravel()
+    for mass in ("uniform", "alpha"):
+        assert np.allclose(lift(image, mass=mass).weights, alpha / alpha.sum())
+    light = np.where(opaque <= 0.04045, opaque / 12.92, ((opaque + 0.055) / 1.055) ** 2.4)
+    luminance = (light @ [0.2126, 0.7152, 0.0722]).ravel()
+    assert np.allclose(lift(opaque, mass="luminance").weights, luminance / luminance.sum())
+    both = luminance * alpha
+    assert np.allclose(lift(image, mass="luminance").weights, both / both.sum())
+    given = rng.random((4, 6))
+    assert np.allclose(lift(image, weights=given).weights, given.ravel() * alpha)
+    assert lift(opaque).alpha is None
+    for wrong, words in (
+        ((opaque, "alpha"), "opaque"), ((np.zeros((2, 2, 4)), "uniform"), "transparent"),
+        ((np.zeros((2, 2, 3)), "luminance"), "black"), ((opaque, "weight"), "mass"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            lift(wrong[0], mass=wrong[1])
+
+
+def test_lifting_into_color_spaces_and_metrics(rng):
+    image = rng.random((4, 6, 3))
+    for space in COLOR_SPACES:
+        measure = lift(image, 1.5, color_space=space)
+        assert np.allclose(measure.points[:, 2:], 1.5 * to_space(image, space).reshape(-1, 3))
+        assert np.allclose(measure.colors_of(measure.points), measure.colors)
+    factor = rng.random((3, 3))
+    metric = factor @ factor.T
+    measure = lift(image, 1.5, color_metric=metric)
+    difference = measure.colors[:, None] - measure.colors
+    wanted = 1.5**2 * np.einsum("ijk,kl,ijl->ij", difference, metric, difference)
+    lifted = measure.points[:, None, 2:] - measure.points[:, 2:]
+    assert np.allclose(np.sum(lifted**2, axis=2), wanted)
+    assert np.allclose(measure.colors_of(measure.points), measure.colors)
+
+
 @pytest.mark.parametrize(
     "options",
     [
@@ -62,6 +103,9 @@ def test_given_weights(rng):
         {"color_weight": np.nan},
         {"color_weight": "two"},
         {"extent": "square"},
+        {"color_space": "hsv"},
+        {"color_metric": np.ones((3, 4))},
+        {"mass": "heavy"},
     ],
 )
 def test_wrong_options(options):

@@ -26,6 +26,16 @@ NUMBERS = {
     "--sigma-start": ["0", "-1", "nan", "inf", "1e9", "wide"],
     "--sigma-end": ["0", "-1", "nan", "inf", "1e9", "narrow"],
     "--gamma": ["-1", "nan", "inf", "1e9", "g"],
+    "--color-space": ["hsv"],
+    "--path-space": ["rgb"],
+    "--mass": ["heavy", "alpha"],
+    "--splatting": ["big"],
+    "--sigma": ["1.2", "best"],
+    "--endpoints": ["loose"],
+    "--unmatched": ["stay"],
+    "--extent": ["square"],
+    "--sample": ["0", "-1", "1e9", "few"],
+    "--seed": ["-1", "luck"],
 }
 FILES = [
     ("missing.png b.jpg -o x.gif", "missing.png: no such file"),
@@ -67,6 +77,11 @@ OPTIONS = [
     ("a.png b.jpg -o x.gif --reach 0.3,0.3,0.3", "a pair"),
     ("a.png b.jpg -o x.gif --reach 0.3,far", "far"),
     ("a.png b.jpg -o x.gif --blur 1e-6", "too small for points"),
+    ("a.png b.jpg -o x.gif --gamma 1 --splatting local", "--gamma belongs to adaptive"),
+    ("a.png b.jpg -o x.gif --sigma optimal --splatting none", "--sigma"),
+    ("a.png b.jpg -o x.gif --sigma optimal --reach 0.3,balanced", "one reach"),
+    ("a.png b.jpg -o x.gif --barycentric --sample 2", "contradict"),
+    ("clear.png b.jpg -o x.gif", "every pixel of the image is transparent"),
 ]
 CASES = FILES + OUTPUTS + OPTIONS
 CASES += [
@@ -94,6 +109,7 @@ def folder(tmp_path_factory):
     tifffile.imwrite(folder / "negative.tif", -np.ones((4, 4), np.float32))
     tifffile.imwrite(folder / "nan.tif", np.full((4, 4), np.nan, np.float32))
     (folder / "empty.png").write_bytes(b"")
+    Image.new("RGBA", (9, 9)).save(folder / "clear.png")
     (folder / "text.png").write_text("a text with a picture's name")
     (folder / "plain").write_text("")
     Image.new("1", (20000, 20000)).save(folder / "vast.png")

@@ -28,7 +28,7 @@ def _potential(rng, n, epsilon):
 def test_twins_have_the_protocols_signatures():
     names = [name for name in vars(Operations) if not name.startswith("_")]
     operations = [name for name in names if callable(getattr(Operations, name, None))]
-    assert len(operations) == 12
+    assert len(operations) == 15
     for name in operations:
         wanted = list(inspect.signature(getattr(Operations, name)).parameters)
         for backend in (NumPyOperations, OpenCLOperations):
@@ -60,7 +60,7 @@ def test_softmin_and_row_maxima(variant, rng, name, blur):
     assert np.abs(got - want).max() <= tolerance
 
 
-@pytest.mark.parametrize("dimension", [1, 2, 3, 8])
+@pytest.mark.parametrize("dimension", [1, 2, 3, 8, 11])
 def test_softmin_in_other_dimensions(variant, rng, dimension):
     pair = [(rng.random((n, dimension)), np.full(n, 1 / n)) for n in (100, 150)]
     epsilon = 0.01
@@ -236,26 +236,6 @@ def test_the_cut_stays_within_its_bound(variant, method, rng, radius_in_sigmas):
     assert np.abs(uncut[0] - cut[0]).max() <= bound
 
 
-def test_own_widths(variant, method, rng):
-    """Splats on many rungs, dense enough for moments on some of them."""
-    count, shape, sigma = 6000, (30, 37), 0.9
-    positions = rng.uniform(-4, 40, (count, 2)).astype(np.float32)
-    particles = positions, rng.random((count, 3)).astype(np.float32)
-    particles = *particles, rng.random(count).astype(np.float32)
-    distances = 2.0 ** rng.uniform(-1, 4, shape)
-    splats, exact = (
-        each.adapt_widths(each.upload_splats(*particles), distances, sigma)
-        for each in (variant, REFERENCE)
-    )
-    # One that is rounded to the rung beside would be another splat.
-    exact = exact._replace(rungs=variant.rungs(splats))
-    narrower = 2.0 ** ((BASE_RUNG - exact.rungs) / RUNGS_PER_OCTAVE)
-    exact = exact._replace(weights=particles[2] * narrower**2)
-    sums = variant.splat(splats, shape, sigma, 4.5 * sigma)
-    relative = splat_tolerance(count)
-    assert splat_excess(sums, REFERENCE, exact, shape, sigma, 4.5 * sigma, relative) <= 1
-
-
 def test_moments_are_the_same_every_time(variant, monkeypatch, rng):
     """Cut into launches of any size, too, and with the particles of a bin in chunks."""
     splats, _ = _splats(rng, "all in one place", (variant, REFERENCE))
@@ -414,3 +394,91 @@ def test_draws_are_unbiased(variant, rng):
     for row in range(3):
         counts = np.bincount(draws[row], minlength=90)
         assert np.abs(counts / n_draws - share[row]).max() <= 1.01 / n_draws + 1e-5
+
+
+def test_offsets_add_to_the_cost(variant, rng):
+    """C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j in every reduction, by the definition."""
+    epsilon, n, m = 0.05, 90, 131
+    x, y = rng.random((n, 5)), rng.random((m, 5))
+    a, b = rng.random(n), rng.random(m)
+    r, s = rng.normal(size=n), rng.normal(size=m)
+    f, g = 0.1 * rng.random(n), 0.1 * rng.random(m) + s
+    exponents = (
+        g - s - r[:, None] - 0.5 * np.sum((x[:, None] - y) ** 2, axis=2)
+    ) / epsilon + np.log(b)
+    for backend, tolerance in ((variant, 2e-4), (REFERENCE, 1e-12)):
+        rows, columns = backend.upload(x, a, r), backend.upload(y, b, s)
+        want = -epsilon * np.logaddexp.reduce(exponents, axis=1)
+        softmin = backend.softmin(rows, columns, g, epsilon)
+        assert np.abs(softmin - want).max() <= tolerance * epsilon
+        maxima = backend.row_maxima(rows, columns, g, epsilon)
+        assert np.abs(maxima - exponents.max(axis=1)).max() <= tolerance
+        log_plan = exponents + (f / epsilon + np.log(a))[:, None]
+        kept = backend.plan_rows(
+            rows, columns, f, g, epsilon, np.full(n, -np.inf), np.full(m, np.inf)
+        )
+        assert len(kept.mass) == n * m
+        dense = np.exp(log_plan)
+        assert np.all(np.abs(kept.mass.reshape(n, m) - dense) <= 2 * tolerance * dense)
+        share = np.exp(exponents + softmin[:, None] / epsilon)
+        mean, _ = backend.plan_moments(rows, columns, g, softmin, epsilon)
+        assert np.abs(mean - share @ y).max() <= 10 * tolerance
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("name", SPLATS)
+def test_deposit(variant, rng, name, shape):
+    splats, exact = _splats(rng, name, (variant, REFERENCE))
+    got, want = variant.deposit(splats, shape), REFERENCE.deposit(exact, shape)
+    largest = exact.weights.max()
+    for values, wanted, unit in zip(got, want, (largest, largest**2), strict=True):
+        assert values.shape == shape
+        floor = len(exact.weights) * unit * 1e-30  # squares of tiny masses underflow
+        assert np.all(
+            np.abs(values - wanted) <= splat_tolerance(len(exact.weights)) * wanted + floor
+        )
+
+
+@pytest.mark.parametrize("sigma", [0.3, 1.2])
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("name", SPLATS)
+def test_splats_with_own_widths(variant, method, rng, name, shape, sigma):
+    positions = np.asarray(SPLATS[name](rng), np.float32)
+    n = len(positions)
+    colors = rng.random((n, 3)).astype(np.float32)
+    weights = (10 ** rng.uniform(-10, 0, n)).astype(np.float32)
+    spacings = (2 ** rng.uniform(-4, 3, n)).astype(np.float32)
+    distances = 2 ** rng.uniform(-3, 7, shape)
+    own = [
+        backend.adapt_widths(
+            backend.upload_splats(positions, colors, weights, spacings), distances, sigma
+        )
+        for backend in (variant, REFERENCE)
+    ]
+    rungs, wanted = variant.rungs(own[0]), REFERENCE.rungs(own[1])
+    # Between two rungs rounding decides, and then so does float32.
+    assert np.abs(rungs - wanted).max() <= 1
+    assert np.mean(rungs != wanted) <= 1e-3
+    # From here on with the same rungs.
+    zoom = 2.0 ** ((rungs - BASE_RUNG) / RUNGS_PER_OCTAVE)
+    same = own[1]._replace(rungs=rungs, weights=weights.astype(float) / zoom**2)
+    got = variant.splat(own[0], shape, sigma, 4.5 * sigma)
+    relative = 2 * splat_tolerance(n)
+    assert splat_excess(got, REFERENCE, same, shape, sigma, 4.5 * sigma, relative) <= 1
+
+
+def test_widths_by_their_definition(variant):
+    """max(sigma spacing, distance / 2), and each kernel's sum is that of sigma."""
+    position = np.array([[20.0, 20.0]], np.float32)
+    one, white = np.ones(1, np.float32), np.ones((1, 3), np.float32)
+    for backend in (variant, REFERENCE):
+        for spacing, distance, width in ((1, 0, 1), (4, 0, 4), (1, 8, 4), (0.25, 1, 0.5)):
+            splats = backend.upload_splats(position, white, one, np.float32([spacing]))
+            own = backend.adapt_widths(splats, np.full((41, 41), float(distance)), 1.0)
+            assert backend.rungs(own)[0] == BASE_RUNG + RUNGS_PER_OCTAVE * np.log2(width)
+            _, sums = backend.splat(own, (41, 41), 1.0, 4.5)
+            y, x = np.mgrid[:41, :41] - 20.0
+            want = np.exp(-(x**2 + y**2) / (2 * width**2)) / width**2
+            inside = (np.abs(x) <= 4.5 * width) & (np.abs(y) <= 4.5 * width)
+            assert np.allclose(sums, np.where(inside, want, 0), rtol=1e-4, atol=1e-9)
+        assert backend.rungs(splats).tolist() == [BASE_RUNG]

@@ -97,8 +97,8 @@ def sort_splats(
                 kernels[name], (min(per_launch, slices - first),), group,
                 np.uint32(n), np.uint32(slice_size), np.uint32(first), np.uint32(n_bins),
                 np.float32(1 / side), np.int32(margin), cl.cltypes.make_int2(grid[1], grid[0]),
-                np.int32(splats.rungs is not None), splats.positions,
-                # Not read where there are none, but some drivers want a buffer.
+                np.uint32(0 if splats.rungs is None else bins), splats.positions,
+                # Counts for nothing where there are none, but drivers want a buffer.
                 splats.positions if splats.rungs is None else splats.rungs, *arguments,
             )  # fmt: skip
 

@@ -7,11 +7,12 @@ accelerated path. A reader of the paper may well begin with them.
 
 from clmorph.reference.operations import NumPyOperations
 from clmorph.reference.pipeline import ReferenceMorph, morph, render
-from clmorph.reference.transport import sinkhorn, transport_plan
+from clmorph.reference.transport import cost_matrix, sinkhorn, transport_plan
 
 __all__ = [
     "NumPyOperations",
     "ReferenceMorph",
+    "cost_matrix",
     "morph",
     "render",
     "sinkhorn",

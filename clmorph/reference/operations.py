@@ -207,11 +207,11 @@ class NumPyOperations:
 
     def deposit(self, splats: Splats, shape: tuple[int, int]) -> tuple[Float64, Float64]:
         """Return what lies nearest to each pixel: sum of masses and of their squares."""
-        column, row = np.floor(splats.positions + 0.5).T.astype(np.int64)
+        column, row = np.ceil(splats.positions - 0.5).T.astype(np.int64)
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
         pixel = (row * shape[1] + column)[inside]
         sums = [
-            np.bincount(pixel, splats.weights[inside] ** power, shape[0] * shape[1])
+            np.bincount(pixel, splats.weights[inside] ** power, shape[0] * shape[1]).astype(float)
             for power in (1, 2)
         ]
         return sums[0].reshape(shape), sums[1].reshape(shape)

@@ -1,0 +1,97 @@
+"""Images with opacity: transparent pixels weigh nothing, frames have opacity."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import clmorph
+from clmorph import fit, lift, morph, read_image
+
+
+def _disc(size, center, radius, color):
+    """An anti-aliased disc on nothing; what cannot be seen is green."""
+    y, x = np.mgrid[:size, :size]
+    distance = np.hypot(x - center[0], y - center[1])
+    image = np.zeros((size, size, 4))
+    image[..., 3] = np.clip(radius + 0.5 - distance, 0, 1)
+    image[..., :3] = np.where(image[..., 3:] > 0, color, (0, 1, 0))
+    return image
+
+
+@pytest.fixture(scope="module")
+def discs():
+    return _disc(24, (8, 8), 6, (0.9, 0.2, 0.1)), _disc(24, (15, 14), 7, (0.2, 0.2, 0.9))
+
+
+@pytest.mark.parametrize("splatting", ["adaptive", "local", "none"])
+@pytest.mark.parametrize("mass", ["uniform", "luminance"])
+def test_frames_have_opacity(device, discs, splatting, mass):
+    result = morph(
+        *discs, n_frames=5, splatting=splatting, mass=mass, sigma_start=0.6, backend=device
+    )
+    assert all(frame.shape == (24, 24, 4) for frame in result.frames)
+    for frame, image in ((result.frames[0], discs[0]), (result.frames[-1], discs[1])):
+        seen = image[..., 3] > 0
+        assert np.abs(frame[..., 3] - image[..., 3]).max() < 1e-3
+        assert np.abs(frame - image)[seen].max() < 1e-3
+
+
+def test_a_moving_disc_stays_opaque_and_of_its_size(device, discs):
+    """Mass moves as a whole: halfway there is one disc between both, not two ghosts."""
+    result = morph(*discs, n_frames=3, reach=None, blur=0.03, splatting="local", backend=device)
+    alpha = result.frames[1][..., 3]
+    areas = [image[..., 3].sum() for image in discs]
+    assert 0.9 * min(areas) < alpha.sum() < 1.25 * max(areas)
+    y, x = np.mgrid[:24, :24]
+    center = [(axis * alpha).sum() / alpha.sum() for axis in (x, y)]
+    assert np.allclose(center, [11.5, 11], atol=0.5)
+    assert alpha[11, 11] > 0.99
+    assert max(alpha[0, 0], alpha[-1, -1]) < 1e-6
+    # Nothing of the unseen green.
+    seen = alpha > 0.5
+    assert result.frames[1][seen][:, 1].max() < 0.3
+
+
+def test_one_opaque_image(device, discs, rng):
+    opaque = rng.random((20, 20, 3))
+    result = morph(discs[0], opaque, n_frames=3, backend=device)
+    assert result.frames[-1].shape == (20, 20, 4)
+    assert result.frames[-1][..., 3].min() > 0.999
+    assert np.abs(result.frames[-1][..., :3] - opaque).max() < 1e-3
+    assert morph(opaque, opaque, n_frames=2, backend=device).frames[0].shape == (20, 20, 3)
+
+
+def test_transparent_pixels_do_not_take_part(device, discs):
+    """Whatever stands in them, the plan is the same."""
+    other = discs[0].copy()
+    other[other[..., 3] == 0] = [0.3, 0.1, 0.7, 0.0]
+    plans = [
+        morph(image, discs[1], n_frames=2, backend=device).plan.to_scipy().toarray()
+        for image in (discs[0], other)
+    ]
+    assert np.allclose(*plans, rtol=1e-3, atol=1e-9)
+    assert plans[0][discs[0][..., 3].ravel() == 0].sum() == 0
+    assert np.all(lift(discs[0]).weights[discs[0][..., 3].ravel() == 0] == 0)
+
+
+def test_files(device, discs, tmp_path):
+    for name, image in zip("ab", discs, strict=True):
+        Image.fromarray(np.round(255 * image).astype(np.uint8)).save(tmp_path / f"{name}.png")
+    pair = [fit(read_image(tmp_path / f"{name}.png"), 16) for name in "ab"]
+    assert pair[0].shape == (16, 16, 4)
+    result = morph(*pair, n_frames=4, backend=device)
+    result.save(tmp_path / "frames")
+    with Image.open(tmp_path / "frames" / "frame-0001.png") as picture:
+        assert picture.mode == "RGBA"
+        assert np.array_equal(np.asarray(picture), clmorph.export.to_bytes(result.frames[1]))
+    result.save(tmp_path / "out.gif")
+    with Image.open(tmp_path / "out.gif") as gif:
+        assert gif.n_frames == 4
+        for number in range(4):
+            gif.seek(number)
+            alpha = np.asarray(gif.convert("RGBA"))[..., 3]
+            assert alpha[0, -1] == 0
+            assert set(np.unique(alpha)) == {0, 255}
+    result.save(tmp_path / "sheet.png")
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        assert sheet.mode == "RGB"

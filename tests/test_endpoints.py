@@ -1,0 +1,91 @@
+"""Both ends of a morph are its images, and frames go there and away smoothly."""
+
+import numpy as np
+import pytest
+import skimage.data
+
+from clmorph import fit, morph
+from clmorph.endpoints import share
+from clmorph.images import as_rgb
+from clmorph.quality import step_sizes
+
+
+def _psnr(frame, image):
+    return -10 * np.log10(np.mean((frame - image) ** 2) + 1e-20)
+
+
+@pytest.fixture(scope="module")
+def images():
+    """A photograph and pixel art, with edges and texture; 32 x 32."""
+    photo = fit(as_rgb(skimage.data.astronaut()[:256, 128:384]), 32)
+    art = np.kron(np.random.default_rng(1).random((8, 8, 3)), np.ones((4, 4, 1)))
+    return photo, art
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"sigma_start": 0.3, "sigma_end": 0.3},
+        {"sigma_start": 6.0, "sigma_end": 6.0},
+        {"sigma_start": "auto", "sigma_end": "auto", "splatting": "local"},
+        {"splatting": "fixed", "sigma_start": 2.0},
+        {"splatting": "none"},
+        {"unmatched": "drop"},
+        {"unmatched": "drop", "reach": 0.05},
+        {"barycentric": True},
+        {"sample": 2},
+        {"path_space": "oklab"},
+        {"path_space": "lab", "color_space": "luv"},
+        {"extent": "unit", "mass": "luminance"},
+        {"reach": None, "blur": 0.1},
+    ],
+    ids=str,
+)
+def test_exact_ends(device, images, options):
+    result = morph(*images, n_frames=2, backend=device, **options)
+    for frame, image in zip(result.frames, images, strict=True):
+        assert _psnr(frame, image) >= 45
+    # Close to the ends too: the correction does not vanish at once.
+    near = result.frame(1e-3), result.frame(1 - 1e-3)
+    for frame, image in zip(near, images, strict=True):
+        assert _psnr(frame, image) >= 30
+
+
+def test_paper_ends_are_blurred(device, images):
+    result = morph(*images, n_frames=2, endpoints="paper", backend=device)
+    assert _psnr(result.frames[0], images[0]) < 30
+    assert result.frames[0].shape == images[0].shape
+
+
+def test_halfway_a_frame_is_the_papers(device, images):
+    exact, paper = (
+        morph(*images, n_frames=2, endpoints=endpoints, backend=device).frame(0.5)
+        for endpoints in ("exact", "paper")
+    )
+    assert np.abs(exact - paper).max() < 1e-6
+    assert share(0.5) < 1e-30
+    assert share(0.0) == share(1.0) == 1
+
+
+@pytest.mark.parametrize("sigma", [0.5, 1.2, 3.0])
+@pytest.mark.parametrize("splatting", ["adaptive", "local"])
+def test_first_and_last_steps_are_not_jumps(device, sigma, splatting):
+    """At most 1.5 times the median step, in a 30-frame morph of two photographs."""
+    pair = [
+        fit(as_rgb(picture), 32)
+        for picture in (skimage.data.astronaut(), skimage.data.chelsea()[:, 75:375])
+    ]
+    result = morph(
+        *pair, n_frames=30, sigma_start=sigma, sigma_end=sigma, splatting=splatting, backend=device
+    )
+    steps = step_sizes(result.frames)
+    assert max(steps[0], steps[-1]) <= 1.5 * np.median(steps)
+
+
+def test_other_sizes(device, images):
+    small = images[1][::4, ::4]
+    result = morph(images[0], small, n_frames=5, backend=device)
+    assert result.frames[-1].shape == (8, 8, 3)
+    assert _psnr(result.frames[0], images[0]) >= 45
+    assert _psnr(result.frames[-1], small) >= 45

@@ -1,0 +1,76 @@
+"""Metrics of color, constant and by source pixel, against the dense cost."""
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph import InputError, lift, reference, sinkhorn, transport_plan
+from clmorph.points import as_pair
+
+
+@pytest.fixture
+def metrics(rng):
+    """A random metric for every pixel of a 9 x 7 image."""
+    factors = rng.normal(size=(9, 7, 3, 3))
+    return np.einsum("hwij,hwkj->hwik", factors, factors) / 3
+
+
+def test_the_bilinear_lifting_is_the_cost(rng, metrics):
+    source = lift(rng.random((9, 7, 3)), 1.3, color_metric=metrics)
+    target = lift(rng.random((6, 8, 3)), 1.3)
+    x, y = as_pair(source, target)
+    cost = 0.5 * np.sum((x.points[:, None] - y.points) ** 2, axis=2)
+    cost += x.offsets[:, None] + y.offsets
+    assert np.abs(cost - reference.cost_matrix(source, target)).max() < 1e-12
+
+
+@pytest.mark.parametrize("kind", ["constant", "map", "weights"])
+def test_plan_agrees_with_the_reference(device, rng, metrics, kind):
+    images = rng.random((9, 7, 3)), rng.random((6, 8, 3))
+    metric = {"constant": metrics[0, 0], "map": metrics, "weights": rng.random((9, 7))}[kind]
+    source = lift(images[0], 1.0, color_metric=metric)
+    target = lift(images[1], 1.0, color_metric=metric if kind == "constant" else None)
+    got = sinkhorn(source, target, 0.1, 0.5, tol=1e-5, backend=device)
+    want = reference.sinkhorn(source, target, 0.1, 0.5, tol=1e-7)
+    assert np.abs(got.f - want.f).max() < 1e-4 * got.epsilon
+    assert got.primal == pytest.approx(want.primal, rel=1e-5)
+    plan = transport_plan(source, target, got, relative=1e-9, backend=device).to_scipy().toarray()
+    assert np.abs(plan - reference.transport_plan(source, target, want)).max() < 1e-3 * plan.max()
+
+
+def test_a_map_of_equal_metrics_is_a_constant_one(rng):
+    """And weighing color by pixel is the simplest map."""
+    images = rng.random((9, 7, 3)), rng.random((6, 8, 3))
+    whole = clmorph.morph(*images, n_frames=2, color_weight=1.4, backend="numpy", tol=1e-6)
+    for metric in (
+        1.96 * np.eye(3),
+        np.full((9, 7), 1.96),
+        np.tile(1.96 * np.eye(3), (9, 7, 1, 1)),
+    ):
+        other = clmorph.morph(
+            *images, n_frames=2, color_weight=1.0, color_metric=metric, backend="numpy", tol=1e-6
+        )
+        assert np.allclose(whole.potentials.f, other.potentials.f, atol=1e-7)
+        assert np.abs(whole.frame(0.5) - other.frame(0.5)).max() < 1e-4
+
+
+def test_barycentric_and_samples_with_a_map(device, rng, metrics):
+    images = rng.random((9, 7, 3)), rng.random((6, 8, 3))
+    for options in ({"barycentric": True}, {"sample": 4}):
+        result = clmorph.morph(
+            *images, n_frames=3, color_weight=1.0, color_metric=metrics, backend=device, **options
+        )
+        assert np.all(np.isfinite(result.frame(0.5)))
+
+
+def test_where_a_map_has_no_meaning(rng, metrics):
+    source = lift(rng.random((9, 7, 3)), color_metric=metrics)
+    target = lift(rng.random((6, 8, 3)))
+    with pytest.raises(InputError, match="divergence"):
+        clmorph.sinkhorn_divergence(source, target, backend="numpy")
+    with pytest.raises(InputError, match="source alone"):
+        sinkhorn(target, source, backend="numpy")
+    with pytest.raises(InputError, match="source alone"):
+        sinkhorn(lift(np.zeros((2, 2)), color_metric=np.eye(3)), target, backend="numpy")
+    with pytest.raises(InputError, match="of its own"):
+        _ = source.points
