@@ -6,23 +6,20 @@
 // in four steps without atomics, so that the result does not depend on scheduling:
 // place the particles at time t, count them by bin, sort them into bins (the order
 // inside a bin is the particles' own), and let every tile of pixels gather the bins
-// within its reach. Bins are squares of BIN pixels; bin (0, 0) begins MARGIN bins
-// outside the canvas, and particles farther out fall into the outermost ones.
+// within its reach. Bins are squares of 1 / bins_per_pixel pixels, a power of two; bin
+// (0, 0) begins `margin` bins outside the canvas, and particles farther out fall into the
+// outermost ones. Where particles are many, moments.cl takes the place of the last step.
 //
 // Widths can differ between particles: each then stands on a rung of a ladder of widths
 // (choose_rungs), every rung has bins of its own, and rungs are gathered one by one.
 //
 // -D RUNGS       rungs of the ladder
 // -D BASE_RUNG   the one whose width is sigma; RUNGS_PER_OCTAVE of them double the width
-// -D BIN         side of a bin in pixels, a power of two
 // -D CHUNK       particles added up before they join the total (bounds rounding)
 // -D TILE_GROUP  work-items of a splatting work-group along x and y
 
 #include "common.cl"
 
-#ifndef BIN
-#error "BIN (side of a bin in pixels) must be given"
-#endif
 #ifndef RUNGS
 #error "RUNGS, BASE_RUNG and RUNGS_PER_OCTAVE (ladder of widths) must be given"
 #endif
@@ -101,52 +98,58 @@ __kernel void choose_rungs(
 }
 
 // Which bin a pixel position falls into. (n_bins_x, n_bins_y) include the margins.
-static inline uint bin_of(const float2 position, const int margin, const int2 n_bins)
+static inline uint bin_of(
+    const float2 position, const float bins_per_pixel, const int margin, const int2 n_bins)
 {
-    const int bx = (int)clamp(floor(position.x * (1.0f / BIN)) + margin, 0.0f, n_bins.x - 1.0f);
-    const int by = (int)clamp(floor(position.y * (1.0f / BIN)) + margin, 0.0f, n_bins.y - 1.0f);
+    const int bx = (int)clamp(floor(position.x * bins_per_pixel) + margin, 0.0f, n_bins.x - 1.0f);
+    const int by = (int)clamp(floor(position.y * bins_per_pixel) + margin, 0.0f, n_bins.y - 1.0f);
     return (uint)(by * n_bins.x + bx);
 }
 
-// counts[bin][slice] = particles of this slice in the bin. One work-item a slice of
-// consecutive particles, from first_slice on; counts are zero before.
+// counts[slice][bin] = particles of this slice in the bin. One work-item a slice of
+// consecutive particles, from first_slice on; counts are zero before. Slices come first so
+// that no two cores write to the same cache line.
 __kernel void count_bins(
-    const uint n_particles, const uint slice_size, const uint first_slice, const uint n_slices,
-    const int margin, const int2 n_bins,
+    const uint n_particles, const uint slice_size, const uint first_slice, const uint all_bins,
+    const float bins_per_pixel, const int margin, const int2 n_bins,
     const uint rung_bins, // bins of one rung; 0 if there are no rungs
     const __global float2* restrict positions, // (n_particles,)
     const __global uchar* restrict rungs,      // (n_particles,)
-    __global uint* restrict counts)            // (bins of all rungs, slices)
+    __global uint* restrict counts)            // (slices, bins of all rungs)
 {
     const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
-    for (uint i = slice * slice_size; i < end; ++i) {
-        const size_t bin = (size_t)rung_bins * rungs[i] + bin_of(positions[i], margin, n_bins);
-        ++counts[bin * n_slices + slice];
-    }
+    __global uint* own = counts + (size_t)slice * all_bins;
+    for (uint i = slice * slice_size; i < end; ++i)
+        ++own[(size_t)rung_bins * rungs[i] + bin_of(positions[i], bins_per_pixel, margin, n_bins)];
 }
 
-// Sort into bins: slots[bin][slice] is where the slice's first particle of the bin goes.
+// Sort into bins: slots[slice][bin] is where the slice's first particle of the bin goes.
 __kernel void fill_bins(
-    const uint n_particles, const uint slice_size, const uint first_slice, const uint n_slices,
-    const int margin, const int2 n_bins,
+    const uint n_particles, const uint slice_size, const uint first_slice, const uint all_bins,
+    const float bins_per_pixel, const int margin, const int2 n_bins,
     const uint rung_bins, // bins of one rung; 0 if there are no rungs
     const __global float2* restrict positions, // (n_particles,)
     const __global uchar* restrict rungs,      // (n_particles,)
     const __global float4* restrict samples,   // (n_particles,)
-    __global uint* restrict slots,             // (bins of all rungs, slices)
+    __global uint* restrict slots,             // (slices, bins of all rungs)
     __global uint* restrict order,             // (n_particles,)
     __global float2* restrict sorted_positions,
-    __global float4* restrict sorted_samples)
+    __global float4* restrict sorted_samples)  // (n_particles,): weight, weight times color
 {
     const uint slice = first_slice + get_global_id(0);
     const uint end = min(n_particles, (slice + 1) * slice_size);
+    __global uint* own = slots + (size_t)slice * all_bins;
     for (uint i = slice * slice_size; i < end; ++i) {
-        const size_t bin = (size_t)rung_bins * rungs[i] + bin_of(positions[i], margin, n_bins);
-        const uint slot = slots[bin * n_slices + slice]++;
+        const size_t bin =
+            (size_t)rung_bins * rungs[i] + bin_of(positions[i], bins_per_pixel, margin, n_bins);
+        const uint slot = own[bin]++;
         order[slot] = i;
         sorted_positions[slot] = positions[i];
-        sorted_samples[slot] = samples[i];
+        const float4 sample = samples[i];
+        const float weight = sample.x;
+        sorted_samples[slot] =
+            (float4)(weight, weight * sample.y, weight * sample.z, weight * sample.w);
     }
 }
 
@@ -185,12 +188,12 @@ static inline vreal kernel_1d(
 __kernel __attribute__((reqd_work_group_size(TILE_GROUP, TILE_GROUP, 1)))
 void splat(
     const uint first_block, const uint blocks_x, const uint first_particle,
-    const uint last_particle, const int margin, const int2 n_bins,
+    const uint last_particle, const float bins_per_pixel, const int margin, const int2 n_bins,
     const float exponent_scale, // -log2(e) / (2 sigma^2)
     const float radius, const int nearest,
     const __global uint* restrict bin_starts,     // (bins + 1,) of this rung
     const __global float2* restrict positions,    // sorted into bins
-    const __global float4* restrict samples,      // sorted into bins: weight, color
+    const __global float4* restrict samples,      // sorted into bins: weight, weighed color
     const ulong plane,                            // padded height * padded width
     __global float* restrict sums)                // (4, padded height, padded width)
 {
@@ -214,8 +217,8 @@ void splat(
 
     const float2 low = (float2)(x0 - radius, y0 - radius);
     const float2 high = (float2)(x0 + last + radius, y0 + last + radius);
-    const uint bin_low = bin_of(low, margin, n_bins);
-    const uint bin_high = bin_of(high, margin, n_bins);
+    const uint bin_low = bin_of(low, bins_per_pixel, margin, n_bins);
+    const uint bin_high = bin_of(high, bins_per_pixel, margin, n_bins);
     const int bin_width = (int)(bin_high % n_bins.x) - (int)(bin_low % n_bins.x);
     for (uint row = bin_low; row <= bin_high; row += n_bins.x) {
         const uint end = min(last_particle, bin_starts[row + bin_width + 1]);
@@ -229,10 +232,11 @@ void splat(
                 if (p.x < low.x || p.y < low.y || p.x > high.x || p.y > high.y)
                     continue;
                 const float4 sample = samples[i];
-                const vreal kx = sample.x * kernel_1d(pixel_x - p.x, exponent_scale, radius, nearest);
-                const vreal kr = kx * sample.y;
-                const vreal kg = kx * sample.z;
-                const vreal kb = kx * sample.w;
+                const vreal kernel_x = kernel_1d(pixel_x - p.x, exponent_scale, radius, nearest);
+                const vreal kx = kernel_x * sample.x;
+                const vreal kr = kernel_x * sample.y;
+                const vreal kg = kernel_x * sample.z;
+                const vreal kb = kernel_x * sample.w;
                 float ky[WIDTH];
                 VSTORE(kernel_1d(pixel_y - p.y, exponent_scale, radius, nearest), 0, ky);
                 const int y_begin = max(0, (int)floor(p.y - y0 - radius));

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clmorph.measures import Measure, lift
 from clmorph.morph import morph
-from clmorph.operations import Operations, rounding_error
+from clmorph.operations import KERNEL_ERROR, Float64, Operations, rounding_error
 from clmorph.problem import largest_cost
 from clmorph.reference.operations import NumPyOperations
 
@@ -39,13 +39,53 @@ def log_sum_exp_tolerance(
     return rounding_error(operations, len(columns[1]), largest, precise)
 
 
-def splat_tolerance(count: int, chunk: int = 256) -> float:
+def splat_tolerance(count: int, chunk: int = 1024) -> float:
     """Return the relative error that float32 sums of `count` splats may have.
 
     The additions of a chunk, the sum of the chunks, and an exponent of up to 30 rounded a
     few times.
     """
     return UNIT * (chunk + count / chunk + 4 * 30)
+
+
+def splat_excess(
+    sums: tuple[Float64, Float64],
+    exact: Operations,
+    splats: Any,
+    shape: tuple[int, int],
+    sigma: float,
+    radius: float,
+    relative: float,
+) -> float:
+    """Return how far the sums of a splat are from what they may be, in units of tolerance.
+
+    The cut may lie anywhere from `radius` to `sigma` beyond; around that, the tolerance is
+    `relative` and KERNEL_ERROR of every kernel.
+
+    Parameters
+    ----------
+    sums : numerator, denominator
+        What some operations returned.
+    exact : Operations
+    splats
+        Of the exact operations; no color below 0.
+    shape, sigma, radius
+        As given to `splat`.
+    relative : float
+        Rounding error, by `splat_tolerance`.
+    """
+    near, far = (exact.splat(splats, shape, sigma, cut) for cut in (radius, radius + sigma))
+    tolerance = relative * far[1] + np.finfo(float).tiny
+    if sigma > 0:
+        _, kernels = exact.splat(splats, shape, 1e6 * (sigma + radius), radius + sigma)
+        tolerance += KERNEL_ERROR * kernels
+    excess = 0.0
+    for got, low, high in zip(sums, near, far, strict=True):
+        outside = np.maximum(low - got, got - high)
+        scaled = outside / tolerance.reshape(shape + (1,) * (got.ndim - 2))
+        # Written so that NaN is a failure.
+        excess = max(excess, float(np.nan_to_num(scaled, nan=np.inf).max()))
+    return excess
 
 
 @dataclass(frozen=True)
@@ -152,11 +192,10 @@ def _check_splats(operations: Operations, exact: Operations) -> Iterator[Finding
     yield Finding("bin_splats", float(wrong), 0.0, "entries")
     for sigma in (0.0, 0.6, 5.0):
         sums = operations.splat(ours, shape, sigma, 4.5 * sigma)
-        truth = exact.splat(theirs, shape, sigma, 4.5 * sigma)
-        scale = np.maximum(truth[1], np.finfo(float).tiny)
-        errors = np.abs(sums[1] - truth[1]) / scale, np.abs(sums[0] - truth[0]) / scale[..., None]
-        error = float(max(part.max() for part in errors))
-        yield Finding(f"splat, sigma {sigma:g}", error, splat_tolerance(count), "of the sum")
+        error = splat_excess(
+            sums, exact, theirs, shape, sigma, 4.5 * sigma, splat_tolerance(count)
+        )  # fmt: skip
+        yield Finding(f"splat, sigma {sigma:g}", error, 1.0, "of the tolerance")
 
 
 def _check_morph(operations: Operations) -> Finding:

@@ -19,6 +19,9 @@ MAX_DIMENSION = 11
 #: sigma 2^((r - BASE_RUNG) / RUNGS_PER_OCTAVE), from sigma / 4 to 45 sigma.
 RUNGS, BASE_RUNG, RUNGS_PER_OCTAVE = 16, 4, 2
 
+#: By how much a splat's kernel may be off, as a share of its peak.
+KERNEL_ERROR = 1e-6
+
 Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
@@ -310,7 +313,10 @@ class Operations(Protocol):
         sigma : float
             Kernel width in pixels. 0 gives each splat to its nearest pixel instead.
         radius : float
-            Where the kernel is cut: it counts while |dx| and |dy| are at most this.
+            Where the kernel is cut: it counts while |dx| and |dy| are at most this, and no
+            more where one of them exceeds this by a kernel width (`sigma`, or the splat's
+            own); between, a backend may count it or not. Up to there the kernel may be off by
+            `KERNEL_ERROR` of its peak. Without a width both are exact.
 
         Returns
         -------
@@ -340,6 +346,7 @@ def rounding_error(operations: Operations, n_columns: int, largest: float, preci
     return operations.sum_roundoff * (8 + 2 * n_columns**0.5) + in_exponent * largest
 
 
-def bin_grid(shape: tuple[int, int], margin: int, size: int) -> tuple[int, int]:
+def bin_grid(shape: tuple[int, int], margin: int, size: float) -> tuple[int, int]:
     """Return the number of bins along y and x for a canvas and its margin."""
-    return -(-shape[0] // size) + 2 * margin, -(-shape[1] // size) + 2 * margin
+    height, width = (int(-(-side // size)) + 2 * margin for side in shape)
+    return height, width

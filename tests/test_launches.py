@@ -9,8 +9,7 @@ import pytest
 
 from clmorph import DeviceError
 from clmorph.opencl import launches
-from clmorph.opencl.launches import TARGET_SECONDS, LaunchBudget
-from clmorph.opencl.splatting import LAUNCH_PARTICLES
+from clmorph.opencl.launches import LAUNCH_PARTICLES, TARGET_SECONDS, LaunchBudget
 
 
 @pytest.mark.parametrize("rate", [1e5, 1e8, 1e12])
@@ -40,8 +39,9 @@ def test_one_slow_launch_is_survived(monkeypatch):
 
 def test_no_launch_looks_at_more_than_its_share(device, monkeypatch):
     """A wide kernel over one crowded spot: cut over blocks and over particles."""
-    monkeypatch.setattr("clmorph.opencl.splatting.LAUNCH_PARTICLES", 1000)
+    monkeypatch.setattr("clmorph.opencl.launches.LAUNCH_PARTICLES", 1000)
     splatting = device.splatting
+    monkeypatch.setattr(splatting, "method", "gather")
     monkeypatch.setattr(splatting, "_budget", LaunchBudget(first=1))
     monkeypatch.setattr(splatting._budget, "pairs", lambda: 1)
     sizes = []
@@ -65,6 +65,39 @@ def test_no_launch_looks_at_more_than_its_share(device, monkeypatch):
     assert count < LAUNCH_PARTICLES
     _, whole = device.splat(splats, (40, 40), 30.0, 135.0)
     assert np.allclose(cut, whole, rtol=1e-5)
+
+
+def test_no_launch_sums_more_than_its_share(device, monkeypatch):
+    """The same by moments: cut over bins, over particles, and over rows."""
+    monkeypatch.setattr("clmorph.opencl.launches.LAUNCH_PARTICLES", 1000)
+    splatting, sizes, launch = device.splatting, [], device.work.launch
+    monkeypatch.setattr(splatting, "method", "moments")
+    for budget in splatting._moments._budgets.values():
+        monkeypatch.setattr(budget, "pairs", lambda: 1)
+    monkeypatch.setattr(
+        device.work,
+        "launch",
+        lambda kernel, *rest: (
+            sizes.append((kernel.function_name, rest[0])),
+            launch(kernel, *rest),
+        ),
+    )
+    count, shape = 3500, (40, 40)
+    positions = np.full((count, 2), 20.0, np.float32)
+    ones = np.ones(count, np.float32)
+    splats = device.upload_splats(positions, np.ones((count, 3), np.float32), ones)
+    _, cut = device.splat(splats, shape, 1.4, 6.3)
+    bins = (5 + 2) ** 2
+    group = splatting._moments._group
+    assert [size for name, size in sizes if name == "sum_moments"] == [(group,)] * (4 * bins)
+    for name in ("sum_rows", "sum_columns"):
+        found = [size for each, size in sizes if each == name]
+        assert {size[1] for size in found} == {1}
+    monkeypatch.undo()
+    monkeypatch.setattr(splatting, "method", "moments")
+    _, whole = device.splat(splats, shape, 1.4, 6.3)
+    assert np.allclose(cut, whole, rtol=1e-5)
+    assert whole[20, 20] == pytest.approx(count, rel=1e-5)
 
 
 def test_threads_take_turns(device):

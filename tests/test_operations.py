@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from clouds import PAIRS
 
-from clmorph.check import UNIT, log_sum_exp_tolerance, splat_tolerance
+from clmorph.check import UNIT, log_sum_exp_tolerance, splat_excess, splat_tolerance
+from clmorph.opencl.moments import cell_side, make_cells, moments_pay
 from clmorph.opencl.operations import OpenCLOperations
-from clmorph.operations import BASE_RUNG, RUNGS_PER_OCTAVE, Operations
+from clmorph.operations import BASE_RUNG, KERNEL_ERROR, RUNGS_PER_OCTAVE, Operations
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()
@@ -195,26 +196,34 @@ def test_bins_are_exact(variant, rng, name, shape):
     assert np.array_equal(got.order, want.order)
 
 
-@pytest.mark.parametrize("sigma", [0.0, 0.3, 1.2, 6.0, 40.0])
+@pytest.fixture(params=["gather", "moments"])
+def method(request, variant, monkeypatch):
+    """Both ways from particles to pixels, wherever the second serves."""
+    monkeypatch.setattr(variant.splatting, "method", request.param)
+    return request.param
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.3, 0.4, 1.2, 6.0, 40.0])
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("name", SPLATS)
-def test_splat(variant, rng, name, shape, sigma):
+def test_splat(variant, method, rng, name, shape, sigma):
     splats, exact = _splats(rng, name, (variant, REFERENCE))
     radius = 4.5 * sigma
-    got = variant.splat(splats, shape, sigma, radius)
-    want = REFERENCE.splat(exact, shape, sigma, radius)
-    relative = splat_tolerance(len(exact.weights))
+    sums = variant.splat(splats, shape, sigma, radius)
+    assert sums[0].shape == (*shape, 3)
+    assert sums[1].shape == shape
     # Far-out positions are rounded to float32 before the distance is taken; the kernel
     # then is where the reference puts it, because the reference has the same positions.
-    for numerator, denominator in (got, want):
-        assert numerator.shape == (*shape, 3)
-        assert denominator.shape == shape
-    assert np.all(np.abs(got[1] - want[1]) <= relative * want[1])
-    assert np.all(np.abs(got[0] - want[0]) <= relative * want[1][..., None])
+    relative = splat_tolerance(len(exact.weights))
+    assert splat_excess(sums, REFERENCE, exact, shape, sigma, radius, relative) <= 1
+    if method == "gather":
+        want = REFERENCE.splat(exact, shape, sigma, radius)
+        assert np.all(np.abs(sums[1] - want[1]) <= relative * want[1])
+        assert np.all(np.abs(sums[0] - want[0]) <= relative * want[1][..., None])
 
 
 @pytest.mark.parametrize("radius_in_sigmas", [2.0, 3.0, 4.5])
-def test_the_cut_stays_within_its_bound(variant, rng, radius_in_sigmas):
+def test_the_cut_stays_within_its_bound(variant, method, rng, radius_in_sigmas):
     splats, exact = _splats(rng, "spread", (variant, REFERENCE))
     shape, sigma = (41, 41), 1.4
     cut = variant.splat(splats, shape, sigma, radius_in_sigmas * sigma)
@@ -222,11 +231,70 @@ def test_the_cut_stays_within_its_bound(variant, rng, radius_in_sigmas):
     bound = exact.weights.sum() * np.exp(-0.5 * radius_in_sigmas**2)
     missing = uncut[1] - cut[1]
     assert missing.max() <= bound
-    assert missing.min() >= -1e-4 * bound
+    off = KERNEL_ERROR * exact.weights.sum() if method == "moments" else 0.0
+    assert missing.min() >= -1e-4 * bound - off
     assert np.abs(uncut[0] - cut[0]).max() <= bound
 
 
-def test_nearest_pixel_gives_each_splat_to_one_pixel(variant, rng):
+def test_moments_are_the_same_every_time(variant, monkeypatch, rng):
+    """Cut into launches of any size, too, and with the particles of a bin in chunks."""
+    splats, _ = _splats(rng, "all in one place", (variant, REFERENCE))
+    monkeypatch.setattr(variant.splatting, "method", "moments")
+    first = variant.splat(splats, (30, 41), 1.4, 6.3)
+    for pairs in (1, 1 << 30):
+        for budget in variant.splatting._moments._budgets.values():
+            budget._pairs = pairs
+        again = variant.splat(splats, (30, 41), 1.4, 6.3)
+        assert all(np.array_equal(*pair) for pair in zip(first, again, strict=True))
+
+
+def test_strips_change_nothing_but_rounding(variant, monkeypatch, rng):
+    splats, exact = _splats(rng, "spread", (variant, REFERENCE))
+    monkeypatch.setattr(variant.splatting, "method", "moments")
+    shape = 100, 41
+    whole = variant.splat(splats, shape, 0.8, 3.6)
+    monkeypatch.setattr("clmorph.opencl.moments.STRIP_BYTES", 1)
+    strips = variant.splat(splats, shape, 0.8, 3.6)
+    for sums in (whole, strips):
+        relative = splat_tolerance(len(exact.weights))
+        assert splat_excess(sums, REFERENCE, exact, shape, 0.8, 3.6, relative) <= 1
+
+
+@pytest.mark.parametrize("sigma", [0.34, 0.66, 0.67, 1.33, 1.34, 5.0, 21.0])
+def test_kernels_are_expanded_to_their_error(sigma):
+    """The terms that the kernels keep, over all pairs of cells and pixels."""
+    rng = np.random.default_rng(0)
+    cells = make_cells(sigma, 4.5 * sigma)
+    assert cells.side == cell_side(sigma, 4.5 * sigma) <= 0.75 * sigma
+    phases, taps, orders = cells.coefficients.shape
+    kept = np.array([8, 8, 8, 4, 4, 4, 4, 0])[:, None] > np.arange(orders)
+    phase, tap = rng.integers(phases, size=(2, 4000)), rng.integers(taps, size=(2, 4000))
+    factors = cells.coefficients[phase, tap]
+    for corner in np.array([[1, 1], [1, -1], [1, 0], [0.9, 0.7], [0.3, 0.8]]):
+        polynomials = np.cos(np.arange(orders) * np.arccos(corner)[:, None])
+        got = np.einsum("kb,ka,ba,b,a->k", *factors, kept, *polynomials)
+        center = (tap - cells.reach + 0.5) * cells.side
+        distance = phase - center - 0.5 * cells.side * corner[:, None]
+        want = np.exp(-0.5 * (distance**2).sum(axis=0) / sigma**2)
+        covered = np.all(factors[..., 0] != 0, axis=0)
+        assert np.abs(got - want)[covered].max() <= KERNEL_ERROR
+        within = np.all(np.abs(distance) <= 4.5 * sigma, axis=0)
+        assert np.all(covered[within])
+        beyond = np.any(np.abs(distance) > 5.5 * sigma, axis=0)
+        assert not np.any(covered[beyond])
+
+
+def test_moments_are_taken_where_they_pay():
+    dense = moments_pay(300_000, (64, 64), 1.4, 6.3, 16)
+    assert dense
+    assert not moments_pay(3000, (64, 64), 1.4, 6.3, 16)  # hardly one to a pixel
+    assert not moments_pay(300_000, (2048, 2048), 1.4, 6.3, 16)
+    assert not moments_pay(300_000, (64, 64), 0.0, 0.0, 16)
+    assert not moments_pay(300_000, (64, 64), 0.2, 0.9, 16)
+    assert not moments_pay(300_000, (64, 64), 1.4, np.inf, 16)
+
+
+def test_nearest_pixel_gives_each_splat_to_one_pixel(variant, method, rng):
     positions = rng.uniform(-0.5, 19.499, (400, 2)).astype(np.float32)
     ones = np.ones(400, np.float32)
     splats = variant.upload_splats(positions, np.ones((400, 3), np.float32), ones)
@@ -238,25 +306,29 @@ def test_nearest_pixel_gives_each_splat_to_one_pixel(variant, rng):
 
 
 @pytest.mark.parametrize("t", [0.0, 0.37, 1.0])
-def test_place(variant, rng, t):
+def test_place(variant, method, rng, t):
     table = rng.random((90, 6))
     links = rng.integers(0, 90, (700, 2)).astype(np.uint32)
     weights = rng.random((700, 2))
     shape, scale, center = (50, 60), (59.0, 49.0), (29.5, 24.5)
-    sums = []
-    for operations in (variant, REFERENCE):
-        moving = operations.upload_particles(table, links, weights)
-        splats = operations.place(moving, t, scale, center)
-        sums.append(operations.splat(splats, shape, 1.5, 6.75))
+    placed = [
+        operations.place(operations.upload_particles(table, links, weights), t, scale, center)
+        for operations in (variant, REFERENCE)
+    ]
+    sums = variant.splat(placed[0], shape, 1.5, 6.75)
+    near, far = (REFERENCE.splat(placed[1], shape, 1.5, cut) for cut in (6.75, 6.75 + 1.5))
     # Positions are off by up to a few units of the canvas's size; the kernel's slope is
     # at most 4.5 / sigma of its height there.
     tolerance = UNIT * (256 + 120 + 4.5 / 1.5 * 4 * 60)
-    scale_of_sums = sums[1][1] + 700 * np.exp(-0.5 * 4.4**2)
-    assert np.all(np.abs(sums[0][1] - sums[1][1]) <= tolerance * scale_of_sums)
-    assert np.all(np.abs(sums[0][0] - sums[1][0]) <= tolerance * scale_of_sums[..., None])
+    tolerance = tolerance * (near[1] + 700 * np.exp(-0.5 * 4.4**2))
+    assert np.all(near[1] - tolerance <= sums[1])
+    assert np.all(sums[1] <= far[1] + tolerance)
+    assert np.all(near[0] - tolerance[..., None] <= sums[0])
+    assert np.all(sums[0] <= far[0] + tolerance[..., None])
 
 
-def test_splatting_launches_are_cut_without_changing_a_bit(variant, rng):
+def test_splatting_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rng):
+    monkeypatch.setattr(variant.splatting, "method", "gather")
     splats, _ = _splats(rng, "spread", (variant, REFERENCE))
     whole = variant.splat(splats, (300, 41), 2.0, 9.0)
     variant.splatting._budget._pairs = 1
@@ -370,7 +442,7 @@ def test_deposit(variant, rng, name, shape):
 @pytest.mark.parametrize("sigma", [0.3, 1.2])
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("name", SPLATS)
-def test_splats_with_own_widths(variant, rng, name, shape, sigma):
+def test_splats_with_own_widths(variant, method, rng, name, shape, sigma):
     positions = np.asarray(SPLATS[name](rng), np.float32)
     n = len(positions)
     colors = rng.random((n, 3)).astype(np.float32)
@@ -391,10 +463,8 @@ def test_splats_with_own_widths(variant, rng, name, shape, sigma):
     zoom = 2.0 ** ((rungs - BASE_RUNG) / RUNGS_PER_OCTAVE)
     same = own[1]._replace(rungs=rungs, weights=weights.astype(float) / zoom**2)
     got = variant.splat(own[0], shape, sigma, 4.5 * sigma)
-    want = REFERENCE.splat(same, shape, sigma, 4.5 * sigma)
     relative = 2 * splat_tolerance(n)
-    assert np.all(np.abs(got[1] - want[1]) <= relative * want[1])
-    assert np.all(np.abs(got[0] - want[0]) <= relative * want[1][..., None])
+    assert splat_excess(got, REFERENCE, same, shape, sigma, 4.5 * sigma, relative) <= 1
 
 
 def test_widths_by_their_definition(variant):

@@ -11,6 +11,8 @@ from clmorph.operations import BASE_RUNG, RUNGS, RUNGS_PER_OCTAVE
 #: Stands for minus infinity in float32 exponents: far under any of them, yet the sum of
 #: a few is still finite. Exact in float32, so that it is the same number in any precision.
 SENTINEL = float(np.float32(-1e30))
+#: Particles of a bin whose moments are added up before they join the total.
+MOMENT_CHUNK = 1024
 #: Columns taken together where exponents fill two registers each.
 PRECISE_UNROLL = 4
 
@@ -72,13 +74,22 @@ class Knobs:
         """Return the macros of ``splat.cl``."""
         return {
             "BASE_RUNG": BASE_RUNG,
-            "BIN": self.bin,
             "CHUNK": self.chunk,
             "EXP2_BUILTIN": self.exp2_builtin,
             "RUNGS": RUNGS,
             "RUNGS_PER_OCTAVE": RUNGS_PER_OCTAVE,
             "SENTINEL": SENTINEL,
             "TILE_GROUP": self.tile_group,
+            "WIDTH": self.width,
+        }
+
+    def moments_constants(self) -> dict[str, int | float]:
+        """Return the macros of ``moments.cl``."""
+        return {
+            "EXP2_BUILTIN": self.exp2_builtin,
+            "MOMENT_CHUNK": MOMENT_CHUNK,
+            "MOMENT_GROUP": self.group if self.width == 1 else 1,
+            "SENTINEL": SENTINEL,
             "WIDTH": self.width,
         }
 
@@ -131,7 +142,7 @@ def cpu_knobs(vector: int) -> Knobs:
         bin=8,
         chunk=256,
         tile_group=1,
-        slices_per_unit=32,
+        slices_per_unit=8,
     )
 
 

@@ -13,8 +13,9 @@ from clmorph.errors import DeviceError
 from clmorph.opencl.clouds import Cloud
 from clmorph.opencl.knobs import Knobs
 from clmorph.opencl.launches import Workspace
+from clmorph.opencl.particles import ParticleSet, Splats
 from clmorph.opencl.plan_reductions import PlanReductions
-from clmorph.opencl.splatting import ParticleSet, Splats, Splatting
+from clmorph.opencl.splatting import Splatting
 from clmorph.opencl.tuning import tuned_knobs
 from clmorph.operations import Bins, Float32, Float64, PlanRows
 

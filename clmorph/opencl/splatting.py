@@ -1,66 +1,33 @@
 """Launches of ``cl_kernels/splat.cl``: place, bin, gather."""
 
+import functools
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.errors import DeviceError
-from clmorph.opencl import program
+from clmorph.opencl import launches, program
 from clmorph.opencl.knobs import Knobs
 from clmorph.opencl.launches import LaunchBudget, Workspace
+from clmorph.opencl.moments import BIN_CELLS, Moments, cell_side, make_cells, moments_pay
+from clmorph.opencl.particles import ParticleSet, SortedSplats, Splats, sort_splats
 from clmorph.operations import (
     BASE_RUNG,
-    RUNGS,
     RUNGS_PER_OCTAVE,
     Bins,
     Float32,
     Float64,
-    bin_grid,
 )
 
-#: Entries of the (bins, slices) table of counts; fewer slices are used on large canvases.
-COUNT_ENTRIES = 1 << 22
-#: Particles that one launch moves, sorts or lets a block of pixels look at.
-LAUNCH_PARTICLES = 1 << 20
 #: Bins around the canvas; particles farther out fall into these, wherever they are.
 MARGIN = 1
-
-
-@dataclass(frozen=True)
-class ParticleSet:
-    """Moving particles on the device; weights are divided by `unit`."""
-
-    count: int
-    unit: float
-    table: cl.Buffer  # (points, 6) float32
-    links: cl.Buffer  # (count, 2) uint32
-    weights: cl.Buffer  # (count, 2) float32
-
-
-@dataclass(frozen=True)
-class Splats:
-    """Resting particles on the device; weights are divided by `unit`."""
-
-    count: int
-    unit: float
-    positions: cl.Buffer  # (count, 2) float32, pixels
-    samples: cl.Buffer  # (count, 4) float32: weight, color
-    spacings: cl.Buffer  # (count,) float32, pixels
-    rungs: cl.Buffer | None = None  # (count,) uint8, if widths differ
-
-
-class SortedSplats(NamedTuple):
-    """Splats by rung and bin: see `clmorph.operations.Bins`; `order` still on the device."""
-
-    shape: tuple[int, int]
-    starts: NDArray[np.int64]  # (rungs, bins + 1); one rung if all have the same width
-    order: cl.Buffer
-    positions: cl.Buffer
-    samples: cl.Buffer
+#: Of splats with widths of their own, moments serve those from `sigma` to so many times that;
+#: bins are made for these.
+WIDEST = 2
 
 
 class Splatting:
@@ -72,6 +39,13 @@ class Splatting:
         names = ("place", "weigh", "choose_rungs", "count_bins", "fill_bins", "splat")
         self._kernels = {name: cl.Kernel(built, name) for name in names}
         self._budget = LaunchBudget()
+        self._block = knobs.width * knobs.tile_group  # pixels of a work-group, along a side
+        #: How kernels reach pixels: "gather", "moments" where they serve, or the cheaper.
+        self.method = "auto"
+
+    @functools.cached_property
+    def _moments(self) -> Moments:
+        return Moments(self._work, self._knobs)
 
     def upload_particles(
         self, table: Float64, links: NDArray[np.uint32], weights: Float64
@@ -142,8 +116,8 @@ class Splatting:
 
     def _over_particles(self, name: str, count: int, *arguments: Any) -> None:
         """Run a kernel of one work-item a particle, in launches of a bounded size."""
-        for first in range(0, count, LAUNCH_PARTICLES):
-            items = min(LAUNCH_PARTICLES, count - first)
+        for first in range(0, count, launches.LAUNCH_PARTICLES):
+            items = min(launches.LAUNCH_PARTICLES, count - first)
             self._run(name, (items,), None, np.uint32(first), *arguments)
 
     def rungs(self, splats: Splats) -> NDArray[np.int64]:
@@ -156,48 +130,15 @@ class Splatting:
 
     def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:
         """Sort splats into bins; see `clmorph.operations.Operations`."""
-        by_bin = self._sort(splats, shape, margin)
+        by_bin = self._sort(splats, shape, margin, self._knobs.bin)
         order = np.empty(splats.count, np.uint32)
         cl.enqueue_copy(self._work.queue, order, by_bin.order)
         return Bins(by_bin.shape, by_bin.starts[0], order.astype(np.int64))
 
-    def _sort(self, splats: Splats, shape: tuple[int, int], margin: int) -> SortedSplats:
-        """Sort splats into bins, without atomics: count by slice, add up, fill."""
-        n = splats.count
-        grid = bin_grid(shape, margin, self._knobs.bin)
-        n_bins = grid[0] * grid[1] * (1 if splats.rungs is None else RUNGS)
-        units = self._work.context.devices[0].max_compute_units
-        slices = max(1, min(self._knobs.slices_per_unit * units, COUNT_ENTRIES // n_bins, n))
-        slice_size = -(-n // slices)
-        per_launch = max(1, LAUNCH_PARTICLES // slice_size)
-        counts = np.zeros((n_bins, slices), np.uint32)
-        counts_buffer = self._work.buffer(counts, np.uint32)
-
-        def over_slices(name: str, *arguments: Any) -> None:
-            for first in range(0, slices, per_launch):
-                self._run(
-                    name, (min(per_launch, slices - first),), None,
-                    np.uint32(n), np.uint32(slice_size), np.uint32(first), np.uint32(slices),
-                    np.int32(margin), cl.cltypes.make_int2(grid[1], grid[0]),
-                    np.uint32(0 if splats.rungs is None else grid[0] * grid[1]), splats.positions,
-                    # Counts for nothing where there are none, but drivers want a buffer.
-                    splats.positions if splats.rungs is None else splats.rungs, *arguments,
-                )  # fmt: skip
-
-        over_slices("count_bins", counts_buffer)
-        cl.enqueue_copy(self._work.queue, counts, counts_buffer)
-        ends = np.cumsum(counts, dtype=np.int64)
-        slots = ends.reshape(counts.shape) - counts
-        order = self._work.empty(4 * n)
-        positions, samples = self._work.empty(8 * n), self._work.empty(16 * n)
-        over_slices(
-            "fill_bins", splats.samples, self._work.buffer(slots, np.uint32),
-            order, positions, samples,
-        )  # fmt: skip
-        starts = np.append(slots[:, 0], n)
-        bins = grid[0] * grid[1]
-        by_rung = [starts[first : first + bins + 1] for first in range(0, n_bins, bins)]
-        return SortedSplats(grid, np.stack(by_rung), order, positions, samples)
+    def _sort(
+        self, splats: Splats, shape: tuple[int, int], margin: int, side: float
+    ) -> SortedSplats:
+        return sort_splats(self._work, self._kernels, self._knobs, splats, shape, margin, side)
 
     def splat(
         self, splats: Splats, shape: tuple[int, int], sigma: float, radius: float
@@ -207,26 +148,47 @@ class Splatting:
         nearest = sigma == 0
         if nearest:
             radius = 0.5
-        bins = self._sort(splats, shape, MARGIN)
-        side = self._knobs.width * self._knobs.tile_group
-        blocks = -(-height // side), -(-width // side)
-        padded = blocks[0] * side, blocks[1] * side
+        side, margin = float(self._knobs.bin), MARGIN
+        by_moments = self._by_moments(splats.count, shape, sigma, radius)
+        if by_moments:
+            side = BIN_CELLS * make_cells(sigma, radius).side
+            widest = 1 if splats.rungs is None else WIDEST
+            margin = int(np.ceil(widest * radius / side))
+        bins = self._sort(splats, shape, margin, side)
+        block = self._block
+        blocks = -(-height // block), -(-width // block)
+        padded = blocks[0] * block, blocks[1] * block
         sums = np.zeros((4, *padded), np.float32)
         buffer = self._work.buffer(sums)
         for rung, starts in enumerate(bins.starts):
-            if starts[0] == starts[-1]:
+            count = int(starts[-1] - starts[0])
+            if count == 0:
                 continue
             zoom = 1.0
             if splats.rungs is not None:
                 zoom = 2.0 ** ((rung - BASE_RUNG) / RUNGS_PER_OCTAVE)
-            scale = 0.0 if nearest else -np.log2(np.e) / (2 * (zoom * sigma) ** 2)
+            wide, far = zoom * sigma, zoom * radius
+            fits = by_moments and 1 <= zoom <= WIDEST
+            if fits and self._by_moments(count, shape, wide, far):
+                self._moments.add(
+                    bins, starts, make_cells(wide, far), shape,
+                    padded[1], padded[0] * padded[1], buffer,
+                )  # fmt: skip
+                continue
+            scale = 0.0 if nearest else -np.log2(np.e) / (2 * wide**2)
             self._gather(
-                bins, starts, blocks, side,
-                (np.float32(scale), np.float32(zoom * radius), np.int32(nearest)), buffer,
+                bins, starts, blocks, block,
+                (np.float32(scale), np.float32(far), np.int32(nearest)), buffer,
             )  # fmt: skip
         cl.enqueue_copy(self._work.queue, sums, buffer)
         frame = sums[:, :height, :width].astype(float) * splats.unit
         return np.moveaxis(frame[1:], 0, -1), frame[0]
+
+    def _by_moments(self, count: int, shape: tuple[int, int], sigma: float, radius: float) -> bool:
+        """Whether moments of cells serve a kernel, and cost less than the gather."""
+        if self.method == "auto":
+            return moments_pay(count, shape, sigma, radius, self._block)
+        return self.method == "moments" and cell_side(sigma, radius) is not None
 
     def _gather(
         self,
@@ -240,40 +202,47 @@ class Splatting:
         """Add the splats of one rung to the sums of all blocks of pixels."""
         blocks_y, blocks_x = blocks
         on_device = self._work.buffer(starts, np.uint32)
-        visits = self._visits(bins.shape, starts, blocks, side, float(kernel[1]))
+        visits = self._visits(bins, starts, blocks, side, float(kernel[1]))
         group = self._knobs.tile_group
         first_particle, end = int(starts[0]), int(starts[-1])
         # Crowded blocks are given their particles in parts, of a fixed size so that rounding
         # does not depend on how fast the device is today.
-        part = LAUNCH_PARTICLES if visits.max() > LAUNCH_PARTICLES else end - first_particle
+        part = (
+            launches.LAUNCH_PARTICLES
+            if visits.max() > launches.LAUNCH_PARTICLES
+            else end - first_particle
+        )
         for particle in range(first_particle, end, part):
-            for first, stop in self._block_parts(np.minimum(visits, LAUNCH_PARTICLES), side):
+            for first, stop in self._block_parts(
+                np.minimum(visits, launches.LAUNCH_PARTICLES), side
+            ):
                 with self._budget.measure(_cost(visits[first:stop], side)):
                     self._run(
                         "splat", ((stop - first) * group, group), (group, group),
                         np.uint32(first), np.uint32(blocks_x), np.uint32(particle),
                         np.uint32(min(end, particle + part)),
-                        np.int32(MARGIN), cl.cltypes.make_int2(bins.shape[1], bins.shape[0]),
+                        np.float32(1 / bins.side), np.int32(bins.margin),
+                        cl.cltypes.make_int2(bins.shape[1], bins.shape[0]),
                         *kernel, on_device, bins.positions, bins.samples,
                         np.uint64(blocks_y * blocks_x * side**2), sums,
                     )  # fmt: skip
 
     def _visits(
         self,
-        shape: tuple[int, int],
+        bins: SortedSplats,
         starts: NDArray[np.int64],
         blocks: tuple[int, int],
         side: int,
         radius: float,
     ) -> NDArray[np.int64]:
         """Particles that each block of pixels looks at, row by row."""
-        sums = np.zeros((shape[0] + 1, shape[1] + 1), np.int64)
-        sums[1:, 1:] = np.diff(starts).reshape(shape).cumsum(axis=0).cumsum(axis=1)
+        sums = np.zeros((bins.shape[0] + 1, bins.shape[1] + 1), np.int64)
+        sums[1:, 1:] = np.diff(starts).reshape(bins.shape).cumsum(axis=0).cumsum(axis=1)
         low, high = [], []
-        for count, n_bins in zip(blocks, shape, strict=True):
+        for count, n_bins in zip(blocks, bins.shape, strict=True):
             first = np.arange(count) * side
             reach = np.array([-radius, side - 1 + radius])[:, None] + first
-            ends = np.clip(np.floor(reach / self._knobs.bin) + MARGIN, 0, n_bins - 1).astype(int)
+            ends = np.clip(np.floor(reach / bins.side) + bins.margin, 0, n_bins - 1).astype(int)
             low.append(ends[0])
             high.append(ends[1] + 1)
         y0, y1, x0, x1 = low[0][:, None], high[0][:, None], low[1], high[1]
