@@ -27,7 +27,7 @@ def test_the_wheel_is_complete(built):
         names = set(wheel.namelist())
     kernels = {f"clmorph/cl_kernels/{path.name}" for path in (ROOT / "cl_kernels").glob("*.cl")}
     modules = {str(path.relative_to(ROOT)) for path in (ROOT / "clmorph").rglob("*.py")}
-    assert len(kernels) == 4
+    assert len(kernels) == 5
     assert kernels | modules | {"clmorph/py.typed", "clmorph/data/cat.png"} <= names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not any(name.startswith(("tests/", "tools/", "cl_kernels/")) for name in names)

@@ -37,6 +37,17 @@ class LaunchBudget:
         """Return the number of point pairs for the next launch."""
         return self._pairs
 
+    def parts(self, work: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
+        """Split items in a row, given the work of each, into launches: (first, stop)."""
+        total = np.cumsum(work)
+        first = 0
+        while first < len(total):
+            before = total[first - 1] if first else 0
+            stop = int(np.searchsorted(total, before + self.pairs(), side="right"))
+            stop = max(first + 1, stop)
+            yield first, stop
+            first = stop
+
     @contextlib.contextmanager
     def measure(self, pairs: int) -> Iterator[None]:
         """Time a launch over this many pairs and adapt the next one's size."""

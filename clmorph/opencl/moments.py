@@ -1,7 +1,6 @@
 """Launches of ``cl_kernels/moments.cl``: splatting by way of the moments of cells."""
 
 import functools
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -208,7 +207,7 @@ class Moments:
         work = np.minimum(counts, part) + per_bin**2
         budget = self._budgets["sum_moments"]
         for particle in range(first_particle, end, part):
-            for first, stop in _parts(work, budget):
+            for first, stop in budget.parts(work):
                 with budget.measure(int(work[first:stop].sum())):
                     self._work.launch(
                         self._kernels["sum_moments"],
@@ -235,15 +234,3 @@ class Moments:
                     np.uint32(first), np.int32(self._span), np.int32(width), *arguments,
                 )  # fmt: skip
             first += rows
-
-
-def _parts(work: NDArray[np.int64], budget: LaunchBudget) -> Iterator[tuple[int, int]]:
-    """Split items so that no launch runs long."""
-    total = np.cumsum(work)
-    first = 0
-    while first < len(total):
-        before = total[first - 1] if first else 0
-        stop = int(np.searchsorted(total, before + budget.pairs(), side="right"))
-        stop = max(first + 1, stop)
-        yield first, stop
-        first = stop

@@ -1,7 +1,6 @@
 """Launches of ``cl_kernels/splat.cl``: place, bin, gather."""
 
 import functools
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -207,15 +206,11 @@ class Splatting:
         first_particle, end = int(starts[0]), int(starts[-1])
         # Crowded blocks are given their particles in parts, of a fixed size so that rounding
         # does not depend on how fast the device is today.
-        part = (
-            launches.LAUNCH_PARTICLES
-            if visits.max() > launches.LAUNCH_PARTICLES
-            else end - first_particle
-        )
+        most = launches.LAUNCH_PARTICLES
+        part = most if visits.max() > most else end - first_particle
+        work = (np.minimum(visits, most) + 1) * side
         for particle in range(first_particle, end, part):
-            for first, stop in self._block_parts(
-                np.minimum(visits, launches.LAUNCH_PARTICLES), side
-            ):
+            for first, stop in self._budget.parts(work):
                 with self._budget.measure(_cost(visits[first:stop], side)):
                     self._run(
                         "splat", ((stop - first) * group, group), (group, group),
@@ -247,17 +242,6 @@ class Splatting:
             high.append(ends[1] + 1)
         y0, y1, x0, x1 = low[0][:, None], high[0][:, None], low[1], high[1]
         return (sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]).ravel()
-
-    def _block_parts(self, visits: NDArray[np.int64], side: int) -> Iterator[tuple[int, int]]:
-        """Split the blocks so that no launch runs long."""
-        work = np.cumsum((visits + 1) * side)
-        first = 0
-        while first < len(work):
-            before = work[first - 1] if first else 0
-            stop = int(np.searchsorted(work, before + self._budget.pairs(), side="right"))
-            stop = max(first + 1, stop)
-            yield first, stop
-            first = stop
 
     def _run(
         self, name: str, size: tuple[int, ...], group: tuple[int, ...] | None, *arguments: Any
