@@ -25,9 +25,9 @@ NO_DIVERGENCE = (
     "sigma='optimal' needs a divergence: one reach for both images, and one color metric for all "
     "pixels"
 )
-#: Times at which widths are sought; in between they are interpolated, outside held: at the ends
-#: themselves, where particles stand on pixels, the narrowest is always the best.
-KNOTS = np.linspace(0.1, 0.9, 5)
+#: Times at which widths are sought; in between they are interpolated. At the ends, where
+#: particles stand on pixels, the narrowest is the best, so the next ones are near.
+KNOTS = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0])
 #: Widths among which they are sought, in pixels; the curve can have several valleys, so all are
 #: tried, and then so often again between the best one's neighbors.
 WIDTHS = 0.1 * 2.0 ** (0.5 * np.arange(12))

@@ -25,6 +25,8 @@ PILOT = 1.0
 HOLE_COVERAGE = 1e-3
 #: The same as a share of that around it, within so many pixels: torn.
 HOLE_SHARE, HOLE_SURROUNDINGS = 0.1, 3.0
+#: The same from which on a pixel is closed: closing others raises what is around it.
+CLOSED_SHARE = 0.15
 #: Factor by which the kernel widens until a hole is filled.
 WIDENING = 2.0
 
@@ -164,37 +166,48 @@ def render(
     coverage = denominator / uniform_density(mass, canvas, sigma)
     density = denominator / kernel_sum(sigma)
     width = sigma
-    open_pixels = is_torn(coverage) if widths.closed else coverage < HOLE_COVERAGE
+    open_pixels = is_torn(coverage, CLOSED_SHARE) if widths.closed else coverage < HOLE_COVERAGE
+    relative = np.zeros(canvas.shape)
     while fill and sigma > 0 and width < max(canvas.shape) and open_pixels.any():
         width *= WIDENING
         wider_numerator, wider = operations.splat(splats, canvas.shape, width, CUT * width)
         share = wider / uniform_density(mass, canvas, width)
-        torn = is_torn(share) if widths.closed else share < HOLE_COVERAGE
+        torn = is_torn(share, CLOSED_SHARE) if widths.closed else share < HOLE_COVERAGE
         filled = open_pixels & ~torn
         numerator[filled], denominator[filled] = wider_numerator[filled], wider[filled]
         density[filled] = wider[filled] / kernel_sum(width)
+        open_pixels &= torn
         if widths.closed:
-            coverage[filled] = share[filled]
-            open_pixels = is_torn(coverage)
-        else:
-            open_pixels &= torn
+            # As covered, beside its surroundings, as it is with the kernel that covers it; this
+            # raises what surrounds others.
+            relative[filled] = (share / np.maximum(surroundings(share), HOLE_COVERAGE))[filled]
+            closed = relative > 0
+            coverage[closed] = (relative * surroundings(coverage))[closed]
+            open_pixels |= is_torn(coverage, CLOSED_SHARE) & ~closed
     tiny = np.finfo(np.float64).tiny
     return Sums(numerator / np.maximum(denominator, tiny)[..., None], coverage, density)
 
 
-def is_torn(coverage: NDArray[np.float64]) -> NDArray[np.bool_]:
+def is_torn(coverage: NDArray[np.float64], least: float = HOLE_SHARE) -> NDArray[np.bool_]:
     """Return which pixels are holes: far less covered than what surrounds them, or not at all.
 
     Parameters
     ----------
     coverage : (H, W) array
         Kernel mass as a share of a uniform spread's.
+    least : float
+        Share of what surrounds it under which a pixel is torn.
     """
+    return (coverage < least * surroundings(coverage)) | (coverage < HOLE_COVERAGE)
+
+
+def surroundings(coverage: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how well the surroundings of each pixel are covered: (H, W) array."""
     from scipy.ndimage import gaussian_filter
 
     # A mean of roots: a few spikes of a narrow kernel say nothing about their surroundings.
-    around = gaussian_filter(np.sqrt(coverage), HOLE_SURROUNDINGS, mode="reflect") ** 2
-    return (coverage < HOLE_SHARE * around) | (coverage < HOLE_COVERAGE)
+    mean = gaussian_filter(np.sqrt(coverage), HOLE_SURROUNDINGS, mode="reflect")
+    return np.asarray(mean**2)
 
 
 def neighbor_distances(operations: Operations, splats: Any, canvas: Canvas) -> NDArray[np.float64]:

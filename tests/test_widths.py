@@ -53,9 +53,9 @@ def test_optimal_widths_are_nearest_to_the_particles(device, pair):
     result = morph(*pair, n_frames=3, sigma="optimal", endpoints="paper", backend=device)
     _, widths = result.kernel_width.curve
     assert np.all((widths >= 0.5 * WIDTHS[0]) & (widths <= 2 * WIDTHS[-1]))
-    assert result.kernel_width.at(0.5, result.canvas(0.5)) == widths[2]
+    assert result.kernel_width.at(0.5, result.canvas(0.5)) == widths[3]
     best = path_divergence(result, [0.5], "particles", max_points=4096)[0]
-    for sigma in (0.8 * widths[2], 1.3 * widths[2], 1.2):
+    for sigma in (0.8 * widths[3], 1.3 * widths[3], 1.2):
         other = morph(
             *pair, n_frames=3, splatting="fixed", sigma_start=sigma, endpoints="paper",
             backend=device,
