@@ -21,7 +21,7 @@ from clmorph.measures import EXTENTS, lift
 from clmorph.operations import Operations
 from clmorph.plan import transport_plan
 from clmorph.rendering import CUT, Canvas, canvas_at, effective_count, kernel_sum
-from clmorph.sinkhorn import sinkhorn
+from clmorph.sinkhorn import check_solver_options, sinkhorn
 from clmorph.strengths import Reach, strengths
 from clmorph.widths import KernelWidth
 
@@ -87,7 +87,6 @@ def channel_morph(
     tol: float = defaults.TOL,
     max_iter: int = defaults.MAX_ITER,
     extent: str = "true",
-    unmatched: str = "fade",
 ) -> ChannelMorph:
     """Morph each color channel by itself, by transport in the image plane.
 
@@ -97,7 +96,7 @@ def channel_morph(
         See `clmorph.images.as_rgb`; a channel's mass is its light. It is scaled to 1 for the
         transport, so that channels of any brightness can be balanced, and its sum then changes
         evenly.
-    n_frames, blur, reach, sigma_start, sigma_end, gamma, backend, tol, max_iter, extent, unmatched
+    n_frames, blur, reach, sigma_start, sigma_end, gamma, backend, tol, max_iter, extent
         As for `clmorph.morph`.
 
     Returns
@@ -112,6 +111,8 @@ def channel_morph(
     n_frames = check_integer("n_frames", n_frames, 2, 100_000)
     strengths(blur, reach)
     check_choice("extent", extent, EXTENTS)
+    check_solver_options(tol, max_iter)
+    KernelWidth(sigma_start, sigma_end, gamma, 1.0, 1.0)  # are they widths?
     operations = get_backend(backend)
     pictures = as_rgb(image_a, "image_a"), as_rgb(image_b, "image_b")
     channels = []
@@ -123,10 +124,10 @@ def channel_morph(
         )
         potentials = sinkhorn(source, target, blur, reach, tol, max_iter, operations)
         plan = transport_plan(source, target, potentials, backend=operations)
-        moving = particles(source, target, plan, unmatched=unmatched)
+        moving = particles(source, target, plan)
         width = KernelWidth(
             sigma_start, sigma_end, gamma,
-            effective_count(plan.row_mass), effective_count(plan.column_mass),
+            effective_count(source.weights), effective_count(target.weights),
         )  # fmt: skip
         uploaded = operations.upload_particles(moving.table, moving.links, moving.weights)
         channels.append((uploaded, width, (float(light[0].mean()), float(light[1].mean()))))

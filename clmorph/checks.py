@@ -28,7 +28,7 @@ def check_number(
         number = float(value)
     except (TypeError, ValueError):
         raise InputError(f"{name}={value!r}: {expected}") from None
-    if isinstance(value, bool) or not math.isfinite(number):
+    if isinstance(value, bool | str | bytes) or not math.isfinite(number):
         raise InputError(f"{name}={value!r}: {expected}")
     if number > high or number < low or (open_low and number == low):
         raise InputError(f"{name}={value!r}: {expected}")
@@ -83,5 +83,5 @@ def check_color_weight(value: Any) -> float:
 
 
 def check_sigma(name: str, value: Any) -> float:
-    """Return a kernel width in pixels: positive."""
-    return check_number(name, value, 0.0, 1e4, open_low=True)
+    """Return a kernel width in pixels: from a thousandth on."""
+    return check_number(name, value, 1e-3, 1e4)

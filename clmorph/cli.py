@@ -299,6 +299,7 @@ def _in_option_names(message: str) -> str:
     """Name options as they are written on the command line: n_frames=1 becomes --frames 1."""
     options = {parameter.name: parameter.opts[0] for parameter in morph.params}
     options["n_frames"] = "--frames"
+    message = message.replace("or None for balanced transport", f"or {BALANCED!r}")
     return re.sub(
         r"\b(\w+)=",
         lambda found: f"{options[found[1]]} " if found[1] in options else found[0],

@@ -106,7 +106,7 @@ def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
     ----------
     metric : (3, 3) array, or (H, W, 3, 3), or (H, W)
         Symmetric and positive semidefinite: one for all pixels or one each; a map of numbers
-        stands for these times the identity.
+        stands for these times the identity. (3, 3) is always one matrix.
     shape : (H, W)
         Of the image.
 
@@ -123,7 +123,8 @@ def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
         values = np.array(metric, dtype=float)
     except (TypeError, ValueError):
         raise InputError("the color metric is no array of numbers") from None
-    if values.shape == shape != (3, 3):
+    constant = values.shape == (3, 3)
+    if values.shape == shape and not constant:
         values = values[..., None, None] * np.eye(3)
     if values.shape not in ((3, 3), (*shape, 3, 3)):
         raise InputError(
@@ -143,7 +144,7 @@ def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
             "the color metric has a negative eigenvalue or entries above 1e6: expected a "
             "positive semidefinite matrix, so that distances are real"
         )
-    return values[0] if np.ndim(metric) == 2 and values.shape[0] == 1 else values
+    return values[0] if constant else values
 
 
 def square_root(metric: Array) -> Array:

@@ -13,7 +13,7 @@ from clmorph.plan import Plan
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Displacement:
     """Where each source pixel goes on average, and what happens to mass.
 

@@ -30,7 +30,7 @@ from clmorph.strengths import Strengths, strengths
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Divergence:
     """A Sinkhorn divergence, what it was computed from, and what is certain about it.
 

@@ -124,6 +124,7 @@ def fit(image: NDArray[np.float64], size: int) -> NDArray[np.float64]:
         keeps its blocks at the largest whole number of pixels that fits.
     """
     size = check_integer("size", size, 2, 1 << 16)
+    image = as_pixels(image)
     height, width = image.shape[:2]
     longer = max(height, width)
     if longer <= size:

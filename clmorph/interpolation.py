@@ -18,7 +18,7 @@ from clmorph.sampling import Barycentric
 UNMATCHED = ("fade", "drop")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Particles:
     """Straight paths between points, independent of t.
 
@@ -37,16 +37,12 @@ class Particles:
         Its mass at t = 0 and at t = 1.
     path_space : str
         In which colors change evenly, see `clmorph.colors.to_space`.
-    opacity : (K, 2) array, optional
-        Share of the image's area that it covers opaquely, at both ends; None if both images are
-        opaque all over.
     """
 
     table: NDArray[np.float64]
     links: NDArray[np.uint32]
     weights: NDArray[np.float64]
     path_space: str = "srgb"
-    opacity: NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         return f"<{len(self)} Particles>"
@@ -134,27 +130,7 @@ def particles(
         fading[: len(dies), 0] = dying[dies]
         fading[len(dies) :, 1] = born[comes]
         weights = np.concatenate((weights, fading))
-    opacity = None
-    if source.alpha is not None or target.alpha is not None:
-        # A particle covers as much of its pixel's opacity as it has of its mass.
-        start, end = opacity_per_mass(source), opacity_per_mass(target)
-        if isinstance(plan, Barycentric):
-            arriving = plan.column_mass / plan.column_mass.sum()
-            end = np.concatenate((end, np.full(len(plan), end @ arriving)))
-        opacity = np.zeros_like(weights)
-        # Only those that rest are born or die; none starts at the target or ends at the source.
-        starts, stops = links[:, 0] < n, links[:, 1] >= n
-        opacity[starts, 0] = weights[starts, 0] * start[links[starts, 0]]
-        opacity[stops, 1] = weights[stops, 1] * end[links[stops, 1] - n]
-    return Particles(table, links.astype(np.uint32), weights, path_space, opacity)
-
-
-def opacity_per_mass(measure: Measure) -> NDArray[np.float64]:
-    """Return alpha_i / (N a_i): (N,) share of the image's area that a unit of mass covers."""
-    opaque = np.ones(len(measure)) if measure.alpha is None else measure.alpha
-    share = np.zeros(len(measure))
-    np.divide(opaque, len(measure) * measure.weights, out=share, where=measure.weights > 0)
-    return share
+    return Particles(table, links.astype(np.uint32), weights, path_space)
 
 
 def _share(wanted: NDArray[np.float64], moved: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clmorph import defaults
 from clmorph.checks import check_choice, check_color_weight
-from clmorph.colors import as_metric, from_space, square_root, to_space
+from clmorph.colors import as_metric, square_root, to_space
 from clmorph.errors import InputError
 from clmorph.images import as_pixels, split_alpha
 from clmorph.operations import MAX_POINTS
@@ -25,7 +25,7 @@ MASSES = ("uniform", "luminance", "alpha")
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Measure:
     """A sum of Diracs sum_i a_i delta_(x_i, c_i).
 
@@ -95,13 +95,6 @@ class Measure:
     def has_metric_map(self) -> bool:
         """Whether every pixel has its own metric of color."""
         return self.color_metric is not None and self.color_metric.ndim == 3
-
-    def colors_of(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sRGB colors (K, 3) of lifted points (K, 5), the inverse of lifting."""
-        coordinates = points[:, 2:5] / self.color_weight
-        if self.color_metric is not None and not self.has_metric_map:
-            coordinates = coordinates @ np.linalg.pinv(square_root(self.color_metric))
-        return from_space(coordinates, self.color_space)
 
     @property
     def spacing(self) -> float:
@@ -184,7 +177,10 @@ def lift(
     InputError
         If an argument cannot be used.
     """
-    sides = np.shape(image)[:2]
+    try:
+        sides = np.shape(image)[:2]
+    except ValueError:
+        raise InputError("the image is no array of pixels: its rows differ in length") from None
     if np.prod(sides, dtype=float) > MAX_POINTS:
         raise InputError(
             f"the image has shape {sides}: expected at most {MAX_POINTS} pixels in all; "
@@ -199,7 +195,12 @@ def lift(
     if weights is None:
         masses = _masses(colors, alpha, mass)
     else:
-        masses = np.array(weights, dtype=float)
+        try:
+            masses = np.array(weights, dtype=float)
+        except (TypeError, ValueError):
+            raise InputError(
+                "weights are no array of numbers: expected a map (H, W) of masses"
+            ) from None
         if masses.shape != shape:
             raise InputError(f"weights have shape {masses.shape}: expected the image's, {shape}")
         if alpha is not None:

@@ -26,7 +26,13 @@ from clmorph.optimal_width import NO_DIVERGENCE, optimal_curve
 from clmorph.plan import Plan, transport_plan
 from clmorph.rendering import SPLATTING, effective_count
 from clmorph.result import Morph
-from clmorph.sampling import MAX_DRAWS, Barycentric, barycentric_plan, sample_plan
+from clmorph.sampling import (
+    MAX_DRAWS,
+    Barycentric,
+    barycentric_plan,
+    destination_colors,
+    sample_plan,
+)
 from clmorph.sinkhorn import check_solver_options, sinkhorn
 from clmorph.strengths import Reach, strengths
 from clmorph.widths import KernelWidth, auto_sigma
@@ -159,7 +165,7 @@ def morph(
         `gamma`; `sigma_start` throughout; or each particle into its nearest pixel.
     sigma : "optimal", optional
         In place of Eq. 4 the widths whose frames are nearest to the particles themselves, see
-        `clmorph.optimal_width`; for "adaptive".
+        `clmorph.optimal_width`; for "adaptive" and "local".
     endpoints : {"exact", "paper"}
         Bring the first and last frame to the images themselves, with a correction that travels
         and fades towards the middle; or leave them blurred by the kernel (Eq. 4 as printed).
@@ -168,7 +174,8 @@ def morph(
     mass : {"uniform", "luminance", "alpha"}
         What pixels weigh, see `clmorph.lift`; opacity always counts.
     weights : (map_a, map_b), optional
-        Maps (H, W) of mass in its place.
+        Maps (H, W) of mass in its place, taken as they are; None stands for `mass`, with as
+        much in all as the other's map.
     color_space : {"srgb", "linear", "lab", "luv", "oklab"}
         In which the cost compares colors.
     color_metric : (3, 3), (H, W, 3, 3) or (H, W) array, optional
@@ -209,6 +216,8 @@ def morph(
         seed=seed,
     )  # fmt: skip
     report = progress or (lambda stage, share: None)
+    if sigma is not None and color_metric is not None and np.ndim(cast(Any, color_metric)) > 2:
+        raise InputError(NO_DIVERGENCE)
     images = as_pixels(image_a, "image_a"), as_pixels(image_b, "image_b")
     maps = _pair_of_weights(weights)
     source, target = (
@@ -218,6 +227,9 @@ def morph(
         )
         for image, given, metric in zip(images, maps, _metrics(color_metric), strict=True)
     )  # fmt: skip
+    source, target = _of_equal_mass(source, target, maps)
+    if barycentric:
+        destination_colors(source, target)  # can there be any?
     operations = get_backend(backend)
     report("transport", 0.0)
     potentials = sinkhorn(
@@ -234,7 +246,7 @@ def morph(
         plan = transport_plan(source, target, potentials, backend=operations)
     report("plan", 1.0)
     ends = [
-        auto_sigma(image) if isinstance(width, str) else float(width)
+        auto_sigma(image) if width == "auto" else float(width)
         for width, image in zip((sigma_start, sigma_end), images, strict=True)
     ]
     result = Morph(
@@ -270,9 +282,24 @@ def _pair_of_weights(weights: Any) -> tuple[Any, Any]:
     return weights[0], weights[1]
 
 
+def _of_equal_mass(
+    source: Measure, target: Measure, maps: tuple[Any, Any]
+) -> tuple[Measure, Measure]:
+    """Give an image without a map of mass as much of it as the other's map has."""
+    if maps[0] is None and maps[1] is not None:
+        source = replace(source, weights=source.weights * (target.mass / source.mass))
+    if maps[1] is None and maps[0] is not None:
+        target = replace(target, weights=target.weights * (source.mass / target.mass))
+    return source, target
+
+
 def _metrics(metric: ArrayLike | None) -> tuple[Any, Any]:
     """Return the color metrics of source and target: a map belongs to the source alone."""
-    return metric, metric if np.shape(cast(Any, metric)) == (3, 3) else None
+    try:
+        constant = np.shape(cast(Any, metric)) == (3, 3)
+    except ValueError:
+        raise InputError("color_metric is no array of numbers: its rows differ in length") from None
+    return metric, metric if constant else None
 
 
 def _effective_counts(

@@ -25,7 +25,7 @@ BYTES_PER_PAIR = 12
 RELATIVE_TO = ("rows", "plan")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Plan:
     """Kept pairs of a transport plan, as sparse rows.
 

@@ -1,4 +1,4 @@
-"""Weighted points that are not an image: any dimension up to 8, any unit."""
+"""Weighted points that are not an image: any dimension up to 11, any unit."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +14,7 @@ from clmorph.operations import MAX_DIMENSION, MAX_POINTS
 MAX_COORDINATE = 1e6
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class WeightedPoints:
     """A sum of Diracs in R^D.
 
@@ -108,20 +108,29 @@ def _bilinear(source: Measure, target: Measure) -> tuple[WeightedPoints, Weighte
     With these nine numbers for colors C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j.
     """
     c, d = (measure.color_weight * measure.coordinates for measure in (source, target))
+    # Distances do not see where colors are counted from, but products do: small numbers serve
+    # float32 better.
+    middle = 0.5 * (c.mean(axis=0) + d.mean(axis=0))
+    c, d = c - middle, d - middle
     metric = source.color_metric
     assert metric is not None  # a map, as the caller saw
-    mc = np.einsum("nkl,nl->nk", metric, c)
     k, m = np.triu_indices(3)
-    half = np.where(k == m, 0.5, 1.0)
-    x = np.column_stack((source.positions, mc, -half * metric[:, k, m]))
-    y = np.column_stack((target.positions, d, d[:, k] * d[:, m]))
-    own = np.sum(source.positions**2, axis=1) + np.sum(mc * c, axis=1)
-    return (
-        WeightedPoints(x, source.weights, 0.5 * (own - np.sum(x**2, axis=1))),
-        WeightedPoints(
-            y, target.weights, 0.5 * (np.sum(target.positions**2, axis=1) - np.sum(y**2, axis=1))
-        ),
-    )
+    mc = np.einsum("nkl,nl->nk", metric, c)
+    ours = np.column_stack((mc, -np.where(k == m, 0.5, 1.0) * metric[:, k, m]))
+    theirs = np.column_stack((d, d[:, k] * d[:, m]))
+    # What is the same for every source pixel is the target's own affair.
+    common = ours.mean(axis=0)
+    ours = ours - common
+    sizes = [np.sqrt(np.mean(features**2, axis=0)) for features in (ours, theirs)]
+    matters = (sizes[0] > 0) & (sizes[1] > 0)
+    scale = np.zeros(len(common))
+    np.divide(sizes[1], sizes[0], out=scale, where=matters)
+    scale = np.sqrt(scale)
+    x = np.column_stack((source.positions, ours * scale))
+    y = np.column_stack((target.positions, theirs / np.where(matters, scale, np.inf)))
+    r = 0.5 * (np.sum(source.positions**2, axis=1) + np.sum(mc * c, axis=1) - np.sum(x**2, axis=1))
+    s = 0.5 * (np.sum(target.positions**2, axis=1) - np.sum(y**2, axis=1)) - theirs @ common
+    return WeightedPoints(x, source.weights, r), WeightedPoints(y, target.weights, s)
 
 
 def _as_measure(name: str, value: Any) -> AnyMeasure:

@@ -21,7 +21,7 @@ STATUSES = {
 }
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Potentials:
     """Dual potentials of the raw (not debiased) entropic problem, with their certificate.
 

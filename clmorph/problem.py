@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.errors import InputError
 from clmorph.operations import Operations, rounding_error
 from clmorph.points import AnyMeasure
 
@@ -88,12 +89,12 @@ class Problem:
     def softmin_rows(self, g: Array, epsilon: float, precise: bool) -> Array:
         """T(g): (N,) array."""
         self.n_softmin += 1
-        return self.operations.softmin(self._rows, self._columns, g, epsilon, precise)
+        return _finite(self.operations.softmin(self._rows, self._columns, g, epsilon, precise))
 
     def softmin_columns(self, f: Array, epsilon: float, precise: bool) -> Array:
         """T(f): (M,) array."""
         self.n_softmin += 1
-        return self.operations.softmin(self._columns, self._rows, f, epsilon, precise)
+        return _finite(self.operations.softmin(self._columns, self._rows, f, epsilon, precise))
 
     def rounding(self, epsilon: float, precise: bool) -> float:
         """By how many nats a softmin may be off."""
@@ -188,6 +189,16 @@ class Problem:
         return Certificate(
             primal + gap, dual, None if balanced else gap, marginal_error, rows, columns, plan_mass
         )
+
+
+def _finite(softmin: Array) -> Array:
+    """Return a softmin if it is finite; float32 ends before float64 does."""
+    if np.all(np.isfinite(softmin)):
+        return softmin
+    raise InputError(
+        "points are too far apart for this blur on this device, whose float32 overflows: raise "
+        "blur, scale the points, or use backend='numpy'"
+    )
 
 
 def inner(x: Array, y: Array) -> float:

@@ -141,7 +141,7 @@ def path_divergence(
     weights : {"uniform", "kernel"}, optional
         See `frame_measure`; "uniform" for the target, "kernel" for particles if not given.
     blur, reach : float, optional
-        The morph's own if not given; one reach for both measures.
+        The morph's own if not given; one reach for both measures, infinity is balanced.
     tol : float
         Of each solve, in units of epsilon.
     max_points : int
@@ -170,8 +170,9 @@ def path_divergence(
     operations = morph.operations if backend is None else backend
     if weights is None:
         weights = "uniform" if to == "target" else "kernel"
+    moments = np.atleast_1d(np.asarray(times, float))
     result = []
-    for number, t in enumerate(times):
+    for number, t in enumerate(moments):
         frame = frame_measure(morph, t, weights=weights)
         other = (
             WeightedPoints(morph.target.points, morph.target.weights)
@@ -180,7 +181,7 @@ def path_divergence(
         )
         result.append(sinkhorn_divergence(frame, other, blur, own_reach, tol, backend=operations))
         if progress:
-            progress((number + 1) / len(times))
+            progress((number + 1) / len(moments))
     return result
 
 
@@ -192,7 +193,8 @@ def hole_fraction(coverage: ArrayLike) -> float:
     coverage : (H, W) array
         By `Morph.coverage`.
     """
-    return float(np.mean(is_torn(np.asarray(coverage, float))))
+    values = _as_array("coverage", coverage, (2,))
+    return float(np.mean(is_torn(values)))
 
 
 def sharpness(frame: ArrayLike) -> float:
@@ -202,7 +204,7 @@ def sharpness(frame: ArrayLike) -> float:
     ----------
     frame : (H, W, C) array
     """
-    luma = np.asarray(frame, float)[..., :3] @ LUMINANCE
+    luma = _as_array("frame", frame, (3,))[..., :3] @ LUMINANCE
     slopes = [np.diff(luma, axis=axis) ** 2 for axis in (0, 1)]
     count = sum(slope.size for slope in slopes)
     return float(np.sqrt(sum(slope.sum() for slope in slopes) / max(1, count)))
@@ -214,11 +216,13 @@ def step_sizes(frames: Sequence[ArrayLike]) -> Array:
     Parameters
     ----------
     frames : sequence of (H, W, C) arrays
-        Smaller ones are enlarged to the largest sides first.
+        Smaller ones are enlarged to the largest sides first; opacity is left out.
     """
     from skimage.transform import resize
 
-    pictures = [np.asarray(frame, float) for frame in frames]
+    pictures = [_as_array("frame", frame, (3,))[..., :3] for frame in frames]
+    if len(pictures) < 2:
+        raise InputError(f"{len(pictures)} frames: expected at least 2, to have steps between them")
     shape = tuple(max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
     pictures = [
         picture
@@ -229,6 +233,19 @@ def step_sizes(frames: Sequence[ArrayLike]) -> Array:
     return np.array(
         [np.sqrt(np.mean((after - before) ** 2)) for before, after in pairwise(pictures)]
     )
+
+
+def _as_array(name: str, values: ArrayLike, dimensions: tuple[int, ...]) -> Array:
+    """Return an array of one of these numbers of dimensions; pictures have 3 or 4 channels."""
+    try:
+        array = np.asarray(values, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is no array of numbers") from None
+    pictured = array.ndim < 3 or array.shape[-1] in (3, 4)
+    if array.ndim not in dimensions or array.size == 0 or not pictured:
+        wanted = "(H, W)" if dimensions == (2,) else "(H, W, 3) or (H, W, 4)"
+        raise InputError(f"{name} has shape {array.shape}: expected {wanted}")
+    return array
 
 
 def _frame_positions(canvas: Canvas) -> Array:

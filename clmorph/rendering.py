@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from clmorph.operations import Operations
 
@@ -173,6 +174,8 @@ def render(
         wider_numerator, wider = operations.splat(splats, canvas.shape, width, CUT * width)
         share = wider / uniform_density(mass, canvas, width)
         torn = is_torn(share, CLOSED_SHARE) if widths.closed else share < HOLE_COVERAGE
+        if width >= max(canvas.shape):
+            torn &= wider <= 0  # the last that is tried
         filled = open_pixels & ~torn
         numerator[filled], denominator[filled] = wider_numerator[filled], wider[filled]
         density[filled] = wider[filled] / kernel_sum(width)
@@ -234,6 +237,18 @@ def kernel_sum(sigma: float) -> float:
     return float(2 * np.pi * sigma**2) if sigma > 0 else 1.0
 
 
-def uniform_density(mass: float, canvas: Canvas, sigma: float) -> float:
-    """Kernel mass that each pixel would have were the particles spread evenly."""
-    return float(mass * kernel_sum(sigma) / (canvas.shape[0] * canvas.shape[1]))
+def uniform_density(mass: float, canvas: Canvas, sigma: float) -> NDArray[np.float64]:
+    """Return the kernel mass that each pixel would have were the particles spread evenly.
+
+    Less towards the border, where kernels stick out of the canvas: (H, W) array.
+    """
+    along = []
+    for side in canvas.shape:
+        if sigma == 0:
+            along.append(np.ones(side))
+            continue
+        borders = np.array([[side - 0.5], [-0.5]]) - np.arange(side)
+        above, below = ndtr(borders / sigma)
+        along.append(above - below)
+    share = along[0][:, None] * along[1]
+    return np.asarray(mass * kernel_sum(sigma) / (canvas.shape[0] * canvas.shape[1]) * share)

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from clmorph.checks import check_number
 from clmorph.colors import from_space, to_space
-from clmorph.endpoints import EndCorrection, make_details
+from clmorph.endpoints import EndCorrection, Lacking, ladder, make_details
 from clmorph.interpolation import Particles
 from clmorph.measures import Measure
+from clmorph.opacity import matter, opacity
 from clmorph.operations import Operations
 from clmorph.plan import Plan
 from clmorph.potentials import Potentials
@@ -21,11 +22,8 @@ from clmorph.rendering import Canvas, Sums, Widths, canvas_at, render
 from clmorph.sampling import Barycentric
 from clmorph.widths import KernelWidth
 
-#: Between opaque ends, matter is let thin out to this share before it lets the ground through.
-THINNEST = 0.5
 
-
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Morph:
     """A morph between two images; frames are rendered when asked for.
 
@@ -69,10 +67,14 @@ class Morph:
         return self.operations.upload_particles(moving.table, moving.links, moving.weights)
 
     @cached_property
-    def _uploaded_opacity(self) -> Any:
-        moving = self.particles
-        assert moving.opacity is not None  # asked for by those who saw that there is some
-        return self.operations.upload_particles(moving.table, moving.links, moving.opacity)
+    def _matter(self) -> Particles | None:
+        return matter(self.source, self.target, self.plan, self.particles)
+
+    @cached_property
+    def _uploaded_matter(self) -> Any:
+        assert self._matter is not None  # asked for by those who saw that there is some
+        moving = self._matter
+        return self.operations.upload_particles(moving.table, moving.links, moving.weights)
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t."""
@@ -137,25 +139,17 @@ class Morph:
         """Colors of a frame, and its opacity if it has one; what lacks at its place left out."""
         colors = sums.colors
         if correction is not None:
-            colors = colors + correction.moving(t, self.canvas(t))
+            canvas = self.canvas(t)
+            colors = colors + correction.moving(t, canvas, self.kernel_width.at(t, canvas))
         picture = from_space(colors, self.particles.path_space)
-        if self.particles.opacity is None:
+        if self._matter is None:
             return picture
-        return np.dstack((picture, self._opacity(t)))
-
-    def _opacity(self, t: float) -> NDArray[np.float64]:
-        """(H, W) share of each pixel that opaque matter covers."""
-        assert self.particles.opacity is not None
-        canvas = self.canvas(t)
-        start, end = self.particles.opacity.sum(axis=0)
-        sums = render(
-            self.operations, self._uploaded_opacity, float((1 - t) * start + t * end), t, canvas,
+        area, canvas = self._matter.mass(t), self.canvas(t)
+        matter_sums = render(
+            self.operations, self._uploaded_matter, area, t, canvas,
             self.kernel_width.widths(t, canvas), fill=False,
         )  # fmt: skip
-        # Particles never spread quite evenly; that alone must not let the ground show through.
-        enough = 1.0 - 4 * t * (1 - t) * (1.0 - THINNEST)
-        pixels = canvas.shape[0] * canvas.shape[1]
-        return np.clip(sums.density * pixels / enough, 0.0, 1.0)
+        return np.dstack((picture, opacity(matter_sums, area, t)))
 
     @cached_property
     def _correction(self) -> EndCorrection | None:
@@ -163,21 +157,14 @@ class Morph:
         if self.endpoints == "paper":
             return None
         measures = self.source, self.target
-        ends = self.sums(0.0), self.sums(1.0)
-        space = self.particles.path_space
-        lacking = []
-        for measure, sums in zip(measures, ends, strict=True):
-            wanted = to_space(measure.colors, space).reshape(*measure.shape, 3)
-            lacking.append(wanted - sums.colors)
-        details = make_details(
-            self.operations, measures, self.plan, (lacking[0], lacking[1]), self.unmatched
-        )
+        lacking = self._lacking(0.0), self._lacking(1.0)
+        details = make_details(self.operations, measures, self.plan, lacking, self.unmatched)
         correction = EndCorrection(details)
-        for end, (measure, sums) in enumerate(zip(measures, ends, strict=True)):
-            picture = self._picture(float(end), sums, correction)
+        for end, measure in enumerate(measures):
+            picture = self._picture(float(end), self.sums(float(end)), correction)
             image = measure.colors.reshape(*measure.shape, 3)
             rest = image - picture[..., :3]
-            if self.particles.opacity is not None:
+            if self._matter is not None:
                 alpha = np.ones(measure.shape)
                 if measure.alpha is not None:
                     alpha = measure.alpha.reshape(measure.shape)
@@ -185,6 +172,16 @@ class Morph:
                 rest[..., 3] -= picture[..., 3]
             correction.set_rest(end, rest)
         return correction
+
+    def _lacking(self, end: float) -> Lacking:
+        """Return what the frame at t = 0 or 1 lacks, with the widths that kernels have near it."""
+        times = np.linspace(end, 0.5, 9)
+        widths = ladder(np.array([self.kernel_width.at(t, self.canvas(t)) for t in times]))
+        measure = self.target if end else self.source
+        wanted = to_space(measure.colors, self.particles.path_space).reshape(*measure.shape, 3)
+        own = self.kernel_width.widths(end, self.canvas(end))
+        frames = [self.sums(end, widths=own._replace(sigma=width)).colors for width in widths]
+        return Lacking(widths, wanted - np.array(frames))
 
     def iter_frames(self) -> Iterator[NDArray[np.float32]]:
         """Render the frames one by one, without keeping them."""

@@ -1,5 +1,6 @@
 """Summaries of a plan that is too large to keep: draws from its rows, or their moments."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from clmorph.backends import Backend, get_backend
 from clmorph.checks import check_integer
+from clmorph.colors import from_space
 from clmorph.errors import InputError
 from clmorph.measures import Measure
 from clmorph.operations import Operations
@@ -19,9 +21,11 @@ Array = NDArray[np.float64]
 
 #: Draws from one row.
 MAX_DRAWS = 4096
+#: How exactly colors must follow from lifted points, in coordinates of their space.
+COLOR_ERROR = 1e-6
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Barycentric:
     """Where each source pixel goes on average, over the whole plan, and how widely.
 
@@ -31,8 +35,9 @@ class Barycentric:
         Mean destination sum_j pi_ij y_j / r_i, in the common frame.
     colors : (N, 3) array
         Mean color there, taken in the color space of the cost.
-    covariance : (N, 5, 5) array
-        Of the destination, lifted: (x, y, lambda r, lambda g, lambda b).
+    covariance : (N, D, D) array
+        Of the destination as it is lifted: (x, y, lambda r, lambda g, lambda b), or what a color
+        space or a metric makes of it.
     row_mass, column_mass : (N,) and (M,) arrays
         Marginals of the plan.
     """
@@ -128,8 +133,8 @@ def barycentric_plan(
     Raises
     ------
     InputError
-        If an argument cannot be used; if the color weight is 0, as colors then play no part in
-        the plan and have no mean in it.
+        If an argument cannot be used; if the color weight or the metric leaves part of color
+        out of the cost, and hence out of the plan's means.
     """
     for name, measure in (("source", source), ("target", target)):
         if not isinstance(measure, Measure):
@@ -138,11 +143,7 @@ def barycentric_plan(
                 "clmorph.lift(image)"
             )
     pair = as_pair(source, target)
-    if source.color_weight == 0:
-        raise InputError(
-            "color_weight=0: expected a positive one for barycentric destinations, which have "
-            "a mean color; use a small one, or draws from the plan"
-        )
+    to_colors = destination_colors(source, target)
     operations, clouds, softmin = _rows(*pair, potentials, backend)
     epsilon, precise = potentials.epsilon, potentials.precise
     mean, covariance = operations.plan_moments(*clouds, potentials.g, softmin, epsilon, precise)
@@ -151,11 +152,32 @@ def barycentric_plan(
         column_mass = np.exp((potentials.g - columns) / epsilon + np.log(target.weights))
     return Barycentric(
         positions=mean[:, :2],
-        colors=target.colors_of(mean),
+        colors=to_colors(mean),
         covariance=covariance,
         row_mass=_row_mass(source.weights, potentials, softmin),
         column_mass=column_mass,
     )
+
+
+def destination_colors(source: Measure, target: Measure) -> Callable[[Array], Array]:
+    """Return what makes sRGB colors (K, 3) of mean lifted destinations (K, D).
+
+    Raises
+    ------
+    InputError
+        If the cost does not see all of color.
+    """
+    _, lifted = as_pair(source, target)
+    # Whatever the lifting does, it is linear in the coordinates of colors.
+    features = np.column_stack((lifted.points, np.ones(len(target))))
+    linear, *_ = np.linalg.lstsq(features, target.coordinates)
+    if np.abs(features @ linear - target.coordinates).max() > COLOR_ERROR:
+        raise InputError(
+            f"color_weight={target.color_weight:g} or the color metric leaves part of color out of "
+            "the cost, so barycentric destinations have no mean color: expected a positive color "
+            "weight and a metric of full rank; use small ones, or draws from the plan"
+        )
+    return lambda mean: from_space(mean @ linear[:-1] + linear[-1], target.color_space)
 
 
 def _rows(

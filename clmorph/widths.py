@@ -75,6 +75,8 @@ class KernelWidth:
 BLOCK_SHARE = 0.9
 #: Effective number of lines of edges from which on they tell a grid.
 FEWEST_LINES = 4.0
+#: Range of luma below which an image has no detail: less than a step of 8 bits.
+FAINTEST = 1e-3
 #: Share of an image's edges' energy up to the frequency that counts as its highest.
 BAND_SHARE = 0.99
 
@@ -123,6 +125,8 @@ def _half_period(image: NDArray[np.float64]) -> float:
     # The window keeps the jump from one border to the opposite one out of it.
     window = np.hanning(height)[:, None] * np.hanning(width)
     gray = image[..., :3].mean(axis=2)
+    if np.ptp(gray) < FAINTEST:
+        return 1.0
     power = np.abs(np.fft.rfft2((gray - gray.mean()) * window)) ** 2
     frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
     edges = (frequency**2 * power).ravel()

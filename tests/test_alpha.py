@@ -95,3 +95,16 @@ def test_files(device, discs, tmp_path):
     result.save(tmp_path / "sheet.png")
     with Image.open(tmp_path / "sheet.png") as sheet:
         assert sheet.mode == "RGB"
+
+
+@pytest.mark.parametrize("options", [{}, {"splatting": "local"}, {"sigma_start": 4.0}], ids=str)
+def test_what_rests_keeps_its_opacity(device, options):
+    """Corners are not thin, glass is not condensed, and black has no mass but opacity."""
+    still = np.full((16, 16, 4), 0.5)
+    still[0, 0, 3] = 0
+    still[6:10, 6:10, :3] = 0
+    for mass in ("uniform", "luminance"):
+        result = morph(still, still, n_frames=2, mass=mass, backend=device, **options)
+        for t in (0.1, 0.25, 0.5):
+            alpha = result.frame(t)[..., 3]
+            assert np.abs(alpha[5:, 5:] - 0.5).max() < 0.01

@@ -74,3 +74,29 @@ def test_where_a_map_has_no_meaning(rng, metrics):
         sinkhorn(lift(np.zeros((2, 2)), color_metric=np.eye(3)), target, backend="numpy")
     with pytest.raises(InputError, match="of its own"):
         _ = source.points
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0, 1000.0])
+def test_metrics_of_any_size(device, rng, size):
+    """Products of large and small numbers are balanced before float32 has to hold them."""
+    images = rng.random((8, 8, 3)), rng.random((8, 8, 3))
+    source = lift(images[0], color_metric=size * rng.random((8, 8)))
+    target = lift(images[1])
+    got = sinkhorn(source, target, 0.03, 0.3, backend=device)
+    assert got.converged
+    want = sinkhorn(source, target, 0.03, 0.3, backend="numpy")
+    assert got.transported_mass == pytest.approx(want.transported_mass, rel=1e-3)
+
+
+def test_maps_of_one_pixel_and_metrics_that_hide_color(device, rng):
+    image = rng.random((5, 5, 3))
+    clmorph.morph(image[:1, :1], image, n_frames=2, color_metric=[[2.0]], backend=device)
+    for metric in (np.zeros((3, 3)), np.diag([1.0, 1.0, 0.0])):
+        with pytest.raises(InputError, match="no mean color"):
+            clmorph.morph(image, image, barycentric=True, color_metric=metric, backend=device)
+    tilted = np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.5, 1.0]])
+    result = clmorph.morph(
+        image, image, barycentric=True, color_metric=tilted, color_space="lab", blur=0.02,
+        n_frames=2, endpoints="paper", splatting="none", backend=device,
+    )  # fmt: skip
+    assert np.abs(result.frame(1.0) - image).max() < 0.01

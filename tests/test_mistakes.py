@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 import clmorph
+import clmorph.quality
 from clmorph.cli import main
 
 NUMBERS = {
@@ -168,6 +169,8 @@ def test_the_environment(folder, monkeypatch, capfd, environment, words):
 
 
 SMALL = np.zeros((3, 4, 3))
+#: Within the limits, but not within float32's.
+FAR = np.ones(64), 1e4 * np.random.default_rng(0).random((64, 5))
 LIBRARY = [
     (lambda: clmorph.lift(np.zeros(3)), "shape"),
     (lambda: clmorph.lift(np.zeros((3, 3, 5))), "shape"),
@@ -192,6 +195,18 @@ LIBRARY = [
     (lambda: clmorph.morph(SMALL, SMALL, backend="warp-drive"), "warp-drive"),
     (lambda: clmorph.morph(SMALL, SMALL, backend=7), "backend"),
     (lambda: clmorph.fit(SMALL, 1), "size"),
+    (lambda: clmorph.fit([[1, 2], [3, 4]], 2), "dtype"),
+    (lambda: clmorph.lift([[1, 2], [3]]), "differ in length"),
+    (lambda: clmorph.morph(SMALL, SMALL, color_metric=[[1, 2], [3]]), "differ in length"),
+    (lambda: clmorph.morph(SMALL, SMALL, weights=("x", None)), "no array of numbers"),
+    (lambda: clmorph.morph(SMALL, SMALL, sigma_start="2.5"), "sigma_start='2.5'"),
+    (lambda: clmorph.morph(SMALL, SMALL, sigma_end=1e-20), "sigma_end=1e-20"),
+    (lambda: clmorph.morph(SMALL, SMALL, "5"), "n_frames='5'"),
+    (lambda: clmorph.reference.morph(SMALL, SMALL, sigma_start="auto"), "sigma_start='auto'"),
+    (lambda: clmorph.quality.step_sizes([]), "0 frames"),
+    (lambda: clmorph.quality.sharpness(np.zeros((3, 3))), "shape"),
+    (lambda: clmorph.quality.hole_fraction("x"), "no array"),
+    (lambda: clmorph.sinkhorn(FAR, FAR, 0.03), "too far apart"),
     (lambda: clmorph.read_image("missing.png"), "no such file"),
     (lambda: clmorph.read_image("a.png", max_pixels=0), "max_pixels"),
 ]  # fmt: skip

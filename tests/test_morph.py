@@ -166,3 +166,12 @@ def test_wrong_options(options):
         morph(image, image, backend="numpy", **options)
     assert "\n" not in str(caught.value)
     assert next(iter(options)) in str(caught.value)
+
+
+def test_a_map_of_mass_beside_none(device):
+    """The image without a map has as much mass as the other, so both fade alike."""
+    red, blue = np.zeros((12, 12, 3)), np.zeros((12, 12, 3))
+    red[..., 0] = blue[..., 2] = 1
+    result = morph(red, blue, n_frames=2, weights=(np.ones((12, 12)), None), backend=device)
+    assert result.source.mass == pytest.approx(result.target.mass)
+    assert result.frame(0.25)[..., 2].mean() == pytest.approx(0.25, abs=0.01)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from clmorph import InputError, lift
+from clmorph import InputError, lift, morph
 from clmorph.rendering import HOLE_COVERAGE, Canvas, Widths, canvas_at, render
 from clmorph.widths import KernelWidth
 
@@ -110,3 +110,25 @@ def test_without_a_kernel_holes_stay_black(device):
     assert frame.sum() == 3
     assert frame[2, 2].tolist() == [1, 1, 1]
     assert coverage[2, 2] == 25
+
+
+@pytest.mark.parametrize("splatting", ["local", "adaptive"])
+def test_thin_canvases_have_no_black_gaps(device, splatting):
+    """Most of a wide kernel sticks out of a row of pixels; that is no reason for holes."""
+    weights = np.zeros((1, 600))
+    weights[0, [3, 590]] = 1
+    image = np.full((1, 600, 3), 0.8)
+    result = morph(
+        image, image, n_frames=2, weights=(weights, weights), splatting=splatting,
+        endpoints="paper", backend=device,
+    )  # fmt: skip
+    assert np.abs(result.frame(0.5) - 0.8).max() < 1e-3
+
+
+def test_an_even_spread_covers_evenly_up_to_the_border(device):
+    measure = lift(np.zeros((30, 20, 3)))
+    moving = _upload(device, measure.positions, measure.colors)
+    canvas = canvas_at(0.0, (30, 20), (30, 20))
+    for sigma in (1.0, 3.0, 12.0):
+        coverage = render(device, moving, 1.0, 0.0, canvas, Widths(sigma)).coverage
+        assert np.abs(coverage - 1).max() < 0.03

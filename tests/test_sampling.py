@@ -127,7 +127,7 @@ def test_mistakes(pair, call, words):
 
 
 def test_without_color_weight_there_is_no_mean_color(pair):
-    source, target = lift(np.zeros((2, 2)), 0.0), lift(np.ones((2, 2)), 0.0)
+    source, target = (lift(np.eye(4)[first : first + 2], 0.0) for first in (0, 2))
     potentials = sinkhorn(source, target, backend="numpy")
     with pytest.raises(InputError, match="color_weight=0"):
         barycentric_plan(source, target, potentials, backend="numpy")

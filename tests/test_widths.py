@@ -36,6 +36,8 @@ def test_a_photographs_width_follows_its_resolution():
 def test_images_without_detail():
     for image in (np.zeros((9, 9, 3)), np.zeros((1, 1, 3)), np.ones((300, 2, 3))):
         assert intrinsic_spacing(image) == 1
+    for gray in (3 / 255, 0.3, 0.7):
+        assert intrinsic_spacing(np.full((64, 64, 3), gray)) == 1
     halves = np.zeros((64, 64, 3))
     halves[:, 32:] = 1
     assert intrinsic_spacing(halves) < 4

@@ -41,7 +41,9 @@ class Reductions:
     ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
         log2_maxima, sums = self._log_sum_exp(rows, columns, potential, epsilon, precise)
-        return unsort(rows, -epsilon / LOG2_E * (log2_maxima + np.log2(sums)))
+        # Of points that float32 cannot hold apart nothing is left; the caller looks at results.
+        with np.errstate(invalid="ignore"):
+            return unsort(rows, -epsilon / LOG2_E * (log2_maxima + np.log2(sums)))
 
     def row_maxima(
         self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float

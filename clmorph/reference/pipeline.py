@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph import defaults
+from clmorph.checks import check_sigma
 from clmorph.images import as_rgb
 from clmorph.measures import Measure
 from clmorph.morph import check_options
@@ -208,6 +209,8 @@ def morph(
     unmatched: str = "fade",
 ) -> ReferenceMorph:
     """Morph one image into another; parameters as `clmorph.morph`."""
+    sigma_start = check_sigma("sigma_start", sigma_start)
+    sigma_end = check_sigma("sigma_end", sigma_end)
     check_options(
         n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
         epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
