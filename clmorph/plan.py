@@ -199,8 +199,8 @@ def transport_plan(
     if kept * BYTES_PER_PAIR > max_bytes:
         raise InputError(
             f"the plan would keep {kept} pairs ({kept * BYTES_PER_PAIR / 1e9:.3g} GB), more than "
-            f"max_bytes={max_bytes:.3g}: raise max_bytes or relative, or use a smaller blur or "
-            "smaller images"
+            f"max_bytes={max_bytes:.3g}: raise max_bytes or relative, use smaller images or a "
+            "smaller blur, draw from its rows (sample=8), or take their means (barycentric=True)"
         )
     if log_threshold is not None and not kept:
         raise InputError(
