@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 ENDPOINTS = ("exact", "paper")
 
 #: Kernel width of what is given back, in distances of pixels: hardly reaches the next.
-NARROW = 0.35
+NARROW = 0.3
 
 #: Factor between widths for which what lacks is worked out.
 STEP = 1.25
