@@ -20,10 +20,10 @@ from clmorph.interpolation import particles
 from clmorph.measures import EXTENTS, lift
 from clmorph.operations import Operations
 from clmorph.plan import transport_plan
-from clmorph.rendering import CUT, Canvas, canvas_at, effective_count, kernel_sum
+from clmorph.rendering import CUT, Canvas, canvas_at, kernel_sum
 from clmorph.sinkhorn import check_solver_options, sinkhorn
 from clmorph.strengths import Reach, strengths
-from clmorph.widths import KernelWidth
+from clmorph.widths import KernelWidth, effective_count
 
 #: Light that even a black pixel counts for, so that no channel is empty.
 DARKEST = 1e-6

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from clmorph.measures import Measure, lift
 from clmorph.morph import morph
-from clmorph.operations import KERNEL_ERROR, Float64, Operations, rounding_error
+from clmorph.operations import (
+    BASE_RUNG,
+    KERNEL_ERROR,
+    RUNGS_PER_OCTAVE,
+    Float64,
+    Operations,
+    rounding_error,
+)
 from clmorph.problem import largest_cost
 from clmorph.reference.operations import NumPyOperations
 
@@ -151,7 +158,9 @@ def check(operations: Operations) -> Iterator[Finding]:
             kind = "precise " * len(options) + name
             yield Finding(f"{kind}, blur {blur:g}", error, tolerance, "nats")
     yield _check_plan(operations, exact, ours, theirs, pair)
+    yield from _check_rows(operations, exact, pair)
     yield from _check_splats(operations, exact)
+    yield from _check_own_widths(operations, exact)
     yield _check_morph(operations)
 
 
@@ -179,6 +188,58 @@ def _check_plan(
     return Finding("plan_rows", error, tolerance, "of a row's largest")
 
 
+def _check_rows(
+    operations: Operations, exact: Operations, pair: tuple[Cloud, Cloud]
+) -> Iterator[Finding]:
+    """Check moments of plan rows and draws from them, and costs with offsets."""
+    rng = np.random.default_rng(2)
+    epsilon, m = 0.0025, len(pair[1][1])
+    g = epsilon * rng.normal(size=m)
+    added = rng.normal(size=len(pair[0][1])), rng.normal(size=m)
+    softmins: list[Float64] = []
+    for backend in (operations, exact):
+        rows, columns = (
+            backend.upload(*cloud, offsets) for cloud, offsets in zip(pair, added, strict=True)
+        )
+        softmins.append(backend.softmin(rows, columns, g + added[1], epsilon))
+    tolerance = log_sum_exp_tolerance(operations, *pair, epsilon)
+    error = float(np.abs(softmins[0] - softmins[1]).max() / epsilon)
+    yield Finding("softmin with offsets", error, tolerance, "nats")
+
+    clouds = [
+        (backend.upload(*pair[0]), backend.upload(*pair[1])) for backend in (operations, exact)
+    ]
+    softmin = exact.softmin(*clouds[1], g, epsilon)
+    moments = [
+        backend.plan_moments(*both, g, softmin, epsilon, True)
+        for backend, both in zip((operations, exact), clouds, strict=True)
+    ]
+    size = float(np.ptp(np.concatenate([cloud[0] for cloud in pair]), axis=0).max())
+    tolerance = UNIT * (32 + 4 * m**0.5)
+    for name, got, want, scale in zip(
+        ("mean", "covariance"), *moments, (2 * size, 8 * size**2), strict=True
+    ):
+        error = float(np.abs(got - want).max() / scale)
+        yield Finding(f"plan_moments, {name}", error, tolerance, "of the clouds' size")
+
+    # Equally spaced thresholds hit every column as often as its share says, to one draw.
+    few = pair[0][0][:4], pair[0][1][:4]
+    own, theirs = operations.upload(*few), exact.upload(*few)
+    draws = 2000
+    thresholds = np.tile((np.arange(draws) + 0.5) / draws, (4, 1))
+    softmin = exact.softmin(theirs, clouds[1][1], g, epsilon)
+    columns = operations.sample_plan_rows(own, clouds[0][1], g, softmin, epsilon, thresholds, True)
+    rows_of = exact.plan_rows(
+        theirs, clouds[1][1], softmin, g, epsilon, np.full(4, -np.inf), np.full(m, np.inf)
+    )
+    shares = np.zeros((4, m))
+    shares[np.repeat(np.arange(4), np.diff(rows_of.indptr)), rows_of.indices] = rows_of.mass
+    shares /= few[1][:, None]
+    counts = np.array([np.bincount(row, minlength=m) for row in columns])
+    error = float(np.abs(counts - draws * shares).max())
+    yield Finding("sample_plan_rows", error, 1.1, "draws")
+
+
 def _check_splats(operations: Operations, exact: Operations) -> Iterator[Finding]:
     rng = np.random.default_rng(1)
     count, shape = 20_000, (61, 83)
@@ -196,6 +257,39 @@ def _check_splats(operations: Operations, exact: Operations) -> Iterator[Finding
             sums, exact, theirs, shape, sigma, 4.5 * sigma, splat_tolerance(count)
         )  # fmt: skip
         yield Finding(f"splat, sigma {sigma:g}", error, 1.0, "of the tolerance")
+
+
+def _check_own_widths(operations: Operations, exact: Operations) -> Iterator[Finding]:
+    """Check what "local" widths are made of."""
+    rng = np.random.default_rng(3)
+    count, shape, sigma = 4_000, (61, 83), 0.7
+    positions = rng.uniform(-2, 84, (count, 2)).astype(np.float32)
+    colors = rng.random((count, 3)).astype(np.float32)
+    weights = rng.random(count).astype(np.float32)
+    spacings = (2 ** rng.uniform(-3, 3, count)).astype(np.float32)
+    distances = 2 ** rng.uniform(-3, 6, shape)
+    ours, theirs = (
+        backend.upload_splats(positions, colors, weights, spacings)
+        for backend in (operations, exact)
+    )
+    relative = splat_tolerance(count)
+    for name, got, want in zip(
+        ("masses", "squares"), operations.deposit(ours, shape), exact.deposit(theirs, shape),
+        strict=True,
+    ):  # fmt: skip
+        error = float(np.max(np.abs(got - want) / np.maximum(want, 1e-9)))
+        yield Finding(f"deposit, {name}", error, relative, "of the sum")
+    ours = operations.adapt_widths(ours, distances, sigma)
+    theirs = exact.adapt_widths(theirs, distances, sigma)
+    rungs = operations.rungs(ours)
+    # Between two rungs rounding decides.
+    wrong = np.count_nonzero(rungs != exact.rungs(theirs))
+    yield Finding("adapt_widths", float(wrong), 1e-3 * count, "rungs")
+    zoom = 2.0 ** ((rungs - BASE_RUNG) / RUNGS_PER_OCTAVE)
+    same = theirs._replace(rungs=rungs, weights=weights.astype(float) / zoom**2)
+    sums = operations.splat(ours, shape, sigma, 4.5 * sigma)
+    error = splat_excess(sums, exact, same, shape, sigma, 4.5 * sigma, 2 * relative)
+    yield Finding("splat, own widths", error, 1.0, "of the tolerance")
 
 
 def _check_morph(operations: Operations) -> Finding:

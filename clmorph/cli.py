@@ -25,8 +25,8 @@ from clmorph.errors import ClmorphError, ConvergenceWarning, InputError
 from clmorph.images import MAX_PIXELS
 from clmorph.interpolation import UNMATCHED
 from clmorph.measures import EXTENTS, MASSES
-from clmorph.rendering import SPLATTING
 from clmorph.terminal import NOTES, Stages
+from clmorph.widths import SPLATTING
 
 #: Value of ``--reach`` that stands for no creation or destruction of mass.
 BALANCED = "balanced"

@@ -105,12 +105,7 @@ def displacement_statistics(
         )
     height, width = source.shape
     moves = plan.row_mass > mask
-    destination = np.empty((len(source), 2))
-    for axis in range(2):
-        destination[:, axis] = np.bincount(
-            plan.rows, plan.mass * target.positions[plan.indices, axis], len(source)
-        )
-    destination[moves] /= plan.row_mass[moves, None]
+    destination, _ = plan.mean_destinations(source.positions, target.positions)
     # Pixels in a unit of the common frame; with stretched axes as the paper counts them.
     scale = np.full(2, float(max(1, max(source.shape) - 1)))
     if source.extent == "unit":

@@ -3,17 +3,18 @@
 A frame at t = 0 is the source seen through a kernel. What the kernel takes away, source less
 frame, is given back to its pixels: it travels as they do, seen through a narrow kernel, so that
 the first frames are as sharp as the source and their detail moves along; likewise backwards
-from the target. How much that is depends on the width that the kernel has meanwhile. It fades with
-`share`, which is 1 at both ends and 0 halfway, where a frame is
-Eq. 4 alone. What still lacks then at the ends (pixels from which nothing travels if unmatched
-mass is dropped, or rounding) fades at its place.
+from the target. How much that is depends on the width that the kernel has meanwhile. It fades
+with `share`, which is 1 at both ends and 0 halfway, where a frame is Eq. 4 alone. What still
+lacks then at the ends (pixels from which nothing travels if unmatched mass is dropped, or
+rounding) fades at its place.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.images import resized
 from clmorph.measures import Measure
 from clmorph.operations import Operations
 from clmorph.plan import Plan
@@ -36,7 +37,7 @@ NEGLIGIBLE = 1e-4
 
 
 def share(t: float) -> float:
-    """How much is given back at time t, of each end's share (1 - t) or t; smooth."""
+    """Return how much is given back at time t, of each end's share (1 - t) or t; smooth."""
     return float(np.cos(np.pi * t) ** 2)
 
 
@@ -164,7 +165,7 @@ class EndCorrection:
         total: Array | float = 0.0
         for end, missing in zip(((1 - t), t), self._rest, strict=True):
             if missing is not None and end * share(t) > 0:
-                total = total + end * share(t) * _resized(missing, canvas.shape)
+                total = total + end * share(t) * resized(missing, canvas.shape)
         return total
 
 
@@ -191,10 +192,7 @@ def make_details(
     masses = plan.row_mass, plan.column_mass
     destinations: tuple[Array, Array]
     if isinstance(plan, Plan):
-        destinations = (
-            _means(plan.rows, plan.mass, target.positions[plan.indices], source.positions),
-            _means(plan.indices, plan.mass, source.positions[plan.rows], target.positions),
-        )
+        destinations = plan.mean_destinations(source.positions, target.positions)
     else:
         # Where a target pixel comes from on average is not known; its detail stays in place.
         destinations = plan.positions, target.positions
@@ -214,22 +212,3 @@ def make_details(
             )
         )  # fmt: skip
     return result[0], result[1]
-
-
-def _means(groups: NDArray[Any], mass: Array, ends: Array, own: Array) -> Array:
-    """Mean end of the pairs of each group, and its own place where there are none."""
-    totals = np.bincount(groups, mass, len(own))
-    means = own.copy()
-    moves = totals > 0
-    for axis in range(2):
-        means[moves, axis] = np.bincount(groups, mass * ends[:, axis], len(own))[moves]
-        means[moves, axis] /= totals[moves]
-    return means
-
-
-def _resized(image: Array, shape: tuple[int, int]) -> Array:
-    if image.shape[:2] == shape:
-        return image
-    from skimage.transform import resize
-
-    return np.asarray(resize(image, (*shape, image.shape[2]), order=1, mode="edge"))

@@ -147,6 +147,15 @@ def fit(image: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     return np.dstack((np.clip(colors, 0, 1), opacity))
 
 
+def resized(image: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return an image (H, W, C) at another size (height, width), interpolated linearly."""
+    if image.shape[:2] == shape:
+        return image
+    from skimage.transform import resize
+
+    return np.asarray(resize(image, (*shape, image.shape[2]), order=1, mode="edge"))
+
+
 def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> NDArray[np.float64]:
     """Read an image file.
 

@@ -24,7 +24,6 @@ from clmorph.interpolation import UNMATCHED, particles
 from clmorph.measures import EXTENTS, MASSES, Measure, lift
 from clmorph.optimal_width import NO_DIVERGENCE, optimal_curve
 from clmorph.plan import Plan, transport_plan
-from clmorph.rendering import SPLATTING, effective_count
 from clmorph.result import Morph
 from clmorph.sampling import (
     MAX_DRAWS,
@@ -35,7 +34,7 @@ from clmorph.sampling import (
 )
 from clmorph.sinkhorn import check_solver_options, sinkhorn
 from clmorph.strengths import Reach, strengths
-from clmorph.widths import KernelWidth, auto_sigma
+from clmorph.widths import SPLATTING, KernelWidth, auto_sigma, effective_count
 
 #: Called with the name of a stage and the share of it that is done.
 StageProgress = Callable[[str, float], None]

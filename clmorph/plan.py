@@ -98,6 +98,33 @@ class Plan:
         """The largest share of its mass that a row lost."""
         return float(self.dropped_row_mass.max())
 
+    def mean_destinations(
+        self, source: NDArray[np.float64], target: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return where each source point goes, and where each target point comes from, on average.
+
+        Parameters
+        ----------
+        source, target : (N, D) and (M, D) arrays
+            Where the points stand.
+
+        Returns
+        -------
+        (N, D) and (M, D) arrays
+            T(x_i) = sum_j pi_ij y_j / sum_j pi_ij, and likewise backwards; a point that no mass
+            leaves or reaches stays.
+        """
+        means = []
+        for groups, mass, own, ends in (
+            (self.rows, self.row_mass, source, target[self.indices]),
+            (self.indices, self.column_mass, target, source[self.rows]),
+        ):
+            sums = [np.bincount(groups, self.mass * axis, len(own)) for axis in ends.T]
+            mean = own.copy()
+            np.divide(np.column_stack(sums), mass[:, None], out=mean, where=mass[:, None] > 0)
+            means.append(mean)
+        return means[0], means[1]
+
     def to_scipy(self) -> "csr_array[Any, tuple[int, int]]":
         """Return the plan as a `scipy.sparse.csr_array` of shape (N, M)."""
         from scipy.sparse import csr_array

@@ -12,6 +12,7 @@ from clmorph.checks import check_choice, check_integer, check_number
 from clmorph.colors import from_space
 from clmorph.divergence import Divergence, sinkhorn_divergence
 from clmorph.errors import InputError
+from clmorph.images import resized
 from clmorph.measures import LUMINANCE, Measure
 from clmorph.points import WeightedPoints
 from clmorph.rendering import Canvas, Sums, is_torn
@@ -218,18 +219,11 @@ def step_sizes(frames: Sequence[ArrayLike]) -> Array:
     frames : sequence of (H, W, C) arrays
         Smaller ones are enlarged to the largest sides first; opacity is left out.
     """
-    from skimage.transform import resize
-
     pictures = [_as_array("frame", frame, (3,))[..., :3] for frame in frames]
     if len(pictures) < 2:
         raise InputError(f"{len(pictures)} frames: expected at least 2, to have steps between them")
-    shape = tuple(max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
-    pictures = [
-        picture
-        if picture.shape[:2] == shape
-        else np.asarray(resize(picture, (*shape, picture.shape[2]), order=1, mode="edge"))
-        for picture in pictures
-    ]
+    height, width = (max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
+    pictures = [resized(picture, (height, width)) for picture in pictures]
     return np.array(
         [np.sqrt(np.mean((after - before) ** 2)) for before, after in pairwise(pictures)]
     )

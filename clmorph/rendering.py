@@ -9,11 +9,6 @@ from scipy.special import ndtr
 
 from clmorph.operations import Operations
 
-#: How particles become pixels: with the width of Eq. 4; with one of its own for every
-#: particle, by the density around it; with sigma_start throughout, or each into its nearest
-#: pixel (the paper's two baselines).
-SPLATTING = ("adaptive", "local", "fixed", "none")
-
 #: Where the Gaussian is cut, in kernel widths: what lies beyond is at most
 #: exp(-4.5^2 / 2) = 4e-5 of the particles' mass.
 CUT = 4.5
@@ -76,15 +71,6 @@ def canvas_at(
         return Canvas((height, width), (width - 1.0, height - 1.0))
     per_unit = (1 - t) * (max(source_shape) - 1) + t * (max(target_shape) - 1)
     return Canvas((height, width), (per_unit, per_unit))
-
-
-def effective_count(weights: NDArray[np.float64]) -> float:
-    """Return Kish's effective number (sum w)^2 / sum w^2 of weighted particles; 1 of none."""
-    largest = float(weights.max(initial=0.0))
-    if largest == 0:
-        return 1.0
-    scaled = weights / largest  # squares of tiny numbers are none
-    return float(scaled.sum() ** 2 / np.sum(scaled**2))
 
 
 class Widths(NamedTuple):

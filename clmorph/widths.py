@@ -6,7 +6,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.checks import check_choice, check_number, check_sigma
-from clmorph.rendering import SPLATTING, Canvas, Widths
+from clmorph.rendering import Canvas, Widths
+
+#: How particles become pixels: with the width of Eq. 4; with one of its own for every
+#: particle, by the density around it; with sigma_start throughout, or each into its nearest
+#: pixel (the paper's two baselines).
+SPLATTING = ("adaptive", "local", "fixed", "none")
+
+
+def effective_count(weights: NDArray[np.float64]) -> float:
+    """Return Kish's effective number (sum w)^2 / sum w^2 of weighted particles; 1 of none."""
+    largest = float(weights.max(initial=0.0))
+    if largest == 0:
+        return 1.0
+    scaled = weights / largest  # squares of tiny numbers are none
+    return float(scaled.sum() ** 2 / np.sum(scaled**2))
 
 
 @dataclass(frozen=True)
