@@ -14,6 +14,8 @@ from clmorph.errors import (
     InputError,
     OutputError,
 )
+from clmorph.export import save
+from clmorph.formats.archive import Archive, load
 from clmorph.images import fit, read_image
 from clmorph.interpolation import Particles, particles
 from clmorph.measures import Measure, lift
@@ -28,6 +30,7 @@ from clmorph.sinkhorn import sinkhorn
 __version__ = version("clmorph")
 
 __all__ = [
+    "Archive",
     "Barycentric",
     "ClmorphError",
     "ConvergenceWarning",
@@ -48,11 +51,13 @@ __all__ = [
     "fit",
     "get_backend",
     "lift",
+    "load",
     "morph",
     "particles",
     "read_image",
     "reference",
     "sample_plan",
+    "save",
     "sinkhorn",
     "sinkhorn_divergence",
     "transport_plan",

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from clmorph.anderson import Anderson
 from clmorph.problem import Problem
+from clmorph.progress import Share
 
 Array = NDArray[np.float64]
 
@@ -135,9 +136,10 @@ class Ascent:
         self._tell(1.0)
 
     def _tell(self, share: float) -> None:
-        """Report the share done, which never falls."""
+        """Report the share done, which never falls, and the residual reached."""
         self._told = max(self._told, share)
-        self._report(self._told)
+        note = f"residual {self.residuals[-1]:.0e} of {self.tol:.0e}" if self.residuals else ""
+        self._report(Share(self._told, note))
 
     def _levels(self) -> list[float]:
         """Blurs from about the diameter down to the last but one."""

@@ -1,70 +1,30 @@
-"""The command ``clmorph``.
+"""The command ``clmorph``."""
 
-Exit codes: 0 done; 1 a device is out of tolerance, or none is usable (``check``,
-``devices``); 2 a mistake in the command line, a file or the choice of device, told
-in one line; 130 interrupted.
-"""
-
-import math
 import os
 import re
 import sys
-import time
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import click
+import rich_click as click
+from click.core import ParameterSource
+from click.exceptions import NoArgsIsHelpError
 
 from clmorph import __version__
-from clmorph.colors import COLOR_SPACES
-from clmorph.defaults import N_FRAMES, PRESETS
-from clmorph.endpoints import ENDPOINTS
-from clmorph.errors import ClmorphError, ConvergenceWarning, InputError
-from clmorph.images import MAX_PIXELS
-from clmorph.interpolation import UNMATCHED
-from clmorph.measures import EXTENTS, MASSES
-from clmorph.terminal import NOTES, Stages
-from clmorph.widths import SPLATTING
+from clmorph.commands import options
+from clmorph.commands import settings as files
+from clmorph.defaults import PRESETS
+from clmorph.errors import ClmorphError, InputError
 
-#: Value of ``--reach`` that stands for no creation or destruction of mass.
-BALANCED = "balanced"
-
-
-class _Reach(click.ParamType):
-    """A number, or "balanced", or two of them with a comma."""
-
-    name = "number|balanced"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        parts = [self._one(part, param, ctx) for part in str(value).split(",")]
-        return parts[0] if len(parts) == 1 else tuple(parts)
-
-    def _one(self, value: str, param: Any, ctx: Any) -> float:
-        if value == BALANCED:
-            return math.inf
-        try:
-            number = float(value)
-        except ValueError:
-            self.fail(f"{value!r} is neither a number nor {BALANCED!r}.", param, ctx)
-        if number == math.inf:
-            self.fail(f"{value!r}: expected a finite number, or {BALANCED!r}.", param, ctx)
-        return number
-
-
-class _Sigma(click.ParamType):
-    """A number, or "auto"."""
-
-    name = "number|auto"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        if value == "auto":
-            return value
-        try:
-            return float(value)
-        except ValueError:
-            self.fail(f"{value!r} is neither a number nor 'auto'.", param, ctx)
+#: Shells that complete what is typed.
+SHELLS = ("bash", "zsh", "fish")
+#: What the exit codes mean; the help shows them.
+EXIT_CODES = """\
+Exit codes: 0 done; 1 no device is usable (devices) or one is out of tolerance (check);
+2 a mistake in the command line, in a file or in the choice of device, told in one line;
+130 interrupted, nothing was written.
+"""
 
 
 def _print_version(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
@@ -84,7 +44,7 @@ def _print_version(context: click.Context, parameter: click.Parameter, wanted: b
     context.exit()
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(context_settings={"help_option_names": ["-h", "--help"]}, epilog=EXIT_CODES)
 @click.option(
     "--version",
     is_flag=True,
@@ -94,158 +54,128 @@ def _print_version(context: click.Context, parameter: click.Parameter, wanted: b
     help="Versions of clmorph, of what it builds on, and of the OpenCL drivers.",
 )
 def cli() -> None:
-    """Morph one image into another by unbalanced optimal transport.
+    """Morph one picture into another by unbalanced optimal transport.
 
     \b
-    clmorph demo                            a first look: a sprite becomes a photograph
-    clmorph morph a.png b.jpg -o out.gif    your own two pictures
+    clmorph demo                             a first look: a sprite becomes a photograph
+    clmorph morph a.png b.jpg -o out.gif     your own two pictures
+    clmorph morph a.png b.jpg -o out.html    a page to play with: scrub, zoom, look inside
+    clmorph morph a.png b.jpg c.png d.jpg -o tour.mp4 --loop ping-pong
+    clmorph inspect a.png b.jpg              what would move, how far, how long it takes
+    clmorph devices                          what it can run on
     """  # noqa: D301 (click wants the character itself)
 
 
-def _device_options(command: Any) -> Any:
-    command = click.option(
-        "--device", metavar="NAME", help="OpenCL device: an index (0:1) or part of a name."
-    )(command)
-    return click.option(
-        "--backend",
-        metavar="NAME",
-        help="auto, opencl, numpy, or what --device takes.  [default: auto]",
-    )(command)
+def _settings_callback(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
+    """Read a file of settings before any other option is looked at."""
+    if path is None:
+        return None
+    names = [other.name for other in context.command.params if other.name not in NOT_SETTINGS]
+    found = files.read_settings(path, [name for name in names if name])
+    context.default_map = {name: value for name, value in found.items() if name != files.IMAGES}
+    return found[files.IMAGES]
 
 
-def _read(path: Path, max_pixels: int) -> Any:
-    """Read an image and print what is to be noted."""
-    from clmorph.images import read_image
-
-    with warnings.catch_warnings(record=True) as notes:
-        warnings.simplefilter("always")
-        pixels = read_image(path, max_pixels=max_pixels)
-    for note in notes:
-        NOTES.print(f"note: {note.message}", markup=False)
-    return pixels
-
-
-def _open_backend(device: str | None, backend: str | None) -> Any:
-    """Choose the device and say which it is."""
-    if device is not None and backend not in (None, "auto", "opencl"):
-        raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
-    from clmorph.backends import get_backend
-
-    with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
-        operations = get_backend(device or backend or "auto")
-    NOTES.print(f"device: {operations.description}", markup=False)
-    return operations
+#: Options that no file of settings holds.
+NOT_SETTINGS = ("images", "config", "dump_config", "as_json", "device", "backend")
 
 
 @cli.command()
-@click.argument("image_a", metavar="A", type=click.Path(path_type=Path))
-@click.argument("image_b", metavar="B", type=click.Path(path_type=Path))
+@click.argument("images", metavar="A B [C …]", nargs=-1, type=click.Path(path_type=Path))
+@options.file_options
 @click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="out.gif; out.png for a contact sheet; no ending for a folder of PNG frames.",
-)
-@click.option("--preset", default="photo", show_default=True, type=click.Choice(list(PRESETS)))
-@click.option("--frames", type=int, default=N_FRAMES, show_default=True, help="Number of frames.")
-@click.option("--size", type=int, help="Reduce images to this longer side, in pixels.")
+    "--preset", type=click.Choice(list(PRESETS)), panel="Settings",
+    help="A set of options for a kind of pictures.  [default: photo]",
+)  # fmt: skip
 @click.option(
-    "--max-pixels", type=int, default=MAX_PIXELS, show_default=True, help="Refuse larger files."
-)
-@click.option("--blur", type=float, help="Entropic length scale, in image sides.")
+    "--config", type=click.Path(path_type=Path), is_eager=True, callback=_settings_callback,
+    panel="Settings",
+    help="Read options from TOML, from a recipe (.json), or from a file that clmorph wrote.",
+)  # fmt: skip
 @click.option(
-    "--reach",
-    type=_Reach(),
-    help="How far mass moves before it rather fades; two (source,target) may differ.",
-)
-@click.option("--epsilon", type=float, help="The square of blur, in its place.")
-@click.option("--rho", type=_Reach(), help="The square of reach, in its place.")
-@click.option("--color-weight", type=float, help="Weight of color against position.")
-@click.option("--color-space", type=click.Choice(COLOR_SPACES), help="In which colors compare.")
-@click.option("--path-space", type=click.Choice(COLOR_SPACES), help="In which colors change.")
-@click.option("--mass", type=click.Choice(MASSES), help="What a pixel weighs.")
+    "--dump-config", is_flag=True, panel="Settings",
+    help="Print all options as TOML, and do nothing else.",
+)  # fmt: skip
 @click.option(
-    "--splatting",
-    type=click.Choice(SPLATTING),
-    help="Kernel width: the paper's, each particle's own, fixed, or none.",
+    "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
 )
-@click.option("--sigma-start", type=_Sigma(), help="Kernel width at the start, in pixels.")
-@click.option("--sigma-end", type=_Sigma(), help="Kernel width at the end, in pixels.")
-@click.option("--gamma", type=float, help="Its bulge in between (adaptive splatting).")
-@click.option("--sigma", type=click.Choice(["optimal"]), help="Find the widths instead; slow.")
-@click.option("--endpoints", type=click.Choice(ENDPOINTS), help="Ends as the images, or blurred.")
-@click.option("--unmatched", type=click.Choice(UNMATCHED), help="Mass that does not move.")
-@click.option("--extent", type=click.Choice(EXTENTS), help="True aspect ratio, or unit square.")
-@click.option("--barycentric", is_flag=True, default=None, help="One particle a pixel.")
-@click.option("--sample", type=int, help="So many particles a pixel, drawn from the plan.")
-@click.option("--seed", type=int, help="Of these draws.")
-@click.option("--tol", type=float, help="Residual at which the solver stops, in epsilons.")
-@click.option("--max-iter", type=int, help="Iterations after which it stops all the same.")
-@_device_options
+@options.motion_options
+@options.transport_options
+@options.drawing_options
+@options.max_pixels_option
+@options.device_options
+@click.pass_context
 def morph(
-    image_a: Path,
-    image_b: Path,
-    output: Path,
-    preset: str,
-    frames: int,
+    context: click.RichContext,
+    /,
+    images: tuple[Path, ...],
+    output: Path | None,
+    preset: str | None,
+    config: list[tuple[Path, str | None]] | None,
+    dump_config: bool,
+    as_json: bool,
     max_pixels: int,
     device: str | None,
     backend: str | None,
-    **options: Any,
+    **given: Any,
 ) -> None:
-    """Morph image A into image B.
+    """Morph picture A into picture B, and on to C, D and so forth.
+
+    \b
+    clmorph morph a.png b.jpg -o out.gif                    a looping GIF
+    clmorph morph a.png b.jpg -o out.html                   a page to play with
+    clmorph morph a.png b.jpg -o out.mp4 --canvas 1280x720 --ease smooth
+    clmorph morph cat.png dog.png -o out.webp --preset pixel-art --loop ping-pong
+    clmorph morph a.png b.jpg -o frames --frames 100        a folder of PNG files
+    clmorph morph --config out.gif -o again.gif             as that file was made
 
     Options that are not given are those of the preset.
-    """
-    from clmorph.export import output_writer
-    from clmorph.images import fit
-    from clmorph.morph import check_options
-    from clmorph.morph import morph as run
+    """  # noqa: D301
+    from clmorph.commands.morph import announce_changes, run_morph
 
-    began = time.perf_counter()
-    for path in (image_a, image_b):
-        if output.exists() and path.exists() and output.samefile(path):
-            raise InputError(f"-o {output} would overwrite an input; choose another name")
-    writer = output_writer(output)
-    given = {name: value for name, value in options.items() if value is not None}
-    parameters: dict[str, Any] = PRESETS[preset] | given
-    for name, other in (("blur", "epsilon"), ("reach", "rho")):
-        if other in given and name not in given:
-            del parameters[name]  # the preset's gives way
-    if "gamma" in given:
-        if given.get("splatting", "adaptive") != "adaptive":
-            raise InputError(
-                "--gamma belongs to adaptive splatting, not to "
-                f"{given['splatting']!r}: leave one out"
-            )
-        parameters["splatting"] = "adaptive"
-    size = parameters.pop("size")
-    check_options(n_frames=frames, **parameters)
-    source, target = (fit(_read(path, max_pixels), size) for path in (image_a, image_b))
-    operations = _open_backend(device, backend)
-    with Stages() as stages, warnings.catch_warnings():
-        # Said in the last line.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        result = run(source, target, frames, backend=operations, progress=stages, **parameters)
-        pictures = []
-        for number, picture in enumerate(result.iter_frames()):
-            pictures.append(picture)
-            stages("frames", (number + 1) / frames)
-        writer(pictures, result.times)
-    click.echo(
-        f"{output}: {len(pictures)} frames in {time.perf_counter() - began:.1f} s, "
-        f"{result.potentials.message}"
-    )
+    settings = _settings(context, preset, given)
+    if config is not None and not images:
+        images = tuple(path for path, _ in config)
+        announce_changes(config)
+    if dump_config:
+        click.echo(files.as_toml(settings, images), nl=False)
+        return
+    if len(images) < 2:
+        raise InputError(
+            f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given: expected two or "
+            "more, as in clmorph morph a.png b.jpg -o out.gif"
+        )
+    if output is None:
+        raise InputError("no output given: expected -o with a name, such as -o out.gif")
+    run_morph(
+        images, output, settings, max_pixels=max_pixels, device=device, backend=backend,
+        as_json=as_json,
+    )  # fmt: skip
+
+
+def _settings(context: click.Context, preset: str | None, given: dict[str, Any]) -> files.Settings:
+    """Join the preset, the file of settings and the command line, which wins."""
+    said: dict[bool, files.Settings] = {True: {}, False: {}}
+    for name, value in given.items():
+        if value is not None:
+            source = context.get_parameter_source(name)
+            said[source is ParameterSource.COMMANDLINE][name] = value
+    chosen = files.preset(preset or "photo")
+    in_line = context.get_parameter_source("preset")
+    if in_line is ParameterSource.COMMANDLINE:
+        return files.layered((said[False], chosen, said[True]))
+    return files.layered((chosen, said[False], said[True]))
 
 
 @cli.command()
-@_device_options
+@options.device_options
 def demo(device: str | None, backend: str | None) -> None:
-    """Morph a bundled sprite into a photograph: clmorph-demo.gif and clmorph-demo.png."""
+    """Morph a bundled sprite into a photograph: clmorph-demo.gif, .html and .png."""
+    from clmorph.commands.common import open_backend
     from clmorph.demo import run_demo
+    from clmorph.terminal import Stages
 
-    operations = _open_backend(device, backend)
+    operations = open_backend(device, backend)
     with Stages() as stages:
         report = run_demo(operations, Path.cwd(), stages)
     for line in report:
@@ -295,14 +225,31 @@ def tune(device: str | None, every: bool, reset: bool) -> None:
     tune_devices(device, every, reset)
 
 
+@cli.command()
+@click.argument("shell", type=click.Choice(SHELLS))
+def completion(shell: str) -> None:
+    """Print what makes a shell complete commands and options.
+
+    \b
+    bash:  eval "$(clmorph completion bash)"           in ~/.bashrc
+    zsh:   eval "$(clmorph completion zsh)"            in ~/.zshrc
+    fish:  clmorph completion fish > ~/.config/fish/completions/clmorph.fish
+    """  # noqa: D301
+    from click.shell_completion import get_completion_class
+
+    kind = get_completion_class(shell)
+    assert kind is not None  # click has all of SHELLS
+    click.echo(kind(cli, {}, "clmorph", "_CLMORPH_COMPLETE").source())
+
+
 def _in_option_names(message: str) -> str:
     """Name options as they are written on the command line: n_frames=1 becomes --frames 1."""
-    options = {parameter.name: parameter.opts[0] for parameter in morph.params}
-    options["n_frames"] = "--frames"
-    message = message.replace("or None for balanced transport", f"or {BALANCED!r}")
+    names = {parameter.name: parameter.opts[-1] for parameter in morph.params}
+    names["n_frames"] = "--frames"
+    message = message.replace("or None for balanced transport", f"or {options.BALANCED!r}")
     return re.sub(
         r"\b(\w+)=",
-        lambda found: f"{options[found[1]]} " if found[1] in options else found[0],
+        lambda found: f"{names[found[1]]} " if found[1] in names else found[0],
         message,
     )
 
@@ -312,7 +259,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code = cli.main(arguments, prog_name="clmorph", standalone_mode=False)
         sys.stdout.flush()
-    except click.exceptions.NoArgsIsHelpError as error:
+    except NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help())
         return 2
     except click.ClickException as error:

@@ -3,6 +3,8 @@
 Blur, reach, color weight and kernel widths are the paper's (section 4).
 """
 
+import math
+
 #: Length scale of the entropic blur, in units of the longer image side; epsilon = blur^2.
 BLUR = 0.05
 #: Length scale of mass creation and destruction, same unit; rho = reach^2.
@@ -15,6 +17,9 @@ SIGMA_END = 0.5
 GAMMA = 0.5
 #: Frames of a morph, both ends included.
 N_FRAMES = 30
+#: Frames a second, and seconds that the pictures themselves stay longer than a frame.
+FPS = 20.0
+HOLD = 0.65
 #: Residual at which the solver stops, in units of epsilon.
 TOL = 1e-3
 #: Factor between the blurs of GeomLoss's schedule; the paper's.
@@ -25,25 +30,27 @@ MAX_ITER = 2000
 PLAN_RELATIVE = 1e-4
 #: The most that the pairs of a plan may take, in bytes.
 MAX_PLAN_BYTES = 4 * 2.0**30
-#: Named sets of options of ``clmorph morph``. "photo" (the default) looks well on arbitrary
-#: pictures: sharp ends, no holes, no mud, and colors that rather change than fade. "paper" is
-#: section 4 of the paper, with its axes (each stretched to [0, 1]), its particles (nothing drawn
-#: for unmatched mass) and its blurred ends. `size` is the longer side, in pixels, to which
-#: images are reduced.
+_PHOTO: dict[str, float | int | str | None] = {
+    "size": 128,
+    "blur": 0.03,
+    "reach": 0.3,
+    "color_weight": 0.5,
+    "sigma_start": "auto",
+    "sigma_end": "auto",
+    "splatting": "local",
+    "endpoints": "exact",
+    "path_space": "oklab",
+    "extent": "true",
+    "unmatched": "fade",
+}
+#: Named sets of options of ``clmorph morph``; `size` is the longer side, in pixels, to which
+#: pictures are reduced.
 PRESETS: dict[str, dict[str, float | int | str | None]] = {
-    "photo": {
-        "size": 128,
-        "blur": 0.03,
-        "reach": 0.3,
-        "color_weight": 0.5,
-        "sigma_start": "auto",
-        "sigma_end": "auto",
-        "splatting": "local",
-        "endpoints": "exact",
-        "path_space": "oklab",
-        "extent": "true",
-        "unmatched": "fade",
-    },
+    # The default, for any pictures: sharp ends, no holes, no mud, and colors that rather change
+    # than fade.
+    "photo": _PHOTO,
+    # Section 4 of the paper, with its axes (each stretched to [0, 1]), its particles (nothing
+    # drawn for unmatched mass) and its blurred ends.
     "paper": {
         "size": 48,
         "blur": BLUR,
@@ -58,4 +65,19 @@ PRESETS: dict[str, dict[str, float | int | str | None]] = {
         "extent": "unit",
         "unmatched": "drop",
     },
+    # Sprites: pixels that stay pixels, and move with their colors.
+    "pixel-art": _PHOTO
+    | {
+        "size": 64,
+        "blur": 0.01,
+        "color_weight": 1.0,
+        "sigma_start": 0.3,
+        "sigma_end": 0.3,
+        "scaling": "nearest",
+    },
+    # Next to nothing moves: one picture fades out and the other in. To compare with.
+    "crossfade": _PHOTO
+    | {"reach": 0.001, "splatting": "fixed", "sigma_start": 0.3, "extent": "unit"},
+    # Nothing fades: every pixel of one picture becomes some of the other's, however far.
+    "balanced": _PHOTO | {"reach": math.inf},
 }

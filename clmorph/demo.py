@@ -7,9 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.defaults import PRESETS
-from clmorph.export import output_writer
+from clmorph.export import Output, described
+from clmorph.film import recorded
 from clmorph.images import as_rgb, fit, read_image
 from clmorph.morph import morph
+from clmorph.motion import Motion
 from clmorph.operations import Operations
 from clmorph.terminal import Stages
 
@@ -41,7 +43,7 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     ----------
     operations : Operations
     folder : Path
-        Where ``clmorph-demo.gif`` and ``clmorph-demo.png`` go.
+        Where ``clmorph-demo.gif``, ``.html`` and ``.png`` go.
     stages : Stages
 
     Returns
@@ -54,18 +56,16 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     OutputError
         If the folder cannot be written to.
     """
-    files = [folder / "clmorph-demo.gif", folder / "clmorph-demo.png"]
-    writers = [output_writer(file) for file in files]
+    files = [folder / f"clmorph-demo{ending}" for ending in (".gif", ".html", ".png")]
+    outputs = [Output(file) for file in files]
     sprite, photo = demo_images()
     result = morph(sprite, photo, N_FRAMES, backend=operations, progress=stages, **PARAMETERS)  # type: ignore[arg-type]
-    frames = []
-    for number, frame in enumerate(result.iter_frames()):
-        frames.append(frame)
-        stages("frames", (number + 1) / N_FRAMES)
-    for number, writer in enumerate(writers):
-        stages("files", number / len(writers))
-        writer(frames, result.times)
-        stages("files", (number + 1) / len(writers))
+    with recorded(
+        [result], Motion(), keep=True, parameters=described([result]), folder=folder,
+        progress=stages,
+    ) as film:  # fmt: skip
+        for number, output in enumerate(outputs):
+            output.write(film, report=stages.part("files", number, len(outputs)))
     options = ", ".join(f"{name} {value}" for name, value in PARAMETERS.items())
     times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in stages.seconds.items())
     return [

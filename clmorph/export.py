@@ -1,220 +1,221 @@
-"""Write a morph as files that people open."""
+"""Write a morph, or a chain of morphs, as files that people open."""
 
-import shutil
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from clmorph.errors import OutputError
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
-Frames = Sequence[NDArray[np.floating]]
-
-#: Longer side, in pixels, to which small frames are enlarged in a GIF.
-GIF_SIDE = 384
-#: The same for each picture of a contact sheet.
-SHEET_SIDE = 192
-#: Pictures of a contact sheet, and how many stand in a row.
-SHEET_FRAMES = 10
-SHEET_COLUMNS = 5
-#: Milliseconds of a GIF's frame, and of its first and last.
-GIF_FRAME_MS = 50
-GIF_HOLD_MS = 700
-#: Colors of its palette; the last entry stands for what is transparent.
-GIF_COLORS = 255
+from clmorph import defaults
+from clmorph.checks import check_choice
+from clmorph.errors import InputError, OutputError
+from clmorph.files import atomic_path, check_place
+from clmorph.film import Film, StageProgress, recorded
+from clmorph.formats import animation, archive, gif, page, sheet, stills, video
+from clmorph.framing import Look
+from clmorph.motion import Motion
+from clmorph.progress import Report
+from clmorph.result import Morph
 
 
-def output_writer(path: str | PathLike[str]) -> Callable[[Frames, NDArray[np.float64]], None]:
-    """Return what writes to this path, after checking that it can.
+@dataclass(frozen=True)
+class Format:
+    """A kind of file.
+
+    Attributes
+    ----------
+    endings : tuple of str
+        The first is the usual one.
+    words : str
+        What it is, for people.
+    write : callable
+        Called with a film, a look, a new path and what to report to.
+    lossy : bool
+        Whether frames differ from the morph's, rounded to 8 bits; sizes aside.
+    exact : bool
+        Whether it holds floats.
+    keep : bool
+        Whether it tells of the morphs, not of their frames alone.
+    check : callable
+        Raises OutputError if something that it needs is missing.
+    """
+
+    endings: tuple[str, ...]
+    words: str
+    write: Callable[[Film, Look, Path, Report], None]
+    lossy: bool = False
+    exact: bool = False
+    keep: bool = False
+    check: Callable[[], None] = lambda: None
+
+
+#: Every kind of file by its name; those without an ending of their own need to be named.
+FORMATS: dict[str, Format] = {
+    "gif": Format((".gif",), "a looping GIF", gif.write, lossy=True),
+    "webp": Format((".webp",), "an animated WebP", animation.write_webp, lossy=True),
+    "apng": Format((".apng",), "an animated PNG", animation.write_apng),
+    "mp4": Format((".mp4",), "a video, H.264", video.write_mp4, True, check=video.check_video),
+    "webm": Format((".webm",), "a video, VP9", video.write_webm, True, check=video.check_video),
+    "html": Format((".html", ".htm"), "a page to play with", page.write, keep=True),
+    "sheet": Format((".png",), "a contact sheet", sheet.write, lossy=True),
+    "npz": Format(
+        (".npz",), "NumPy arrays: frames, times, plan", archive.write, exact=True, keep=True
+    ),
+    "tiff": Format((".tif", ".tiff"), "a TIFF with a page for each frame", stills.write_tiff),
+    "png-folder": Format(("",), "a folder of PNG frames", stills.write_png_folder),
+    "tiff-folder": Format((), "a folder of TIFF frames", stills.write_tiff_folder),
+}
+#: Formats whose result is a folder.
+FOLDERS = ("png-folder", "tiff-folder")
+
+
+class Output:
+    """A place for a file, checked before anything is worked out.
 
     Parameters
     ----------
     path : path
-        ``.gif``: an endless loop on a constant canvas, small frames enlarged. ``.png``: a
-        contact sheet. No ending: a new folder of PNG frames, each at its own size.
+    format : str, optional
+        A name of `FORMATS`, in place of what the ending says.
 
-    Returns
-    -------
-    callable
-        Called with frames (H, W, 3 or 4 floats in [0, 1]) and their times. Opacity is kept in a
-        folder, rounded to all or nothing in a GIF, and laid on white in a contact sheet.
+    Attributes
+    ----------
+    path : Path
+    format : Format
+    name : str
+        The format's.
 
     Raises
     ------
     OutputError
-        If the ending is unknown or nothing can be written there.
+        If the ending is unknown, nothing can be written there, or something is missing that
+        the format needs.
     """
-    if not isinstance(path, str | PathLike) or not str(path):
-        raise OutputError(f"{path!r} is not a path; expected one such as 'out.gif'")
-    target = Path(path)
-    suffix = target.suffix.lower()
-    if suffix not in ("", ".gif", ".png"):
-        raise OutputError(
-            f"{target}: unknown ending {target.suffix!r}; expected .gif, .png (a contact sheet) "
-            "or no ending (a folder of PNG frames)"
-        )
-    try:
-        parent = target.resolve().parent
-    except OSError as error:
-        raise OutputError(f"{target}: there is no such place ({error.strerror})") from None
-    if not parent.is_dir():
-        raise OutputError(f"{target}: there is no folder {parent}; make it first")
-    try:
-        # The name itself can be impossible, and some folders only seem to be writable.
-        target.is_dir()
-        with tempfile.TemporaryFile(dir=parent):
-            pass
-    except OSError as error:
-        raise OutputError(
-            f"{target} cannot be written ({error.strerror}); choose another place"
-        ) from None
-    if suffix and target.is_dir():
-        raise OutputError(f"{target} is a folder; choose a file name")
-    if not suffix and target.exists() and not (target.is_dir() and not any(target.iterdir())):
-        raise OutputError(
-            f"{target} exists already; choose a new or empty folder, or a name ending in "
-            ".gif or .png"
-        )
-    write = {"": _write_folder, ".gif": _write_gif, ".png": _write_sheet}[suffix]
 
-    def writer(frames: Frames, times: NDArray[np.float64]) -> None:
-        # Written beside its place and moved there whole: never a half-written file.
-        temporary = None
-        try:
-            temporary = Path(tempfile.mkdtemp(dir=parent, prefix=".clmorph-"))
-            made = temporary / f"morph{suffix}"
-            write(frames, times, made)
-            if not suffix and target.exists():
-                target.rmdir()
-            made.replace(target)
-        except OSError as error:
+    def __init__(self, path: str | PathLike[str], format: str | None = None) -> None:
+        if not isinstance(path, str | PathLike) or not str(path):
+            raise OutputError(f"{path!r} is not a path; expected one such as 'out.gif'")
+        self.path = Path(path)
+        if format is not None:
+            self.name = check_choice("format", format, tuple(FORMATS))
+        else:
+            self.name = _by_ending(self.path)
+        self.format = FORMATS[self.name]
+        self.format.check()
+        self.place = check_place(self.path)
+        is_folder = self.name in FOLDERS
+        if self.place.is_dir() and not is_folder:
+            raise OutputError(f"{path} is a folder; choose a file name")
+        empty = self.place.is_dir() and not any(self.place.iterdir())
+        if is_folder and self.place.exists() and not empty:
             raise OutputError(
-                f"{target} cannot be written ({error.strerror or error}); choose another place"
-            ) from error
-        finally:
-            if temporary is not None:
-                shutil.rmtree(temporary, ignore_errors=True)
+                f"{path} exists already; choose a new or empty folder, or a name ending in "
+                + ", ".join(_endings())
+            )
 
-    return writer
+    def write(self, film: Film, look: Look | None = None, report: Report | None = None) -> None:
+        """Write a film there: whole, or not at all.
+
+        Parameters
+        ----------
+        film : Film
+            Recorded with this format's `exact` and `keep`.
+        look : Look, optional
+        report : callable, optional
+            Called with the share done.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        InputError
+            If the film cannot be shown that way.
+        """
+        with atomic_path(self.place) as new:
+            self.format.write(film, look or Look(), new, report or (lambda share: None))
 
 
-def save(frames: Frames, times: NDArray[np.float64], path: str | PathLike[str]) -> None:
-    """Write frames to a GIF, a contact sheet or a folder; see `output_writer`.
+def _endings() -> list[str]:
+    return [ending for format in FORMATS.values() for ending in format.endings[:1] if ending]
+
+
+def _by_ending(path: Path) -> str:
+    ending = path.suffix.lower()
+    for name, format in FORMATS.items():
+        if ending in format.endings:
+            return name
+    raise OutputError(
+        f"{path}: unknown ending {path.suffix!r}; expected {', '.join(_endings())}, or none for "
+        "a folder of PNG frames"
+    )
+
+
+def save(
+    morphs: Morph | Sequence[Morph],
+    path: str | PathLike[str],
+    *,
+    format: str | None = None,
+    fps: float = defaults.FPS,
+    hold: float = defaults.HOLD,
+    loop: str = "loop",
+    reverse: bool = False,
+    canvas: Any = "dynamic",
+    scaling: str = "auto",
+    background: str | None = None,
+    lossless: bool = False,
+    parameters: Mapping[str, Any] | None = None,
+    progress: StageProgress | None = None,
+) -> None:
+    """Write a morph, or a chain of morphs, to a file chosen by its ending.
+
+    Parameters
+    ----------
+    morphs : Morph or sequence of Morph
+        Of a chain, each begins with the picture that the one before ends with.
+    path : path
+        ``.gif``, ``.webp``, ``.apng`` (animated PNG), ``.mp4``, ``.webm``, ``.html`` (a page to
+        play with), ``.png`` (a contact sheet), ``.npz`` (see `clmorph.load`), ``.tif`` (one
+        page a frame), or no ending (a new folder of PNG frames). What is there is replaced.
+    format : str, optional
+        A name of `FORMATS`, in place of the ending.
+    fps, hold, loop
+        See `clmorph.motion.Motion`.
+    reverse : bool
+        From the end to the beginning.
+    canvas, scaling, background, lossless
+        See `clmorph.framing.Look`.
+    parameters : mapping, optional
+        What the file is to tell of its making, in place of the morphs' own parameters; JSON
+        must take it.
+    progress : callable, optional
+        Called with a stage's name and the share of it done.
 
     Raises
     ------
+    InputError
+        If an option cannot be used.
     OutputError
-        If the ending is unknown or nothing can be written there.
+        If it cannot be written there.
     """
-    output_writer(path)(frames, times)
+    chain = [morphs] if isinstance(morphs, Morph) else morphs
+    a_chain = isinstance(chain, list | tuple) and len(chain) > 0
+    if not a_chain or not all(isinstance(morph, Morph) for morph in chain):
+        raise InputError("morphs: expected a Morph, or a sequence of at least one")
+    output = Output(path, format)
+    look, motion = Look(canvas, scaling, background, lossless), Motion(fps, hold, loop)
+    report = progress or (lambda stage, share: None)
+    told = parameters if parameters is not None else described(chain)
+    with recorded(
+        chain, motion, reverse=reverse, exact=output.format.exact, keep=output.format.keep,
+        pixelated=all(morph.pixelated for morph in chain), parameters=told,
+        folder=output.place.parent, progress=progress,
+    ) as film:  # fmt: skip
+        output.write(film, look, partial(report, output.name))
 
 
-def to_bytes(frame: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Round a frame in [0, 1] to 8 bits."""
-    return np.round(np.clip(frame, 0.0, 1.0) * 255.0).astype(np.uint8)
+def described(morphs: Sequence[Morph]) -> dict[str, Any]:
+    """Return what a file tells of the morphs in it."""
+    from clmorph import __version__
 
-
-def _enlarged(
-    frame: NDArray[np.floating], size: tuple[int, int], background: str = "black"
-) -> "Image":
-    """Return a frame as large as it fits into `size` (width, height), centered."""
-    from PIL import Image
-
-    picture = Image.fromarray(to_bytes(frame))
-    if picture.size == size:
-        return picture
-    factor = min(size[0] / picture.width, size[1] / picture.height)
-    fitted = max(1, round(picture.width * factor)), max(1, round(picture.height * factor))
-    if picture.mode == "RGBA":
-        # Multiplied by opacity meanwhile, so that unseen colors do not show at the edges.
-        resized = picture.convert("RGBa").resize(fitted, Image.Resampling.BICUBIC)
-        picture, page = resized.convert("RGBA"), Image.new("RGBA", size, (0, 0, 0, 0))
-    else:
-        picture = picture.resize(fitted, Image.Resampling.BICUBIC)
-        page = Image.new("RGB", size, background)
-    if fitted == size:
-        return picture
-    page.paste(picture, ((size[0] - fitted[0]) // 2, (size[1] - fitted[1]) // 2))
-    return page
-
-
-def _common_size(frames: Frames, side: int) -> tuple[int, int]:
-    """Width and height that hold every frame, enlarged to `side` if smaller."""
-    height = max(frame.shape[0] for frame in frames)
-    width = max(frame.shape[1] for frame in frames)
-    factor = max(1.0, side / max(height, width))
-    return max(1, round(width * factor)), max(1, round(height * factor))
-
-
-def _write_folder(frames: Frames, times: NDArray[np.float64], folder: Path) -> None:
-    from PIL import Image
-
-    folder.mkdir()
-    digits = max(4, len(str(len(frames) - 1)))
-    for number, frame in enumerate(frames):
-        Image.fromarray(to_bytes(frame)).save(folder / f"frame-{number:0{digits}d}.png")
-
-
-def _write_gif(frames: Frames, times: NDArray[np.float64], file: Path) -> None:
-    from PIL import Image
-
-    size = _common_size(frames, GIF_SIDE)
-    # One palette for all frames, so that nothing flickers: taken from samples of each.
-    samples = [to_bytes(frame[..., :3]).reshape(-1, 3) for frame in frames]
-    step = max(1, sum(map(len, samples)) // 250_000)
-    bars = np.zeros((256, 3), np.uint8)  # what stands beside frames of another shape
-    pool = np.concatenate([sample[::step] for sample in samples] + [bars])[:, None]
-    palette = Image.fromarray(pool).quantize(GIF_COLORS, method=Image.Quantize.MEDIANCUT)
-    pictures = []
-    for frame in frames:
-        picture = _enlarged(frame, size)
-        colors = picture.convert("RGB").quantize(
-            palette=palette, dither=Image.Dither.FLOYDSTEINBERG
-        )
-        if picture.mode == "RGBA":
-            clear = picture.getchannel("A").point(lambda alpha: 255 * (alpha < 128))
-            colors.paste(GIF_COLORS, mask=clear)
-        pictures.append(colors)
-    durations = [GIF_FRAME_MS] * len(pictures)
-    durations[0] = durations[-1] = GIF_HOLD_MS
-    options: dict[str, Any] = {}
-    if any(frame.shape[2] == 4 for frame in frames):
-        # What was drawn before must not show through.
-        options = {"transparency": GIF_COLORS, "disposal": 2}
-    pictures[0].save(
-        file, save_all=True, append_images=pictures[1:], duration=durations, loop=0,
-        optimize=False, **options,
-    )  # fmt: skip
-
-
-def _write_sheet(frames: Frames, times: NDArray[np.float64], file: Path) -> None:
-    from PIL import Image, ImageDraw, ImageFont
-
-    count = min(SHEET_FRAMES, len(frames))
-    chosen = np.unique(np.round(np.linspace(0, len(frames) - 1, count)).astype(int))
-    width, height = _common_size([frames[i] for i in chosen], SHEET_SIDE)
-    columns = min(SHEET_COLUMNS, len(chosen))
-    rows = -(-len(chosen) // columns)
-    gap, label = 12, 22
-    sheet = Image.new(
-        "RGB",
-        (columns * (width + gap) + gap, rows * (height + label + gap) + gap),
-        "white",
-    )
-    draw = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(14)
-    for place, index in enumerate(chosen):
-        x = gap + (place % columns) * (width + gap)
-        y = gap + (place // columns) * (height + label + gap)
-        picture = _enlarged(frames[index], (width, height), "white")
-        sheet.paste(picture, (x, y), picture if picture.mode == "RGBA" else None)
-        caption = f"t = {times[index]:.2f}"
-        draw.text((x + width / 2, y + height + 3), caption, fill="black", font=font, anchor="ma")
-    sheet.save(file)
+    return {"clmorph": __version__, "morphs": [dict(morph.parameters) for morph in morphs]}

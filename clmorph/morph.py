@@ -22,6 +22,7 @@ from clmorph.errors import InputError
 from clmorph.images import as_pixels
 from clmorph.interpolation import UNMATCHED, particles
 from clmorph.measures import EXTENTS, MASSES, Measure, lift
+from clmorph.motion import EASES, eased
 from clmorph.optimal_width import NO_DIVERGENCE, optimal_curve
 from clmorph.plan import Plan, transport_plan
 from clmorph.result import Morph
@@ -66,6 +67,7 @@ def check_options(
     barycentric: bool = False,
     sample: int | None = None,
     seed: int = 0,
+    ease: str = "linear",
 ) -> None:
     """Check the options of `morph` without doing any of its work.
 
@@ -101,6 +103,7 @@ def check_options(
         if barycentric:
             raise InputError(f"barycentric=True and sample={sample} contradict: give one of them")
     check_integer("seed", seed, 0, 2**63)
+    check_choice("ease", ease, EASES)
 
 
 def morph(
@@ -132,6 +135,7 @@ def morph(
     barycentric: bool = False,
     sample: int | None = None,
     seed: int = 0,
+    ease: str = "linear",
     progress: StageProgress | None = None,
 ) -> Morph:
     """Morph one image into another by unbalanced optimal transport.
@@ -188,6 +192,8 @@ def morph(
         So many pairs drawn from each row of the plan, in place of all kept ones.
     seed : int
         Of these draws.
+    ease : {"linear", "smooth", "in", "out"}
+        How time runs over the frames, see `clmorph.motion.eased`.
     progress : callable, optional
         Called with a stage's name and the share of it done.
 
@@ -212,8 +218,9 @@ def morph(
         epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
         splatting=splatting, sigma=sigma, endpoints=endpoints, unmatched=unmatched, mass=mass,
         color_space=color_space, path_space=path_space, barycentric=barycentric, sample=sample,
-        seed=seed,
+        seed=seed, ease=ease,
     )  # fmt: skip
+    parameters = _told(locals())
     report = progress or (lambda stage, share: None)
     if sigma is not None and color_metric is not None and np.ndim(cast(Any, color_metric)) > 2:
         raise InputError(NO_DIVERGENCE)
@@ -254,7 +261,7 @@ def morph(
         potentials=potentials,
         plan=plan,
         particles=particles(source, target, plan, unmatched=unmatched, path_space=path_space),
-        times=np.linspace(0.0, 1.0, int(n_frames)),
+        times=eased(np.linspace(0.0, 1.0, int(n_frames)), ease),
         kernel_width=KernelWidth(
             ends[0], ends[1], float(gamma),
             *_effective_counts(source, target, plan, unmatched), splatting,
@@ -262,11 +269,34 @@ def morph(
         operations=operations,
         endpoints=endpoints,
         unmatched=unmatched,
+        parameters=parameters,
     )  # fmt: skip
     if sigma is None:
         return result
     curve = optimal_curve(result, progress=lambda share: report("width", share))
     return replace(result, kernel_width=replace(result.kernel_width, curve=curve))
+
+
+def _told(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of `morph` in a form that JSON takes; of arrays only their shape."""
+    told: dict[str, Any] = {}
+    for name, value in options.items():
+        if name in ("image_a", "image_b", "backend", "progress"):
+            continue
+        told[name] = value
+        if name in ("weights", "color_metric") and value is not None:
+            parts = value if name == "weights" else (value,)
+            told[name] = [None if part is None else f"array {np.shape(part)}" for part in parts]
+        elif name in ("reach", "rho") and value is not None:
+            told[name] = [_finite(part) for part in value] if np.ndim(value) else _finite(value)
+        elif isinstance(value, np.generic):
+            told[name] = value.item()
+    return told
+
+
+def _finite(strength: Any) -> float | None:
+    """Return a reach as a number, None for balanced."""
+    return None if strength is None or np.isinf(strength) else float(strength)
 
 
 def _pair_of_weights(weights: Any) -> tuple[Any, Any]:

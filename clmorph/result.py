@@ -1,6 +1,6 @@
 """A morph: what the transport found, and its frames, rendered when asked for."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
@@ -20,7 +20,7 @@ from clmorph.plan import Plan
 from clmorph.potentials import Potentials
 from clmorph.rendering import Canvas, Sums, Widths, canvas_at, render
 from clmorph.sampling import Barycentric
-from clmorph.widths import KernelWidth
+from clmorph.widths import KernelWidth, is_pixel_art
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -41,6 +41,8 @@ class Morph:
     endpoints : {"exact", "paper"}
         Whether the first and the last frame are brought to the images themselves.
     unmatched : {"fade", "drop"}
+    parameters : dict
+        What `clmorph.morph` was called with; JSON takes it.
     """
 
     source: Measure
@@ -53,6 +55,7 @@ class Morph:
     operations: Operations = field(repr=False)
     endpoints: str = "exact"
     unmatched: str = "fade"
+    parameters: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
         (h, w), (height, width) = self.source.shape, self.target.shape
@@ -156,7 +159,7 @@ class Morph:
         """What the ends lack; None if they are left as they are."""
         if self.endpoints == "paper":
             return None
-        measures = self.source, self.target
+        measures = self._measures
         lacking = self._lacking(0.0), self._lacking(1.0)
         details = make_details(self.operations, measures, self.plan, lacking, self.unmatched)
         correction = EndCorrection(details)
@@ -192,14 +195,39 @@ class Morph:
         """All frames, at `times`; rendered at the first access, then kept."""
         return list(self.iter_frames())
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the morph to a file chosen by its ending, see `clmorph.export.save`.
+    @cached_property
+    def pixelated(self) -> bool:
+        """Whether both images are pixel art."""
+        images = (measure.colors.reshape(*measure.shape, 3) for measure in self._measures)
+        return all(is_pixel_art(image) for image in images)
+
+    @property
+    def _measures(self) -> tuple[Measure, Measure]:
+        return self.source, self.target
+
+    def save(self, path: str | PathLike[str], **options: Any) -> None:
+        """Write the morph to a file chosen by its ending.
+
+        Parameters
+        ----------
+        path : path
+            Such as ``out.gif``, ``out.mp4`` or ``out.html``.
+        **options
+            See `clmorph.save`.
 
         Raises
         ------
+        InputError
+            If an option cannot be used.
         OutputError
             If it cannot be written there.
         """
         from clmorph.export import save
 
-        save(self.frames, self.times, path)
+        save(self, path, **options)
+
+    def _repr_html_(self) -> str:
+        """Show the morph in a notebook, as a page to play with."""
+        from clmorph.viewer import repr_html
+
+        return repr_html(self)

@@ -2,11 +2,19 @@
 
 import sys
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 #: Progress, notes and errors; results go to standard output.
 NOTES = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -27,10 +35,13 @@ class Stages:
 
     def __init__(self) -> None:
         self._bars = Progress(
-            TextColumn("{task.description:10}"),
+            TextColumn("{task.description:12}"),
             BarColumn(),
             TextColumn("{task.percentage:>3.0f} %"),
             TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(compact=True),
+            TextColumn("{task.fields[note]}"),
             console=NOTES,
             disable=not NOTES.is_terminal,
             transient=True,
@@ -51,11 +62,20 @@ class Stages:
     ) -> None:
         self._bars.stop()
 
+    def marked(self, mark: str) -> Callable[[str, float], None]:
+        """Return what shows stages with a mark behind their names."""
+        return lambda stage, share: self(stage + mark, share)
+
+    def part(self, stage: str, number: int, count: int) -> Callable[[float], None]:
+        """Return what shows one of several equal parts of a stage."""
+        return lambda share: self(stage, (number + share) / count)
+
     def __call__(self, stage: str, share: float) -> None:
-        """Show that `share` (0 to 1) of a stage is done."""
+        """Show that `share` (0 to 1) of a stage is done, and the note that it bears."""
         now = time.perf_counter()
         if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(stage, total=1.0)
+            self._tasks[stage] = self._bars.add_task(stage, total=1.0, note="")
             self._began[stage] = now
-        self._bars.update(self._tasks[stage], completed=share)
+        note = getattr(share, "note", "")
+        self._bars.update(self._tasks[stage], completed=share, note=note)
         self.seconds[stage] = now - self._began[stage]

@@ -89,6 +89,9 @@ class KernelWidth:
 BLOCK_SHARE = 0.9
 #: Effective number of lines of edges from which on they tell a grid.
 FEWEST_LINES = 4.0
+#: A sprite that is not enlarged has at most so many colors, and so many pixels along a side.
+SPRITE_COLORS = 64
+SPRITE_SIDE = 256
 #: Range of luma below which an image has no detail: less than a step of 8 bits.
 FAINTEST = 1e-3
 #: Share of an image's edges' energy up to the frequency that counts as its highest.
@@ -114,6 +117,21 @@ def intrinsic_spacing(image: NDArray[np.float64]) -> float:
 def auto_sigma(image: NDArray[np.float64]) -> float:
     """Return the kernel width that suits an image's resolution: half its smallest detail."""
     return 0.5 * intrinsic_spacing(image)
+
+
+def is_pixel_art(image: NDArray[np.float64]) -> bool:
+    """Return whether an image is a sprite: of few colors, or of blocks.
+
+    Parameters
+    ----------
+    image : (H, W, C) array
+    """
+    if _block_side(image) > 1:
+        return True
+    if max(image.shape[:2]) > SPRITE_SIDE:
+        return False
+    colors = np.unique(image.reshape(-1, image.shape[2]), axis=0)
+    return len(colors) <= min(SPRITE_COLORS, image.shape[0] * image.shape[1] // 4)
 
 
 def _block_side(image: NDArray[np.float64]) -> int:

@@ -1,115 +1,450 @@
+"""Files that people open: each is read by a library that did not write it, or by ffprobe."""
+
+import json
+import re
+import shutil
+import subprocess
+
 import numpy as np
 import pytest
 from PIL import Image
 
-from clmorph import OutputError
-from clmorph.export import GIF_SIDE, output_writer, save, to_bytes
+import clmorph
+from clmorph import InputError, OutputError
+from clmorph.export import FORMATS, Output, save
+from clmorph.film import Film, to_bytes
+from clmorph.formats.embedding import read_parameters
+from clmorph.framing import Look
+from clmorph.motion import Motion
+
+#: The least peak signal-to-noise ratio of lossy files, in decibels, on small photographs: of
+#: GIF and WebP at the frames' own size, where WebP halves the resolution of hues; of videos four
+#: times enlarged.
+LEAST_PSNR = {"webp": 30.0, "mp4": 35.0, "webm": 35.0, "gif": 30.0}
 
 
-@pytest.fixture
-def frames(rng):
+@pytest.fixture(scope="module")
+def morph():
+    """Two pieces of photographs, 24 x 32 and 24 x 32, twelve frames."""
+    from skimage import data
+
+    pair = [clmorph.fit(image[:384, :512] / 255, 32) for image in (data.astronaut(), data.coffee())]
+    return clmorph.morph(*pair, 12, splatting="local", sigma_start="auto", sigma_end="auto")
+
+
+@pytest.fixture(scope="module")
+def growing():
     """A canvas that grows from 6 x 8 to 12 x 16."""
-    sizes = [(6, 8), (8, 10), (10, 13), (12, 16)]
-    return [rng.random((*size, 3)).astype(np.float32) for size in sizes]
+    rng = np.random.default_rng(3)
+    return clmorph.morph(rng.random((6, 8, 3)), rng.random((12, 16, 3)), 5)
 
 
-TIMES = np.linspace(0, 1, 4)
+@pytest.fixture(scope="module")
+def clear():
+    """Frames with opacity."""
+    rng = np.random.default_rng(4)
+    images = rng.random((2, 10, 10, 4))
+    images[..., 3] = images[..., 3] > 0.4
+    return clmorph.morph(*images, 4)
 
 
-def test_folder_holds_the_frames_exactly(tmp_path, frames):
-    save(frames, TIMES, tmp_path / "out")
-    files = sorted((tmp_path / "out").iterdir())
-    assert [file.name for file in files] == [f"frame-{i:04d}.png" for i in range(4)]
-    for file, frame in zip(files, frames, strict=True):
-        with Image.open(file) as picture:
-            assert np.array_equal(np.asarray(picture), to_bytes(frame))
-    assert list(tmp_path.iterdir()) == [tmp_path / "out"]
+def stills(file):
+    """The frames of an animation as Pillow decodes them, and their milliseconds."""
+    with Image.open(file) as animation:
+        frames, durations = [], []
+        for number in range(animation.n_frames):
+            animation.seek(number)
+            frames.append(np.asarray(animation.convert("RGBA")))
+            durations.append(animation.info.get("duration"))
+        return frames, durations
 
 
-def test_gif(tmp_path, frames):
-    save(frames, TIMES, tmp_path / "out.gif")
+def decoded(file):
+    """The frames of a video as the system's ffmpeg decodes them, by the tags in the file."""
+    shape = probe(file)["height"], probe(file)["width"], 3
+    raw = subprocess.run(
+        ["ffmpeg", "-v", "error", "-i", file, "-f", "rawvideo", "-sws_flags",
+         "accurate_rnd+full_chroma_int+bicubic", "-pix_fmt", "rgb24", "-"],
+        capture_output=True, check=True,
+    ).stdout  # fmt: skip
+    return np.frombuffer(raw, np.uint8).reshape(-1, *shape)
+
+
+def probe(file):
+    told = subprocess.run(
+        ["ffprobe", "-v", "error", "-count_frames", "-show_streams", "-show_format", "-of",
+         "json", file],
+        capture_output=True, check=True, text=True,
+    ).stdout  # fmt: skip
+    found = json.loads(told)
+    assert len(found["streams"]) == 1
+    return found["streams"][0] | {"format": found["format"]}
+
+
+def psnr(one, other):
+    error = np.mean((one.astype(float) - other.astype(float)) ** 2)
+    return 10 * np.log10(255**2 / error)
+
+
+def wanted(morph):
+    return [to_bytes(frame) for frame in morph.frames]
+
+
+@pytest.mark.parametrize("name", ["out.apng", "out.webp"])
+def test_lossless_animations_are_the_frames(tmp_path, morph, name):
+    save(morph, tmp_path / name, canvas="source", lossless=True, fps=25, hold=0.5)
+    frames, durations = stills(tmp_path / name)
+    assert len(frames) == 12
+    for frame, want in zip(frames, wanted(morph), strict=True):
+        assert np.array_equal(frame[..., :3], want)
+    assert durations == [540, *[40] * 10, 540]
+    with Image.open(tmp_path / name) as animation:
+        assert animation.info["loop"] == 0
+
+
+@pytest.mark.parametrize("name", ["out.apng", "out.webp"])
+def test_lossless_animations_keep_opacity(tmp_path, clear, name):
+    save(clear, tmp_path / name, canvas="source", lossless=True)
+    for frame, want in zip(stills(tmp_path / name)[0], wanted(clear), strict=True):
+        # WebP forgets what color is under no opacity at all.
+        seen = want[..., 3:] > 0 if name == "out.webp" else True
+        assert np.array_equal(frame * seen, want * seen)
+
+
+@pytest.mark.parametrize("name", ["out.gif", "out.webp"])
+def test_lossy_animations_are_close(tmp_path, morph, name):
+    save(morph, tmp_path / name, canvas="source", scaling="nearest")
+    frames, durations = stills(tmp_path / name)
+    for frame, want in zip(frames, wanted(morph), strict=True):
+        assert psnr(frame[..., :3], want) > LEAST_PSNR[name[4:]]
+    assert sum(durations) == pytest.approx(1000 * (12 / 20 + 2 * 0.65))
+
+
+@pytest.mark.parametrize(("name", "codec"), [("out.mp4", "h264"), ("out.webm", "vp9")])
+def test_videos(tmp_path, morph, name, codec):
+    """Codec, size, length, color tags, and colors as another decoder sees them."""
+    save(morph, tmp_path / name, canvas="128x96", fps=30, hold=0.1)
+    told = probe(tmp_path / name)
+    tags = ("codec_name", "width", "height", "pix_fmt", "r_frame_rate", "color_range")
+    tags += ("color_space", "color_primaries", "color_transfer", "nb_read_frames")
+    assert [told[tag] for tag in tags] == [
+        codec, 128, 96, "yuv420p", "30/1", "tv", "bt709", "bt709", "iec61966-2-1", "18",
+    ]  # fmt: skip
+    assert float(told["format"]["duration"]) == pytest.approx(18 / 30, abs=0.002)
+    order = [0] * 3 + list(range(12)) + [11] * 3
+    for frame, index in zip(decoded(tmp_path / name), order, strict=True):
+        large = Image.fromarray(wanted(morph)[index]).resize((128, 96), Image.Resampling.BICUBIC)
+        assert psnr(frame, np.asarray(large)) > LEAST_PSNR[name[4:]]
+
+
+@pytest.mark.parametrize("name", ["out.mp4", "out.webm"])
+def test_videos_have_true_colors(tmp_path, name):
+    """Plain colors, which no codec has an excuse for: a wrong matrix would be off by 20."""
+    colors = [(200, 30, 40), (20, 180, 60), (30, 60, 220), (128, 128, 128), (255, 255, 255)]
+    frames = [np.full((32, 32, 3), color, np.uint8) for color in colors]
+    film = Film(frames, [frame.shape for frame in frames], np.linspace(0, 1, 5),
+                np.zeros(5, bool), Motion())  # fmt: skip
+    Output(tmp_path / name).write(film, Look("source"))
+    for frame, color in zip(decoded(tmp_path / name), colors, strict=True):
+        assert np.abs(frame.astype(int) - color).max() <= 4
+
+
+def test_odd_sizes_in_videos_are_made_even(tmp_path):
+    rng = np.random.default_rng(0)
+    odd = clmorph.morph(rng.random((7, 9, 3)), rng.random((9, 5, 3)), 3)
+    save(odd, tmp_path / "out.mp4", canvas="source")
+    told = probe(tmp_path / "out.mp4")
+    assert (told["width"], told["height"]) == (10, 8)
+    save(odd, tmp_path / "out.mp4", canvas="33x21")
+    told = probe(tmp_path / "out.mp4")
+    assert (told["width"], told["height"]) == (34, 22)
+
+
+def test_webm_keeps_opacity(tmp_path, clear):
+    save(clear, tmp_path / "out.webm", canvas="64x64")
+    raw = subprocess.run(
+        ["ffmpeg", "-v", "error", "-c:v", "libvpx-vp9", "-i", tmp_path / "out.webm", "-f",
+         "rawvideo", "-pix_fmt", "rgba", "-"], capture_output=True, check=True,
+    ).stdout  # fmt: skip
+    alpha = np.frombuffer(raw, np.uint8).reshape(-1, 64, 64, 4)[0, ..., 3]
+    large = Image.fromarray(wanted(clear)[0][..., 3]).resize((64, 64), Image.Resampling.BICUBIC)
+    assert np.abs(alpha.astype(float) - np.asarray(large)).mean() < 25
+    assert alpha.min() < 20
+    assert alpha.max() > 235
+    save(clear, tmp_path / "out.mp4", canvas="64x64", background="#00ff00")
+    corner = decoded(tmp_path / "out.mp4")[0]
+    green = (corner[..., 1] > 200) & (corner[..., 0] < 80) & (corner[..., 2] < 80)
+    assert green.mean() > 0.2
+
+
+@pytest.mark.parametrize("name", ["frames", "out.tif", "tiff-folder"])
+def test_stills_are_the_frames_at_their_own_sizes(tmp_path, growing, name):
+    save(growing, tmp_path / name, format=name if name == "tiff-folder" else None)
+    if name == "out.tif":
+        with Image.open(tmp_path / name) as pages:
+            found = []
+            for number in range(pages.n_frames):
+                pages.seek(number)
+                found.append(np.asarray(pages))
+    else:
+        ending = "png" if name == "frames" else "tif"
+        files = sorted((tmp_path / name).iterdir())
+        assert [file.name for file in files] == [f"frame-{i:04d}.{ending}" for i in range(5)]
+        found = []
+        for file in files:
+            with Image.open(file) as picture:
+                found.append(np.asarray(picture))
+    for frame, want in zip(found, wanted(growing), strict=True):
+        assert np.array_equal(frame, want)
+    assert found[0].shape == (6, 8, 3)
+    assert found[-1].shape == (12, 16, 3)
+
+
+def test_tifffile_reads_pages_too(tmp_path, clear):
+    import tifffile
+
+    save(clear, tmp_path / "out.tiff")
+    with tifffile.TiffFile(tmp_path / "out.tiff") as tiff:
+        for page, want in zip(tiff.pages, wanted(clear), strict=True):
+            assert np.array_equal(page.asarray(), want)
+
+
+def test_npz_loads_again(tmp_path, morph, growing):
+    for one in (morph, growing):
+        save(one, tmp_path / "out.npz")
+        loaded = clmorph.load(tmp_path / "out.npz")
+        for frame, want in zip(loaded.frames, one.frames, strict=True):
+            assert frame.dtype == np.float32
+            assert np.array_equal(frame, want)
+        assert np.array_equal(loaded.times, one.times)
+        assert (loaded.plan.to_scipy() != one.plan.to_scipy()).nnz == 0
+        assert np.array_equal(loaded.plan.whole_row_mass, one.plan.whole_row_mass)
+        assert np.array_equal(loaded.potentials[0][0], one.potentials.f)
+        assert loaded.parameters["morphs"][0]["blur"] == 0.05
+    with np.load(tmp_path / "out.npz") as plain:  # without us
+        assert plain["frame_0000"].shape == (6, 8, 3)
+    save(morph, tmp_path / "out.npz")
+    with np.load(tmp_path / "out.npz") as plain:
+        assert plain["frames"].shape == (12, 24, 32, 3)
+
+
+def test_npz_of_mean_destinations_and_of_chains(tmp_path, rng):
+    images = rng.random((3, 6, 6, 3))
+    chain = [clmorph.morph(*pair, 3, barycentric=True) for pair in (images[:2], images[1:])]
+    save(chain, tmp_path / "out.npz")
+    loaded = clmorph.load(tmp_path / "out.npz")
+    assert loaded.times.tolist() == [0, 0.5, 1, 1.5, 2]
+    for plan, one in zip(loaded.plans, chain, strict=True):
+        assert np.array_equal(plan.covariance, one.plan.covariance)
+
+
+def test_what_is_no_archive_is_refused(tmp_path, rng):
+    np.savez(tmp_path / "other.npz", a=rng.random(3))
+    (tmp_path / "text.npz").write_text("not one")
+    for name in ("other.npz", "text.npz", "missing.npz"):
+        with pytest.raises(InputError, match=name) as caught:
+            clmorph.load(tmp_path / name)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_gif_has_one_palette(tmp_path, morph):
+    """No local color tables: what does not move does not flicker."""
+    save(morph, tmp_path / "out.gif")
+    data = (tmp_path / "out.gif").read_bytes()
+    # Image descriptors: a comma, four numbers, flags; the top bit announces a table, by which
+    # a writer may repeat the one for all.
+    table = data[13 : 13 + 255 * 3]
+    descriptors = list(re.finditer(rb"\x21\xf9\x04.{5}\x2c.{8}(.)", data, re.DOTALL))
+    assert len(descriptors) == 12
+    for found in descriptors:
+        if found[1][0] & 0x80:
+            assert data[found.end() : found.end() + 255 * 3] == table
     with Image.open(tmp_path / "out.gif") as gif:
-        assert gif.n_frames == 4
-        assert gif.size == (GIF_SIDE, GIF_SIDE * 3 // 4)
+        assert gif.size == (384, 288)
         assert gif.info["loop"] == 0
-        for number in (0, 3):
-            gif.seek(number)
-            enlarged = np.asarray(gif.convert("RGB").resize((16, 12), Image.Resampling.BOX))
-            assert enlarged.shape == (12, 16, 3)
-        assert np.abs(enlarged.astype(float) - to_bytes(frames[3])).mean() < 25
-    assert list(tmp_path.iterdir()) == [tmp_path / "out.gif"]
 
 
-def test_constant_frames_keep_their_color(tmp_path):
-    frames = [np.full((5, 5, 3), value) for value in (0.2, 0.8)]
-    save(frames, TIMES[:2], tmp_path / "out.gif")
-    with Image.open(tmp_path / "out.gif") as gif:
-        for number, value in enumerate((0.2, 0.8)):
-            gif.seek(number)
-            assert np.abs(np.asarray(gif.convert("RGB")) / 255 - value).max() < 0.01
+def test_pixel_art_is_not_dithered_and_keeps_its_pixels(tmp_path):
+    """All colors of the sprites are in the palette, and pixels are squares."""
+    rng = np.random.default_rng(5)
+    colors = rng.random((5, 3))
+    sprites = colors[rng.integers(0, 5, (2, 12, 12))]
+    art = clmorph.morph(*sprites, 4, splatting="none", blur=0.01)
+    assert art.pixelated
+    save(art, tmp_path / "out.gif")
+    frames, _ = stills(tmp_path / "out.gif")
+    for frame in frames:
+        assert frame.shape == (384, 384, 4)
+        assert np.array_equal(frame, np.kron(frame[::32, ::32], np.ones((32, 32, 1))))
+    for end, sprite in ((0, sprites[0]), (-1, sprites[1])):
+        assert np.array_equal(frames[end][::32, ::32, :3], to_bytes(sprite))
 
 
-def test_contact_sheet(tmp_path, frames):
-    save(frames, TIMES, tmp_path / "sheet.PNG")
+def test_a_gif_of_few_colors_is_exact(tmp_path):
+    ramp = np.linspace(0, 1, 12).reshape(3, 4, 1) * np.ones(3)
+    save(clmorph.morph(ramp, ramp, 2), tmp_path / "out.gif", canvas="source")
+    for frame in stills(tmp_path / "out.gif")[0]:
+        assert np.array_equal(frame[..., :3], to_bytes(ramp))
+
+
+def test_a_gif_rounds_opacity(tmp_path, clear):
+    save(clear, tmp_path / "out.gif", canvas="source")
+    for frame, want in zip(stills(tmp_path / "out.gif")[0], wanted(clear), strict=True):
+        assert np.array_equal(frame[..., 3] > 0, want[..., 3] >= 128)
+    save(clear, tmp_path / "flat.gif", canvas="source", background="red")
+    first = stills(tmp_path / "flat.gif")[0][0]
+    assert first[..., 3].min() == 255
+    hidden = wanted(clear)[0][..., 3] == 0
+    assert np.all(first[hidden][:, 0] > 200)
+
+
+def test_shapes_are_kept_on_a_common_canvas(tmp_path):
+    """A wide frame among tall ones gets bars, and is not stretched."""
+    pair = np.ones((4, 16, 3)), np.ones((16, 4, 3))
+    save(clmorph.morph(*pair, 2, extent="unit"), tmp_path / "out.gif")
+    wide = stills(tmp_path / "out.gif")[0][0][..., :3]
+    assert wide.shape == (384, 384, 3)
+    assert wide[192].min() > 250
+    assert wide[:96].max() < 5
+
+
+def test_canvases(tmp_path, growing):
+    for canvas, size in (("source", (8, 6)), ("target", (16, 12)), ("40x20", (40, 20))):
+        save(growing, tmp_path / "out.apng", canvas=canvas)
+        with Image.open(tmp_path / "out.apng") as animation:
+            assert animation.size == size
+        shutil.rmtree(tmp_path / "frames", ignore_errors=True)
+        save(growing, tmp_path / "frames", canvas=canvas)
+        for file in (tmp_path / "frames").iterdir():
+            with Image.open(file) as picture:
+                assert picture.size == size
+
+
+def test_contact_sheet(tmp_path, growing):
+    save(growing, tmp_path / "sheet.PNG", scaling="nearest")
     with Image.open(tmp_path / "sheet.PNG") as sheet:
-        assert sheet.width > 4 * 192
-        assert sheet.height > 144
+        assert sheet.n_frames == 1
+        assert sheet.size == (5 * (192 + 12) + 12, 144 + 22 + 24)
+        first = sheet.crop((12, 12, 12 + 192, 12 + 144)).resize((8, 6), Image.Resampling.BOX)
+    assert np.array_equal(np.asarray(first), wanted(growing)[0])
 
 
-def test_overwriting_a_file_and_filling_an_empty_folder(tmp_path, frames):
-    (tmp_path / "out.gif").write_text("old")
-    save(frames, TIMES, tmp_path / "out.gif")
-    assert (tmp_path / "out.gif").read_bytes()[:3] == b"GIF"
-    (tmp_path / "out").mkdir()
-    save(frames, TIMES, tmp_path / "out")
-    assert len(list((tmp_path / "out").iterdir())) == 4
+def test_loops(tmp_path, growing):
+    for loop, order, told in (
+        ("loop", [0, 1, 2, 3, 4], 0),
+        ("ping-pong", [0, 1, 2, 3, 4, 3, 2, 1], 0),
+        ("once", [0, 1, 2, 3, 4], 1),
+    ):
+        save(growing, tmp_path / "out.apng", canvas="target", scaling="nearest", loop=loop)
+        frames, durations = stills(tmp_path / "out.apng")
+        assert len(frames) == len(order)
+        assert np.array_equal(frames[4][..., :3], wanted(growing)[4])
+        assert durations[0] == durations[4] == 700
+        with Image.open(tmp_path / "out.apng") as animation:
+            assert animation.info["loop"] == told
+        for place, index in enumerate(order):
+            assert np.array_equal(frames[place], frames[index])
 
 
-def test_refusals(tmp_path):
+def test_reverse_and_chains(tmp_path, growing):
+    save(growing, tmp_path / "frames", reverse=True)
+    with Image.open(tmp_path / "frames" / "frame-0000.png") as first:
+        assert np.array_equal(np.asarray(first), wanted(growing)[-1])
+    rng = np.random.default_rng(3)
+    images = rng.random((6, 8, 3)), rng.random((12, 16, 3)), rng.random((5, 5, 3))
+    chain = [clmorph.morph(*pair, 4) for pair in (images[:2], images[1:])]
+    save(chain, tmp_path / "tour")
+    files = sorted((tmp_path / "tour").iterdir())
+    assert len(files) == 7
+    for file, image in zip(files[::3], images, strict=True):
+        with Image.open(file) as picture:
+            assert np.abs(np.asarray(picture).astype(int) - to_bytes(image)).max() <= 1
+    save(chain, tmp_path / "tour.apng", canvas="source", hold=1)
+    assert stills(tmp_path / "tour.apng")[1] == [1050, 50, 50, 1050, 50, 50, 1050]
+
+
+@pytest.mark.parametrize("name", [name for name in FORMATS if name != "html"])
+def test_every_format_tells_what_made_it(tmp_path, growing, name):
+    ending = (FORMATS[name].endings or ("",))[0]
+    path = tmp_path / f"out{ending}"
+    told = {"clmorph": "9", "options": {"blur": 0.03, "name": 'ü "quoted" </script> \\ \n'}}
+    save(growing, path, format=name, parameters=told)
+    assert read_parameters(path) == told
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_the_same_film_gives_the_same_bytes(tmp_path, growing, name):
+    ending = (FORMATS[name].endings or ("",))[0]
+    contents = []
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        path = tmp_path / folder / f"out{ending}"
+        save(growing, path, format=name)
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        contents.append([file.read_bytes() for file in files])
+    assert contents[0] == contents[1]
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, name):
+    ending = (FORMATS[name].endings or ("",))[0]
+    path = tmp_path / f"out{ending}"
+    folder = name.endswith("folder")
+    if not folder:
+        path.write_text("before")
+
+    def full(*args, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Film, "picture", full)
+    monkeypatch.setattr("clmorph.formats.archive._write_array", full)
+    with pytest.raises(OutputError, match="No space left"):
+        save(growing, path, format=name)
+    assert [file.name for file in tmp_path.iterdir()] == ([] if folder else [path.name])
+    assert folder or path.read_text() == "before"
+
+
+def test_refusals(tmp_path, growing, monkeypatch):
     (tmp_path / "file").write_text("")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "a.png").write_text("")
     (tmp_path / "dir.gif").mkdir()
     for name, words in [
-        ("out.bmp", "ending"),
+        ("out.bmp", "unknown ending '.bmp'; expected .gif, .webp, .apng"),
         ("no/where/out.gif", "no folder"),
         ("file", "exists already"),
         ("full", "exists already"),
         ("dir.gif", "is a folder"),
-        ("file/out.gif", "no folder"),
-        ("x" * 300 + ".gif", "cannot be written"),
+        ("file/out.gif", "no"),
+        ("x" * 300 + ".gif", "no such place|cannot be written"),
     ]:
         with pytest.raises(OutputError, match=words) as caught:
-            output_writer(tmp_path / name)
-        assert "\n" not in str(caught.value)
-
-
-def test_a_failed_write_leaves_nothing(tmp_path, frames, monkeypatch):
-    def full(*args, **options):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Image.Image, "save", full)
-    for name in ("out.gif", "sheet.png", "folder"):
-        with pytest.raises(OutputError, match="No space left"):
-            save(frames, TIMES, tmp_path / name)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_impossible_places():
-    for place in ("/proc/x.gif", "/sys/x.png", "/proc/frames"):
-        with pytest.raises(OutputError) as caught:
-            output_writer(place)
+            Output(tmp_path / name)
         assert "\n" not in str(caught.value)
     for nothing in (None, "", 3):
         with pytest.raises(OutputError, match="path"):
-            output_writer(nothing)
-
-
-def test_shapes_are_kept_on_a_common_canvas(tmp_path):
-    """A wide frame among tall ones gets bars, and is not stretched."""
-    save([np.ones((4, 16, 3)), np.ones((16, 4, 3))], TIMES[:2], tmp_path / "out.gif")
-    with Image.open(tmp_path / "out.gif") as gif:
-        wide = np.asarray(gif.convert("L"))
-        assert gif.size == (GIF_SIDE, GIF_SIDE)
-    assert wide[GIF_SIDE // 2].min() > 250
-    assert wide[: GIF_SIDE // 4].max() < 5
+            Output(nothing)
+    for options, words in (
+        ({"format": "mov"}, "format='mov'"),
+        ({"fps": 0}, "fps=0"),
+        ({"fps": 60}, "too fast for a GIF"),
+        ({"hold": -1}, "hold=-1"),
+        ({"loop": "twice"}, "loop='twice'"),
+        ({"canvas": "big"}, "canvas='big'"),
+        ({"canvas": "0x10"}, "canvas='0x10'"),
+        ({"canvas": (10, 99999)}, "canvas="),
+        ({"scaling": "bicubic"}, "scaling="),
+        ({"background": "reddish"}, "background='reddish'"),
+    ):
+        with pytest.raises(InputError, match=re.escape(words)) as caught:
+            save(growing, tmp_path / "out.gif", **options)
+        assert "\n" not in str(caught.value)
+    for nothing in ([], None, [1]):
+        with pytest.raises(InputError, match="expected a Morph"):
+            save(nothing, tmp_path / "out.gif")
+    monkeypatch.setattr("clmorph.formats.video.find_spec", lambda name: None)
+    for name in ("out.mp4", "out.webm"):
+        with pytest.raises(OutputError, match=r"pip install \"clmorph\[video\]\""):
+            save(growing, tmp_path / name)
+    assert not list(tmp_path.glob("out*"))

@@ -1,0 +1,51 @@
+"""What several commands begin with: reading pictures, opening a device."""
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+from clmorph.errors import InputError
+from clmorph.terminal import NOTES
+
+
+def read_picture(path: Path, max_pixels: int) -> Any:
+    """Read an image and print what is to be noted.
+
+    Parameters
+    ----------
+    path : Path
+    max_pixels : int
+        Larger ones are refused.
+
+    Returns
+    -------
+    (H, W, 3) or (H, W, 4) array
+    """
+    from clmorph.images import read_image
+
+    with warnings.catch_warnings(record=True) as notes:
+        warnings.simplefilter("always")
+        pixels = read_image(path, max_pixels=max_pixels)
+    for note in notes:
+        NOTES.print(f"note: {note.message}", markup=False)
+    return pixels
+
+
+def open_backend(device: str | None, backend: str | None) -> Any:
+    """Choose the device and say which it is.
+
+    Raises
+    ------
+    InputError
+        If both are named and contradict.
+    DeviceError
+        If there is none.
+    """
+    if device is not None and backend not in (None, "auto", "opencl"):
+        raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
+    from clmorph.backends import get_backend
+
+    with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
+        operations = get_backend(device or backend or "auto")
+    NOTES.print(f"device: {operations.description}", markup=False)
+    return operations

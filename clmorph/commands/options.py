@@ -1,0 +1,208 @@
+"""Options of the command line, by the panels in which the help shows them."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import rich_click as click
+
+from clmorph import defaults
+from clmorph.colors import COLOR_SPACES
+from clmorph.endpoints import ENDPOINTS
+from clmorph.export import FORMATS
+from clmorph.framing import SCALINGS
+from clmorph.images import MAX_PIXELS
+from clmorph.interpolation import UNMATCHED
+from clmorph.measures import EXTENTS, MASSES
+from clmorph.motion import EASES, LOOPS
+from clmorph.widths import SPLATTING
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+#: Value of ``--reach`` that stands for no creation or destruction of mass.
+BALANCED = "balanced"
+
+
+class _Reach(click.ParamType):
+    """A number, or "balanced", or two of them with a comma."""
+
+    name = "number|balanced"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        parts = value if isinstance(value, list | tuple) else str(value).split(",")
+        reaches = [self._one(part, param, ctx) for part in parts]
+        return reaches[0] if len(reaches) == 1 else tuple(reaches)
+
+    def _one(self, value: Any, param: Any, ctx: Any) -> float:
+        if value == BALANCED:
+            return math.inf
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            self.fail(f"{value!r} is neither a number nor {BALANCED!r}.", param, ctx)
+        if number == math.inf:
+            self.fail(f"{value!r}: expected a finite number, or {BALANCED!r}.", param, ctx)
+        return number
+
+
+class _Sigma(click.ParamType):
+    """A number, or "auto"."""
+
+    name = "number|auto"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if value == "auto":
+            return value
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            self.fail(f"{value!r} is neither a number nor 'auto'.", param, ctx)
+
+
+def _together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
+    """Return decorators as one, the first on top."""
+
+    def decorate(command: Command) -> Command:
+        for decorator in reversed(decorators):
+            command = decorator(command)
+        return command
+
+    return decorate
+
+
+def _option(panel: str, *names: str, **settings: Any) -> Callable[[Command], Command]:
+    return click.option(*names, panel=panel, **settings)
+
+
+transport_options = _together(
+    _option("Transport", "--size", type=int, help="Reduce pictures to this longer side, pixels."),
+    _option(
+        "Transport", "--blur", type=float, help="Entropic length scale, in image sides."
+    ),
+    _option(
+        "Transport", "--reach", type=_Reach(),
+        help="How far mass moves before it rather fades, in image sides; or balanced; two "
+        "(source,target) may differ.",
+    ),
+    _option("Transport", "--epsilon", type=float, help="The square of blur, in its place."),
+    _option("Transport", "--rho", type=_Reach(), help="The square of reach, in its place."),
+    _option(
+        "Transport", "--color-weight", type=float, help="Weight of color against position."
+    ),
+    _option(
+        "Transport", "--color-space", type=click.Choice(COLOR_SPACES),
+        help="In which colors are compared.",
+    ),
+    _option("Transport", "--mass", type=click.Choice(MASSES), help="What a pixel weighs."),
+    _option(
+        "Transport", "--extent", type=click.Choice(EXTENTS),
+        help="True aspect ratio, or both axes stretched to the unit square.",
+    ),
+    _option(
+        "Transport", "--tol", type=float, help="Residual at which the solver stops, in epsilons."
+    ),
+    _option(
+        "Transport", "--max-iter", type=int, help="Iterations after which it stops all the same."
+    ),
+    _option("Transport", "--barycentric", is_flag=True, default=None, help="One particle a pixel."),
+    _option(
+        "Transport", "--sample", type=int, help="So many particles a pixel, drawn from the plan."
+    ),
+    _option("Transport", "--seed", type=int, help="Of these draws."),
+)  # fmt: skip
+
+drawing_options = _together(
+    _option(
+        "Drawing", "--splatting", type=click.Choice(SPLATTING),
+        help="Kernel width: each particle's own (local), the paper's (adaptive), fixed, or none.",
+    ),
+    _option(
+        "Drawing", "--sigma-start", type=_Sigma(), help="Kernel width at the start, in pixels."
+    ),
+    _option("Drawing", "--sigma-end", type=_Sigma(), help="Kernel width at the end, in pixels."),
+    _option("Drawing", "--gamma", type=float, help="Its bulge in between (adaptive splatting)."),
+    _option(
+        "Drawing", "--sigma", type=click.Choice(["optimal"]), help="Find the widths instead; slow."
+    ),
+    _option(
+        "Drawing", "--endpoints", type=click.Choice(ENDPOINTS),
+        help="Ends exactly as the pictures, or through the kernel as in the paper.",
+    ),
+    _option(
+        "Drawing", "--unmatched", type=click.Choice(UNMATCHED),
+        help="Mass that does not move: drawn as it dies and is born, or left out.",
+    ),
+    _option(
+        "Drawing", "--path-space", type=click.Choice(COLOR_SPACES),
+        help="In which colors change on the way.",
+    ),
+)  # fmt: skip
+
+motion_options = _together(
+    _option(
+        "Motion", "--frames", type=int,
+        help=f"Frames of each morph, both ends included.  [default: {defaults.N_FRAMES}]",
+    ),
+    _option(
+        "Motion", "--fps", type=float, help=f"Frames a second.  [default: {defaults.FPS:g}]"
+    ),
+    _option("Motion", "--duration", type=float, help="Seconds of one round, in place of --fps."),
+    _option(
+        "Motion", "--hold", type=float,
+        help=f"Seconds that the pictures rest.  [default: {defaults.HOLD:g}]",
+    ),
+    _option(
+        "Motion", "--ease", type=click.Choice(EASES),
+        help="Even, slow at both ends (smooth), at the start (in) or the end (out).",
+    ),
+    _option("Motion", "--loop", type=click.Choice(LOOPS), help="What follows the last frame."),
+    _option("Motion", "--reverse", is_flag=True, default=None, help="From the last to the first."),
+)  # fmt: skip
+
+file_options = _together(
+    _option(
+        "File", "-o", "--output", type=click.Path(path_type=Path),
+        help="Where to; its ending says what: .gif .webp .apng .mp4 .webm .html, .png (contact "
+        "sheet), .npz (NumPy), .tif; without one a folder of PNG frames.",
+    ),
+    _option(
+        "File", "--format", type=click.Choice(list(FORMATS)), help="In place of the ending."
+    ),
+    _option(
+        "File", "--canvas", metavar="dynamic|source|target|WxH",
+        help="Size of the frames: each its own where the file can (dynamic, the default), or all "
+        "alike.",
+    ),
+    _option(
+        "File", "--scaling", type=click.Choice(SCALINGS),
+        help="How frames are enlarged; auto: nearest for pixel art, smooth for the rest.",
+    ),
+    _option(
+        "File", "--background", metavar="COLOR",
+        help="Under what is transparent, and for bars: white, #204060 …",
+    ),
+    _option(
+        "File", "--lossless", is_flag=True, default=None, help="WebP without loss."
+    ),
+    _option(
+        "File", "--recipe", is_flag=True, default=None,
+        help="Leave OUTPUT.json beside it, from which --config repeats the run.",
+    ),
+)  # fmt: skip
+
+device_options = _together(
+    _option(
+        "Device", "--device", metavar="NAME",
+        help="OpenCL device: an index (0:1) or part of a name.",
+    ),
+    _option(
+        "Device", "--backend", metavar="NAME",
+        help="auto, opencl, numpy, or what --device takes.  [default: auto]",
+    ),
+)  # fmt: skip
+
+max_pixels_option = _option(
+    "Transport", "--max-pixels", type=int, default=MAX_PIXELS, show_default=True,
+    help="Refuse larger files.",
+)  # fmt: skip

@@ -1,0 +1,1 @@
+"""Files that people open: one module for each kind."""

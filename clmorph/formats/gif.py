@@ -1,0 +1,117 @@
+"""GIF: one palette over all frames, so that nothing flickers."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.errors import InputError
+from clmorph.film import Film
+from clmorph.formats.embedding import as_text
+from clmorph.framing import Framing, Look
+from clmorph.motion import whole_units
+from clmorph.progress import Report, tracked
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+#: Longer side, in pixels, to which small frames are enlarged.
+SIDE = 384
+#: Colors of the palette; one more entry stands for what is transparent.
+COLORS = 255
+#: Pixels from which the palette is taken.
+SAMPLES = 250_000
+#: Browsers take a shorter frame for a long one.
+SHORTEST = 0.02
+
+
+def write(film: Film, look: Look, file: Path, report: Report) -> None:
+    """Write an animated GIF; opacity is rounded to all or nothing."""
+    seconds = [seconds for _, seconds in film.played()]
+    if min(seconds) < SHORTEST - 1e-9:
+        raise InputError(
+            f"fps={film.motion.fps:.4g} is too fast for a GIF: expected at most "
+            f"{1 / SHORTEST:.0f}; lower it, or write .webp, .apng or a video"
+        )
+    framing = Framing(look, film.shapes, film.pixelated, SIDE)
+    palette = _palette(film, framing)
+    pictures = (
+        _in_palette(framing(film.picture(index)), palette, framing.nearest)
+        for index, _ in tracked(film.played(), report)
+    )
+    options: dict[str, Any] = {}
+    if framing.clear:
+        # What was drawn before must not show through.
+        options = {"transparency": COLORS, "disposal": 2}
+    if film.motion.loop != "once":
+        options["loop"] = 0
+    next(pictures).save(
+        file, save_all=True, append_images=pictures, optimize=False,
+        duration=[10 * units for units in whole_units(seconds, 100)],
+        comment=as_text(film.parameters).encode(), **options,
+    )  # fmt: skip
+
+
+def _palette(film: Film, framing: Framing) -> "Image":
+    """Return an image whose palette suits all frames, and what stands beside them.
+
+    Of pixel art the pictures' own colors are kept exactly.
+    """
+    from PIL import Image
+
+    pixels = sum(height * width for height, width, _ in film.shapes)
+    step = max(1, pixels // SAMPLES)
+    bars = np.asarray(framing(np.zeros((1, 1, 3), np.uint8)))[:1, 0, :3]
+    samples = [_colors(film, framing, index)[::step] for index in range(len(film))]
+    pool = np.concatenate((*samples, np.repeat(bars, 256, axis=0)))
+    chosen = np.unique(pool, axis=0)
+    if len(chosen) > COLORS:
+        exact = bars
+        if framing.nearest:
+            ends = [_colors(film, framing, int(index)) for index in np.flatnonzero(film.rests)]
+            own = np.unique(np.concatenate((*ends, bars)), axis=0)
+            exact = own if len(own) <= COLORS // 2 else bars
+        rest = Image.fromarray(pool[:, None]).quantize(
+            COLORS - len(exact), method=Image.Quantize.MEDIANCUT, kmeans=1
+        )
+        found = np.frombuffer(bytes(rest.getpalette() or ()), np.uint8).reshape(-1, 3)
+        chosen = np.concatenate((exact, found))[:COLORS]
+    palette = Image.new("P", (1, 1))
+    # Repeated, so that no entry is a color that is not there.
+    palette.putpalette(np.resize(chosen, (COLORS, 3)).astype(np.uint8).tobytes())
+    return palette
+
+
+def _colors(film: Film, framing: Framing, index: int) -> NDArray[np.uint8]:
+    return np.asarray(framing.unscaled(film.picture(index)))[..., :3].reshape(-1, 3)
+
+
+def _in_palette(picture: "Image", palette: "Image", plain: bool) -> "Image":
+    """Return a picture in the palette's colors; those of pixel art are not mixed from dots."""
+    from PIL import Image
+
+    if plain:
+        colors = _nearest(picture, palette)
+    else:
+        dither = Image.Dither.FLOYDSTEINBERG
+        colors = picture.convert("RGB").quantize(palette=palette, dither=dither)
+    if picture.mode == "RGBA":
+        hidden = picture.getchannel("A").point(lambda alpha: 255 * (alpha < 128))
+        colors.paste(COLORS, mask=hidden)
+    return colors
+
+
+def _nearest(picture: "Image", palette: "Image") -> "Image":
+    """Return a picture in the nearest colors; Pillow's own search rounds them to six bits."""
+    from PIL import Image
+    from scipy.spatial import KDTree
+
+    entries = np.frombuffer(bytes(palette.getpalette() or ()), np.uint8).reshape(-1, 3)
+    pixels = np.asarray(picture)[..., :3]
+    found, places = np.unique(pixels.reshape(-1, 3), axis=0, return_inverse=True)
+    _, nearest = KDTree(entries).query(found)
+    indices = np.asarray(nearest, np.uint8)[places].reshape(pixels.shape[:2])
+    colors = Image.fromarray(indices, "L").convert("P")
+    colors.putpalette(entries.tobytes())
+    return colors
