@@ -1,0 +1,87 @@
+// Arrows over the picture: where mass comes from, where it is now, where it goes.
+
+/** The least displacement, in screen pixels, that has an arrow; shorter ones have a dot. */
+const SHORTEST = 3;
+
+/**
+ * @param {object[]} fields each with begin, end, positions, displacement, weights
+ * @param {HTMLCanvasElement} canvas lies over the stage
+ * @param {object} stage see makeStage
+ */
+function makeArrows(fields, canvas, stage) {
+  const context = canvas.getContext("2d");
+  const state = { visible: false };
+
+  function draw(time) {
+    const ratio = devicePixelRatio;
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+    canvas.hidden = !state.visible;
+    if (!state.visible) return;
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.lineCap = "round";
+    context.lineJoin = "round";
+    for (const field of fields) {
+      const share = (time - field.begin) / (field.end - field.begin);
+      if (share < -1e-9 || share > 1 + 1e-9) continue;
+      field.positions.forEach((start, k) => {
+        const by = field.displacement[k];
+        const from = stage.place(...start);
+        const to = stage.place(start[0] + by[0], start[1] + by[1]);
+        arrow(from, to, share, field.weights === null ? 1 : field.weights[k]);
+      });
+    }
+  }
+
+  /** The whole way faintly, the part that is done plainly, a head where the mass is now. */
+  function arrow(from, to, share, weight) {
+    const [dx, dy] = [to[0] - from[0], to[1] - from[1]];
+    const length = Math.hypot(dx, dy);
+    const [x, y] = [from[0] + share * dx, from[1] + share * dy];
+    // Directions that are told apart by hue; the dark casing keeps them legible on any picture.
+    const hue = (Math.atan2(dy, dx) * 180) / Math.PI + 215;
+    const strength = 0.35 + 0.65 * Math.sqrt(Math.min(1, weight));
+    const color = (alpha) => `hsl(${hue} 95% 72% / ${alpha * strength})`;
+    const casing = (alpha) => `rgb(0 0 0 / ${alpha * strength})`;
+    if (length < SHORTEST) {
+      dot(x, y, 2.2, casing(0.6));
+      dot(x, y, 1.3, "rgb(255 255 255 / 0.8)");
+      return;
+    }
+    line(from, to, 2.4, casing(0.22));
+    line(from, to, 1, color(0.5));
+    line(from, [x, y], 3.4, casing(0.5));
+    line(from, [x, y], 1.7, color(1));
+    const size = Math.max(3, Math.min(8, length / 2.5));
+    const [ux, uy] = [dx / length, dy / length];
+    context.beginPath();
+    context.moveTo(x + ux * size * 0.7, y + uy * size * 0.7);
+    context.lineTo(x - ux * size * 0.5 - uy * size * 0.5, y - uy * size * 0.5 + ux * size * 0.5);
+    context.lineTo(x - ux * size * 0.5 + uy * size * 0.5, y - uy * size * 0.5 - ux * size * 0.5);
+    context.closePath();
+    context.lineWidth = 1.6;
+    context.strokeStyle = casing(0.65);
+    context.stroke();
+    context.fillStyle = color(1);
+    context.fill();
+  }
+
+  function line(from, to, width, style) {
+    context.beginPath();
+    context.moveTo(...from);
+    context.lineTo(...to);
+    context.lineWidth = width;
+    context.strokeStyle = style;
+    context.stroke();
+  }
+
+  function dot(x, y, radius, style) {
+    context.beginPath();
+    context.arc(x, y, radius, 0, 2 * Math.PI);
+    context.fillStyle = style;
+    context.fill();
+  }
+
+  return { state, draw };
+}
