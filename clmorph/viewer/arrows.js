@@ -2,6 +2,8 @@
 
 /** The least displacement, in screen pixels, that has an arrow; shorter ones have a dot. */
 const SHORTEST = 3;
+/** The least distance of arrows, in screen pixels; closer ones are drawn as their mean. */
+const APART = 18;
 
 /**
  * @param {object[]} fields each with begin, end, positions, displacement, weights
@@ -11,27 +13,60 @@ const SHORTEST = 3;
 function makeArrows(fields, canvas, stage) {
   const context = canvas.getContext("2d");
   const state = { visible: false };
+  const thinned = new Map(); // field -> { side, arrows }
 
   function draw(time) {
+    canvas.hidden = !state.visible;
+    if (!state.visible) return;
     const ratio = devicePixelRatio;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);
-    canvas.hidden = !state.visible;
-    if (!state.visible) return;
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.lineCap = "round";
     context.lineJoin = "round";
     for (const field of fields) {
       const share = (time - field.begin) / (field.end - field.begin);
       if (share < -1e-9 || share > 1 + 1e-9) continue;
-      field.positions.forEach((start, k) => {
-        const by = field.displacement[k];
+      const arrows = thin(field, APART / stage.unit());
+      const heaviest = Math.max(...arrows.map((one) => one.mass));
+      for (const { start, by, mass } of arrows) {
         const from = stage.place(...start);
         const to = stage.place(start[0] + by[0], start[1] + by[1]);
-        arrow(from, to, share, field.weights === null ? 1 : field.weights[k]);
-      });
+        arrow(from, to, share, heaviest > 0 ? mass / heaviest : 1);
+      }
     }
+  }
+
+  /** Arrows at least about so far apart: means over squares of whole places. */
+  function thin(field, apart) {
+    const low = [0, 1].map((axis) => Math.min(...field.positions.map((start) => start[axis])));
+    const wide = [0, 1].map((axis) => Math.max(...field.positions.map((start) => start[axis])) - low[axis]);
+    // The distance s of places, as if they filled a grid: (w / s + 1) (h / s + 1) = K.
+    const most = Math.max(1, field.positions.length - 1);
+    const sum = wide[0] + wide[1];
+    const place = (sum + Math.sqrt(sum * sum + 4 * most * wide[0] * wide[1])) / (2 * most) || 1;
+    const side = place * Math.max(1, Math.ceil(apart / place - 0.1));
+    if (thinned.get(field)?.side === side) return thinned.get(field).arrows;
+    const squares = new Map();
+    field.positions.forEach((start, k) => {
+      const key = start.map((value, axis) => Math.floor((value - low[axis]) / side + place / side / 2)).join();
+      const mass = field.weights === null ? 1 : field.weights[k];
+      const square = squares.get(key) || { start: [0, 0], by: [0, 0], mass: 0 };
+      squares.set(key, square);
+      square.mass += mass;
+      for (const axis of [0, 1]) {
+        square.start[axis] += mass * start[axis];
+        square.by[axis] += mass * field.displacement[k][axis];
+      }
+    });
+    const arrows = [...squares.values()].filter((square) => square.mass > 0);
+    for (const square of arrows) {
+      square.start = square.start.map((value) => value / square.mass);
+      square.by = square.by.map((value) => value / square.mass);
+    }
+    thinned.set(field, { side, arrows });
+    return arrows;
   }
 
   /** The whole way faintly, the part that is done plainly, a head where the mass is now. */

@@ -47,6 +47,9 @@ function makeCharts(curves, times, parent, seek) {
     const lowest = Math.min(...values, 0);
     const top = highest > 0 ? roundUp(highest) : lowest < 0 ? 0 : 1;
     const bottom = lowest < 0 ? -roundUp(-lowest) : 0;
+    // As many decimals at any time, so that numbers do not dance.
+    const decimals = 3 - Math.ceil(Math.log10(Math.max(top, -bottom)));
+    const format = (value) => (decimals > 6 ? short(value) : value.toFixed(Math.max(0, decimals)));
     const up = (value) => 100 * (1 - (value - bottom) / (top - bottom));
 
     const svg = shape("svg", { viewBox: "0 0 1000 100", preserveAspectRatio: "none", "aria-hidden": "true" });
@@ -71,9 +74,10 @@ function makeCharts(curves, times, parent, seek) {
     const plot = element("div", { class: "plot" }, svg);
     const label = (text, name) => element("span", { class: `label ${name}`, "aria-hidden": "true" }, text);
     plot.append(label(short(top), "top"), label(short(bottom), "bottom"));
+    plot.append(label(`t = ${short(first)}`, "first"), label(short(last), "last"));
     const names = group.map((curve) => curve.name).join(", ");
     parent.append(element("figure", { class: "chart", role: "group", "aria-label": `${names}, in ${unit}, over time` },
-      element("figcaption", {}, unit), legend, plot));
+      legend, element("p", { class: "unit" }, unit), plot));
 
     const pick = (event) => {
       const frame = svg.getBoundingClientRect();
@@ -96,7 +100,7 @@ function makeCharts(curves, times, parent, seek) {
       for (const { curve, dot, output } of marks) {
         const y = up(curve.values[index]);
         for (const [key, value] of [["x1", x], ["x2", x], ["y1", y], ["y2", y]]) dot.setAttribute(key, value);
-        output.textContent = short(curve.values[index]);
+        output.textContent = format(curve.values[index]);
       }
     };
   }

@@ -117,8 +117,11 @@ function makeStage(scene, stage, box, canvas, changed, tapped) {
     ];
   }
 
+  /** Pixels of the stage for the unit of the common frame, at the frame shown. */
+  const unit = () => Math.max(scene.boxes[index][2], scene.boxes[index][3]) * scale();
+
   listen();
-  return { view, zoom, zoomTo, step, move, draw, arrange, setPixelated, place };
+  return { view, zoom, zoomTo, step, move, draw, arrange, setPixelated, place, unit };
 
   /** Wheel, drag and pinch. */
   function listen() {

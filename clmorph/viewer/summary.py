@@ -55,7 +55,7 @@ def scene_of(
     fps: float = 20.0,
     hold: float = 0.7,
     loop: str = "ping-pong",
-    title: str | None = None,
+    title: str = "Morph",
     pixelated: bool | None = None,
     parameters: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
@@ -69,10 +69,8 @@ def scene_of(
         At `times`: uint8, or floats in [0, 1]; None renders each when it is asked for.
     times : (n,) array, optional
         None are the morph's own.
-    fps, hold, loop
+    fps, hold, loop, title
         See `Scene`.
-    title : str, optional
-        None tells the sizes of both images.
     pixelated : bool, optional
         None: if one of the images is a sprite, of at most 64 colors.
     parameters : mapping, optional
@@ -91,9 +89,6 @@ def scene_of(
     chosen = morph.times if times is None else np.asarray(times, np.float64)
     pictures: Sequence[NDArray[Any]]
     pictures = RenderedFrames(morph, chosen) if frames is None else _EightBits(frames)
-    (h, w), (height, width) = morph.source.shape, morph.target.shape
-    if title is None:
-        title = f"Morph of {w} \u00d7 {h} into {width} \u00d7 {height} pixels"
     if pixelated is None:
         pixelated = _is_sprite(morph.source.colors) or _is_sprite(morph.target.colors)
     return Scene(

@@ -10,10 +10,11 @@ const frames = makeFrames([...document.querySelectorAll("script.frame")], scene.
 const { times } = scene;
 const digits = Math.max(2, Math.ceil(Math.log10(times.length / (times[times.length - 1] - times[0] || 1))));
 
-const arrows = makeArrows(scene.fields, $("arrows"), { place: (x, y) => stage.place(x, y) });
+const arrows = makeArrows(scene.fields, $("arrows"), { place: (x, y) => stage.place(x, y), unit: () => stage.unit() });
 const stage = makeStage(scene, $("stage"), $("box"), $("canvas"), () => {
   const fits = stage.view.scale === null;
   $("zoom").textContent = fits ? "Fit" : `${short(stage.zoom())}\u00d7`;
+  $("zoom").setAttribute("aria-label", `Zoom: ${fits ? "fit" : $("zoom").textContent}`);
   $("zoom").setAttribute("aria-pressed", fits);
   press("pixels", stage.view.pixelated);
   arrows.draw(times[player.state.index]);
