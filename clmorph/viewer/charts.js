@@ -1,0 +1,109 @@
+// Curves over morph time, with a cursor; pressing or dragging moves the cursor.
+
+const SVG = "http://www.w3.org/2000/svg";
+
+function element(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+function shape(name, attributes) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  return made;
+}
+
+/** Three significant digits, without exponents where they are not needed. */
+function short(value) {
+  const size = Math.abs(value);
+  if (size === 0) return "0";
+  if (size >= 1e5 || size < 1e-3) return value.toExponential(1);
+  return String(Number(value.toPrecision(3)));
+}
+
+/** The next of 1, 2, 2.5, 5 times a power of ten. */
+function roundUp(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return power * [1, 2, 2.5, 5, 10].find((step) => step * power >= value * (1 - 1e-9));
+}
+
+/**
+ * @param {object[]} curves each with name, unit, values
+ * @param {number[]} times
+ * @param {HTMLElement} parent
+ * @param {(time: number) => void} seek
+ */
+function makeCharts(curves, times, parent, seek) {
+  const [first, last] = [times[0], times[times.length - 1]];
+  const across = (time) => (last > first ? (1000 * (time - first)) / (last - first) : 500);
+  const charts = [...new Set(curves.map((curve) => curve.unit))].map(chart);
+
+  function chart(unit) {
+    const group = curves.filter((curve) => curve.unit === unit);
+    const values = group.flatMap((curve) => curve.values);
+    const highest = Math.max(...values, 0);
+    const lowest = Math.min(...values, 0);
+    const top = highest > 0 ? roundUp(highest) : lowest < 0 ? 0 : 1;
+    const bottom = lowest < 0 ? -roundUp(-lowest) : 0;
+    // As many decimals at any time, so that numbers do not dance.
+    const decimals = 3 - Math.ceil(Math.log10(Math.max(top, -bottom)));
+    const format = (value) => (decimals > 6 ? short(value) : value.toFixed(Math.max(0, decimals)));
+    const up = (value) => 100 * (1 - (value - bottom) / (top - bottom));
+
+    const svg = shape("svg", { viewBox: "0 0 1000 100", preserveAspectRatio: "none", "aria-hidden": "true" });
+    for (const level of [0, 50, 100]) svg.append(shape("line", { class: "grid", x1: 0, x2: 1000, y1: level, y2: level }));
+    for (let time = Math.ceil(first); time <= last; time += Math.ceil((last - first) / 12) || 1) {
+      svg.append(shape("line", { class: "grid", x1: across(time), x2: across(time), y1: 0, y2: 100 }));
+    }
+    const cursor = shape("line", { class: "cursor", y1: 0, y2: 100 });
+    svg.append(cursor);
+    const legend = element("ul", { class: "legend" });
+    const marks = group.map((curve, k) => {
+      const points = curve.values.map((value, i) => `${across(times[i])},${up(value)}`).join(" ");
+      svg.append(shape("polyline", { class: `curve curve-${k % 4}`, points }));
+      // A line without length has round ends only: a dot that the stretched drawing leaves round.
+      const dot = shape("line", { class: `dot curve-${k % 4}` });
+      svg.append(dot);
+      const output = element("output", {});
+      const key = element("span", { class: `key curve-${k % 4}` });
+      legend.append(element("li", {}, key, curve.name, output));
+      return { curve, dot, output };
+    });
+    const plot = element("div", { class: "plot" }, svg);
+    const label = (text, name) => element("span", { class: `label ${name}`, "aria-hidden": "true" }, text);
+    plot.append(label(short(top), "top"), label(short(bottom), "bottom"));
+    plot.append(label(`t = ${short(first)}`, "first"), label(short(last), "last"));
+    const names = group.map((curve) => curve.name).join(", ");
+    parent.append(element("figure", { class: "chart", role: "group", "aria-label": `${names}, in ${unit}, over time` },
+      legend, element("p", { class: "unit" }, unit), plot));
+
+    const pick = (event) => {
+      const frame = svg.getBoundingClientRect();
+      const share = Math.max(0, Math.min(1, (event.clientX - frame.left) / frame.width));
+      seek(first + share * (last - first));
+    };
+    plot.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0) return;
+      plot.setPointerCapture(event.pointerId);
+      pick(event);
+    });
+    plot.addEventListener("pointermove", (event) => {
+      if (plot.hasPointerCapture(event.pointerId)) pick(event);
+    });
+
+    return (index) => {
+      const x = across(times[index]);
+      cursor.setAttribute("x1", x);
+      cursor.setAttribute("x2", x);
+      for (const { curve, dot, output } of marks) {
+        const y = up(curve.values[index]);
+        for (const [key, value] of [["x1", x], ["x2", x], ["y1", y], ["y2", y]]) dot.setAttribute(key, value);
+        output.textContent = format(curve.values[index]);
+      }
+    };
+  }
+
+  return { update: (index) => charts.forEach((update) => update(index)) };
+}

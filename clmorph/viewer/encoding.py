@@ -1,0 +1,131 @@
+"""Frames as text inside a page: without loss, unless the page would become too large."""
+
+import base64
+import io
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.errors import InputError, OutputError
+
+#: Effort of lossless WebP: a quarter smaller than PNG, at about 0.4 microseconds a pixel; the
+#: highest effort takes forty times as long for 4 % less.
+LOSSLESS: dict[str, Any] = {"lossless": True, "quality": 80, "method": 4}
+#: Qualities that are tried in turn where frames without loss would be too many bytes.
+QUALITIES = (95, 90, 80, 60)
+#: The longest side that WebP can have.
+WEBP_SIDE = 16383
+
+
+class Encoded(NamedTuple):
+    """A frame as text.
+
+    Attributes
+    ----------
+    text : str
+        Base64.
+    kind : str
+        Its media type.
+    size : (height, width)
+    quality : int
+        Of lossy WebP; 100 stands for no loss.
+    """
+
+    text: str
+    kind: str
+    size: tuple[int, int]
+    quality: int
+
+
+class Encoder:
+    """Encodes frames one by one within a budget of bytes, whatever comes later.
+
+    Each frame may take an equal share of what is left; what it does not need is the next ones'.
+    Only a frame that needs more without loss is compressed with some.
+
+    Parameters
+    ----------
+    count : int
+        Number of frames.
+    max_bytes : float
+        The most that all of them may take, as text.
+    """
+
+    def __init__(self, count: int, max_bytes: float) -> None:
+        from PIL import features
+
+        self._frames_left = count
+        self._bytes_left = max_bytes
+        self._max_bytes = max_bytes
+        self._webp = bool(features.check("webp"))
+        #: (height, width) of the frames so far, and their qualities.
+        self.sizes: list[tuple[int, int]] = []
+        self.qualities: list[int] = []
+
+    def encode(self, frame: NDArray[np.uint8]) -> Encoded:
+        """Return a frame as text.
+
+        Raises
+        ------
+        InputError
+            If it is no (H, W, 3) or (H, W, 4) array of uint8.
+        OutputError
+            If its share of the bytes is too small for it.
+        """
+        from PIL import Image
+
+        number = len(self.sizes)
+        if (
+            getattr(frame, "dtype", None) != np.uint8
+            or frame.ndim != 3
+            or frame.shape[2] not in (3, 4)
+            or 0 in frame.shape
+        ):
+            raise InputError(
+                f"frame {number} is {_kind(frame)}: expected (H, W, 3) or (H, W, 4) uint8"
+            )
+        if not self._frames_left:
+            raise InputError("there are more frames than times: expected one each")
+        size = (int(frame.shape[0]), int(frame.shape[1]))
+        picture = Image.fromarray(np.ascontiguousarray(frame))
+        webp = self._webp and max(size) <= WEBP_SIDE
+        share = self._bytes_left / self._frames_left
+        tried: list[tuple[int, str, dict[str, Any]]] = [
+            (100, "WEBP", LOSSLESS) if webp else (100, "PNG", {"optimize": True})
+        ]
+        if webp:
+            tried += [(quality, "WEBP", {"quality": quality}) for quality in QUALITIES]
+        for quality, form, options in tried:
+            file = io.BytesIO()
+            picture.save(file, form, **options)
+            text = base64.b64encode(file.getbuffer()).decode("ascii")
+            if len(text) <= share:
+                break
+        else:
+            raise OutputError(
+                f"the page would take more than {self._max_bytes / 1e6:.3g} MB: use fewer or "
+                "smaller frames, or write a .gif or a folder of frames"
+            )
+        self._frames_left -= 1
+        self._bytes_left -= len(text)
+        self.sizes.append(size)
+        self.qualities.append(quality)
+        return Encoded(text, f"image/{form.lower()}", size, quality)
+
+    @property
+    def note(self) -> str | None:
+        """What to say about loss; None if there is none."""
+        lossy = [quality for quality in self.qualities if quality < 100]
+        if not lossy:
+            return None
+        return (
+            f"{len(lossy)} of {len(self.qualities)} frames are compressed with loss "
+            f"(WebP, quality {min(lossy)} or better), so that this page stays within "
+            f"{self._max_bytes / 1e6:.3g} MB."
+        )
+
+
+def _kind(frame: object) -> str:
+    shape, dtype = getattr(frame, "shape", None), getattr(frame, "dtype", None)
+    return type(frame).__name__ if shape is None else f"{shape} {dtype}"
