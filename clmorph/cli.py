@@ -109,7 +109,7 @@ def morph(
     context: click.RichContext,
     /,
     images: tuple[Path, ...],
-    output: Path | None,
+    output: tuple[Path, ...],
     preset: str | None,
     config: list[tuple[Path, str | None]] | None,
     dump_config: bool,
@@ -145,7 +145,7 @@ def morph(
             f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given: expected two or "
             "more, as in clmorph morph a.png b.jpg -o out.gif"
         )
-    if output is None:
+    if not output:
         raise InputError("no output given: expected -o with a name, such as -o out.gif")
     run_morph(
         images, output, settings, max_pixels=max_pixels, device=device, backend=backend,

@@ -31,8 +31,8 @@ class Format:
         What it is, for people.
     write : callable
         Called with a film, a look, a new path and what to report to.
-    lossy : bool
-        Whether frames differ from the morph's, rounded to 8 bits; sizes aside.
+    animated : bool
+        Whether it lasts as long as its frames are shown.
     exact : bool
         Whether it holds floats.
     keep : bool
@@ -44,7 +44,7 @@ class Format:
     endings: tuple[str, ...]
     words: str
     write: Callable[[Film, Look, Path, Report], None]
-    lossy: bool = False
+    animated: bool = False
     exact: bool = False
     keep: bool = False
     check: Callable[[], None] = lambda: None
@@ -52,13 +52,13 @@ class Format:
 
 #: Every kind of file by its name; those without an ending of their own need to be named.
 FORMATS: dict[str, Format] = {
-    "gif": Format((".gif",), "a looping GIF", gif.write, lossy=True),
-    "webp": Format((".webp",), "an animated WebP", animation.write_webp, lossy=True),
-    "apng": Format((".apng",), "an animated PNG", animation.write_apng),
+    "gif": Format((".gif",), "a looping GIF", gif.write, animated=True),
+    "webp": Format((".webp",), "an animated WebP", animation.write_webp, animated=True),
+    "apng": Format((".apng",), "an animated PNG", animation.write_apng, animated=True),
     "mp4": Format((".mp4",), "a video, H.264", video.write_mp4, True, check=video.check_video),
     "webm": Format((".webm",), "a video, VP9", video.write_webm, True, check=video.check_video),
     "html": Format((".html", ".htm"), "a page to play with", page.write, keep=True),
-    "sheet": Format((".png",), "a contact sheet", sheet.write, lossy=True),
+    "sheet": Format((".png",), "a contact sheet", sheet.write),
     "npz": Format(
         (".npz",), "NumPy arrays: frames, times, plan", archive.write, exact=True, keep=True
     ),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.images import to_bytes
 from clmorph.motion import Motion
 from clmorph.progress import Share
 from clmorph.result import Morph
@@ -66,13 +67,6 @@ class Film:
     def duration(self) -> float:
         """Seconds of one round."""
         return sum(seconds for _, seconds in self.played())
-
-
-def to_bytes(frame: NDArray[Any]) -> NDArray[np.uint8]:
-    """Round a frame in [0, 1] to 8 bits; one that is, is returned as it is."""
-    if frame.dtype == np.uint8:
-        return frame
-    return np.round(np.clip(frame, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
 @contextmanager

@@ -80,6 +80,13 @@ def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
     return colors if alpha is None else colors * alpha[..., None] + (1.0 - alpha[..., None])
 
 
+def to_bytes(frame: NDArray[Any]) -> NDArray[np.uint8]:
+    """Round a frame in [0, 1] to 8 bits; one that is, is returned as it is."""
+    if frame.dtype == np.uint8:
+        return frame
+    return np.round(np.clip(frame, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
 def split_alpha(
     pixels: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:

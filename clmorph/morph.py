@@ -278,7 +278,7 @@ def morph(
 
 
 def _told(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of `morph` in a form that JSON takes; of arrays only their shape."""
+    """Return the options of `morph` as JSON takes them; of arrays only that there were some."""
     told: dict[str, Any] = {}
     for name, value in options.items():
         if name in ("image_a", "image_b", "backend", "progress"):
@@ -286,7 +286,7 @@ def _told(options: dict[str, Any]) -> dict[str, Any]:
         told[name] = value
         if name in ("weights", "color_metric") and value is not None:
             parts = value if name == "weights" else (value,)
-            told[name] = [None if part is None else f"array {np.shape(part)}" for part in parts]
+            told[name] = [None if part is None else "an array" for part in parts]
         elif name in ("reach", "rho") and value is not None:
             told[name] = [_finite(part) for part in value] if np.ndim(value) else _finite(value)
         elif isinstance(value, np.generic):

@@ -120,7 +120,7 @@ def render(
     canvas: Canvas,
     widths: Widths,
     *,
-    fill: bool = True,
+    fill: bool | NDArray[np.bool_] = True,
 ) -> Sums:
     """Reconstruct one frame from particles (Nadaraya-Watson regression, 3.3).
 
@@ -136,8 +136,8 @@ def render(
     widths : Widths
         Without a kernel, pixels without a particle are 0; with one, pixels in holes are filled
         by widening it there.
-    fill : bool
-        Whether they are.
+    fill : bool or (H, W) array of bool
+        Whether, and where, they are.
 
     Returns
     -------
@@ -154,8 +154,9 @@ def render(
     density = denominator / kernel_sum(sigma)
     width = sigma
     open_pixels = is_torn(coverage, CLOSED_SHARE) if widths.closed else coverage < HOLE_COVERAGE
+    open_pixels &= fill
     relative = np.zeros(canvas.shape)
-    while fill and sigma > 0 and width < max(canvas.shape) and open_pixels.any():
+    while sigma > 0 and width < max(canvas.shape) and open_pixels.any():
         width *= WIDENING
         wider_numerator, wider = operations.splat(splats, canvas.shape, width, CUT * width)
         share = wider / uniform_density(mass, canvas, width)
@@ -172,7 +173,7 @@ def render(
             relative[filled] = (share / np.maximum(surroundings(share), HOLE_COVERAGE))[filled]
             closed = relative > 0
             coverage[closed] = (relative * surroundings(coverage))[closed]
-            open_pixels |= is_torn(coverage, CLOSED_SHARE) & ~closed
+            open_pixels |= is_torn(coverage, CLOSED_SHARE) & ~closed & fill
     tiny = np.finfo(np.float64).tiny
     return Sums(numerator / np.maximum(denominator, tiny)[..., None], coverage, density)
 

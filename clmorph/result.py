@@ -22,6 +22,9 @@ from clmorph.rendering import Canvas, Sums, Widths, canvas_at, render
 from clmorph.sampling import Barycentric
 from clmorph.widths import KernelWidth, is_pixel_art
 
+#: Opacity that no 8 bits show.
+UNSEEN = 1 / 1024
+
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Morph:
@@ -134,7 +137,26 @@ class Morph:
         """
         canvas = self.canvas(t)
         widths = widths or self.kernel_width.widths(t, canvas)
-        return render(self.operations, self._uploaded, self.particles.mass(t), t, canvas, widths)
+        # Where nothing is seen there are no holes to fill.
+        fill = True if self._matter is None else self._opacity(t) > UNSEEN
+        return render(
+            self.operations, self._uploaded, self.particles.mass(t), t, canvas, widths, fill=fill
+        )
+
+    def _opacity(self, t: float) -> NDArray[np.float64]:
+        """Return how opaque the frame at t is, ends uncorrected: (H, W) array."""
+        known = self.__dict__.get("_last_opacity")
+        if known is not None and known[0] == t:
+            return np.asarray(known[1])
+        assert self._matter is not None
+        area, canvas = self._matter.mass(t), self.canvas(t)
+        sums = render(
+            self.operations, self._uploaded_matter, area, t, canvas,
+            self.kernel_width.widths(t, canvas), fill=False,
+        )  # fmt: skip
+        opaque = opacity(sums, area, t)
+        self.__dict__["_last_opacity"] = t, opaque
+        return opaque
 
     def _picture(
         self, t: float, sums: Sums, correction: EndCorrection | None
@@ -147,12 +169,7 @@ class Morph:
         picture = from_space(colors, self.particles.path_space)
         if self._matter is None:
             return picture
-        area, canvas = self._matter.mass(t), self.canvas(t)
-        matter_sums = render(
-            self.operations, self._uploaded_matter, area, t, canvas,
-            self.kernel_width.widths(t, canvas), fill=False,
-        )  # fmt: skip
-        return np.dstack((picture, opacity(matter_sums, area, t)))
+        return np.dstack((picture, self._opacity(t)))
 
     @cached_property
     def _correction(self) -> EndCorrection | None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import clmorph
 from clmorph import fit, lift, morph, read_image
+from clmorph.images import to_bytes
 
 
 def _disc(size, center, radius, color):
@@ -83,7 +83,7 @@ def test_files(device, discs, tmp_path):
     result.save(tmp_path / "frames")
     with Image.open(tmp_path / "frames" / "frame-0001.png") as picture:
         assert picture.mode == "RGBA"
-        assert np.array_equal(np.asarray(picture), clmorph.export.to_bytes(result.frames[1]))
+        assert np.array_equal(np.asarray(picture), to_bytes(result.frames[1]))
     result.save(tmp_path / "out.gif")
     with Image.open(tmp_path / "out.gif") as gif:
         assert gif.n_frames == 4

@@ -1,7 +1,13 @@
 """The command line through its real entry point."""
 
+import json
+import os
+import pty
+import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +48,7 @@ def test_a_gif(device, pictures):
     assert device.description in done.stderr
     lines = done.stdout.splitlines()
     assert len(lines) == 1
-    assert lines[0].startswith("out.gif: 5 frames in ")
+    assert lines[0].startswith("out.gif: 5 frames, 1.55 s a round, made in ")
     assert "converged" in lines[0]
     with Image.open("out.gif") as gif:
         assert gif.n_frames == 5
@@ -94,8 +100,7 @@ def test_options_reach_the_morph(pictures, monkeypatch):
         seen.update(options, shapes=(source.shape, target.shape), n_frames=n_frames)
         raise clmorph.InputError("seen")
 
-    # clmorph.morph is the function; the module of that name is reached like this.
-    monkeypatch.setattr(sys.modules["clmorph.morph"], "morph", spy)
+    monkeypatch.setattr("clmorph.commands.morph.make_morph", spy)
     arguments = "morph a.png b.jpg -o x.gif --backend numpy --frames 7 --size 6 --blur 0.1"
     arguments += " --reach balanced --color-weight 3 --sigma-start 2 --sigma-end 1 --gamma 0.1"
     assert main(arguments.split()) == 2
@@ -129,11 +134,42 @@ def test_unconverged_is_said(pictures, capfd, monkeypatch):
     assert "not converged after 9 iterations" in capfd.readouterr().out
 
 
+def interrupted(*arguments, after):
+    """Send what Ctrl-C sends once a word stands on standard error; what then was told."""
+    with subprocess.Popen(
+        [COMMAND, "morph", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        told = ""
+        while after not in told:
+            line = process.stderr.readline()
+            assert line, told
+            told += line
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate()
+    return process.returncode, out, told + err
+
+
+def test_ctrl_c_leaves_nothing(pictures):
+    """In the midst of the work, through the real entry point."""
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (200, 200, 3), np.uint8)).save(
+        "c.png"
+    )
+    arguments = ["c.png", "c.png", "-o", "x.mp4", "--size", "200", "--frames", "300"]
+    before = sorted(pictures.iterdir())
+    code, out, err = interrupted(*arguments, after="device:")
+    assert code == 130
+    assert out == ""
+    assert err.splitlines()[-1] == "clmorph: interrupted, nothing was written"
+    assert "Traceback" not in err
+    assert sorted(pictures.iterdir()) == before
+
+
 def test_interruption_leaves_nothing(pictures, monkeypatch, capfd):
     def interrupt(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("clmorph.export._write_gif", interrupt)
+    monkeypatch.setattr("clmorph.film.Film.picture", interrupt)
     assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3"]) == 130
     assert sorted(path.name for path in pictures.iterdir()) == ["a.png", "b.jpg"]
 
@@ -149,6 +185,7 @@ def test_demo(tmp_path, monkeypatch, capfd):
     assert err.startswith("device: ")
     with Image.open("clmorph-demo.gif") as gif:
         assert gif.n_frames == 40
+    assert "<canvas" in Path("clmorph-demo.html").read_text()
     assert size("clmorph-demo.png")[0] > 1000
 
 
@@ -158,8 +195,12 @@ def test_version_and_help():
     assert "pyopencl" in lines[1]
     for device in find_devices():
         assert any(device.index in line and device.driver in line for line in lines[2:])
-    assert "clmorph demo" in run("--help").stdout
-    assert "--color-weight" in run("morph", "--help").stdout
+    told = run("--help").stdout
+    assert told.index("clmorph demo") < told.index("Options")
+    assert "130 interrupted" in told
+    told = run("morph", "--help").stdout
+    assert told.index("clmorph morph a.png b.jpg -o out.gif") < told.index("--color-weight")
+    assert told.index("─ File") < told.index("─ Motion") < told.index("─ Transport")
     module = subprocess.run(
         [sys.executable, "-m", "clmorph", "--version"], capture_output=True, text=True, check=True
     )
@@ -174,7 +215,7 @@ def test_an_input_is_never_overwritten(pictures, capfd):
 
 
 def test_options_are_checked_before_devices_are_sought(pictures, capfd, monkeypatch):
-    monkeypatch.setattr("clmorph.cli._open_backend", None)
+    monkeypatch.setattr("clmorph.commands.morph.open_backend", None)
     assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "0"]) == 2
     assert capfd.readouterr().err.startswith("clmorph: error: --frames 0: expected")
 
@@ -206,3 +247,94 @@ def test_no_transport_at_all_fades(pictures, capfd):
         with Image.open(f"{backend}/frame-0001.png") as middle:
             assert np.asarray(middle).std() > 5
     assert "Warning" not in capfd.readouterr().err
+
+
+def test_a_chain(pictures, capfd):
+    arguments = ["a.png", "b.jpg", "a.png", "-o", "tour.apng", "--frames", "4", "--loop", "once"]
+    assert main(["morph", *arguments, "--canvas", "40x40", "--hold", "0"]) == 0
+    assert "tour.apng: 7 frames, 0.35 s a round" in capfd.readouterr().out
+    with Image.open("tour.apng") as tour:
+        assert tour.n_frames == 7
+        tour.seek(6)
+        last = np.asarray(tour.convert("RGB"))
+        tour.seek(0)
+        assert np.array_equal(np.asarray(tour.convert("RGB")), last)
+
+
+def test_several_files_of_one_run(pictures, capfd):
+    outputs = [word for name in ("x.gif", "x.npz", "x.html") for word in ("-o", name)]
+    assert main(["morph", "a.png", "b.jpg", *outputs, "--frames", "3"]) == 0
+    assert capfd.readouterr().out.startswith("x.gif, x.npz, x.html: 3 frames, ")
+    assert len(clmorph.load("x.npz").frames) == 3
+    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "-o", "./x.gif"]) == 2
+    assert "two outputs have one name" in capfd.readouterr().err
+
+
+def test_a_summary_for_programs(pictures, capfd):
+    assert (
+        main(
+            [
+                "morph",
+                "a.png",
+                "b.jpg",
+                "-o",
+                "x.webm",
+                "--frames",
+                "5",
+                "--duration",
+                "3",
+                "--json",
+            ]
+        )
+        == 0
+    )
+    summary = json.loads(capfd.readouterr().out)
+    assert summary["outputs"] == [{"path": "x.webm", "format": "webm"}]
+    assert summary["frames"] == 5
+    assert summary["duration"] == pytest.approx(3)
+    assert summary["sizes"][0] == [20, 12]
+    assert summary["solver"][0]["status"] == "converged"
+    assert summary["options"]["duration"] == 3
+    assert summary["seconds"]["total"] > summary["seconds"]["transport"] > 0
+
+
+def test_progress_is_shown_to_people_only(pictures):
+    """Each stage with its time left and the solver's residual, on a terminal; else nothing."""
+    arguments = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "4"]
+    leader, follower = pty.openpty()
+    with subprocess.Popen(
+        [COMMAND, *arguments], stdout=subprocess.DEVNULL, stderr=follower,
+        env=os.environ | {"TERM": "xterm-256color", "COLUMNS": "120"},
+    ) as process:  # fmt: skip
+        os.close(follower)
+        told = b""
+        while True:
+            try:
+                part = os.read(leader, 65536)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            told += part
+    os.close(leader)
+    assert process.returncode == 0
+    shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", told.decode())
+    for words in ("transport", "frames", "x.gif", "left", "100 %", "4 of 4"):
+        assert words in shown
+    assert re.search(r"residual \de-0\d of 1e-03", shown)
+    quiet = run(*arguments)
+    assert quiet.stderr.splitlines() == [quiet.stderr.strip()]
+    assert quiet.stderr.startswith("device: ")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion(shell, capfd):
+    assert main(["completion", shell]) == 0
+    assert "_CLMORPH_COMPLETE" in capfd.readouterr().out
+    if shell == "bash":
+        done = subprocess.run(
+            [COMMAND], capture_output=True, text=True, check=False,
+            env=os.environ | {"_CLMORPH_COMPLETE": "bash_complete", "COMP_CWORD": "2",
+                              "COMP_WORDS": "clmorph morph --pre"},
+        )  # fmt: skip
+        assert "--preset" in done.stdout

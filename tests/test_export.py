@@ -12,9 +12,10 @@ from PIL import Image
 import clmorph
 from clmorph import InputError, OutputError
 from clmorph.export import FORMATS, Output, save
-from clmorph.film import Film, to_bytes
+from clmorph.film import Film
 from clmorph.formats.embedding import read_parameters
 from clmorph.framing import Look
+from clmorph.images import to_bytes
 from clmorph.motion import Motion
 
 #: The least peak signal-to-noise ratio of lossy files, in decibels, on small photographs: of

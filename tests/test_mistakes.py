@@ -37,6 +37,9 @@ NUMBERS = {
     "--extent": ["square"],
     "--sample": ["0", "-1", "1e9", "few"],
     "--seed": ["-1", "luck"],
+    "--fps": ["0", "-1", "nan", "inf", "1000", "fast"],
+    "--duration": ["0", "-1", "nan", "inf", "1e9", "long"],
+    "--hold": ["-1", "nan", "inf", "1e9", "long"],
 }
 FILES = [
     ("missing.png b.jpg -o x.gif", "missing.png: no such file"),
@@ -54,7 +57,7 @@ FILES = [
 ]
 OUTPUTS = [
     ("a.png b.jpg -o x.mp3", "unknown ending '.mp3'"),
-    ("a.png b.jpg -o x.jpeg", "expected .gif, .png"),
+    ("a.png b.jpg -o x.jpeg", "expected .gif, .webp"),
     ("a.png b.jpg -o no/x.gif", "no folder"),
     ("a.png b.jpg -o a.png/x.gif", "no folder"),
     ("a.png b.jpg -o full", "exists already"),
@@ -62,10 +65,22 @@ OUTPUTS = [
     ("a.png b.jpg -o plain", "exists already"),
 ]
 OPTIONS = [
-    ("a.png b.jpg", "--output"),
-    ("a.png -o x.gif", "Missing argument"),
-    ("-o x.gif", "Missing argument"),
-    ("a.png b.jpg c.png -o x.gif", "unexpected extra argument"),
+    ("a.png b.jpg", "expected -o"),
+    ("a.png -o x.gif", "1 picture given"),
+    ("-o x.gif", "no pictures given"),
+    ("a.png b.jpg missing.png -o x.gif", "missing.png: no such file"),
+    ("a.png b.jpg -o x.gif --format mov", "--format"),
+    ("a.png b.jpg -o x.gif --canvas 0x9", "--canvas '0x9'"),
+    ("a.png b.jpg -o x.gif --canvas wide", "--canvas 'wide'"),
+    ("a.png b.jpg -o x.gif --background mauvish", "--background 'mauvish'"),
+    ("a.png b.jpg -o x.gif --scaling best", "--scaling"),
+    ("a.png b.jpg -o x.gif --ease bounce", "--ease"),
+    ("a.png b.jpg -o x.gif --loop twice", "--loop"),
+    ("a.png b.jpg -o x.gif --fps 100", "too fast for a GIF"),
+    ("a.png b.jpg -o x.gif --fps 10 --duration 9", "contradict"),
+    ("a.png b.jpg -o x.gif --duration 1 --hold 2", "no longer than the rests"),
+    ("a.png b.jpg -o x.gif --config missing.toml", "no such file"),
+    ("a.png b.jpg -o x.gif --config text.png", "cannot be read"),
     ("a.png b.jpg -o x.gif --preset lovely", "--preset"),
     ("a.png b.jpg -o x.gif --colour 3", "--colour"),
     ("a.png b.jpg -o x.gif --blur", "--blur"),

@@ -6,6 +6,7 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ class _Run:
 
     images: Sequence[Path]
     settings: Settings
-    output: Output
+    outputs: Sequence[Output]
     options: Settings = field(default_factory=dict)
     solved: list[Potentials] = field(default_factory=list)
 
@@ -84,7 +85,7 @@ class _Run:
 
 def run_morph(
     images: Sequence[Path],
-    output: Path,
+    outputs: Sequence[Path],
     settings: Settings,
     *,
     max_pixels: int,
@@ -92,13 +93,13 @@ def run_morph(
     backend: str | None,
     as_json: bool,
 ) -> None:
-    """Morph pictures into one another and write the file.
+    """Morph pictures into one another, once, and write the files.
 
     Parameters
     ----------
     images : sequence of Path
         Two, or more for a chain.
-    output : Path
+    outputs : sequence of Path
     settings : dict
         By option names with underscores.
     max_pixels : int
@@ -108,42 +109,52 @@ def run_morph(
         Say what was made to programs, not to people.
     """
     began = time.perf_counter()
-    for path in images:
+    for output, path in itertools.product(outputs, images):
         if output.exists() and path.exists() and output.samefile(path):
             raise InputError(f"-o {output} would overwrite an input; choose another name")
-    run = _Run(images, settings, Output(output, settings.get("format")))
+    places = [Output(output, settings.get("format")) for output in outputs]
+    if len({output.place for output in places}) < len(places):
+        raise InputError("two outputs have one name; choose different ones")
+    run = _Run(images, settings, places)
     size = settings.get("size")
     pictures = [read_picture(path, max_pixels) for path in images]
     if size is not None:
         pictures = [fit(picture, size) for picture in pictures]
     operations = open_backend(device, backend)
     told = files.recipe(settings, images, operations.description)
-    format = run.output.format
     with Stages() as stages, warnings.catch_warnings():
         # Said in the last line.
         warnings.simplefilter("ignore", ConvergenceWarning)
         with recorded(
             run.morphs(pictures, operations, stages), run.motion,
-            reverse=bool(settings.get("reverse")), exact=format.exact, keep=format.keep,
+            reverse=bool(settings.get("reverse")),
+            exact=any(output.format.exact for output in places),
+            keep=any(output.format.keep for output in places),
             pixelated=all(map(is_pixel_art, pictures)), parameters=told,
-            folder=run.output.place.parent, progress=stages,
+            folder=places[0].place.parent, progress=stages,
         ) as film:  # fmt: skip
-            run.output.write(film, run.look, lambda share: stages("file", share))
+            for output in places:
+                output.write(film, run.look, partial(stages, output.path.name))
             summary = _summary(run, film, stages, told)
     if settings.get("recipe"):
-        beside = output.with_name(f"{output.name}.json")
-        whole = files.recipe(settings, images, operations.description, beside.resolve().parent)
-        with atomic_path(beside) as new:
-            new.write_text(json.dumps(whole, indent=2) + "\n", "utf-8")
+        for output in places:
+            _write_recipe(run, output.path, operations.description)
     summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
     click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
+
+
+def _write_recipe(run: _Run, output: Path, device: str) -> None:
+    """Leave what repeats the run beside a file."""
+    beside = output.with_name(f"{output.name}.json")
+    whole = files.recipe(run.settings, run.images, device, beside.resolve().parent)
+    with atomic_path(beside) as new:
+        new.write_text(json.dumps(whole, indent=2) + "\n", "utf-8")
 
 
 def _summary(run: _Run, film: Film, stages: Stages, told: dict[str, Any]) -> dict[str, Any]:
     """Return what was made, for programs."""
     return {
-        "output": str(run.output.path),
-        "format": run.output.name,
+        "outputs": [{"path": str(output.path), "format": output.name} for output in run.outputs],
         "frames": len(film),
         "played": len(film.played()),
         "duration": round(film.duration, 6),
@@ -167,10 +178,10 @@ def _last_line(run: _Run, summary: dict[str, Any]) -> str:
     """Return what was made, for people."""
     worst = max(run.solved, key=lambda potentials: potentials.residual)
     lasting = ""
-    if run.output.name in ("gif", "webp", "apng", "mp4", "webm"):
+    if any(output.format.animated for output in run.outputs):
         lasting = f", {summary['duration']:.3g} s a round"
     return (
-        f"{run.output.path}: {summary['frames']} frames{lasting}, made in "
+        f"{', '.join(str(output.path) for output in run.outputs)}: {summary['frames']} frames{lasting}, made in "
         f"{summary['seconds']['total']:.1f} s; {worst.message}"
     )
 

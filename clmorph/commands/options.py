@@ -163,7 +163,8 @@ motion_options = _together(
 file_options = _together(
     _option(
         "File", "-o", "--output", type=click.Path(path_type=Path),
-        help="Where to; its ending says what: .gif .webp .apng .mp4 .webm .html, .png (contact "
+        multiple=True,
+        help="Where to, once or more; the ending says what: .gif .webp .apng .mp4 .webm .html, .png (contact "
         "sheet), .npz (NumPy), .tif; without one a folder of PNG frames.",
     ),
     _option(

@@ -107,7 +107,9 @@ def read_settings(path: Path, names: Sequence[str]) -> Settings:
         raise InputError(f"{path}: {IMAGES}: expected a list of file names")
     settings[IMAGES] = [_found_image(image, path.parent) for image in images]
     if OUTPUT in settings:
-        settings[OUTPUT] = str(path.parent / str(settings[OUTPUT]))
+        outputs = settings[OUTPUT]
+        outputs = outputs if isinstance(outputs, list) else [outputs]
+        settings[OUTPUT] = [str(path.parent / str(output)) for output in outputs]
     return settings
 
 

@@ -6,7 +6,7 @@ import io
 import json
 import mmap
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from html import escape
 from importlib.resources import files
@@ -78,7 +78,7 @@ def _parts(scene: Scene, max_bytes: float) -> Iterator[str]:
         "style": style,
         "script": script,
         "parameters": PARAMETERS + as_json("parameters", dict(scene.parameters)) + "</script>",
-        "table": "".join(_rows(scene.parameters)),
+        "table": "".join(_rows({**scene.facts, **scene.parameters})),
     }
     # Only the template's own marks count, never one inside what is put in their place.
     for index, part in enumerate(re.split(r"\{\{(\w+)\}\}", _resource("viewer.html"))):
@@ -141,6 +141,13 @@ def _numbers(values: NDArray[np.float64], digits: int = 5) -> Any:
 def _rows(parameters: Any) -> Iterator[str]:
     """Rows of the table of parameters."""
     for name, value in parameters.items():
+        if isinstance(value, Mapping):
+            yield from _rows(value)
+            continue
+        if isinstance(value, list | tuple) and any(isinstance(item, Mapping) for item in value):
+            # Of each the first entry, its name; the rest is for programs.
+            firsts = (next(iter(dict(item).values()), "") for item in value)
+            value = " → ".join(map(str, firsts))
         shown = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         yield f"<tr><th scope=row>{_ascii(str(name))}</th><td>{_ascii(shown)}</td></tr>\n"
 

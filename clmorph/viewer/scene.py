@@ -113,6 +113,8 @@ class Scene:
         One for each morph of a chain.
     parameters : mapping
         What json.dumps takes; shown as a table, and read again by `read_parameters`.
+    facts : mapping
+        Shown in the table beside them, and not read again.
     extent : {"true", "unit"}
         How the frames stand in the common frame, as the measures were lifted.
     notes : sequence of str
@@ -134,6 +136,7 @@ class Scene:
     curves: Sequence[Curve] = ()
     field: Field | Sequence[Field] | None = None
     parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     extent: str = "true"
     notes: Sequence[str] = ()
 

@@ -6,7 +6,7 @@ from typing import Any, cast, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.export import to_bytes
+from clmorph.images import to_bytes
 from clmorph.plan import Plan
 from clmorph.result import Morph
 from clmorph.viewer.scene import Curve, Field, Scene
