@@ -1,0 +1,156 @@
+import os
+import stat
+
+import pytest
+
+from clmorph.errors import OutputError
+from clmorph.files import atomic_path, check_place
+
+
+@pytest.fixture
+def folder(tmp_path):
+    place = tmp_path / "out"
+    place.mkdir()
+    return place
+
+
+def _names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_file_appears_whole_at_the_end_and_nothing_beside_it(folder):
+    target = folder / "picture.png"
+    with atomic_path(target) as path:
+        assert path.suffix == ".png"
+        assert path.parent.parent == folder
+        assert not path.exists()
+        path.write_bytes(b"new")
+        assert not target.exists()
+    assert target.read_bytes() == b"new"
+    assert _names(folder) == ["picture.png"]
+
+
+def test_an_old_file_is_replaced_only_at_the_end(folder):
+    target = folder / "a.txt"
+    target.write_text("old")
+    with atomic_path(target) as path:
+        path.write_text("new")
+        assert target.read_text() == "old"
+    assert target.read_text() == "new"
+
+
+@pytest.mark.parametrize("stop", [ValueError, KeyboardInterrupt, SystemExit, GeneratorExit])
+def test_whatever_stops_the_block_leaves_the_target_as_it_was(folder, stop):
+    target = folder / "a.txt"
+    target.write_text("old")
+    with pytest.raises(stop), atomic_path(target) as path:  # noqa: PT012 (the block is the test)
+        path.write_text("half")
+        (path.parent / "notes").write_text("beside it")
+        raise stop
+    assert target.read_text() == "old"
+    assert _names(folder) == ["a.txt"]
+
+
+def test_what_the_system_refuses_is_told_in_one_line(folder):
+    with (
+        pytest.raises(OutputError, match=r"a\.txt cannot be written \(No space left") as caught,
+        atomic_path(folder / "a.txt"),
+    ):
+        raise OSError(28, "No space left on device")
+    assert "\n" not in str(caught.value)
+    assert _names(folder) == []
+
+
+def test_nothing_written_is_an_error_and_not_an_empty_file(folder):
+    with pytest.raises(OutputError, match="cannot be written"), atomic_path(folder / "a.txt"):
+        pass
+    assert _names(folder) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")
+def test_a_file_may_be_read_by_whom_the_user_lets_read(folder):
+    target, plain = folder / "a.txt", folder / "b.txt"
+    with atomic_path(target) as path:
+        path.write_text("new")
+    plain.write_text("plain")
+    assert stat.S_IMODE(target.stat().st_mode) == stat.S_IMODE(plain.stat().st_mode)
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_folder_takes_the_place_of_none_or_of_an_empty_one(folder, exists):
+    target = folder / "frames"
+    if exists:
+        target.mkdir()
+    with atomic_path(target) as path:
+        path.mkdir()
+        (path / "0.png").write_bytes(b"0")
+    assert _names(folder) == ["frames"]
+    assert _names(target) == ["0.png"]
+
+
+def test_a_full_folder_stays(folder):
+    target = folder / "frames"
+    target.mkdir()
+    (target / "mine").write_text("keep")
+    with pytest.raises(OutputError, match="not empty"), atomic_path(target) as path:
+        path.mkdir()
+    assert _names(target) == ["mine"]
+    assert _names(folder) == ["frames"]
+
+
+def test_a_link_stays_a_link_and_its_file_is_written(folder, tmp_path):
+    (tmp_path / "far").mkdir()
+    real = tmp_path / "far" / "real.txt"
+    real.write_text("old")
+    link = folder / "link.txt"
+    link.symlink_to(real)
+    with atomic_path(link) as path:
+        path.write_text("new")
+    assert link.is_symlink()
+    assert real.read_text() == "new"
+    assert _names(tmp_path / "far") == ["real.txt"]
+
+
+@pytest.mark.parametrize("target", ["", None, 3])
+def test_what_is_no_path_is_refused(target):
+    with pytest.raises(OutputError, match="is not a path"):
+        check_place(target)
+
+
+def test_places_that_cannot_be_are_refused_before_any_work(folder):
+    with pytest.raises(OutputError, match=r"there is no folder .*missing; make it first"):
+        check_place(folder / "missing" / "a.png")
+    with pytest.raises(OutputError):
+        check_place(folder / ("n" * 5000))
+    with pytest.raises(OutputError):
+        check_place("null\0byte")
+    loop = folder / "loop"
+    loop.symlink_to(loop)
+    with pytest.raises(OutputError):
+        check_place(loop)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/null"), reason="no devices here")  # noqa: PTH110
+def test_a_device_is_not_replaced_by_a_file():
+    with pytest.raises(OutputError, match="neither a file nor a folder"):
+        check_place(os.devnull)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_a_pipe_is_not_replaced_by_a_file(folder):
+    os.mkfifo(folder / "pipe")
+    with pytest.raises(OutputError, match="neither a file nor a folder"):
+        check_place(folder / "pipe")
+
+
+@pytest.mark.skipif(
+    os.name == "nt" or (hasattr(os, "geteuid") and os.geteuid() == 0),
+    reason="who may write everywhere cannot be refused",
+)
+def test_a_folder_that_may_not_be_written_is_refused(folder):
+    folder.chmod(0o500)
+    try:
+        with pytest.raises(OutputError, match="Permission denied"):
+            check_place(folder / "a.png")
+    finally:
+        folder.chmod(0o700)
