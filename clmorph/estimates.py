@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 #: Rows, and as many columns, from which the number of kept pairs is predicted.
 SAMPLED_ROWS = 512
 
+#: Draws from a row below which its mean destination serves better.
+FEWEST_DRAWS = 4
+
 #: Bytes on the host, at the peak of each stage, as measured: for a point while potentials are
 #: sought; for a point and for a pair while a morph is made and drawn; for a source point whose
 #: destinations are summed up; and whatever the size.
@@ -160,7 +163,7 @@ def affordable(
     -------
     dict
         Options of `clmorph.morph`: none, if the kept pairs fit; ``{"sample": k}`` with as many
-        draws as fit, a power of two; or ``{"barycentric": True}``.
+        draws as fit, a power of two; ``{"barycentric": True}`` rather than 2 or 1.
 
     Raises
     ------
@@ -179,17 +182,17 @@ def affordable(
     if need(pairs=pairs) <= limit:
         return {}
     n = _points("source", source_shape)
-    draws = MAX_DRAWS
-    while draws > 1:
-        if draws * n < pairs and need(sample=draws) <= limit:
-            return {"sample": draws}
-        draws //= 2
-    if need(barycentric=True) <= limit:
-        return {"barycentric": True}
-    least = need(barycentric=True)
+    draws = [k for k in 2 ** np.arange(13) if k * n < pairs]
+    ways: list[dict[str, Any]] = [{"sample": int(k)} for k in draws[::-1]]
+    # Fewer draws are grainier than means are smooth, but take less.
+    ways.insert(sum(int(k) >= FEWEST_DRAWS for k in draws), {"barycentric": True})
+    for way in ways:
+        if need(**way) <= limit:
+            return way
+    least = min(need(**way) for way in ways)
     raise InputError(
-        f"max_bytes={max_bytes:.3g}: expected at least {least / 1e6:.0f} MB for images of these "
-        "sizes, even with barycentric=True; raise it, or use smaller images"
+        f"max_bytes={max_bytes:.3g}: expected at least {least / 1e6:.1f} MB for images of these "
+        "sizes; raise it, or use smaller images"
     )
 
 

@@ -170,7 +170,7 @@ def _no_divergence(source: Measure, potentials: Potentials, wanted: bool) -> str
     if isinstance(potentials.reach, tuple):
         return "reach differs between source and target"
     if source.has_metric_map:
-        return "each source pixel has its own metric of color"
+        return "each source pixel has its own metric"
     return ""
 
 

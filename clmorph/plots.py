@@ -1,13 +1,27 @@
-"""The transport between two images as one picture; the only module that needs matplotlib."""
+"""The transport between two images as one picture; needs matplotlib."""
 
 import importlib
 from os import PathLike
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clmorph.displacement import Displacement
+from clmorph.drawing import (
+    ARROWS,
+    BLUE,
+    GRAY,
+    INK,
+    RED,
+    SKY,
+    STYLE,
+    draw_field,
+    ordinal,
+    pale,
+    show,
+    step_of,
+)
 from clmorph.errors import OutputError
 from clmorph.files import atomic_path, check_place
 from clmorph.findings import Inspection, percent, size_text, time_text
@@ -15,41 +29,14 @@ from clmorph.measures import Measure
 
 #: Endings of pictures that can be written.
 ENDINGS = (".png", ".svg", ".pdf")
-#: Okabe and Ito's colors, told apart by everybody; and two grays.
-BLUE, SKY, RED, GREEN, PURPLE, ORANGE = (
-    "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#AA4499", "#E69F00",
-)  # fmt: skip
-GRAY, INK = "#666666", "#222222"
 #: The two grays behind transparent pixels.
 CHECKS = 0.80, 0.92
-#: How all figures look.
-STYLE: dict[str, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.labelsize": 9,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#444444",
-    "axes.grid": True,
-    "grid.color": "#e4e4e4",
-    "axes.axisbelow": True,
-    "lines.linewidth": 1.5,
-    "lines.markersize": 4,
-    "svg.hashsalt": "clmorph",
-}
+#: By how much pictures are paled where shares of mass are drawn over them.
+MASS_PALE = 0.6
 #: Inches of the figure, and its dots an inch.
 SIZE, DPI = (14.0, 8.0), 130
-#: Arrows along the longer side of a field.
-ARROWS = 24
-#: Pixels to which pictures are enlarged, block by block, before they are drawn.
-ENLARGED = 480
-#: By how much a picture is paled where something is drawn over it.
-PALE, MASS_PALE = 0.62, 0.6
+#: Arrows along a side, at least; how long they may be on average, in distances of them.
+FEWEST, LONGEST = 14, 2.0
 #: Bins of the histogram.
 BINS = 40
 
@@ -116,78 +103,6 @@ def draw_inspection(inspection: Inspection, path: str | PathLike[str]) -> None:
             figure.savefig(place, dpi=DPI, format=ending[1:], metadata={dates[ending]: None})
 
 
-def enlarged(image: ArrayLike) -> NDArray[np.float64]:
-    """Return an image of large square blocks, one for each pixel."""
-    pixels = np.clip(np.asarray(image, float), 0, 1)
-    factor = max(1, ENLARGED // max(pixels.shape[:2]))
-    return pixels.repeat(factor, axis=0).repeat(factor, axis=1)
-
-
-def show(axes: Any, image: ArrayLike, **options: Any) -> Any:
-    """Draw an image with sharp pixels, of even size, and no axes around."""
-    height, width = np.shape(image)[:2]
-    axes.set_axis_off()
-    return axes.imshow(
-        enlarged(image), extent=(-0.5, width - 0.5, height - 0.5, -0.5), interpolation="hanning",
-        **options,
-    )  # fmt: skip
-
-
-def pale(image: ArrayLike, share: float = PALE) -> NDArray[np.float64]:
-    """Return an image nearer to white, so that what is drawn over it is seen."""
-    return np.asarray(1 - (1 - share) * (1 - np.asarray(image, float)))
-
-
-def step_of(shape: tuple[int, ...], count: int = ARROWS) -> int:
-    """Return every how many pixels an arrow stands if there are to be at most `count` a side."""
-    return max(1, -(-max(shape[:2]) // count))
-
-
-def draw_field(
-    axes: Any,
-    image: ArrayLike,
-    moved: Displacement,
-    longest: float,
-    *,
-    count: int = ARROWS,
-    width: float = 0.0045,
-) -> Any:
-    """Draw where pixels go as arrows of true length, colored by it, over a pale image.
-
-    Parameters
-    ----------
-    axes : matplotlib axes
-    image : (H, W, 3) array
-    moved : Displacement
-    longest : float
-        Length, in pixels, that has the last color.
-    count : int
-        Arrows along the longer side, at most.
-    width : float
-        Of a shaft, as a share of the axes'.
-
-    Returns
-    -------
-    what a color bar belongs to
-    """
-    show(axes, pale(image))
-    step = step_of(moved.length.shape, count)
-    # A grid in the middle of the image, not from its corner on.
-    y, x = np.meshgrid(
-        *(np.arange((side - 1) % step // 2, side, step) for side in moved.length.shape),
-        indexing="ij",
-    )
-    # Nothing leaves transparent pixels: no arrow, not one without length.
-    some = moved.moves[y, x]
-    y, x = y[some], x[some]
-    field, length = moved.field[y, x], moved.length[y, x]
-    return axes.quiver(
-        x, y, field[..., 0], field[..., 1], length, cmap="plasma", clim=(0, max(longest, 1e-9)),
-        angles="xy", scale_units="xy", scale=1, headwidth=3.5, headlength=4,
-        headaxislength=3.6, minlength=0.5, width=width,
-    )  # fmt: skip
-
-
 def _lay_out(figure: Any, found: Inspection) -> None:
     """Place all panels: what leaves on the left, what arrives on the right, motion between."""
     grid = figure.add_gridspec(
@@ -213,8 +128,9 @@ def _lay_out(figure: Any, found: Inspection) -> None:
         show(axes, picture)
         _frame(axes, picture.shape)
     axes = figure.add_subplot(grid[0, 1])
-    axes.set_title(f"Displacement of every {_ordinal(step_of(found.source.shape))} pixel")
-    arrows = draw_field(axes, source, moved, moved.max)
+    count = _arrow_count(found)
+    axes.set_title(f"Displacement of every {ordinal(step_of(found.source.shape, count))} pixel")
+    arrows = draw_field(axes, source, moved, moved.max, count=count)
     axes.set_xlim(-0.5, w - 0.5)
     axes.set_ylim(h - 0.5, -0.5)
     _frame(axes, found.source.shape)
@@ -233,6 +149,12 @@ def _lay_out(figure: Any, found: Inspection) -> None:
     _draw_lengths(figure.add_subplot(middle[0, 1]), moved)
     _draw_residuals(figure.add_subplot(middle[1, 1]), found)
     _write_numbers(figure.add_subplot(grid[:, 3]), found)
+
+
+def _arrow_count(found: Inspection) -> int:
+    """Return how many arrows stand along a side: fewer where they are long, or they tangle."""
+    length = max(found.displacement.mass_weighted_mean, 1e-9)
+    return int(np.clip(LONGEST * max(found.source.shape) / length, FEWEST, ARROWS))
 
 
 def _picture(measure: Measure) -> NDArray[np.float64]:
@@ -289,12 +211,13 @@ def _draw_mass(
     # As ink on a photograph: the color stays what the bar says, darker where the picture is.
     show(axes, gray * shades.to_rgba(share)[..., :3])
     _frame(axes, share.shape)
-    _bar(figure, axes, shades, "share of a pixel's mass", format=PercentFormatter(1.0))
+    _bar(figure, axes, shades, "share of a pixel's mass", format=PercentFormatter(1.0, symbol=" %"))
 
 
 def _draw_lengths(axes: Any, moved: Displacement) -> None:
     """Draw how much mass travels how far."""
-    axes.set_title("How far mass travels")
+    mean = moved.mass_weighted_mean
+    axes.set_title(f"How far mass travels: {mean:.3g} pixels on average")
     mass = np.where(moved.moves, moved.source_mass, 0.0).ravel()
     total = mass.sum()
     longest = max(moved.max, 1e-3)
@@ -302,12 +225,7 @@ def _draw_lengths(axes: Any, moved: Displacement) -> None:
     axes.hist(
         moved.length.ravel(), bins=np.linspace(0, longest, BINS + 1), weights=weights, color=SKY
     )
-    mean = moved.mass_weighted_mean
     axes.axvline(mean, color=RED)
-    axes.annotate(
-        f" mean {mean:.3g}", (mean, 0.97), xycoords=("data", "axes fraction"), color=RED,
-        fontsize=8, va="top", ha="left" if mean < 0.7 * longest else "right",
-    )  # fmt: skip
     axes.set_xlabel("pixels", labelpad=1)
     axes.set_ylabel("% of mass")
     axes.set_xlim(0, longest)
@@ -395,7 +313,7 @@ def _write_numbers(axes: Any, found: Inspection) -> None:
 
 def _divergence_rows(found: Inspection) -> list[tuple[str, str]]:
     if found.divergence is None:
-        return [("none:", ""), ("", found.no_divergence)]
+        return [("none:", ""), (found.no_divergence, "")]
     low, high = found.divergence.interval
     return [
         ("value", f"{found.divergence.value:.5g}"),
@@ -406,7 +324,3 @@ def _divergence_rows(found: Inspection) -> list[tuple[str, str]]:
 
 def _short(text: str, most: int = 80) -> str:
     return text if len(text) <= most else text[: most - 1] + "…"
-
-
-def _ordinal(number: int) -> str:
-    return {1: "single", 2: "second", 3: "third"}.get(number, f"{number}th")
