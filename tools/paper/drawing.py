@@ -8,13 +8,14 @@ import matplotlib
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clmorph.drawing import BLUE, GRAY, GREEN, ORANGE, PURPLE, RED, SKY, STYLE, show
+from clmorph.drawing import BLUE, ENLARGED, GRAY, GREEN, ORANGE, PURPLE, RED, SKY, STYLE, show
 
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
 __all__ = [
-    "BLUE", "GRAY", "GREEN", "ORANGE", "PURPLE", "RED", "SKY", "panels", "save", "show", "timeline",
+    "BLUE", "ENLARGED", "GRAY", "GREEN", "ORANGE", "PURPLE", "RED", "SKY",
+    "panels", "pyplot", "save", "show", "timeline",
 ]  # fmt: skip
 
 #: Inches; dots an inch.
