@@ -103,19 +103,47 @@ def displacement_statistics(
             f"the plan is for {plan.shape[0]} and {plan.shape[1]} points: expected "
             f"{len(source)} and {len(target)}; build it for these measures"
         )
+    destinations, _ = plan.mean_destinations(source.positions, target.positions)
+    return displacement_of(source, target, destinations, plan.row_mass, plan.column_mass, mask)
+
+
+def displacement_of(
+    source: Measure,
+    target: Measure,
+    destinations: Array,
+    row_mass: Array,
+    column_mass: Array,
+    mask: float = 0.0,
+) -> Displacement:
+    """Measure what a plan does, from its means and its marginals.
+
+    Parameters
+    ----------
+    source, target : Measure
+        Lifted images of N and M pixels.
+    destinations : (N, 2) array
+        Mean destination of each source pixel, in the common frame.
+    row_mass, column_mass : (N,) and (M,) arrays
+        Mass that leaves each source pixel, and that arrives at each target pixel.
+    mask : float
+        Rows of at most this mass count as resting.
+
+    Returns
+    -------
+    Displacement
+    """
     height, width = source.shape
-    moves = plan.row_mass > mask
-    destination, _ = plan.mean_destinations(source.positions, target.positions)
+    moves = row_mass > mask
     # Pixels in a unit of the common frame; with stretched axes as the paper counts them.
     scale = np.full(2, float(max(1, max(source.shape) - 1)))
     if source.extent == "unit":
         scale = np.array([width, height], float)
-    field = np.where(moves[:, None], (destination - source.positions) * scale, 0.0)
+    field = np.where(moves[:, None], (destinations - source.positions) * scale, 0.0)
     return Displacement(
         field=field.reshape(height, width, 2),
-        source_mass=plan.row_mass.reshape(source.shape),
-        target_mass=plan.column_mass.reshape(target.shape),
+        source_mass=row_mass.reshape(source.shape),
+        target_mass=column_mass.reshape(target.shape),
         moves=moves.reshape(height, width),
-        destroyed=np.maximum(source.weights - plan.row_mass, 0.0).reshape(source.shape),
-        created=np.maximum(target.weights - plan.column_mass, 0.0).reshape(target.shape),
+        destroyed=np.maximum(source.weights - row_mass, 0.0).reshape(source.shape),
+        created=np.maximum(target.weights - column_mass, 0.0).reshape(target.shape),
     )

@@ -87,6 +87,7 @@ def sinkhorn_divergence(
     epsilon: float | None = None,
     rho: float | None = None,
     precision: str = "auto",
+    cross: Potentials | None = None,
     progress: Progress | None = None,
 ) -> Divergence:
     """Return how far two measures are apart: 0 only if they are equal, never negative.
@@ -103,6 +104,8 @@ def sinkhorn_divergence(
         reach^2, in place of `reach`; infinity is balanced.
     tol, max_iter, backend, precision, progress
         As in `clmorph.sinkhorn`, for each of the three problems.
+    cross : Potentials, optional
+        Of (source, target) with the same strengths, if they are known already.
 
     Returns
     -------
@@ -131,6 +134,8 @@ def sinkhorn_divergence(
             "a cost with a metric for each source pixel is no distance, so there is no "
             "divergence: use one metric for all pixels"
         )
+    if cross is not None:
+        _check_cross(cross, *pair, given)
     operations = get_backend(backend)
     check_problem(*pair, given, operations, precision)
     report = progress or (lambda share: None)
@@ -142,7 +147,7 @@ def sinkhorn_divergence(
         report(0.15 * (number + 1))
     if _are_equal(*pair):
         cross = parts[0]
-    else:
+    elif cross is None:
         cross = sinkhorn(
             *pair, tol=tol, max_iter=max_iter, backend=operations, epsilon=given.epsilon,
             rho=given.rho[0], precision=precision, progress=lambda share: report(0.3 + 0.7 * share),
@@ -160,6 +165,22 @@ def sinkhorn_divergence(
     # S >= 0 is a theorem: what rounding puts below is 0.
     low = max(0.0, low)
     return Divergence(max(low, value), (low, max(low, high)), cross, parts[0], parts[1])
+
+
+def _check_cross(
+    cross: Potentials, source: AnyMeasure, target: AnyMeasure, given: Strengths
+) -> None:
+    """Refuse potentials of another problem."""
+    sizes = len(cross.f), len(cross.g)
+    if sizes != (len(source), len(target)) or (cross.blur, cross.reach) != (
+        given.blur,
+        given.reach,
+    ):
+        raise InputError(
+            f"cross: potentials for {sizes[0]} and {sizes[1]} points at blur={cross.blur:g}, "
+            f"reach={cross.reach}; expected {len(source)} and {len(target)} points at "
+            f"blur={given.blur:g}, reach={given.reach}: solve for these, or leave it out"
+        )
 
 
 def _are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:

@@ -12,6 +12,20 @@ class InputError(ClmorphError, ValueError):
     """A value given by the caller cannot be used: wrong shape, range, name or file."""
 
 
+class PlanSizeError(InputError):
+    """A plan would keep more pairs than it may.
+
+    Attributes
+    ----------
+    pairs : int
+        How many it would keep.
+    """
+
+    def __init__(self, message: str, pairs: int) -> None:
+        super().__init__(message)
+        self.pairs = pairs
+
+
 class DeviceError(ClmorphError, RuntimeError):
     """No OpenCL device fits the request, or the device failed."""
 

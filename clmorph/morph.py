@@ -21,7 +21,8 @@ from clmorph.endpoints import ENDPOINTS
 from clmorph.errors import InputError
 from clmorph.images import as_pixels
 from clmorph.interpolation import UNMATCHED, particles
-from clmorph.measures import EXTENTS, MASSES, Measure, lift
+from clmorph.lifting import lift_pair
+from clmorph.measures import EXTENTS, MASSES, Measure
 from clmorph.motion import EASES, eased
 from clmorph.optimal_width import NO_DIVERGENCE, optimal_curve
 from clmorph.plan import Plan, transport_plan
@@ -225,15 +226,10 @@ def morph(
     if sigma is not None and color_metric is not None and np.ndim(cast(Any, color_metric)) > 2:
         raise InputError(NO_DIVERGENCE)
     images = as_pixels(image_a, "image_a"), as_pixels(image_b, "image_b")
-    maps = _pair_of_weights(weights)
-    source, target = (
-        lift(
-            image, color_weight, weights=given, mass=mass, extent=extent,
-            color_space=color_space, color_metric=metric,
-        )
-        for image, given, metric in zip(images, maps, _metrics(color_metric), strict=True)
+    source, target = lift_pair(
+        images, color_weight, weights=weights, mass=mass, extent=extent,
+        color_space=color_space, color_metric=color_metric,
     )  # fmt: skip
-    source, target = _of_equal_mass(source, target, maps)
     if barycentric:
         destination_colors(source, target)  # can there be any?
     operations = get_backend(backend)
@@ -297,38 +293,6 @@ def _told(options: dict[str, Any]) -> dict[str, Any]:
 def _finite(strength: Any) -> float | None:
     """Return a reach as a number, None for balanced."""
     return None if strength is None or np.isinf(strength) else float(strength)
-
-
-def _pair_of_weights(weights: Any) -> tuple[Any, Any]:
-    """Return the maps of mass of both images."""
-    if weights is None:
-        return None, None
-    if not isinstance(weights, tuple | list) or len(weights) != 2:
-        raise InputError(
-            "weights: expected a pair of maps (H, W), one for each image; None in it stands for "
-            "the rule that `mass` names"
-        )
-    return weights[0], weights[1]
-
-
-def _of_equal_mass(
-    source: Measure, target: Measure, maps: tuple[Any, Any]
-) -> tuple[Measure, Measure]:
-    """Give an image without a map of mass as much of it as the other's map has."""
-    if maps[0] is None and maps[1] is not None:
-        source = replace(source, weights=source.weights * (target.mass / source.mass))
-    if maps[1] is None and maps[0] is not None:
-        target = replace(target, weights=target.weights * (source.mass / target.mass))
-    return source, target
-
-
-def _metrics(metric: ArrayLike | None) -> tuple[Any, Any]:
-    """Return the color metrics of source and target: a map belongs to the source alone."""
-    try:
-        constant = np.shape(cast(Any, metric)) == (3, 3)
-    except ValueError:
-        raise InputError("color_metric is no array of numbers: its rows differ in length") from None
-    return metric, metric if constant else None
 
 
 def _effective_counts(

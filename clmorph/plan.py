@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clmorph import defaults
 from clmorph.backends import Backend, get_backend
 from clmorph.checks import check_choice, check_number
-from clmorph.errors import InputError
+from clmorph.errors import InputError, PlanSizeError
 from clmorph.operations import PlanRows
 from clmorph.points import MeasureLike, as_pair
 from clmorph.potentials import Potentials
@@ -180,8 +180,9 @@ def transport_plan(
     Raises
     ------
     InputError
-        If an argument cannot be used, no pair is kept, or the pairs take more than
-        `max_bytes`.
+        If an argument cannot be used or no pair is kept.
+    PlanSizeError
+        If the pairs take more than `max_bytes`; it says how many there are.
     """
     source, target = as_pair(source, target)
     relative = check_number("relative", relative, 0.0, 1.0, open_low=True)
@@ -224,10 +225,11 @@ def transport_plan(
     counts = operations.count_plan_rows(*arguments)
     kept = int(counts.sum())
     if kept * BYTES_PER_PAIR > max_bytes:
-        raise InputError(
+        raise PlanSizeError(
             f"the plan would keep {kept} pairs ({kept * BYTES_PER_PAIR / 1e9:.3g} GB), more than "
             f"max_bytes={max_bytes:.3g}: raise max_bytes or relative, use smaller images or a "
-            "smaller blur, draw from its rows (sample=8), or take their means (barycentric=True)"
+            "smaller blur, draw from its rows (sample=8), or take their means (barycentric=True)",
+            kept,
         )
     if log_threshold is not None and not kept:
         raise InputError(

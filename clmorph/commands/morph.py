@@ -113,7 +113,7 @@ def run_morph(
         if output.exists() and path.exists() and output.samefile(path):
             raise InputError(f"-o {output} would overwrite an input; choose another name")
     places = [Output(output, settings.get("format")) for output in outputs]
-    if len({output.place for output in places}) < len(places):
+    if len({place.place for place in places}) < len(places):
         raise InputError("two outputs have one name; choose different ones")
     run = _Run(images, settings, places)
     size = settings.get("size")
@@ -128,17 +128,17 @@ def run_morph(
         with recorded(
             run.morphs(pictures, operations, stages), run.motion,
             reverse=bool(settings.get("reverse")),
-            exact=any(output.format.exact for output in places),
-            keep=any(output.format.keep for output in places),
+            exact=any(place.format.exact for place in places),
+            keep=any(place.format.keep for place in places),
             pixelated=all(map(is_pixel_art, pictures)), parameters=told,
             folder=places[0].place.parent, progress=stages,
         ) as film:  # fmt: skip
-            for output in places:
-                output.write(film, run.look, partial(stages, output.path.name))
+            for place in places:
+                place.write(film, run.look, partial(stages, place.path.name))
             summary = _summary(run, film, stages, told)
     if settings.get("recipe"):
-        for output in places:
-            _write_recipe(run, output.path, operations.description)
+        for place in places:
+            _write_recipe(run, place.path, operations.description)
     summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
     click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
 
@@ -180,8 +180,9 @@ def _last_line(run: _Run, summary: dict[str, Any]) -> str:
     lasting = ""
     if any(output.format.animated for output in run.outputs):
         lasting = f", {summary['duration']:.3g} s a round"
+    names = ", ".join(str(output.path) for output in run.outputs)
     return (
-        f"{', '.join(str(output.path) for output in run.outputs)}: {summary['frames']} frames{lasting}, made in "
+        f"{names}: {summary['frames']} frames{lasting}, made in "
         f"{summary['seconds']['total']:.1f} s; {worst.message}"
     )
 

@@ -164,8 +164,8 @@ file_options = _together(
     _option(
         "File", "-o", "--output", type=click.Path(path_type=Path),
         multiple=True,
-        help="Where to, once or more; the ending says what: .gif .webp .apng .mp4 .webm .html, .png (contact "
-        "sheet), .npz (NumPy), .tif; without one a folder of PNG frames.",
+        help="Where to, once or more; the ending says what: .gif .webp .apng .mp4 .webm .html, "
+        ".png (contact sheet), .npz (NumPy), .tif; without one a folder of PNG frames.",
     ),
     _option(
         "File", "--format", type=click.Choice(list(FORMATS)), help="In place of the ending."

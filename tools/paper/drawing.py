@@ -8,41 +8,22 @@ import matplotlib
 import numpy as np
 from numpy.typing import ArrayLike
 
+from clmorph.drawing import BLUE, ENLARGED, GRAY, GREEN, ORANGE, PURPLE, RED, SKY, STYLE, show
+
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
-#: Okabe and Ito's colors, told apart by everybody.
-BLUE, SKY, RED, GREEN, PURPLE, ORANGE = (
-    "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#AA4499", "#E69F00",
-)  # fmt: skip
-GRAY = "#666666"
+__all__ = [
+    "BLUE", "ENLARGED", "GRAY", "GREEN", "ORANGE", "PURPLE", "RED", "SKY",
+    "panels", "pyplot", "save", "show", "timeline",
+]  # fmt: skip
+
 #: Inches; dots an inch.
 WIDTH, DPI = 6.2, 180
 #: Inches of a timeline's labels, its gaps, and the line above it.
 LABEL, GAP, HEAD = 1.25, 0.06, 0.3
-#: Pixels to which pictures are enlarged, block by block, before they are drawn.
-ENLARGED = 480
 
-pyplot.rcParams.update(
-    {
-        "font.family": "DejaVu Sans",
-        "font.size": 9,
-        "axes.titlesize": 9.5,
-        "axes.labelsize": 9,
-        "xtick.labelsize": 8,
-        "ytick.labelsize": 8,
-        "legend.fontsize": 8,
-        "legend.frameon": False,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.edgecolor": "#444444",
-        "axes.grid": True,
-        "grid.color": "#e4e4e4",
-        "axes.axisbelow": True,
-        "lines.linewidth": 1.5,
-        "lines.markersize": 4,
-    }
-)
+pyplot.rcParams.update(STYLE)
 
 
 def panels(rows: int, columns: int, height: float, **options: Any) -> tuple[Any, Any]:
@@ -56,23 +37,6 @@ def save(figure: Any, path: Path) -> None:
     """Write a figure and forget it."""
     figure.savefig(path, dpi=DPI, metadata={"Software": None})
     pyplot.close(figure)
-
-
-def enlarged(image: ArrayLike) -> np.ndarray:
-    """Return an image of large square blocks, one for each pixel."""
-    image = np.clip(np.asarray(image, float), 0, 1)
-    factor = max(1, ENLARGED // max(image.shape[:2]))
-    return np.kron(image, np.ones((factor, factor, *[1] * (image.ndim - 2))))
-
-
-def show(axes: Any, image: ArrayLike, **options: Any) -> Any:
-    """Draw an image with sharp pixels, of even size, and no axes around."""
-    height, width = np.shape(image)[:2]
-    axes.set_axis_off()
-    return axes.imshow(
-        enlarged(image), extent=(-0.5, width - 0.5, height - 0.5, -0.5), interpolation="hanning",
-        **options,
-    )  # fmt: skip
 
 
 def timeline(

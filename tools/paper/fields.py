@@ -6,6 +6,7 @@ import numpy as np
 
 import clmorph
 from clmorph.displacement import Displacement
+from clmorph.drawing import draw_field, ordinal, step_of
 from paper import drawing
 from paper.setting import (
     AS_PAPER,
@@ -22,6 +23,8 @@ from paper.table1 import MASK, REACHES, entries
 
 #: Arrows along the longer side: in the large figure, and in each of the small ones.
 MANY, FEW = 24, 16
+#: Width of the small ones, as a share of the axes'.
+FEW_WIDTH = 0.0065
 #: The reaches at which creation and destruction are drawn: the paper's, and a middle one.
 MIDDLE = (REACH, 0.1)
 STAGE = "Displacement"
@@ -32,14 +35,14 @@ def figures_2_and_6(setting: Setting) -> list[Section]:
     image = setting.pair.as_published(setting.size)[0]
     found = {reach: entries(setting)["certified", reach].masked for reach in REACHES}
     figure, ((axes,),) = drawing.panels(1, 1, height=5.0)
-    arrows = _arrows(axes, image, found[REACH], MANY, found[REACH].max)
+    arrows = draw_field(axes, image, found[REACH], found[REACH].max, count=MANY)
     figure.colorbar(arrows, ax=axes, label="displacement, pixels", shrink=0.8)
     drawing.save(figure, setting.folder / "figure-2.png")
 
     longest = max(field.max for field in found.values())
     figure, grid = drawing.panels(2, 3, height=4.2)
     for axes, reach in setting.each(STAGE, list(zip(grid.ravel(), REACHES, strict=True))):
-        arrows = _arrows(axes, image, found[reach], FEW, longest)
+        arrows = draw_field(axes, image, found[reach], longest, count=FEW, width=FEW_WIDTH)
         name = reach_name(reach)
         axes.set_title("balanced" if reach is None else f"reach {name}")
     bar = figure.colorbar(arrows, ax=grid, label="displacement, pixels", shrink=0.8, pad=0.02)
@@ -60,7 +63,7 @@ def figures_2_and_6(setting: Setting) -> list[Section]:
             "Figure 2: displacement field",
             "Where each source pixel goes on average, T(x) − x, drawn over the source. The field "
             "does not depend on how particles are drawn; kernels only fill what it tears apart.",
-            f"Reach {REACH:g}, " + parameters.format(_ordinal(_step(image, MANY))),
+            f"Reach {REACH:g}, " + parameters.format(ordinal(step_of(image.shape, MANY))),
             f"Half of the pixels move by more than {np.median(lengths):.2f} px, the farthest by "
             f"{own.max:.2f} px; the field widens areas by up to {_expansion(own):.1f} times, which "
             "is where frames tear.",
@@ -71,7 +74,7 @@ def figures_2_and_6(setting: Setting) -> list[Section]:
             "figure-6",
             "Figure 6: displacement fields by reach",
             "The same field for every reach of Table 1, in one scale.",
-            parameters.format(_ordinal(_step(image, FEW))),
+            parameters.format(ordinal(step_of(image.shape, FEW))),
             "Pixels that move by more than one: "
             + listed(
                 [
@@ -141,28 +144,6 @@ def mass_images(setting: Setting) -> list[Section]:
             rows,
         )
     ]
-
-
-def _step(image: np.ndarray, count: int) -> int:
-    return max(1, -(-max(image.shape[:2]) // count))
-
-
-def _ordinal(number: int) -> str:
-    return {1: "single", 2: "second", 3: "third"}.get(number, f"{number}th")
-
-
-def _arrows(axes: Any, image: np.ndarray, moved: Displacement, count: int, longest: float) -> Any:
-    """Draw a field over a pale image; return what a color bar belongs to."""
-    drawing.show(axes, 1 - 0.45 * (1 - np.asarray(image)))
-    step = _step(image, count)
-    first = step // 2
-    y, x = np.mgrid[first : image.shape[0] : step, first : image.shape[1] : step]
-    field, length = moved.field[y, x], moved.length[y, x]
-    return axes.quiver(
-        x, y, field[..., 0], field[..., 1], length, cmap="plasma", clim=(0, max(longest, 1e-9)),
-        angles="xy", scale_units="xy", scale=1, headwidth=3.5, headlength=4,
-        headaxislength=3.6, minlength=0.5, width=0.0065 if count == FEW else 0.0045,
-    )  # fmt: skip
 
 
 def _expansion(moved: Displacement) -> float:

@@ -1,0 +1,194 @@
+"""A look at the transport between two images: its numbers, before any frame is drawn."""
+
+import time
+
+from numpy.typing import ArrayLike
+
+from clmorph import defaults
+from clmorph.backends import Backend, get_backend
+from clmorph.checks import check_number
+from clmorph.displacement import Displacement, displacement_of, displacement_statistics
+from clmorph.divergence import sinkhorn_divergence
+from clmorph.errors import PlanSizeError
+from clmorph.estimates import estimate
+from clmorph.findings import Inspection, Seconds
+from clmorph.images import as_pixels
+from clmorph.lifting import lift_pair
+from clmorph.measures import Measure
+from clmorph.morph import StageProgress, check_options
+from clmorph.operations import Operations
+from clmorph.plan import Plan, transport_plan
+from clmorph.points import as_pair
+from clmorph.potentials import Potentials
+from clmorph.sinkhorn import sinkhorn
+from clmorph.strengths import Reach
+from clmorph.timing import fill_seconds, frame_seconds
+
+__all__ = ["Inspection", "Seconds", "inspect"]
+
+
+def inspect(
+    image_a: ArrayLike,
+    image_b: ArrayLike,
+    *,
+    blur: float = defaults.BLUR,
+    reach: Reach = defaults.REACH,
+    color_weight: float = defaults.COLOR_WEIGHT,
+    epsilon: float | None = None,
+    rho: float | tuple[float, float] | None = None,
+    tol: float = defaults.TOL,
+    max_iter: int = defaults.MAX_ITER,
+    extent: str = "true",
+    mass: str = "uniform",
+    color_space: str = "srgb",
+    color_metric: ArrayLike | None = None,
+    weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
+    n_frames: int = defaults.N_FRAMES,
+    backend: Backend = "auto",
+    divergence: bool = True,
+    max_bytes: float = defaults.MAX_PLAN_BYTES,
+    progress: StageProgress | None = None,
+) -> Inspection:
+    """Solve the transport between two images and measure it; draw no morph.
+
+    Parameters
+    ----------
+    image_a, image_b, blur, reach, color_weight, epsilon, rho, tol, max_iter, extent, mass, \
+color_space, color_metric, weights, backend
+        As in `clmorph.morph`.
+    n_frames : int
+        For how many frames time is estimated.
+    divergence : bool
+        Whether to compute the Sinkhorn divergence: two further, easier solves.
+    max_bytes : float
+        The most that the plan may take, see `clmorph.transport_plan`; a larger one is counted
+        but not built.
+    progress : callable, optional
+        Called with a stage's name ("transport", "divergence", "plan", "timing") and the share
+        of it done.
+
+    Returns
+    -------
+    Inspection
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+    DeviceError
+        If the device cannot be found or fails.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If the solver stops before `tol`.
+    """
+    check_options(
+        n_frames, blur, reach, color_weight, epsilon=epsilon, rho=rho, tol=tol,
+        max_iter=max_iter, extent=extent, mass=mass, color_space=color_space,
+    )  # fmt: skip
+    max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
+    report = progress or (lambda stage, share: None)
+    images = as_pixels(image_a, "image_a"), as_pixels(image_b, "image_b")
+    source, target = lift_pair(
+        images, color_weight, weights=weights, mass=mass, extent=extent,
+        color_space=color_space, color_metric=color_metric,
+    )  # fmt: skip
+    operations = get_backend(backend)
+    report("transport", 0.0)
+    began = time.perf_counter()
+    potentials = sinkhorn(
+        source, target, blur, reach, tol, max_iter, operations, epsilon=epsilon, rho=rho,
+        progress=lambda share: report("transport", share),
+    )  # fmt: skip
+    transport_seconds = time.perf_counter() - began
+
+    found, why = None, _no_divergence(source, potentials, divergence)
+    if not why:
+        report("divergence", 0.0)
+        found = sinkhorn_divergence(
+            source, target, potentials.blur, _one(potentials.reach), tol, max_iter, operations,
+            cross=potentials, progress=lambda share: report("divergence", share),
+        )  # fmt: skip
+
+    report("plan", 0.0)
+    plan, pairs, plan_seconds = _plan(source, target, potentials, max_bytes, operations)
+    if plan is None:
+        moved = _streamed_displacement(source, target, potentials, operations)
+        plan_seconds += fill_seconds(source, target, potentials, pairs, operations)
+    else:
+        moved = displacement_statistics(source, target, plan)
+    report("plan", 1.0)
+
+    report("timing", 0.0)
+    frames = frame_seconds(source, target, potentials, plan, pairs, int(n_frames), operations)
+    report("timing", 1.0)
+    return Inspection(
+        source=source,
+        target=target,
+        potentials=potentials,
+        plan=plan,
+        pairs=pairs,
+        displacement=moved,
+        divergence=found,
+        no_divergence=why,
+        memory=estimate(
+            source.shape, target.shape, pairs, backend=operations,
+            alpha=source.alpha is not None or target.alpha is not None,
+            dimension=as_pair(source, target)[0].points.shape[1],
+        ),
+        seconds=Seconds(transport_seconds, plan_seconds, frames),
+        n_frames=int(n_frames),
+        device=operations.description,
+    )  # fmt: skip
+
+
+def _plan(
+    source: Measure,
+    target: Measure,
+    potentials: Potentials,
+    max_bytes: float,
+    operations: Operations,
+) -> tuple[Plan | None, int, float]:
+    """Return the plan if it may be built, its number of pairs, and the seconds it took."""
+    began = time.perf_counter()
+    plan: Plan | None = None
+    try:
+        plan = transport_plan(
+            source, target, potentials, max_bytes=max_bytes, backend=operations
+        )  # fmt: skip
+        pairs = len(plan)
+    except PlanSizeError as error:
+        pairs = error.pairs
+    return plan, pairs, time.perf_counter() - began
+
+
+def _no_divergence(source: Measure, potentials: Potentials, wanted: bool) -> str:
+    """Why there is no divergence, empty if there is one."""
+    if not wanted:
+        return "not asked for"
+    if isinstance(potentials.reach, tuple):
+        return "reach differs between source and target"
+    if source.has_metric_map:
+        return "each source pixel has its own metric"
+    return ""
+
+
+def _one(reach: Reach) -> float | None:
+    assert not isinstance(reach, tuple)  # as `_no_divergence` saw
+    return reach
+
+
+def _streamed_displacement(
+    source: Measure, target: Measure, potentials: Potentials, operations: Operations
+) -> Displacement:
+    """Displacement by the whole plan, which is never built."""
+    rows, columns = (
+        operations.upload(measure.points, measure.weights, measure.offsets)
+        for measure in as_pair(source, target)
+    )
+    g, epsilon, precise = potentials.g, potentials.epsilon, potentials.precise
+    softmin = operations.softmin(rows, columns, g, epsilon, precise)
+    mean, _ = operations.plan_moments(rows, columns, g, softmin, epsilon, precise)
+    # Positions are the first two coordinates of lifted points, whatever the cost.
+    return displacement_of(source, target, mean[:, :2], potentials.row_mass, potentials.column_mass)
