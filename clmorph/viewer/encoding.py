@@ -91,27 +91,25 @@ class Encoder:
         picture = Image.fromarray(np.ascontiguousarray(frame))
         webp = self._webp and max(size) <= WEBP_SIDE
         share = self._bytes_left / self._frames_left
-        tried: list[tuple[int, str, dict[str, Any]]] = [
+        forms: list[tuple[int, str, dict[str, Any]]] = [
             (100, "WEBP", LOSSLESS) if webp else (100, "PNG", {"optimize": True})
         ]
         if webp:
-            tried += [(quality, "WEBP", {"quality": quality}) for quality in QUALITIES]
-        for quality, form, options in tried:
+            forms += [(quality, "WEBP", {"quality": quality}) for quality in QUALITIES]
+        for quality, form, options in forms:
             file = io.BytesIO()
             picture.save(file, form, **options)
             text = base64.b64encode(file.getbuffer()).decode("ascii")
             if len(text) <= share:
-                break
-        else:
-            raise OutputError(
-                f"the page would take more than {self._max_bytes / 1e6:.3g} MB: use fewer or "
-                "smaller frames, or write a .gif or a folder of frames"
-            )
-        self._frames_left -= 1
-        self._bytes_left -= len(text)
-        self.sizes.append(size)
-        self.qualities.append(quality)
-        return Encoded(text, f"image/{form.lower()}", size, quality)
+                self._frames_left -= 1
+                self._bytes_left -= len(text)
+                self.sizes.append(size)
+                self.qualities.append(quality)
+                return Encoded(text, f"image/{form.lower()}", size, quality)
+        raise OutputError(
+            f"the page would take more than {self._max_bytes / 1e6:.3g} MB: use fewer or smaller "
+            "frames, or write a .gif or a folder of frames"
+        )
 
     @property
     def note(self) -> str | None:

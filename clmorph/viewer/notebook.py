@@ -53,9 +53,7 @@ def repr_html(
             f"{len(chosen)} of {count} frames are shown, to keep the notebook small; "
             "save the morph to a file for all of them."
         )
-    scene = scene_of(
-        morph, times=morph.times[chosen], fps=20.0 * len(chosen) / count, notes=notes
-    )
+    scene = scene_of(morph, times=morph.times[chosen], fps=20.0 * len(chosen) / count, notes=notes)
     text = escape(page(scene, max_bytes=max_bytes))
     return (
         f'<iframe srcdoc="{text}" title="{escape(scene.title)}" loading="lazy" '

@@ -52,10 +52,13 @@ function makeStage(scene, stage, box, canvas, changed, tapped) {
     view.y = Math.max(-down, Math.min(down, view.y));
     const left = stage.clientWidth / 2 + view.x - (width * s) / 2;
     const top = stage.clientHeight / 2 + view.y - (height * s) / 2;
-    const snap = (value) => Math.round(value * devicePixelRatio) / devicePixelRatio;
+    // Onto pixels of the screen, wherever the stage itself stands.
+    const page = stage.getBoundingClientRect();
+    const snap = (value, from) => Math.round((from + value) * devicePixelRatio) / devicePixelRatio - from;
     box.style.width = `${width * s}px`;
     box.style.height = `${height * s}px`;
-    box.style.transform = `translate(${snap(left)}px, ${snap(top)}px)`;
+    box.style.left = `${snap(left, page.left)}px`;
+    box.style.top = `${snap(top, page.top)}px`;
     canvas.classList.toggle("pixelated", view.pixelated);
     stage.classList.toggle("movable", across > 0 || down > 0);
     changed();
