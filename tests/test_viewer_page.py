@@ -376,7 +376,7 @@ def test_pinch(rng, show):
 def test_a_changing_canvas_stands_still(rng, show):
     """From portrait to landscape: true scale, one center, no jump, inside the stage."""
     images = [rng.random((24, 12, 3)), rng.random((15, 30, 3))]
-    result = morph(*images, n_frames=13, backend="numpy", blur=0.2)
+    result = morph(*images, n_frames=13, blur=0.2)
     opened = show(scene_of(result))
     stage = opened.locator("#stage").bounding_box()
     sizes = []
@@ -440,6 +440,17 @@ def test_close_arrows_are_drawn_as_their_mean(rng, show):
     assert (side / 30) ** 2 < dots < (side / 15) ** 2
 
 
+def test_many_arrows_and_none(rng, show):
+    places = rng.random((100_000, 2))
+    opened = show(scene_with(noise(rng), field=Field(places, places[::-1] - places)))
+    opened.keyboard.press("f")
+    assert arrows_shown(opened).any()
+    empty = np.zeros((0, 2))
+    opened = show(scene_with(noise(rng), field=Field(empty, empty, np.zeros(0))))
+    opened.keyboard.press("f")
+    assert not arrows_shown(opened).any()
+
+
 def test_a_page_without_arrows_or_curves_has_no_place_for_them(rng, show):
     opened = show(scene_with(noise(rng)))
     assert opened.locator("#field").is_hidden()
@@ -485,7 +496,7 @@ def test_curves(rng, show):
 
 def test_a_phone(rng, show):
     images = [rng.random((20, 12, 4)), rng.random((12, 20, 3))]
-    result = morph(*images, n_frames=4, backend="numpy", blur=0.2)
+    result = morph(*images, n_frames=4, blur=0.2)
     scene = scene_of(result, title="A title_that_is_very_long_and_has_no_place_to_break " * 2)
     opened = show(scene, **PHONE)
     opened.locator("summary").tap()
@@ -659,7 +670,7 @@ def test_without_javascript_it_says_so(rng, show):
 
 
 def test_a_notebook(rng, show):
-    result = morph(rng.random((9, 12, 3)), rng.random((12, 9, 3)), n_frames=4, backend="numpy")
+    result = morph(rng.random((9, 12, 3)), rng.random((12, 9, 3)), n_frames=4)
     text = f"<!doctype html><meta charset=utf-8><h1>Notebook</h1>{repr_html(result)}"
     opened = show(text, "notebook.html")
     frame = opened.frames[1]
