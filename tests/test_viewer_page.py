@@ -411,8 +411,10 @@ def test_arrows_travel(rng, show):
     field = Field([[0.25, 0.5]], [[0.5, 0.0]])
     opened = show(scene_with(noise(rng, 3, (33, 33, 3)), field=field))
     assert arrows_shown(opened) is None
+    assert opened.locator("#field-note").is_hidden()
     opened.get_by_role("button", name="Displacements as arrows").click()
     assert opened.evaluate("clmorph.field") is True
+    assert opened.locator("#field-note").is_visible()
     box, stage = opened.locator("#box").bounding_box(), opened.locator("#stage").bounding_box()
     unit = box["width"] * 32 / 33
     heads = []
@@ -492,6 +494,26 @@ def test_curves(rng, show):
     until(opened, "clmorph.index === 2")
     opened.mouse.up()
     assert cursor() == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (1920, 1080), (1160, 560)])
+def test_on_a_desk_all_is_in_sight(rng, show, size):
+    curves = [Curve(f"curve {k}", f"unit {k}", rng.random(4)) for k in range(5)]
+    scene = scene_with(
+        noise(rng, 4), curves=curves, notes=["A note"] * 2, field=Field([[0.5, 0.5]], [[0.1, 0]]),
+        parameters={f"parameter {k}": k for k in range(40)},
+    )  # fmt: skip
+    opened = show(scene, viewport={"width": size[0], "height": size[1]})
+    opened.keyboard.press("f")
+    opened.locator("summary").click()
+    root = "document.documentElement"
+    assert opened.evaluate(f"[{root}.scrollWidth, {root}.scrollHeight]") == list(size)
+    assert opened.locator("#stage").bounding_box()["height"] >= 200
+    for name in ("#show-help", "#notes"):
+        box = opened.locator(name).bounding_box()
+        assert box["y"] + box["height"] <= size[1]
+    opened.locator("#parameters tr").last.scroll_into_view_if_needed()
+    assert opened.locator("#parameters tr").last.bounding_box()["y"] < size[1]
 
 
 def test_a_phone(rng, show):
@@ -600,6 +622,10 @@ def test_chains(rng, show):
         shown.append(np.ptp(columns) > np.ptp(rows))
     assert shown == [True, False]
     assert opened.locator(".label.last").inner_text() == "2"
+    # One mark on the slider, where both meet.
+    tick, slider = opened.locator(".tick").bounding_box(), opened.locator("#scrub").bounding_box()
+    middle = slider["x"] + slider["width"] / 2
+    assert tick["x"] + tick["width"] / 2 == pytest.approx(middle, abs=1.5)
 
 
 def test_a_saved_frame_is_the_frame(rng, show):
