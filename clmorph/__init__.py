@@ -17,6 +17,7 @@ from clmorph.errors import (
 from clmorph.export import save
 from clmorph.formats.archive import Archive, load
 from clmorph.images import fit, read_image
+from clmorph.inspection import Inspection, inspect
 from clmorph.interpolation import Particles, particles
 from clmorph.measures import Measure, lift
 from clmorph.morph import morph
@@ -39,6 +40,7 @@ __all__ = [
     "Divergence",
     "ImageWarning",
     "InputError",
+    "Inspection",
     "Measure",
     "Morph",
     "OutputError",
@@ -50,6 +52,7 @@ __all__ = [
     "displacement_statistics",
     "fit",
     "get_backend",
+    "inspect",
     "lift",
     "load",
     "morph",

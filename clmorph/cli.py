@@ -14,7 +14,7 @@ from click.exceptions import NoArgsIsHelpError
 from clmorph import __version__
 from clmorph.commands import options
 from clmorph.commands import settings as files
-from clmorph.defaults import PRESETS
+from clmorph.defaults import N_FRAMES, PRESETS
 from clmorph.errors import ClmorphError, InputError
 
 #: Shells that complete what is typed.
@@ -100,7 +100,8 @@ NOT_SETTINGS = ("images", "config", "dump_config", "as_json", "device", "backend
     "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
 )
 @options.motion_options
-@options.transport_options
+@options.problem_options
+@options.plan_options
 @options.drawing_options
 @options.max_pixels_option
 @options.device_options
@@ -165,6 +166,51 @@ def _settings(context: click.Context, preset: str | None, given: dict[str, Any])
     if in_line is ParameterSource.COMMANDLINE:
         return files.layered((said[False], chosen, said[True]))
     return files.layered((chosen, said[False], said[True]))
+
+
+@cli.command()
+@click.argument("images", metavar="A B", nargs=2, type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), panel="File",
+    help="Draw a picture too: .png, .svg or .pdf.",
+)  # fmt: skip
+@click.option(
+    "--json", "as_json", is_flag=True, panel="File", help="Print the numbers for programs."
+)
+@click.option(
+    "--preset", type=click.Choice(list(PRESETS)), default="photo", show_default=True,
+    panel="Transport", help="Whose transport.",
+)  # fmt: skip
+@click.option(
+    "--frames", type=int, default=N_FRAMES, show_default=True, panel="Transport",
+    help="For how many frames time is estimated.",
+)  # fmt: skip
+@options.problem_options
+@options.max_pixels_option
+@options.device_options
+def inspect(
+    images: tuple[Path, Path],
+    output: Path | None,
+    as_json: bool,
+    preset: str,
+    frames: int,
+    max_pixels: int,
+    device: str | None,
+    backend: str | None,
+    **given: Any,
+) -> None:
+    """Show what a morph would move: how far, how much, how well; how long it would take.
+
+    \b
+    clmorph inspect a.png b.jpg                  numbers
+    clmorph inspect a.png b.jpg -o report.png    and a picture of where everything goes
+    """  # noqa: D301
+    from clmorph.commands.inspect import run_inspect
+
+    run_inspect(
+        images, output, preset, {name: value for name, value in given.items() if value is not None},
+        n_frames=frames, max_pixels=max_pixels, device=device, backend=backend, as_json=as_json,
+    )  # fmt: skip
 
 
 @cli.command()

@@ -27,8 +27,14 @@ def test_the_wheel_is_complete(built):
         names = set(wheel.namelist())
     kernels = {f"clmorph/cl_kernels/{path.name}" for path in (ROOT / "cl_kernels").glob("*.cl")}
     modules = {str(path.relative_to(ROOT)) for path in (ROOT / "clmorph").rglob("*.py")}
+    viewer = {
+        str(path.relative_to(ROOT))
+        for ending in ("html", "css", "js")
+        for path in (ROOT / "clmorph" / "viewer").glob(f"*.{ending}")
+    }
     assert len(kernels) == 5
-    assert kernels | modules | {"clmorph/py.typed", "clmorph/data/cat.png"} <= names
+    assert len(viewer) == 9
+    assert kernels | modules | viewer | {"clmorph/py.typed", "clmorph/data/cat.png"} <= names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not any(name.startswith(("tests/", "tools/", "cl_kernels/")) for name in names)
 
@@ -38,6 +44,7 @@ def test_the_sdist_is_complete(built):
         names = {name.split("/", 1)[-1] for name in sdist.getnames()}
     wanted = {"LICENSE", "README.md", "pyproject.toml", "clmorph/py.typed", "clmorph/data/cat.png"}
     wanted |= {f"cl_kernels/{path.name}" for path in (ROOT / "cl_kernels").glob("*")}
+    wanted |= {f"clmorph/viewer/{path.name}" for path in (ROOT / "clmorph/viewer").glob("*.*")}
     assert {name for name in wanted if "__pycache__" not in name} <= names
 
 

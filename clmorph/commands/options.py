@@ -75,28 +75,30 @@ def _option(panel: str, *names: str, **settings: Any) -> Callable[[Command], Com
     return click.option(*names, panel=panel, **settings)
 
 
-transport_options = _together(
+problem_options = _together(
     _option("Transport", "--size", type=int, help="Reduce pictures to this longer side, pixels."),
+    _option("Transport", "--blur", type=float, help="Entropic length scale, in image sides."),
     _option(
-        "Transport", "--blur", type=float, help="Entropic length scale, in image sides."
-    ),
-    _option(
-        "Transport", "--reach", type=_Reach(),
+        "Transport",
+        "--reach",
+        type=_Reach(),
         help="How far mass moves before it rather fades, in image sides; or balanced; two "
         "(source,target) may differ.",
     ),
     _option("Transport", "--epsilon", type=float, help="The square of blur, in its place."),
     _option("Transport", "--rho", type=_Reach(), help="The square of reach, in its place."),
+    _option("Transport", "--color-weight", type=float, help="Weight of color against position."),
     _option(
-        "Transport", "--color-weight", type=float, help="Weight of color against position."
-    ),
-    _option(
-        "Transport", "--color-space", type=click.Choice(COLOR_SPACES),
+        "Transport",
+        "--color-space",
+        type=click.Choice(COLOR_SPACES),
         help="In which colors are compared.",
     ),
     _option("Transport", "--mass", type=click.Choice(MASSES), help="What a pixel weighs."),
     _option(
-        "Transport", "--extent", type=click.Choice(EXTENTS),
+        "Transport",
+        "--extent",
+        type=click.Choice(EXTENTS),
         help="True aspect ratio, or both axes stretched to the unit square.",
     ),
     _option(
@@ -105,6 +107,9 @@ transport_options = _together(
     _option(
         "Transport", "--max-iter", type=int, help="Iterations after which it stops all the same."
     ),
+)
+
+plan_options = _together(
     _option("Transport", "--barycentric", is_flag=True, default=None, help="One particle a pixel."),
     _option(
         "Transport", "--sample", type=int, help="So many particles a pixel, drawn from the plan."

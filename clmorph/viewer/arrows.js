@@ -29,7 +29,7 @@ function makeArrows(fields, canvas, stage) {
       const share = (time - field.begin) / (field.end - field.begin);
       if (share < -1e-9 || share > 1 + 1e-9) continue;
       const arrows = thin(field, APART / stage.unit());
-      const heaviest = Math.max(...arrows.map((one) => one.mass));
+      const heaviest = largest(arrows.map((one) => one.mass));
       for (const { start, by, mass } of arrows) {
         const from = stage.place(...start);
         const to = stage.place(start[0] + by[0], start[1] + by[1]);
@@ -40,8 +40,8 @@ function makeArrows(fields, canvas, stage) {
 
   /** Arrows at least about so far apart: means over squares of whole places. */
   function thin(field, apart) {
-    const low = [0, 1].map((axis) => Math.min(...field.positions.map((start) => start[axis])));
-    const wide = [0, 1].map((axis) => Math.max(...field.positions.map((start) => start[axis])) - low[axis]);
+    const low = [0, 1].map((axis) => smallest(field.positions.map((start) => start[axis])));
+    const wide = [0, 1].map((axis) => largest(field.positions.map((start) => start[axis])) - low[axis]);
     // The distance s of places, as if they filled a grid: (w / s + 1) (h / s + 1) = K.
     const most = Math.max(1, field.positions.length - 1);
     const sum = wide[0] + wide[1];

@@ -15,20 +15,6 @@ function shape(name, attributes) {
   return made;
 }
 
-/** Three significant digits, without exponents where they are not needed. */
-function short(value) {
-  const size = Math.abs(value);
-  if (size === 0) return "0";
-  if (size >= 1e5 || size < 1e-3) return value.toExponential(1);
-  return String(Number(value.toPrecision(3)));
-}
-
-/** The next of 1, 2, 2.5, 5 times a power of ten. */
-function roundUp(value) {
-  const power = 10 ** Math.floor(Math.log10(value));
-  return power * [1, 2, 2.5, 5, 10].find((step) => step * power >= value * (1 - 1e-9));
-}
-
 /**
  * @param {object[]} curves each with name, unit, values
  * @param {number[]} times
@@ -43,8 +29,8 @@ function makeCharts(curves, times, parent, seek) {
   function chart(unit) {
     const group = curves.filter((curve) => curve.unit === unit);
     const values = group.flatMap((curve) => curve.values);
-    const highest = Math.max(...values, 0);
-    const lowest = Math.min(...values, 0);
+    const highest = Math.max(0, largest(values));
+    const lowest = Math.min(0, smallest(values));
     const top = highest > 0 ? roundUp(highest) : lowest < 0 ? 0 : 1;
     const bottom = lowest < 0 ? -roundUp(-lowest) : 0;
     // As many decimals at any time, so that numbers do not dance.

@@ -14,6 +14,8 @@ from clmorph.errors import InputError, OutputError
 LOSSLESS: dict[str, Any] = {"lossless": True, "quality": 80, "method": 4}
 #: Qualities that are tried in turn where frames without loss would be too many bytes.
 QUALITIES = (95, 90, 80, 60)
+#: How much more than its share a frame without loss may take: the first are often the sharpest.
+ADVANCE = 1.25
 #: The longest side that WebP can have.
 WEBP_SIDE = 16383
 
@@ -41,8 +43,9 @@ class Encoded(NamedTuple):
 class Encoder:
     """Encodes frames one by one within a budget of bytes, whatever comes later.
 
-    Each frame may take an equal share of what is left; what it does not need is the next ones'.
-    Only a frame that needs more without loss is compressed with some.
+    Each frame may take an equal share of what is left, or a quarter more if it is without loss;
+    what it does not need is the next ones'. From the first frame on that needs more, all are
+    compressed with loss, as a film that changes between both would flicker.
 
     Parameters
     ----------
@@ -91,27 +94,26 @@ class Encoder:
         picture = Image.fromarray(np.ascontiguousarray(frame))
         webp = self._webp and max(size) <= WEBP_SIDE
         share = self._bytes_left / self._frames_left
-        tried: list[tuple[int, str, dict[str, Any]]] = [
-            (100, "WEBP", LOSSLESS) if webp else (100, "PNG", {"optimize": True})
-        ]
+        forms: list[tuple[int, str, dict[str, Any]]] = []
+        if min(self.qualities, default=100) == 100:
+            forms = [(100, "WEBP", LOSSLESS) if webp else (100, "PNG", {"optimize": True})]
         if webp:
-            tried += [(quality, "WEBP", {"quality": quality}) for quality in QUALITIES]
-        for quality, form, options in tried:
+            forms += [(quality, "WEBP", {"quality": quality}) for quality in QUALITIES]
+        for quality, form, options in forms:
             file = io.BytesIO()
             picture.save(file, form, **options)
             text = base64.b64encode(file.getbuffer()).decode("ascii")
-            if len(text) <= share:
-                break
-        else:
-            raise OutputError(
-                f"the page would take more than {self._max_bytes / 1e6:.3g} MB: use fewer or "
-                "smaller frames, or write a .gif or a folder of frames"
-            )
-        self._frames_left -= 1
-        self._bytes_left -= len(text)
-        self.sizes.append(size)
-        self.qualities.append(quality)
-        return Encoded(text, f"image/{form.lower()}", size, quality)
+            most = min(self._bytes_left, ADVANCE * share) if quality == 100 else share
+            if len(text) <= most:
+                self._frames_left -= 1
+                self._bytes_left -= len(text)
+                self.sizes.append(size)
+                self.qualities.append(quality)
+                return Encoded(text, f"image/{form.lower()}", size, quality)
+        raise OutputError(
+            f"the page would take more than {self._max_bytes / 1e6:.3g} MB: use fewer or smaller "
+            "frames, or write a .gif or a folder of frames"
+        )
 
     @property
     def note(self) -> str | None:

@@ -26,7 +26,15 @@ from clmorph.viewer.scene import Scene, as_json
 #: The most that frames may take in a page, in bytes of text; a browser on a phone still opens it.
 PAGE_BYTES = 100e6
 #: Parts of the script, in this order; each sees what stands before it.
-SCRIPTS = ("frames.js", "player.js", "stage.js", "arrows.js", "charts.js", "viewer.js")
+SCRIPTS = (
+    "numbers.js",
+    "frames.js",
+    "player.js",
+    "stage.js",
+    "arrows.js",
+    "charts.js",
+    "viewer.js",
+)
 #: What stands before the parameters. Nowhere else: "<" is escaped wherever text can stand.
 PARAMETERS = '<script type="application/json" id="clmorph-parameters">'
 
@@ -43,8 +51,8 @@ def write_page(scene: Scene, file: TextIO, *, max_bytes: float = PAGE_BYTES) -> 
 
     The page is plain ASCII, loads nothing from anywhere (its own Content-Security-Policy
     forbids that) and keeps frames without loss (WebP, or PNG where Pillow has no WebP). Where
-    they would take more than `max_bytes`, those too large for their share of it are compressed
-    with loss, and a note in the page says so.
+    they would take more than `max_bytes`, all from the first on that is too large for its share
+    are compressed with loss, and a note in the page says so.
 
     Parameters
     ----------
@@ -148,7 +156,10 @@ def _rows(parameters: Any) -> Iterator[str]:
             # Of each the first entry, its name; the rest is for programs.
             firsts = (next(iter(dict(item).values()), "") for item in value)
             value = " → ".join(map(str, firsts))
-        shown = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+        flat = value if isinstance(value, list | tuple) else [value]
+        shown = ", ".join(
+            part if isinstance(part, str) else json.dumps(part, ensure_ascii=False) for part in flat
+        )
         yield f"<tr><th scope=row>{_ascii(str(name))}</th><td>{_ascii(shown)}</td></tr>\n"
 
 

@@ -162,7 +162,11 @@ class Scene:
                     f"curve {curve.name!r} has {len(curve.values)} values: expected one for each "
                     f"of the {len(times)} frames"
                 )
-        as_json("parameters", self.parameters)
+        if not isinstance(self.parameters, Mapping):
+            raise InputError(
+                f"parameters is a {type(self.parameters).__name__}: expected a mapping, as a dict"
+            )
+        as_json("parameters", dict(self.parameters))
 
     @property
     def fields(self) -> tuple[Field, ...]:

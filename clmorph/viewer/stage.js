@@ -17,12 +17,13 @@ const STILL = 8;
  */
 function makeStage(scene, stage, box, canvas, changed, tapped) {
   const options = { colorSpace: "srgb" };
-  // Canvases multiply colors by opacity; in 16 bits nothing is lost by that.
+  // Canvases multiply colors by opacity; in 16 bits nothing is lost by that. Browsers without
+  // such canvases round the colors of half-transparent pixels, and of no others.
   if (scene.alpha) options.colorType = "float16";
   const context = canvas.getContext("2d", options);
-  const widest = Math.max(...scene.boxes.map((b) => b[0]));
-  const tallest = Math.max(...scene.boxes.map((b) => b[1]));
-  const finest = Math.max(...scene.boxes.map((b, i) => scene.sizes[i][0] / b[0]));
+  const widest = largest(scene.boxes.map((b) => b[0]));
+  const tallest = largest(scene.boxes.map((b) => b[1]));
+  const finest = largest(scene.boxes.map((b, i) => scene.sizes[i][0] / b[0]));
   const steady = scene.boxes.every((b) => b.every((side, i) => Math.abs(side - scene.boxes[0][i]) < 1e-6));
   // Screen pixels for each unit; null fits. The picture's center, from the stage's, in pixels.
   const view = { scale: null, x: 0, y: 0, pixelated: scene.pixelated };
@@ -52,10 +53,13 @@ function makeStage(scene, stage, box, canvas, changed, tapped) {
     view.y = Math.max(-down, Math.min(down, view.y));
     const left = stage.clientWidth / 2 + view.x - (width * s) / 2;
     const top = stage.clientHeight / 2 + view.y - (height * s) / 2;
-    const snap = (value) => Math.round(value * devicePixelRatio) / devicePixelRatio;
+    // Onto pixels of the screen, wherever the stage itself stands.
+    const page = stage.getBoundingClientRect();
+    const snap = (value, from) => Math.round((from + value) * devicePixelRatio) / devicePixelRatio - from;
     box.style.width = `${width * s}px`;
     box.style.height = `${height * s}px`;
-    box.style.transform = `translate(${snap(left)}px, ${snap(top)}px)`;
+    box.style.left = `${snap(left, page.left)}px`;
+    box.style.top = `${snap(top, page.top)}px`;
     canvas.classList.toggle("pixelated", view.pixelated);
     stage.classList.toggle("movable", across > 0 || down > 0);
     changed();
@@ -140,14 +144,14 @@ function makeStage(scene, stage, box, canvas, changed, tapped) {
     }, { passive: false });
 
     const fingers = new Map();
-    let travelled = 0; // pixels, since the first finger came down
+    let traveled = 0; // pixels, since the first finger came down
     const spread = () => {
       const [a, b] = [...fingers.values()];
       return { distance: Math.hypot(a[0] - b[0], a[1] - b[1]), middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2] };
     };
     stage.addEventListener("pointerdown", (event) => {
       if (event.button !== 0) return;
-      if (!fingers.size) travelled = 0;
+      if (!fingers.size) traveled = 0;
       fingers.set(event.pointerId, at(event));
       stage.setPointerCapture(event.pointerId);
     });
@@ -155,9 +159,9 @@ function makeStage(scene, stage, box, canvas, changed, tapped) {
       const from = fingers.get(event.pointerId);
       if (!from) return;
       const to = at(event);
-      travelled += Math.hypot(to[0] - from[0], to[1] - from[1]);
+      traveled += Math.hypot(to[0] - from[0], to[1] - from[1]);
       if (fingers.size === 2) {
-        travelled = Infinity;
+        traveled = Infinity;
         const old = spread();
         fingers.set(event.pointerId, to);
         const now = spread();
@@ -169,7 +173,7 @@ function makeStage(scene, stage, box, canvas, changed, tapped) {
       if (fingers.size === 1) move(to[0] - from[0], to[1] - from[1]);
     });
     stage.addEventListener("pointerup", (event) => {
-      if (fingers.delete(event.pointerId) && !fingers.size && travelled < STILL) tapped();
+      if (fingers.delete(event.pointerId) && !fingers.size && traveled < STILL) tapped();
     });
     stage.addEventListener("pointercancel", (event) => fingers.delete(event.pointerId));
     new ResizeObserver(arrange).observe(stage);

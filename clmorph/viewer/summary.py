@@ -143,9 +143,9 @@ def morph_curves(morph: Morph, times: Array) -> tuple[Curve, ...]:
     whole = moving.weights.sum(axis=0)
     dying, born = (1 - times) * begun[0], times * begun[1]
     total = (1 - times) * whole[0] + times * whole[1]
-    travelling = np.maximum(total - dying - born, 0.0)
+    traveling = np.maximum(total - dying - born, 0.0)
     curves = [Curve("kernel width", "pixels", widths)]
-    for name, mass in (("travelling", travelling), ("dying", dying), ("born", born)):
+    for name, mass in (("traveling", traveling), ("dying", dying), ("born", born)):
         share = np.divide(100 * mass, total, out=np.zeros_like(mass), where=total > 0)
         curves.append(Curve(f"mass {name}", "% of mass", share))
     return tuple(curves)
@@ -200,8 +200,8 @@ def known_parameters(morph: Morph) -> dict[str, Any]:
         for side in (reach if isinstance(reach, tuple) else (reach,))
     ]
     known = {
-        "source": [source.shape[1], source.shape[0]],
-        "target": [morph.target.shape[1], morph.target.shape[0]],
+        "source_size": [source.shape[1], source.shape[0]],
+        "target_size": [morph.target.shape[1], morph.target.shape[0]],
         "blur": _short(potentials.blur),
         "reach": reaches if len(reaches) > 1 else reaches[0],
         "color_weight": _short(source.color_weight),
@@ -211,7 +211,6 @@ def known_parameters(morph: Morph) -> dict[str, Any]:
         "splatting": width.splatting,
         "sigma_start": _short(width.sigma_start),
         "sigma_end": _short(width.sigma_end),
-        "gamma": _short(width.gamma),
         "endpoints": morph.endpoints,
         "unmatched": morph.unmatched,
         "particles": len(morph.particles),
@@ -220,6 +219,8 @@ def known_parameters(morph: Morph) -> dict[str, Any]:
         "transported_mass": _short(potentials.transported_mass),
         "clmorph": __version__,
     }
+    if width.splatting == "adaptive":
+        known["gamma"] = _short(width.gamma)
     if width.curve is not None:
         known["sigma"] = "optimal"
     return known

@@ -64,16 +64,17 @@ function controls() {
   $("loop").value = loop;
 }
 
-/** Show the frame next to a morph time. */
-function seek(time) {
-  let nearest = 0;
+/** The frame next to a morph time. */
+function nearest(time) {
+  let found = 0;
   times.forEach((other, index) => {
-    if (Math.abs(other - time) < Math.abs(times[nearest] - time)) nearest = index;
+    if (Math.abs(other - time) < Math.abs(times[found] - time)) found = index;
   });
-  return go(nearest);
+  return found;
 }
 
 const go = (index) => player.seek(index).catch(fail);
+const seek = (time) => go(nearest(time));
 
 function stepBy(count) {
   player.pause();
@@ -86,6 +87,7 @@ function toggleField() {
   if (!scene.fields.length) return;
   arrows.state.visible = !arrows.state.visible;
   press("field", arrows.state.visible);
+  $("field-note").hidden = !arrows.state.visible;
   arrows.draw(times[player.state.index]);
 }
 
@@ -197,6 +199,12 @@ function begin() {
   const [a, b] = [scene.sizes[0], scene.sizes[player.last]].map(([width, height]) => `${width} \u00d7 ${height}`);
   const seconds = times.length / scene.fps + 2 * scene.hold;
   $("summary").textContent = `${a === b ? a : `${a} \u2192 ${b}`} pixels, ${times.length} frames, ${short(seconds)} s`;
+  // Where one morph of a chain ends and the next begins.
+  for (let time = Math.floor(times[0]) + 1; time < times[player.last] - 1e-9; time += 1) {
+    const tick = element("i", { class: "tick" });
+    tick.style.setProperty("--at", nearest(time) / player.last);
+    $("scrub").after(tick);
+  }
   for (const note of scene.notes) $("notes").append(element("li", {}, note));
   controls();
   return go(0).then(() => Promise.all([thumbnail("first", 0), thumbnail("final", player.last)])).catch(fail);

@@ -1,0 +1,85 @@
+"""``clmorph inspect``: a look at the transport alone."""
+
+import json
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from clmorph.commands.common import open_backend, read_picture
+from clmorph.commands.settings import Settings, layered, preset
+from clmorph.errors import ConvergenceWarning, InputError, OutputError
+from clmorph.files import check_place
+from clmorph.images import fit
+from clmorph.inspection import inspect
+from clmorph.plots import check_plotting, draw_inspection
+from clmorph.terminal import Stages
+
+#: Settings of a preset that decide about the transport.
+TRANSPORT = (
+    "blur", "reach", "epsilon", "rho", "color_weight", "color_space", "mass", "extent", "tol",
+    "max_iter",
+)  # fmt: skip
+
+
+def run_inspect(
+    images: Sequence[Path],
+    output: Path | None,
+    chosen: str,
+    given: Settings,
+    *,
+    n_frames: int,
+    max_pixels: int,
+    device: str | None,
+    backend: str | None,
+    as_json: bool,
+) -> None:
+    """Solve the transport between two pictures, print its numbers, and draw it if asked to.
+
+    Parameters
+    ----------
+    images : (A, B)
+    output : Path, optional
+        Of the picture: .png, .svg or .pdf.
+    chosen : str
+        A preset.
+    given : dict
+        Options of the transport, in place of the preset's.
+    n_frames : int
+        For how many frames time is estimated.
+    max_pixels, device, backend, as_json
+        As for ``clmorph morph``.
+    """
+    if output is not None:
+        check_plotting(output)
+        check_place(output)
+        if any(path.exists() and output.exists() and output.samefile(path) for path in images):
+            raise InputError(f"-o {output} would overwrite an input; choose another name")
+        if output.is_dir():
+            raise OutputError(f"{output} is a folder; choose a file name")
+    settings = layered((preset(chosen), given))
+    size = settings.get("size")
+    options: dict[str, Any] = {name: settings[name] for name in TRANSPORT if name in settings}
+    pictures = [read_picture(path, max_pixels) for path in images]
+    if size is not None:
+        pictures = [fit(picture, size) for picture in pictures]
+    operations = open_backend(device, backend)
+    with Stages() as stages, warnings.catch_warnings():
+        # Said among the numbers.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        found = inspect(
+            *pictures, n_frames=n_frames, backend=operations, progress=stages, **options
+        )
+        if output is not None:
+            stages("picture", 0.0)
+            draw_inspection(found, output)
+            stages("picture", 1.0)
+    if as_json:
+        click.echo(json.dumps(found.summary()))
+        return
+    for line in found.lines():
+        click.echo(line)
+    if output is not None:
+        click.echo(f"wrote {output}")
