@@ -92,4 +92,5 @@ def opacity(sums: Sums, area: float, t: float) -> Array:
         return opaque
     from scipy.ndimage import grey_closing
 
-    return np.asarray(grey_closing(opaque, size=2 * reach + 1, mode="nearest"))
+    side = 2 * reach + 1
+    return np.asarray(grey_closing(opaque, (side, side), mode="nearest"))
