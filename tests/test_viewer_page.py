@@ -240,13 +240,15 @@ def course(opened, count):
 
 
 def test_ping_pong_loop_and_once(rng, show):
-    opened = show(scene_with(noise(rng, 4), fps=12, hold=0.05))
+    # A quarter of a second is the most that counts at once: however slow the machine, no frame
+    # is skipped.
+    opened = show(scene_with(noise(rng, 4), fps=4, hold=0.05))
     assert opened.evaluate("clmorph.loop") == "ping-pong"
-    assert course(opened, 9) == [0, 1, 2, 3, 2, 1, 0, 1, 2]
+    assert course(opened, 8) == [0, 1, 2, 3, 2, 1, 0, 1]
     opened.evaluate("clmorph.pause()")
     opened.get_by_role("combobox", name="After the last frame").select_option("loop")
     opened.evaluate("clmorph.set('direction', 1); clmorph.show(0)")
-    assert course(opened, 7) == [0, 1, 2, 3, 0, 1, 2]
+    assert course(opened, 6) == [0, 1, 2, 3, 0, 1]
     opened.evaluate("clmorph.pause()")
     opened.get_by_role("button", name="Backwards").click()
     opened.evaluate("clmorph.show(1)")

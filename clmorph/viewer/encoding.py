@@ -13,7 +13,7 @@ from clmorph.errors import InputError, OutputError
 #: highest effort takes forty times as long for 4 % less.
 LOSSLESS: dict[str, Any] = {"lossless": True, "quality": 80, "method": 4}
 #: Qualities that are tried in turn where frames without loss would be too many bytes.
-QUALITIES = (95, 90, 80, 60)
+QUALITIES = (99, 95, 90, 80, 60)
 #: How much more than its share a frame without loss may take: the first are often the sharpest.
 ADVANCE = 1.25
 #: The longest side that WebP can have.
