@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from programs import PROGRAMS
 
 import clmorph
 from clmorph.opencl.device import Device, find_devices
@@ -13,9 +14,9 @@ from clmorph.opencl.operations import OpenCLOperations
 
 DEVICES = find_devices()
 USABLE = [device for device in DEVICES if device.usable]
-#: Comma-separated parts of names that CI requires among the usable devices; and "chromium", for
-#: the tests that need a browser.
-REQUIRED = [name for name in os.environ.get("CLMORPH_TEST_REQUIRE", "").split(",") if name]
+#: Comma-separated parts of names that CI requires among the usable devices; names of programs
+#: are for the tests that need them.
+REQUIRED = set(os.environ.get("CLMORPH_TEST_REQUIRE", "").split(",")) - {"", *PROGRAMS}
 
 
 def pytest_report_header() -> list[str]:
@@ -29,7 +30,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
             "no usable OpenCL device: install one, for example with pip install '.[cpu,test]'"
         )
     for name in REQUIRED:
-        if name != "chromium" and not any(device.matches(name) for device in USABLE):
+        if not any(device.matches(name) for device in USABLE):
             raise pytest.UsageError(f"no usable OpenCL device matches the required {name!r}")
 
 

@@ -8,6 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 from PIL import Image
+from programs import program
 
 import clmorph
 from clmorph import InputError, OutputError
@@ -64,7 +65,7 @@ def decoded(file):
     """The frames of a video as the system's ffmpeg decodes them, by the tags in the file."""
     shape = probe(file)["height"], probe(file)["width"], 3
     raw = subprocess.run(
-        ["ffmpeg", "-v", "error", "-i", file, "-f", "rawvideo", "-sws_flags",
+        [program("ffmpeg"), "-v", "error", "-i", file, "-f", "rawvideo", "-sws_flags",
          "accurate_rnd+full_chroma_int+bicubic", "-pix_fmt", "rgb24", "-"],
         capture_output=True, check=True,
     ).stdout  # fmt: skip
@@ -73,7 +74,7 @@ def decoded(file):
 
 def probe(file):
     told = subprocess.run(
-        ["ffprobe", "-v", "error", "-count_frames", "-show_streams", "-show_format", "-of",
+        [program("ffprobe"), "-v", "error", "-count_frames", "-show_streams", "-show_format", "-of",
          "json", file],
         capture_output=True, check=True, text=True,
     ).stdout  # fmt: skip
@@ -164,7 +165,7 @@ def test_odd_sizes_in_videos_are_made_even(tmp_path):
 def test_webm_keeps_opacity(tmp_path, clear):
     save(clear, tmp_path / "out.webm", canvas="64x64")
     raw = subprocess.run(
-        ["ffmpeg", "-v", "error", "-c:v", "libvpx-vp9", "-i", tmp_path / "out.webm", "-f",
+        [program("ffmpeg"), "-v", "error", "-c:v", "libvpx-vp9", "-i", tmp_path / "out.webm", "-f",
          "rawvideo", "-pix_fmt", "rgba", "-"], capture_output=True, check=True,
     ).stdout  # fmt: skip
     alpha = np.frombuffer(raw, np.uint8).reshape(-1, 64, 64, 4)[0, ..., 3]

@@ -12,7 +12,7 @@ from PIL import Image
 
 import clmorph
 from clmorph import InputError, OutputError, displacement_statistics, morph
-from clmorph.export import to_bytes
+from clmorph.images import to_bytes
 from clmorph.rendering import canvas_at
 from clmorph.viewer import (
     Curve,

@@ -34,7 +34,7 @@ def write(film: Film, look: Look, file: Path, report: Report) -> None:
         facts=known_parameters(film.morphs[0]) if len(film.morphs) == 1 else {},
         extent=film.morphs[0].source.extent,
     )
-    with file.open("w", encoding="ascii") as stream:
+    with file.open("w", encoding="ascii", newline="\n") as stream:
         write_page(scene, stream)
 
 

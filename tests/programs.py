@@ -1,0 +1,24 @@
+"""Programs of the system that some tests need; CI requires them."""
+
+import os
+import shutil
+
+import pytest
+
+#: What CLMORPH_TEST_REQUIRE can name beside devices, and the programs that it stands for.
+PROGRAMS = {
+    "chromium": ("chromium", "chromium-browser", "google-chrome"),
+    "ffmpeg": ("ffmpeg",),
+    "ffprobe": ("ffprobe",),
+}
+
+
+def program(name: str) -> str:
+    """Return the path of a program; skip the test if there is none, fail if it is required."""
+    path = next(filter(None, map(shutil.which, PROGRAMS[name])), None)
+    if path is None:
+        why = f"none of {', '.join(PROGRAMS[name])} is installed"
+        if name in os.environ.get("CLMORPH_TEST_REQUIRE", "").split(","):
+            pytest.fail(why)
+        pytest.skip(why)
+    return path
