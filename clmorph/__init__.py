@@ -12,7 +12,9 @@ from clmorph.errors import (
     DeviceError,
     ImageWarning,
     InputError,
+    MemoryWarning,
     OutputError,
+    PlanSizeError,
 )
 from clmorph.export import save
 from clmorph.formats.archive import Archive, load
@@ -42,10 +44,12 @@ __all__ = [
     "InputError",
     "Inspection",
     "Measure",
+    "MemoryWarning",
     "Morph",
     "OutputError",
     "Particles",
     "Plan",
+    "PlanSizeError",
     "Potentials",
     "WeightedPoints",
     "barycentric_plan",

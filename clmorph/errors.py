@@ -38,5 +38,9 @@ class ConvergenceWarning(UserWarning):
     """The transport solver stopped before it reached the tolerance."""
 
 
+class MemoryWarning(UserWarning):
+    """Not all pairs of a plan fit into the memory allowed, so fewer particles are drawn."""
+
+
 class ImageWarning(UserWarning):
     """A file was read, but not all that it says about its colors was used."""

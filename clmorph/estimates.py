@@ -141,7 +141,7 @@ def estimate(
 
 
 def affordable(
-    max_bytes: float,
+    max_memory: float,
     source_shape: tuple[int, int],
     target_shape: tuple[int, int],
     pairs: float,
@@ -154,7 +154,7 @@ def affordable(
 
     Parameters
     ----------
-    max_bytes : float
+    max_memory : float
         For host and device together where they share memory, else for each of them.
     source_shape, target_shape, pairs, alpha, dimension, backend
         As in `estimate`.
@@ -170,7 +170,7 @@ def affordable(
     InputError
         If not even that fits.
     """
-    limit = check_number("max_bytes", max_bytes, 1.0, 1e18)
+    limit = check_number("max_memory", max_memory, 1.0, 1e18)
     operations = get_backend(backend)
 
     def need(**way: Any) -> int:
@@ -191,7 +191,7 @@ def affordable(
             return way
     least = min(need(**way) for way in ways)
     raise InputError(
-        f"max_bytes={max_bytes:.3g}: expected at least {least / 1e6:.1f} MB for images of these "
+        f"max_memory={max_memory:.3g}: expected at least {least / 1e6:.1f} MB for images of these "
         "sizes; raise it, or use smaller images"
     )
 

@@ -25,15 +25,11 @@ from clmorph.lifting import lift_pair
 from clmorph.measures import EXTENTS, MASSES, Measure
 from clmorph.motion import EASES, eased
 from clmorph.optimal_width import NO_DIVERGENCE, optimal_curve
-from clmorph.plan import Plan, transport_plan
+from clmorph.plan import Plan
+from clmorph.planning import make_plan
+from clmorph.refinement import in_cells
 from clmorph.result import Morph
-from clmorph.sampling import (
-    MAX_DRAWS,
-    Barycentric,
-    barycentric_plan,
-    destination_colors,
-    sample_plan,
-)
+from clmorph.sampling import MAX_DRAWS, Barycentric, destination_colors
 from clmorph.sinkhorn import check_solver_options, sinkhorn
 from clmorph.strengths import Reach, strengths
 from clmorph.widths import SPLATTING, KernelWidth, auto_sigma, effective_count
@@ -69,6 +65,8 @@ def check_options(
     sample: int | None = None,
     seed: int = 0,
     ease: str = "linear",
+    solve_size: int | None = None,
+    max_memory: float | None = None,
 ) -> None:
     """Check the options of `morph` without doing any of its work.
 
@@ -105,6 +103,10 @@ def check_options(
             raise InputError(f"barycentric=True and sample={sample} contradict: give one of them")
     check_integer("seed", seed, 0, 2**63)
     check_choice("ease", ease, EASES)
+    if solve_size is not None:
+        check_integer("solve_size", solve_size, 2, 1 << 16)
+    if max_memory is not None:
+        check_number("max_memory", max_memory, 1.0, 1e18)
 
 
 def morph(
@@ -137,6 +139,8 @@ def morph(
     sample: int | None = None,
     seed: int = 0,
     ease: str = "linear",
+    solve_size: int | None = None,
+    max_memory: float | None = None,
     progress: StageProgress | None = None,
 ) -> Morph:
     """Morph one image into another by unbalanced optimal transport.
@@ -195,6 +199,12 @@ def morph(
         Of these draws.
     ease : {"linear", "smooth", "in", "out"}
         How time runs over the frames, see `clmorph.motion.eased`.
+    solve_size : int, optional
+        Solve between square cells of pixels, at most so many along the longer side, and draw
+        with the pixels themselves, which move as their cells do.
+    max_memory : float, optional
+        Bytes that it may take; by default half of the device's. If the plan's pairs would need
+        more, draws from it or mean destinations take their place, with a warning.
     progress : callable, optional
         Called with a stage's name and the share of it done.
 
@@ -213,13 +223,15 @@ def morph(
     -----
     ConvergenceWarning
         If the solver stops before `tol`.
+    MemoryWarning
+        If the whole plan does not fit into `max_memory`.
     """
     check_options(
         n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
         epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
         splatting=splatting, sigma=sigma, endpoints=endpoints, unmatched=unmatched, mass=mass,
         color_space=color_space, path_space=path_space, barycentric=barycentric, sample=sample,
-        seed=seed, ease=ease,
+        seed=seed, ease=ease, solve_size=solve_size, max_memory=max_memory,
     )  # fmt: skip
     parameters = _told(locals())
     report = progress or (lambda stage, share: None)
@@ -232,20 +244,19 @@ def morph(
     )  # fmt: skip
     if barycentric:
         destination_colors(source, target)  # can there be any?
+    coarsest = solve_size or max(source.shape + target.shape)
+    cells = in_cells(source, coarsest), in_cells(target, coarsest)
     operations = get_backend(backend)
     report("transport", 0.0)
     potentials = sinkhorn(
-        source, target, blur, reach, tol, max_iter, operations, epsilon=epsilon, rho=rho,
-        progress=lambda share: report("transport", share),
+        cells[0].coarse, cells[1].coarse, blur, reach, tol, max_iter, operations,
+        epsilon=epsilon, rho=rho, progress=lambda share: report("transport", share),
     )  # fmt: skip
     report("plan", 0.0)
-    plan: Plan | Barycentric
-    if barycentric:
-        plan = barycentric_plan(source, target, potentials, backend=operations)
-    elif sample is not None:
-        plan = sample_plan(source, target, potentials, sample, seed=seed, backend=operations)
-    else:
-        plan = transport_plan(source, target, potentials, backend=operations)
+    plan = make_plan(
+        *cells, potentials, operations, sample=sample, barycentric=barycentric, seed=seed,
+        max_memory=max_memory,
+    )  # fmt: skip
     report("plan", 1.0)
     ends = [
         auto_sigma(image) if width == "auto" else float(width)

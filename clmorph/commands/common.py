@@ -31,6 +31,11 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     return pixels
 
 
+def note_warning(message: Warning | str, *others: Any, **more: Any) -> None:
+    """Print a warning as a note; in place of `warnings.showwarning`."""
+    NOTES.print(f"note: {message}", markup=False)
+
+
 def open_backend(device: str | None, backend: str | None) -> Any:
     """Choose the device and say which it is.
 

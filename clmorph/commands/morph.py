@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clmorph import defaults
 from clmorph.commands import settings as files
-from clmorph.commands.common import open_backend, read_picture
+from clmorph.commands.common import note_warning, open_backend, read_picture
 from clmorph.commands.settings import Settings
 from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.export import Output
@@ -53,6 +53,8 @@ class _Run:
         said = self.settings
         own = {*MOTION, *LOOK, *RUN}
         self.options = {name: value for name, value in said.items() if name not in own}
+        if "max_memory" in self.options:
+            self.options["max_memory"] *= 1e9  # it is said in gigabytes
         self.n_frames = said.get("frames", defaults.N_FRAMES)
         check_options(n_frames=self.n_frames, **self.options)
         self.look = Look(**{name: said[name] for name in LOOK if name in said})
@@ -125,6 +127,7 @@ def run_morph(
     with Stages() as stages, warnings.catch_warnings():
         # Said in the last line.
         warnings.simplefilter("ignore", ConvergenceWarning)
+        warnings.showwarning = note_warning
         with recorded(
             run.morphs(pictures, operations, stages), run.motion,
             reverse=bool(settings.get("reverse")),

@@ -60,6 +60,21 @@ class _Sigma(click.ParamType):
             self.fail(f"{value!r} is neither a number nor 'auto'.", param, ctx)
 
 
+class _Gigabytes(click.ParamType):
+    """A number of gigabytes."""
+
+    name = "GB"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = math.nan
+        if not 0 < number < 1e9:
+            self.fail(f"{value!r}: expected gigabytes, such as 4.", param, ctx)
+        return number
+
+
 def _together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
     """Return decorators as one, the first on top."""
 
@@ -110,6 +125,15 @@ problem_options = _together(
 )
 
 plan_options = _together(
+    _option(
+        "Transport", "--solve-size", type=int,
+        help="Solve between cells of pixels, so many along the longer side; draw with pixels.",
+    ),
+    _option(
+        "Transport", "--max-memory", type=_Gigabytes(),
+        help="Gigabytes; if the plan needs more, fewer particles are drawn.  [default: half of "
+        "the device's]",
+    ),
     _option("Transport", "--barycentric", is_flag=True, default=None, help="One particle a pixel."),
     _option(
         "Transport", "--sample", type=int, help="So many particles a pixel, drawn from the plan."

@@ -1,0 +1,103 @@
+"""Which particles a morph is made of: all kept pairs, draws or means, within some memory."""
+
+import warnings
+from typing import Any
+
+from clmorph.errors import MemoryWarning
+from clmorph.estimates import affordable, estimate, predict_pairs
+from clmorph.operations import Operations
+from clmorph.plan import Plan, transport_plan
+from clmorph.potentials import Potentials
+from clmorph.refinement import Cells, drawn, refined
+from clmorph.sampling import MAX_DRAWS, Barycentric, barycentric_plan, sample_plan
+
+#: Share of a device's memory that a morph may take, unless told otherwise.
+MEMORY_SHARE = 0.5
+
+
+def default_memory(operations: Operations) -> float | None:
+    """Return how many bytes a morph may take; None if the backend does not say what it has."""
+    device = getattr(operations, "device", None)
+    return None if device is None else MEMORY_SHARE * float(device.global_mem_size)
+
+
+def make_plan(
+    source: Cells,
+    target: Cells,
+    potentials: Potentials,
+    operations: Operations,
+    *,
+    sample: int | None = None,
+    barycentric: bool = False,
+    seed: int = 0,
+    max_memory: float | None = None,
+) -> Plan | Barycentric:
+    """Return the plan between two images' pixels in the form that was asked for, or that fits.
+
+    Parameters
+    ----------
+    source, target : Cells
+    potentials : Potentials
+        Of `source.coarse` and `target.coarse`.
+    operations : Operations
+    sample, barycentric, seed
+        See `clmorph.morph`; without either all pairs are kept, if they fit.
+    max_memory : float, optional
+        Bytes that the morph may take; None is `default_memory`.
+
+    Warns
+    -----
+    MemoryWarning
+        If not all pairs fit; it says what is done in their place.
+    """
+    measures = source.coarse, target.coarse
+    if sample is None and not barycentric:
+        way = _affordable_way(source, target, potentials, operations, max_memory)
+        sample, barycentric = way.get("sample"), way.get("barycentric", False)
+    plan: Plan | Barycentric
+    if barycentric:
+        plan = barycentric_plan(*measures, potentials, backend=operations)
+    elif sample is not None:
+        # Each pixel of a cell has draws of its own, if there can be so many.
+        draws = min(MAX_DRAWS, sample * max(source.side, target.side) ** 2)
+        plan = sample_plan(*measures, potentials, draws, seed=seed, backend=operations)
+        return plan if draws == sample else drawn(plan, source, target, draws)
+    else:
+        plan = transport_plan(*measures, potentials, backend=operations)
+    return refined(plan, source, target)
+
+
+def _affordable_way(
+    source: Cells,
+    target: Cells,
+    potentials: Potentials,
+    operations: Operations,
+    max_memory: float | None,
+) -> dict[str, Any]:
+    """Return options of the plan within the memory; none if all pairs fit."""
+    limit = default_memory(operations) if max_memory is None else max_memory
+    if limit is None:
+        return {}
+    fine = source.fine, target.fine
+    finest = max(source.side, target.side) ** 2
+    kind: dict[str, Any] = {
+        "alpha": any(measure.alpha is not None for measure in fine),
+        "dimension": 11 if fine[0].has_metric_map else 5,
+        "backend": operations,
+    }
+    shapes = fine[0].shape, fine[1].shape
+    most = len(source.coarse) * len(target.coarse) * finest
+    need = estimate(*shapes, most, **kind)
+    if max(need.ram, need.device) <= limit:
+        return {}  # whatever it keeps
+    pairs = finest * predict_pairs(source.coarse, target.coarse, potentials, backend=operations)
+    way = affordable(limit, *shapes, pairs, **kind)
+    if way:
+        chosen = f"sample={way['sample']}" if "sample" in way else "barycentric=True"
+        warnings.warn(
+            f"the plan's {pairs:.2g} pairs would not fit into max_memory={limit / 1e9:.3g} GB: "
+            f"{chosen} is taken in their place",
+            MemoryWarning,
+            stacklevel=4,
+        )
+    return way

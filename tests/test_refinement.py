@@ -1,0 +1,173 @@
+"""Solve low, render high: plans between cells become plans between pixels; memory kept."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph import InputError, MemoryWarning, lift
+from clmorph.estimates import estimate
+from clmorph.images import to_bytes
+from clmorph.refinement import drawn, in_cells, refined
+
+SHAPES = [((16, 16), (16, 16)), ((13, 22), (9, 7)), ((8, 30), (21, 21)), ((5, 5), (20, 12))]
+
+
+def cells_of(rng, shapes, size=6, alpha=False):
+    found = []
+    for shape in shapes:
+        image = rng.random((*shape, 4 if alpha else 3))
+        if alpha:
+            image[..., 3] = image[..., 3] > 0.3
+        found.append(in_cells(lift(image), size))
+    return found
+
+
+@pytest.mark.parametrize("alpha", [False, True])
+@pytest.mark.parametrize("shapes", SHAPES)
+def test_cells_keep_mass_and_means(rng, shapes, alpha):
+    for cells, shape in zip(cells_of(rng, shapes, alpha=alpha), shapes, strict=True):
+        fine, coarse = cells.fine, cells.coarse
+        assert cells.side & (cells.side - 1) == 0
+        assert max(coarse.shape) <= 6
+        assert max(shape) <= 6 or 2 * max(coarse.shape) + 1 > 6  # no coarser than it must be
+        assert coarse.mass == pytest.approx(fine.mass)
+        for values in ("positions", "colors"):
+            whole = fine.weights @ getattr(fine, values)
+            assert np.allclose(coarse.weights @ getattr(coarse, values), whole)
+        assert np.isfinite(coarse.points).all()
+
+
+def solved(cells, sample=None, barycentric=False):
+    measures = [side.coarse for side in cells]
+    potentials = clmorph.sinkhorn(*measures, backend="numpy")
+    if barycentric:
+        return clmorph.barycentric_plan(*measures, potentials, backend="numpy")
+    if sample:
+        return clmorph.sample_plan(*measures, potentials, sample, backend="numpy")
+    return clmorph.transport_plan(*measures, potentials, backend="numpy")
+
+
+def by_cells(plan, cells):
+    """A plan between pixels, summed up between their cells."""
+    owners = [side.owners for side in cells]
+    shape = [len(side.coarse) for side in cells]
+    dense = np.zeros(shape)
+    np.add.at(dense, (owners[0][plan.rows], owners[1][plan.indices]), plan.mass)
+    return dense
+
+
+@pytest.mark.parametrize("alpha", [False, True])
+@pytest.mark.parametrize("shapes", SHAPES)
+def test_a_refined_plan_is_the_plan_between_cells(rng, shapes, alpha):
+    cells = cells_of(rng, shapes, alpha=alpha)
+    plan = solved(cells)
+    fine = refined(plan, *cells)
+    assert fine.shape == tuple(len(side.fine) for side in cells)
+    assert np.allclose(by_cells(fine, cells), plan.to_scipy().toarray())
+    assert fine.total_mass == pytest.approx(plan.total_mass)
+    source, target = (side.fine for side in cells)
+    assert np.all(source.weights[fine.rows] > 0)
+    assert np.all(target.weights[fine.indices] > 0)
+    if not alpha and shapes[0] == (16, 16):
+        # Every pixel of a cell as much as the next one, and to the place that is its own.
+        rows = fine.row_mass.reshape(4, 4, 4, 4).transpose(0, 2, 1, 3).reshape(16, 16)
+        assert np.allclose(rows, rows[:, :1])
+        for pixels in (fine.rows, fine.indices):
+            assert np.array_equal(np.unique(pixels), np.arange(256))
+        assert np.array_equal(fine.rows // 16 % 4, fine.indices // 16 % 4)
+        assert np.array_equal(fine.rows % 4, fine.indices % 4)
+
+
+@pytest.mark.parametrize("alpha", [False, True])
+@pytest.mark.parametrize("shapes", SHAPES)
+def test_draws_are_shared_out_among_the_pixels(rng, shapes, alpha):
+    cells = cells_of(rng, shapes, alpha=alpha)
+    draws = 3 * max(side.side for side in cells) ** 2
+    plan = solved(cells, sample=draws)
+    fine = drawn(plan, *cells, draws)
+    assert np.allclose(by_cells(fine, cells), plan.to_scipy().toarray())
+    source = cells[0].fine
+    assert np.all(source.weights[np.unique(fine.rows)] > 0)
+    # By mass, up to one draw.
+    wanted = (
+        plan.row_mass[cells[0].owners]
+        * source.weights
+        / cells[0].coarse.weights[cells[0].owners].clip(1e-300)
+    )
+    one = plan.row_mass[cells[0].owners] / draws
+    assert np.all(np.abs(fine.row_mass - wanted) <= 1.01 * one * (2 if alpha else 1.4) + 1e-15)
+
+
+def test_means_move_as_the_cells_around(rng):
+    cells = cells_of(rng, SHAPES[0])
+    plan = solved(cells, barycentric=True)
+    fine = refined(plan, *cells)
+    moved = fine.positions - cells[0].fine.positions
+    assert np.abs(moved).max() <= np.abs(plan.positions - cells[0].coarse.positions).max() + 1e-9
+    assert fine.row_mass.sum() == pytest.approx(plan.row_mass.sum())
+    assert fine.column_mass.sum() == pytest.approx(plan.column_mass.sum())
+    inner = moved.reshape(16, 16, 2)[1:-1, 1:-1]
+    coarse = (plan.positions - cells[0].coarse.positions).reshape(4, 4, 2)
+    step = max(np.abs(np.diff(coarse, axis=axis)).max() for axis in (0, 1)) / 4
+    assert max(np.abs(np.diff(inner, axis=axis)).max() for axis in (0, 1)) <= step * 1.01
+
+
+@pytest.mark.parametrize("options", [{}, {"sample": 2}, {"barycentric": True}])
+@pytest.mark.parametrize("shapes", SHAPES[:2])
+def test_a_morph_has_all_the_pixels(device, rng, shapes, options):
+    images = [rng.random((*shape, 3)) for shape in shapes]
+    result = clmorph.morph(*images, 5, solve_size=6, backend=device, splatting="local", **options)
+    assert len(result.source) == shapes[0][0] * shapes[0][1]
+    assert result.plan.row_mass.shape == (len(result.source),)
+    for frame, image in ((result.frames[0], images[0]), (result.frames[-1], images[1])):
+        assert np.abs(to_bytes(frame).astype(int) - to_bytes(image)).max() <= 1
+    assert all(np.isfinite(frame).all() for frame in result.frames)
+
+
+def test_the_same_picture_stays(device, rng):
+    """Cells that stay keep their pixels in place: nothing is blurred by solving low."""
+    image = rng.random((16, 16, 3))
+    result = clmorph.morph(
+        image, image, 3, solve_size=4, blur=0.01, backend=device, splatting="none",
+        endpoints="paper",
+    )  # fmt: skip
+    assert np.abs(result.frames[1] - image).max() < 1e-3
+
+
+def test_solving_at_full_size_changes_nothing(device, rng):
+    images = rng.random((2, 8, 8, 3))
+    plain = clmorph.morph(*images, 3, backend=device)
+    assert np.array_equal(
+        clmorph.morph(*images, 3, solve_size=8, backend=device).frames[1], plain.frames[1]
+    )
+
+
+def test_too_little_memory_is_said(device, rng):
+    images = rng.random((2, 32, 32, 3))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        whole = clmorph.morph(*images, 3, 0.3, backend=device)
+    need = estimate((32, 32), (32, 32), len(whole.plan), backend=device)
+    with pytest.warns(MemoryWarning, match="sample=") as told:
+        fewer = clmorph.morph(*images, 3, 0.3, backend=device, max_memory=0.6 * need.ram)
+    assert f"max_memory={0.6 * need.ram / 1e9:.3g} GB" in str(told[0].message)
+    assert told[0].filename == __file__
+    assert len(fewer.particles) < len(whole.particles)
+    with pytest.raises(InputError, match="expected at least"):
+        clmorph.morph(*images, 3, backend=device, max_memory=1e5)
+
+
+def test_mistakes(rng):
+    images = rng.random((2, 8, 8, 3))
+    metric = np.ones((8, 8))
+    for options, words in (
+        ({"solve_size": 1}, "solve_size=1"),
+        ({"solve_size": 2.5}, "solve_size=2.5"),
+        ({"max_memory": 0}, "max_memory=0"),
+        ({"max_memory": -1}, "max_memory=-1"),
+        ({"solve_size": 4, "color_metric": metric}, "not with a color metric for each pixel"),
+    ):
+        with pytest.raises(InputError, match=words):
+            clmorph.morph(*images, 3, backend="numpy", **options)
