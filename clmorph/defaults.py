@@ -31,7 +31,9 @@ PLAN_RELATIVE = 1e-4
 #: The most that the pairs of a plan may take, in bytes.
 MAX_PLAN_BYTES = 4 * 2.0**30
 _PHOTO: dict[str, float | int | str | None] = {
-    "size": 128,
+    "size": 256,
+    "solve_size": 128,
+    "max_particles": 1_500_000,
     "blur": 0.03,
     "reach": 0.3,
     "color_weight": 0.5,
@@ -46,8 +48,9 @@ _PHOTO: dict[str, float | int | str | None] = {
 #: Named sets of options of ``clmorph morph``; `size` is the longer side, in pixels, to which
 #: pictures are reduced.
 PRESETS: dict[str, dict[str, float | int | str | None]] = {
-    # The default, for any pictures: sharp ends, no holes, no mud, and colors that rather change
-    # than fade.
+    # The default, for any pictures: sharp ends, no holes, no mud, colors that rather change than
+    # fade; drawn finer than it is solved, by as many particles as make a frame a matter of
+    # tenths of a second.
     "photo": _PHOTO,
     # Section 4 of the paper, with its axes (each stretched to [0, 1]), its particles (nothing
     # drawn for unmatched mass) and its blurred ends.

@@ -16,8 +16,8 @@ from clmorph.operations import Operations
 from clmorph.terminal import Stages
 
 #: Pixels for each block of the sprite, and the photograph's side.
-SPRITE_ZOOM = 3
-PHOTO_SIDE = 128
+SPRITE_ZOOM = 6
+PHOTO_SIDE = 256
 N_FRAMES = 40
 #: A little more blur than the preset: few colors meet many.
 PARAMETERS = {name: value for name, value in PRESETS["photo"].items() if name != "size"} | {
@@ -27,7 +27,7 @@ PARAMETERS = {name: value for name, value in PRESETS["photo"].items() if name !=
 
 
 def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sprite (96 x 96) and the photograph (128 x 128)."""
+    """Return the sprite (192 x 192) and the photograph (256 x 256)."""
     from skimage.data import chelsea
 
     with resources.as_file(resources.files("clmorph.data") / "cat.png") as file:

@@ -58,6 +58,11 @@ class Inspection:
     seconds : Seconds
     n_frames : int
         For which they are estimated.
+    moving : int
+        Particles of a morph that travel: pairs, or draws from them; between pixels, where
+        `source` and `target` are cells of pixels.
+    shapes : two of (height, width)
+        Of the images that a morph draws.
     device : str
         What measured them.
     """
@@ -73,6 +78,8 @@ class Inspection:
     memory: Memory
     seconds: Seconds
     n_frames: int
+    moving: int
+    shapes: tuple[tuple[int, int], tuple[int, int]]
     device: str
 
     def __repr__(self) -> str:
@@ -91,13 +98,16 @@ class Inspection:
     def particles(self) -> int:
         """How many particles a morph would draw: pairs, and mass that dies or is born."""
         moved = self.displacement
-        resting = np.count_nonzero(moved.destroyed) + np.count_nonzero(moved.created)
-        return self.pairs + int(resting)
+        resting = 0
+        ends = zip((moved.destroyed, moved.created), self.shapes, strict=True)
+        for masses, (height, width) in ends:
+            resting += int(np.count_nonzero(masses)) * height * width // masses.size
+        return self.moving + resting
 
     @property
     def particle_bytes(self) -> int:
         """Their bytes."""
-        ends = len(self.source) + len(self.target)
+        ends = sum(height * width for height, width in self.shapes)
         return self.particles * BYTES_PER_PARTICLE + ends * BYTES_PER_END
 
     @property
@@ -124,6 +134,7 @@ class Inspection:
             "device": self.device,
             "source": _measure_summary(self.source),
             "target": _measure_summary(self.target),
+            "drawn": [{"height": height, "width": width} for height, width in self.shapes],
             "options": {
                 "blur": found.blur,
                 "reach": list(reach),
@@ -205,16 +216,20 @@ class Inspection:
         memory = f"about {size_text(self.memory.ram)} {where}"
         if not self.memory.shared:
             memory += f", {size_text(self.memory.device)} on the device"
+        unit = "px" if self.source.shape == self.shapes[0] else "cells"
         about = "" if plan is not None else "about "
         return [
-            ("source", _measure_text(self.source)),
-            ("target", _measure_text(self.target)),
+            ("source", _measure_text(self.source, self.shapes[0])),
+            ("target", _measure_text(self.target, self.shapes[1])),
             ("solver", self.potentials.message),
             ("certificate", f"value {self.potentials.dual:.5g}, {bounds}"),
             ("transported", f"{percent(self.transported)} of the source's mass"),
             ("destroyed", f"{percent(self.destroyed)} of the source's mass"),
             ("created", f"{percent(self.created)} of the target's mass"),
-            ("displacement", f"mean {moved.mass_weighted_mean:.3g} px, at most {moved.max:.3g} px"),
+            (
+                "displacement",
+                f"mean {moved.mass_weighted_mean:.3g} {unit}, at most {moved.max:.3g} {unit}",
+            ),
             ("divergence", divergence),
             ("plan", f"{kept}, {built}"),
             ("particles", f"{self.particles}, {size_text(self.particle_bytes)}"),
@@ -239,11 +254,13 @@ def _measure_summary(measure: Measure) -> dict[str, Any]:
     }
 
 
-def _measure_text(measure: Measure) -> str:
+def _measure_text(measure: Measure, drawn: tuple[int, int]) -> str:
     height, width = measure.shape
     seen = int(np.count_nonzero(measure.weights))
     some = "" if seen == len(measure) else f", {seen} of them with mass"
-    return f"{width} x {height} pixels{some}"
+    if measure.shape == drawn:
+        return f"{width} x {height} pixels{some}"
+    return f"{drawn[1]} x {drawn[0]} pixels in {width} x {height} cells{some}"
 
 
 def _finite(value: Any) -> Any:

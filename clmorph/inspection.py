@@ -18,8 +18,10 @@ from clmorph.measures import Measure
 from clmorph.morph import StageProgress, check_options
 from clmorph.operations import Operations
 from clmorph.plan import Plan, transport_plan
+from clmorph.planning import make_plan
 from clmorph.points import as_pair
 from clmorph.potentials import Potentials
+from clmorph.refinement import in_cells
 from clmorph.sinkhorn import sinkhorn
 from clmorph.strengths import Reach
 from clmorph.timing import fill_seconds, frame_seconds
@@ -43,6 +45,8 @@ def inspect(
     color_space: str = "srgb",
     color_metric: ArrayLike | None = None,
     weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
+    solve_size: int | None = None,
+    max_particles: int | None = None,
     n_frames: int = defaults.N_FRAMES,
     backend: Backend = "auto",
     divergence: bool = True,
@@ -56,6 +60,9 @@ def inspect(
     image_a, image_b, blur, reach, color_weight, epsilon, rho, tol, max_iter, extent, mass, \
 color_space, color_metric, weights, backend
         As in `clmorph.morph`.
+    solve_size, max_particles
+        As in `clmorph.morph`: the first decides what is looked at, the second what a morph
+        would draw.
     n_frames : int
         For how many frames time is estimated.
     divergence : bool
@@ -86,14 +93,18 @@ color_space, color_metric, weights, backend
     check_options(
         n_frames, blur, reach, color_weight, epsilon=epsilon, rho=rho, tol=tol,
         max_iter=max_iter, extent=extent, mass=mass, color_space=color_space,
+        solve_size=solve_size, max_particles=max_particles,
     )  # fmt: skip
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
     report = progress or (lambda stage, share: None)
     images = as_pixels(image_a, "image_a"), as_pixels(image_b, "image_b")
-    source, target = lift_pair(
+    whole = lift_pair(
         images, color_weight, weights=weights, mass=mass, extent=extent,
         color_space=color_space, color_metric=color_metric,
     )  # fmt: skip
+    coarsest = solve_size or max(whole[0].shape + whole[1].shape)
+    cells = in_cells(whole[0], coarsest), in_cells(whole[1], coarsest)
+    source, target = cells[0].coarse, cells[1].coarse
     operations = get_backend(backend)
     report("transport", 0.0)
     began = time.perf_counter()
@@ -121,7 +132,12 @@ color_space, color_metric, weights, backend
     report("plan", 1.0)
 
     report("timing", 0.0)
-    frames = frame_seconds(source, target, potentials, plan, pairs, int(n_frames), operations)
+    drawn, moving = plan, pairs
+    if max(cells[0].side, cells[1].side) > 1 or pairs > (max_particles or pairs):
+        made = make_plan(*cells, potentials, operations, max_particles=max_particles)
+        if isinstance(made, Plan):
+            drawn, moving = made, len(made)
+    frames = frame_seconds(*whole, potentials, drawn, moving, int(n_frames), operations)
     report("timing", 1.0)
     return Inspection(
         source=source,
@@ -133,12 +149,14 @@ color_space, color_metric, weights, backend
         divergence=found,
         no_divergence=why,
         memory=estimate(
-            source.shape, target.shape, pairs, backend=operations,
-            alpha=source.alpha is not None or target.alpha is not None,
+            whole[0].shape, whole[1].shape, moving, backend=operations,
+            alpha=any(measure.alpha is not None for measure in whole),
             dimension=as_pair(source, target)[0].points.shape[1],
         ),
         seconds=Seconds(transport_seconds, plan_seconds, frames),
         n_frames=int(n_frames),
+        moving=moving,
+        shapes=(whole[0].shape, whole[1].shape),
         device=operations.description,
     )  # fmt: skip
 

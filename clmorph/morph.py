@@ -66,6 +66,7 @@ def check_options(
     seed: int = 0,
     ease: str = "linear",
     solve_size: int | None = None,
+    max_particles: int | None = None,
     max_memory: float | None = None,
 ) -> None:
     """Check the options of `morph` without doing any of its work.
@@ -105,6 +106,8 @@ def check_options(
     check_choice("ease", ease, EASES)
     if solve_size is not None:
         check_integer("solve_size", solve_size, 2, 1 << 16)
+    if max_particles is not None:
+        check_integer("max_particles", max_particles, 1, 1 << 31)
     if max_memory is not None:
         check_number("max_memory", max_memory, 1.0, 1e18)
 
@@ -140,6 +143,7 @@ def morph(
     seed: int = 0,
     ease: str = "linear",
     solve_size: int | None = None,
+    max_particles: int | None = None,
     max_memory: float | None = None,
     progress: StageProgress | None = None,
 ) -> Morph:
@@ -202,6 +206,8 @@ def morph(
     solve_size : int, optional
         Solve between square cells of pixels, at most so many along the longer side, and draw
         with the pixels themselves, which move as their cells do.
+    max_particles : int, optional
+        If the plan has more pairs, about so many are drawn from it, but at least one a pixel.
     max_memory : float, optional
         Bytes that it may take; by default half of the device's. If the plan's pairs would need
         more, draws from it or mean destinations take their place, with a warning.
@@ -231,7 +237,8 @@ def morph(
         epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
         splatting=splatting, sigma=sigma, endpoints=endpoints, unmatched=unmatched, mass=mass,
         color_space=color_space, path_space=path_space, barycentric=barycentric, sample=sample,
-        seed=seed, ease=ease, solve_size=solve_size, max_memory=max_memory,
+        seed=seed, ease=ease, solve_size=solve_size,
+        max_particles=max_particles, max_memory=max_memory,
     )  # fmt: skip
     parameters = _told(locals())
     report = progress or (lambda stage, share: None)
@@ -255,7 +262,7 @@ def morph(
     report("plan", 0.0)
     plan = make_plan(
         *cells, potentials, operations, sample=sample, barycentric=barycentric, seed=seed,
-        max_memory=max_memory,
+        max_particles=max_particles, max_memory=max_memory,
     )  # fmt: skip
     report("plan", 1.0)
     ends = [

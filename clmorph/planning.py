@@ -30,6 +30,7 @@ def make_plan(
     sample: int | None = None,
     barycentric: bool = False,
     seed: int = 0,
+    max_particles: int | None = None,
     max_memory: float | None = None,
 ) -> Plan | Barycentric:
     """Return the plan between two images' pixels in the form that was asked for, or that fits.
@@ -42,6 +43,8 @@ def make_plan(
     operations : Operations
     sample, barycentric, seed
         See `clmorph.morph`; without either all pairs are kept, if they fit.
+    max_particles : int, optional
+        If there are more pairs, about so many are drawn, but at least one a pixel.
     max_memory : float, optional
         Bytes that the morph may take; None is `default_memory`.
 
@@ -52,7 +55,7 @@ def make_plan(
     """
     measures = source.coarse, target.coarse
     if sample is None and not barycentric:
-        way = _affordable_way(source, target, potentials, operations, max_memory)
+        way = _way(source, target, potentials, operations, max_particles, max_memory)
         sample, barycentric = way.get("sample"), way.get("barycentric", False)
     plan: Plan | Barycentric
     if barycentric:
@@ -67,37 +70,44 @@ def make_plan(
     return refined(plan, source, target)
 
 
-def _affordable_way(
+def _way(
     source: Cells,
     target: Cells,
     potentials: Potentials,
     operations: Operations,
+    max_particles: int | None,
     max_memory: float | None,
 ) -> dict[str, Any]:
-    """Return options of the plan within the memory; none if all pairs fit."""
-    limit = default_memory(operations) if max_memory is None else max_memory
-    if limit is None:
-        return {}
-    fine = source.fine, target.fine
+    """Return options of the plan within both limits; none if all pairs may be kept."""
     finest = max(source.side, target.side) ** 2
+    most = len(source.coarse) * len(target.coarse) * finest
+    limit = default_memory(operations) if max_memory is None else max_memory
+    fine = source.fine, target.fine
+    shapes = fine[0].shape, fine[1].shape
     kind: dict[str, Any] = {
         "alpha": any(measure.alpha is not None for measure in fine),
         "dimension": 11 if fine[0].has_metric_map else 5,
         "backend": operations,
     }
-    shapes = fine[0].shape, fine[1].shape
-    most = len(source.coarse) * len(target.coarse) * finest
     need = estimate(*shapes, most, **kind)
-    if max(need.ram, need.device) <= limit:
+    few = max_particles is None or most <= max_particles
+    if few and (limit is None or max(need.ram, need.device) <= limit):
         return {}  # whatever it keeps
     pairs = finest * predict_pairs(source.coarse, target.coarse, potentials, backend=operations)
+    wanted: dict[str, Any] = {}
+    if max_particles is not None and pairs > max_particles:
+        wanted = {"sample": max(1, min(MAX_DRAWS, max_particles // (len(source.coarse) * finest)))}
+        pairs = wanted["sample"] * len(source.coarse) * finest
+    if limit is None:
+        return wanted
     way = affordable(limit, *shapes, pairs, **kind)
-    if way:
-        chosen = f"sample={way['sample']}" if "sample" in way else "barycentric=True"
-        warnings.warn(
-            f"the plan's {pairs:.2g} pairs would not fit into max_memory={limit / 1e9:.3g} GB: "
-            f"{chosen} is taken in their place",
-            MemoryWarning,
-            stacklevel=4,
-        )
+    if not way:
+        return wanted
+    chosen = f"sample={way['sample']}" if "sample" in way else "barycentric=True"
+    warnings.warn(
+        f"the plan's {pairs:.2g} pairs would not fit into max_memory={limit / 1e9:.3g} GB: "
+        f"{chosen} is taken in their place",
+        MemoryWarning,
+        stacklevel=4,
+    )
     return way

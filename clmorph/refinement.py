@@ -73,15 +73,15 @@ def in_cells(measure: Measure, size: int) -> Cells:
     InputError
         If each pixel has its own metric of color.
     """
-    if measure.has_metric_map:
-        raise InputError(
-            "solve_size: not with a color metric for each pixel; leave it out, or give one metric"
-        )
     side = 1
     while -(-max(measure.shape) // side) > size:
         side *= 2
     if side == 1:
         return Cells(measure, measure, 1)
+    if measure.has_metric_map:
+        raise InputError(
+            "solve_size: not with a color metric for each pixel; leave it out, or give one metric"
+        )
     owners = _owners(measure.shape, side)
     height, width = (-(-length // side) for length in measure.shape)
     count = height * width

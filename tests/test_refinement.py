@@ -159,12 +159,27 @@ def test_too_little_memory_is_said(device, rng):
         clmorph.morph(*images, 3, backend=device, max_memory=1e5)
 
 
+def test_particles_are_limited(device, rng):
+    images = rng.random((2, 16, 16, 3))
+    whole = clmorph.morph(*images, 3, 0.3, backend=device)
+    most = len(whole.plan) // 3
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # it was asked for
+        fewer = clmorph.morph(*images, 3, 0.3, backend=device, max_particles=most)
+        least = clmorph.morph(*images, 3, 0.3, backend=device, max_particles=1)
+    assert most - 256 <= fewer.plan.mass.size <= most
+    assert len(least.plan) == 256
+    enough = clmorph.morph(*images, 3, 0.3, backend=device, max_particles=10 * len(whole.plan))
+    assert len(enough.plan) == len(whole.plan)
+
+
 def test_mistakes(rng):
     images = rng.random((2, 8, 8, 3))
     metric = np.ones((8, 8))
     for options, words in (
         ({"solve_size": 1}, "solve_size=1"),
         ({"solve_size": 2.5}, "solve_size=2.5"),
+        ({"max_particles": 0}, "max_particles=0"),
         ({"max_memory": 0}, "max_memory=0"),
         ({"max_memory": -1}, "max_memory=-1"),
         ({"solve_size": 4, "color_metric": metric}, "not with a color metric for each pixel"),

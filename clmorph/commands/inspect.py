@@ -20,7 +20,7 @@ from clmorph.terminal import Stages
 #: Settings of a preset that decide about the transport.
 TRANSPORT = (
     "blur", "reach", "epsilon", "rho", "color_weight", "color_space", "mass", "extent", "tol",
-    "max_iter",
+    "max_iter", "solve_size", "max_particles",
 )  # fmt: skip
 
 

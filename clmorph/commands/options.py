@@ -122,13 +122,21 @@ problem_options = _together(
     _option(
         "Transport", "--max-iter", type=int, help="Iterations after which it stops all the same."
     ),
+    _option(
+        "Transport",
+        "--solve-size",
+        type=int,
+        help="Solve between cells of pixels, so many along the longer side; draw with pixels.",
+    ),
+    _option(
+        "Transport",
+        "--max-particles",
+        type=int,
+        help="If the plan has more pairs, about so many are drawn from it.",
+    ),
 )
 
 plan_options = _together(
-    _option(
-        "Transport", "--solve-size", type=int,
-        help="Solve between cells of pixels, so many along the longer side; draw with pixels.",
-    ),
     _option(
         "Transport", "--max-memory", type=_Gigabytes(),
         help="Gigabytes; if the plan needs more, fewer particles are drawn.  [default: half of "
