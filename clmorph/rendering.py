@@ -25,6 +25,8 @@ HOLE_SHARE, HOLE_SURROUNDINGS = 0.1, 3.0
 CLOSED_SHARE = 0.15
 #: Factor by which the kernel widens until a hole is filled.
 WIDENING = 2.0
+#: How often, at most, pixels that others leave torn by being filled are filled by the same kernel.
+CASCADE = 16
 
 
 @dataclass(frozen=True)
@@ -163,13 +165,17 @@ def render(
         torn = is_torn(share, CLOSED_SHARE) if widths.closed else share < HOLE_COVERAGE
         if width >= max(canvas.shape):
             torn &= wider <= 0  # the last that is tried
-        filled = open_pixels & ~torn
-        numerator[filled], denominator[filled] = wider_numerator[filled], wider[filled]
-        density[filled] = wider[filled] / kernel_sum(width)
-        open_pixels &= torn
-        if widths.closed:
+        for _ in range(CASCADE):
+            filled = open_pixels & ~torn
+            if not filled.any():
+                break
+            numerator[filled], denominator[filled] = wider_numerator[filled], wider[filled]
+            density[filled] = wider[filled] / kernel_sum(width)
+            open_pixels &= torn
+            if not widths.closed:
+                break
             # As covered, beside its surroundings, as it is with the kernel that covers it; this
-            # raises what surrounds others.
+            # raises what surrounds others, which the same kernel may close.
             relative[filled] = (share / np.maximum(surroundings(share), HOLE_COVERAGE))[filled]
             closed = relative > 0
             coverage[closed] = (relative * surroundings(coverage))[closed]
