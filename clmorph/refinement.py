@@ -179,9 +179,9 @@ def _pixels(
 def drawn(plan: Plan, source: Cells, target: Cells, draws: int) -> Plan:
     """Return draws from a plan between cells as pairs of pixels, each draw once.
 
-    A row's draws, which follow the order of the target's cells, go to the cell's pixels in
-    turn, by mass: every pixel gets some from all over the row, and its pixel of the target is
-    the one at the same place in that cell.
+    A row's draws, in the order of a Z-curve over the target's cells, go in turn to the cell's
+    pixels, in the same order and by mass: every pixel gets some from all over the row, pixels
+    nearby go to cells nearby, and each to the pixel at its own place in that cell.
 
     Parameters
     ----------
@@ -194,19 +194,31 @@ def drawn(plan: Plan, source: Cells, target: Cells, draws: int) -> Plan:
     times = np.rint(
         plan.mass * draws / np.maximum(plan.row_mass, np.finfo(float).tiny)[plan.rows]
     ).astype(np.int64)
-    i, j = np.repeat(plan.rows, times), np.repeat(plan.indices.astype(np.int64), times)
-    mass = np.repeat(plan.mass / np.maximum(times, 1), times)
+    along = z_order(*np.divmod(np.arange(len(target.coarse)), target.coarse.shape[1]))
+    order = np.lexsort((along[plan.indices], plan.rows))
+    order = np.repeat(order, times[order])
+    i, j = plan.rows[order], plan.indices.astype(np.int64)[order]
+    mass = (plan.mass / np.maximum(times, 1))[order]
     rank = np.arange(len(i)) - np.searchsorted(i, i)  # among the draws of its row
     pixels, place = _in_turn(source, i, rank, draws, max(source.side, target.side))
     columns = _at_place(target, j, place, max(source.side, target.side))
     return _as_plan(pixels, columns, mass, plan, source, target)
 
 
+def z_order(row: NDArray[np.int64], column: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the place of grid points along a Z-curve (Morton 1966): their bits, interleaved."""
+    code = np.zeros_like(row)
+    for bit in range(int(max(row.max(initial=0), column.max(initial=0))).bit_length()):
+        code |= (column >> bit & 1) << 2 * bit | (row >> bit & 1) << 2 * bit + 1
+    return code
+
+
 def _in_turn(
     cells: Cells, owner: NDArray[np.int64], rank: NDArray[np.int64], draws: int, finest: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the pixel of each draw and its place in the finest of cells, by row and column."""
-    order = np.argsort(cells.owners, kind="stable")  # pixels, cell by cell, row by row
+    places = np.divmod(np.arange(len(cells.fine)), cells.fine.shape[1])
+    order = np.lexsort((z_order(*(axis % cells.side for axis in places)), cells.owners))
     owners = cells.owners[order]
     count = np.bincount(owners, minlength=len(cells.coarse))
     share = cells.fine.weights[order] / np.maximum(

@@ -147,7 +147,8 @@ def test_public_signatures_are_mirrored():
             "backend", "progress", "relative", "log_threshold", "splatting", "method", "scaling",
             "precision", "start", "relative_to", "max_bytes",
             "barycentric", "sample", "seed", "sigma", "endpoints", "mass", "weights",
-            "color_space", "color_metric", "path_space", "ease", "solve_size", "max_memory", "max_particles",
+            "color_space", "color_metric", "path_space", "ease",
+            "solve_size", "max_memory", "max_particles",
         }  # fmt: skip
 
 
