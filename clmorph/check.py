@@ -329,7 +329,7 @@ def report(device: Any, findings: list[Finding], pairs_per_second: float) -> dic
     dict
         Ready for JSON.
     """
-    from clmorph import __version__
+    from clmorph.release import __version__
 
     return {
         "clmorph": __version__,

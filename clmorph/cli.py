@@ -11,11 +11,11 @@ import rich_click as click
 from click.core import ParameterSource
 from click.exceptions import NoArgsIsHelpError
 
-from clmorph import __version__
 from clmorph.commands import options
 from clmorph.commands import settings as files
 from clmorph.defaults import N_FRAMES, PRESETS
 from clmorph.errors import ClmorphError, InputError
+from clmorph.release import __version__
 
 #: Shells that complete what is typed.
 SHELLS = ("bash", "zsh", "fish")

@@ -216,6 +216,6 @@ def save(
 
 def described(morphs: Sequence[Morph]) -> dict[str, Any]:
     """Return what a file tells of the morphs in it."""
-    from clmorph import __version__
+    from clmorph.release import __version__
 
     return {"clmorph": __version__, "morphs": [dict(morph.parameters) for morph in morphs]}

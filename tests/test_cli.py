@@ -1,5 +1,6 @@
 """The command line through its real entry point."""
 
+import builtins
 import json
 import os
 import pty
@@ -163,6 +164,36 @@ def test_ctrl_c_leaves_nothing(pictures):
     assert err.splitlines()[-1] == "clmorph: interrupted, nothing was written"
     assert "Traceback" not in err
     assert sorted(pictures.iterdir()) == before
+
+
+def test_ctrl_c_while_loading(monkeypatch, capfd):
+    """Before the command line is there to catch it."""
+    from clmorph.__main__ import main as command
+
+    usual = builtins.__import__
+
+    def interrupt(name, *arguments, **options):
+        if name == "clmorph.cli":
+            raise KeyboardInterrupt
+        return usual(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", interrupt)
+    assert command() == 130
+    assert capfd.readouterr().err == "clmorph: interrupted, nothing was written\n"
+
+
+def test_importing_is_light():
+    """Names are there without what they stand for; a function wins over its module's name."""
+    told = subprocess.run(
+        [sys.executable, "-c", "import sys, clmorph; print('numpy' in sys.modules, dir(clmorph));"
+         "import clmorph.morph, clmorph.sinkhorn; print(callable(clmorph.morph), "
+         "callable(clmorph.sinkhorn), clmorph.__version__)"],
+        capture_output=True, text=True, check=True,
+    ).stdout.splitlines()  # fmt: skip
+    assert told[0].startswith("False")
+    for name in ("morph", "sinkhorn", "save", "load", "inspect", "reference"):
+        assert repr(name) in told[0]
+    assert told[1] == f"True True {clmorph.__version__}"
 
 
 def test_interruption_leaves_nothing(pictures, monkeypatch, capfd):

@@ -156,7 +156,7 @@ def recipe(
         Where the images' places are seen from; without one only their names are told, for
         files that get around.
     """
-    from clmorph import __version__
+    from clmorph.release import __version__
 
     return {
         "clmorph": __version__,

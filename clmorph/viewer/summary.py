@@ -191,7 +191,7 @@ def arrow_field(morph: Morph, most: int = ARROWS) -> Field | None:
 
 def known_parameters(morph: Morph) -> dict[str, Any]:
     """Return what a morph knows of how it was made, as JSON takes it."""
-    from clmorph import __version__
+    from clmorph.release import __version__
 
     width, potentials, source = morph.kernel_width, morph.potentials, morph.source
     reach = potentials.reach
