@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+import weakref
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from clmorph.formats.embedding import read_parameters
 from clmorph.framing import Look
 from clmorph.images import to_bytes
 from clmorph.motion import Motion
+from clmorph.spool import Spool
 
 #: The least peak signal-to-noise ratio of lossy files, in decibels, on small photographs: of
 #: GIF and WebP at the frames' own size, where WebP halves the resolution of hues; of videos four
@@ -405,6 +407,32 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, na
         save(growing, path, format=name)
     assert [file.name for file in tmp_path.iterdir()] == ([] if folder else [path.name])
     assert folder or path.read_text() == "before"
+
+
+@pytest.mark.parametrize("name", ["out.gif", "out.npz", "out.html", "frames"])
+def test_frames_are_not_held(tmp_path, monkeypatch, name):
+    """They are rendered one by one, wait on disk, and are read again one by one."""
+    rng = np.random.default_rng(6)
+    result = clmorph.morph(*rng.random((2, 8, 8, 3)), 20)
+    alive, most = [0], []
+
+    def gone():
+        alive[0] -= 1
+
+    def watched(frame):
+        frame = frame.copy()  # of its own memory, which every view of it keeps
+        alive[0] += 1
+        most.append(alive[0])
+        weakref.finalize(frame, gone)
+        return frame
+
+    render, read = clmorph.Morph.frame, Spool.__getitem__
+    monkeypatch.setattr(clmorph.Morph, "frame", lambda self, t: watched(render(self, t)))
+    monkeypatch.setattr(Spool, "__getitem__", lambda self, index: watched(read(self, index)))
+    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 1000)
+    save(result, tmp_path / name, loop="ping-pong")
+    assert len(most) >= 40
+    assert max(most) <= 3
 
 
 def test_refusals(tmp_path, growing, monkeypatch):

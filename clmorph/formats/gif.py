@@ -63,7 +63,8 @@ def _palette(film: Film, framing: Framing) -> "Image":
     pixels = sum(height * width for height, width, _ in film.shapes)
     step = max(1, pixels // SAMPLES)
     bars = np.asarray(framing(np.zeros((1, 1, 3), np.uint8)))[:1, 0, :3]
-    samples = [_colors(film, framing, index)[::step] for index in range(len(film))]
+    # Copies: a view would keep its frame.
+    samples = [_colors(film, framing, index)[::step].copy() for index in range(len(film))]
     pool = np.concatenate((*samples, np.repeat(bars, 256, axis=0)))
     chosen = np.unique(pool, axis=0)
     if len(chosen) > COLORS:
