@@ -435,6 +435,26 @@ def test_frames_are_not_held(tmp_path, monkeypatch, name):
     assert max(most) <= 3
 
 
+def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):
+    """Of a hundred frames of 256 x 256, 20 MB, only samples are in memory."""
+    import tracemalloc
+
+    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 1000)
+    rng = np.random.default_rng(7)
+    with Spool(np.uint8, tmp_path) as spool:
+        for _ in range(100):
+            spool.append(rng.integers(0, 255, (256, 256, 3), np.uint8))
+        shapes = [(256, 256, 3)] * 100
+        film = Film(spool, shapes, np.linspace(0, 1, 100), np.zeros(100, bool), Motion())
+        tracemalloc.start()
+        try:
+            Output(tmp_path / "out.gif").write(film, Look("source"))
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert peak < 14e6
+
+
 def test_refusals(tmp_path, growing, monkeypatch):
     (tmp_path / "file").write_text("")
     (tmp_path / "full").mkdir()
