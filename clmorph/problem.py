@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.errors import InputError
 from clmorph.operations import Operations, rounding_error
 from clmorph.points import AnyMeasure
+from clmorph.softmins import Softmin
 
 Array = NDArray[np.float64]
 
@@ -67,10 +67,12 @@ class Problem:
         rho: tuple[float, float],
     ) -> None:
         self.operations = operations
-        self._rows = operations.upload(source.points, source.weights, source.offsets)
-        self._columns = self._rows
+        self.rows = operations.upload(source.points, source.weights, source.offsets)
+        self.columns = self.rows
         if target is not source:
-            self._columns = operations.upload(target.points, target.weights, target.offsets)
+            self.columns = operations.upload(target.points, target.weights, target.offsets)
+        self.to_rows = Softmin(operations, self.rows, self.columns)
+        self.to_columns = Softmin(operations, self.columns, self.rows)
         self.a, self.b = source.weights, target.weights
         with np.errstate(divide="ignore"):
             self.log_a, self.log_b = np.log(self.a), np.log(self.b)
@@ -89,12 +91,12 @@ class Problem:
     def softmin_rows(self, g: Array, epsilon: float, precise: bool) -> Array:
         """T(g): (N,) array."""
         self.n_softmin += 1
-        return _finite(self.operations.softmin(self._rows, self._columns, g, epsilon, precise))
+        return self.to_rows(g, epsilon, precise)
 
     def softmin_columns(self, f: Array, epsilon: float, precise: bool) -> Array:
         """T(f): (M,) array."""
         self.n_softmin += 1
-        return _finite(self.operations.softmin(self._columns, self._rows, f, epsilon, precise))
+        return self.to_columns(f, epsilon, precise)
 
     def rounding(self, epsilon: float, precise: bool) -> float:
         """By how many nats a softmin may be off."""
@@ -189,16 +191,6 @@ class Problem:
         return Certificate(
             primal + gap, dual, None if balanced else gap, marginal_error, rows, columns, plan_mass
         )
-
-
-def _finite(softmin: Array) -> Array:
-    """Return a softmin if it is finite; float32 ends before float64 does."""
-    if np.all(np.isfinite(softmin)):
-        return softmin
-    raise InputError(
-        "points are too far apart for this blur on this device, whose float32 overflows: raise "
-        "blur, scale the points, or use backend='numpy'"
-    )
 
 
 def inner(x: Array, y: Array) -> float:

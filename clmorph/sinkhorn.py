@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph import defaults, geomloss_schedule
-from clmorph.ascent import Ascent
+from clmorph.ascent import SHORT, Ascent
 from clmorph.backends import Backend, get_backend
 from clmorph.checks import check_choice, check_integer, check_number
 from clmorph.errors import ConvergenceWarning, DeviceError, InputError
+from clmorph.multiscale import MANY_PAIRS, Multiscale
 from clmorph.operations import Operations
 from clmorph.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.potentials import Potentials
@@ -25,6 +26,8 @@ Progress = Callable[[float], None]
 
 METHODS = ("certified", "geomloss")
 PRECISIONS = ("auto", "float32", "float64")
+#: Or a bool.
+MULTISCALE = ("auto",)
 #: Relative difference of masses up to which balanced transport is feasible.
 MASS_TOLERANCE = 1e-6
 #: Largest cost and largest rho, in units of epsilon: potentials are of their size, and beyond
@@ -48,6 +51,7 @@ def sinkhorn(
     precision: str = "auto",
     start: Potentials | None = None,
     progress: Progress | None = None,
+    multiscale: bool | str = "auto",
 ) -> Potentials:
     """Solve unbalanced entropic optimal transport between two measures.
 
@@ -86,6 +90,9 @@ def sinkhorn(
         Of a similar problem with as many points: where to begin, instead of annealing.
     progress : callable, optional
         Called now and then with the share done.
+    multiscale : {"auto", True, False}
+        Whether to solve through coarser problems (`clmorph.multiscale`); "auto" does with
+        2^27 pairs of points or more.
 
     Returns
     -------
@@ -104,7 +111,7 @@ def sinkhorn(
         If the residual does not reach `tol`.
     """
     given = strengths(blur, reach, epsilon, rho)
-    check_solver_options(tol, max_iter, method, scaling, precision)
+    check_solver_options(tol, max_iter, method, scaling, precision, multiscale)
     pair = as_pair(source, target)
     operations = get_backend(backend)
     check_problem(*pair, given, operations, precision)
@@ -112,7 +119,13 @@ def sinkhorn(
     report = progress or (lambda share: None)
     if method == "geomloss":
         return _geomloss(problem, given, float(scaling), float(tol), precision, report)
-    ascent = Ascent(problem, given.blur, float(tol), int(max_iter), precision, report)
+    ascent: Ascent | Multiscale
+    options = given.blur, float(tol), int(max_iter), precision, report
+    many = len(problem.a) * len(problem.b) >= MANY_PAIRS
+    if multiscale is True or (multiscale == "auto" and many and max_iter >= SHORT):
+        ascent = Multiscale(problem, pair, *options)
+    else:
+        ascent = Ascent(problem, *options)
     ascent.run(None if start is None else _start(start, problem))
     return _finish(ascent, given)
 
@@ -123,6 +136,7 @@ def check_solver_options(
     method: Any = "certified",
     scaling: Any = defaults.SCALING,
     precision: Any = "auto",
+    multiscale: Any = "auto",
 ) -> None:
     """Check options of `sinkhorn` without doing any of its work.
 
@@ -136,6 +150,8 @@ def check_solver_options(
     check_choice("method", method, METHODS)
     check_number("scaling", scaling, 0.01, 0.999)
     check_choice("precision", precision, PRECISIONS)
+    if not isinstance(multiscale, bool):
+        check_choice("multiscale", multiscale, MULTISCALE)
 
 
 def check_problem(
@@ -221,7 +237,7 @@ def _geomloss(
     )  # fmt: skip
 
 
-def _finish(ascent: Ascent, given: Strengths) -> Potentials:
+def _finish(ascent: Ascent | Multiscale, given: Strengths) -> Potentials:
     """Put the result together, and warn if it is not what was asked for."""
     problem, state = ascent.problem, ascent.state
     reached = f"residual {state.residual:.1e} epsilon"
