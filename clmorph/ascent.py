@@ -223,6 +223,7 @@ class Ascent:
                 mass = float(problem.row_mass(f, t_rows, epsilon).sum())
                 dual = problem.dual(f, g_shifted, mass, epsilon)
                 slack = 1e-12 * abs(floor) + 1e-2 * rounding * epsilon * mass
+                slack += problem.truncation_error * epsilon * mass
                 if not dual >= floor - slack:
                     g, fallback = fallback, None
                     memory.rejected()

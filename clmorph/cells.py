@@ -59,7 +59,7 @@ def make_cells(measure: AnyMeasure, side: float) -> Cells:
     count = len(kept)
     offsets = np.zeros(len(points)) if measure.offsets is None else measure.offsets
     means = _means(labels, count, np.column_stack((points, offsets)), measure.weights)
-    masses = np.bincount(labels, measure.weights, count)
+    masses = np.bincount(labels, measure.weights, count).astype(float)
     whole = WeightedPoints(
         means[:, :-1], masses, None if measure.offsets is None else means[:, -1].copy()
     )

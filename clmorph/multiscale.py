@@ -62,8 +62,9 @@ class CorrectedProblem(Problem):
         source: AnyMeasure,
         target: AnyMeasure,
         rho: tuple[float, float],
+        truncation: float | None = None,
     ) -> None:
-        super().__init__(operations, source, target, rho)
+        super().__init__(operations, source, target, rho, truncation)
         self._own = self.a, self.b
         self._corrections: tuple[Array | float, Array | float] = (0.0, 0.0)
 
@@ -96,7 +97,8 @@ class Grid(NamedTuple):
     problem: CorrectedProblem
     source: Cells
     target: Cells
-    extend: Softmin  #: from the cells of the source to the points of the target
+    to_target: Softmin  #: from the cells of the source to the points of the target
+    to_source: Softmin  #: and the reverse
 
 
 class Multiscale:
@@ -152,8 +154,7 @@ class Multiscale:
             g = self._anneal([each.measure for each in cells], finest)
             self._tell(0.2)
             if grid is not None:
-                f = self._solve_cells(grid, g, FIRST_TOLERANCE).f
-                g = self.problem.damping(self._blur**2)[1] * grid.extend(f, self._blur**2)
+                g = self._first(grid, g)
                 self._tell(0.3)
         if grid is None:
             self._ascend(g)
@@ -162,11 +163,19 @@ class Multiscale:
         self._tell(1.0)
 
     def _make_grid(self, source: Cells, target: Cells) -> Grid:
-        problem = CorrectedProblem(
-            self.problem.operations, source.measure, target.measure, self.problem.rho
-        )
-        extend = Softmin(self.problem.operations, self.problem.columns, problem.rows)
-        return Grid(problem, source, target, extend)
+        points = self.problem
+        operations, rho, truncation = points.operations, points.rho, points.truncation
+        cells = source.measure, target.measure
+        few = len(cells[0]) * len(cells[1]) < MANY_PAIRS
+        problem = CorrectedProblem(operations, *cells, rho, None if few else truncation)
+        extensions = [
+            Softmin(operations, rows, columns, weights, truncation)
+            for rows, columns, weights in (
+                (points.columns, problem.rows, (points.b, cells[0].weights)),
+                (points.rows, problem.columns, (points.a, cells[1].weights)),
+            )
+        ]
+        return Grid(problem, source, target, *extensions)
 
     def _anneal(self, pair: list[WeightedPoints], finest: Problem) -> Array:
         """Return potentials g for the finest problem, from larger blurs over larger cells."""
@@ -190,8 +199,18 @@ class Multiscale:
 
     def _extended(self, rows: Any, f: Array, problem: Problem, blur: float) -> Array:
         """Carry potentials on to the columns of a finer problem, at the blur they are for."""
-        softmin = Softmin(self.problem.operations, problem.columns, rows)
+        softmin = Softmin(self.problem.operations, problem.columns, rows, (problem.b, f))
         return self.problem.damping(blur**2)[1] * softmin(f, blur**2)
+
+    def _first(self, grid: Grid, g: Array) -> Array:
+        """Return potentials g from the cells' problem alone, begun at potentials of its own."""
+        epsilon = self._blur**2
+        state = self._solve_cells(grid, g, FIRST_TOLERANCE)
+        grid.to_target.guess = state.t_columns[grid.target.labels]
+        grid.to_source.guess = state.t_rows[grid.source.labels]
+        self.problem.to_rows.guess = grid.to_source(state.g, epsilon)
+        self.problem.to_columns.guess = grid.to_target(state.f, epsilon)
+        return self.problem.damping(epsilon)[1] * self.problem.to_columns.guess
 
     def _solve_cells(self, grid: Grid, g: Array, tol: float) -> State:
         done = -(-grid.problem.n_softmin // 2)
@@ -257,7 +276,7 @@ class Multiscale:
         )
         tol = max(CYCLE_SHARE * residual, CYCLE_FLOOR * self.tol)
         new_f = self._solve_cells(grid, grid.target.mean(image, self.problem.b), tol).f
-        change = grid.extend(new_f, epsilon) - grid.extend(own_f, epsilon)
+        change = grid.to_target(new_f, epsilon) - grid.to_target(own_f, epsilon)
         return self.problem.damping(epsilon)[1] * (t_columns + change)
 
     def _tell(self, share: float) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph import defaults, geomloss_schedule
-from clmorph.ascent import SHORT, Ascent
+from clmorph.ascent import SHORT, Ascent, State
 from clmorph.backends import Backend, get_backend
 from clmorph.checks import check_choice, check_integer, check_number
 from clmorph.errors import ConvergenceWarning, DeviceError, InputError
@@ -52,6 +52,8 @@ def sinkhorn(
     start: Potentials | None = None,
     progress: Progress | None = None,
     multiscale: bool | str = "auto",
+    truncation: float | str | None = "auto",
+    verify: bool = False,
 ) -> Potentials:
     """Solve unbalanced entropic optimal transport between two measures.
 
@@ -92,7 +94,14 @@ def sinkhorn(
         Called now and then with the share done.
     multiscale : {"auto", True, False}
         Whether to solve through coarser problems (`clmorph.multiscale`); "auto" does with
-        2^27 pairs of points or more.
+        2^27 pairs of points or more. `n_iter` counts the iterations over the points.
+    truncation : float, "auto" or None
+        Far pairs are left out of the sums as long as this provably lowers no row's or column's
+        logarithm by more than so many nats; `truncation_error` says what was left out at most.
+        "auto": tol / 10 with 2^27 pairs or more, else None, which leaves out nothing.
+    verify : bool
+        With truncation: take the last two softmins once more, over all pairs. The residual and
+        the certificate are then those without truncation.
 
     Returns
     -------
@@ -115,19 +124,22 @@ def sinkhorn(
     pair = as_pair(source, target)
     operations = get_backend(backend)
     check_problem(*pair, given, operations, precision)
-    problem = Problem(operations, *pair, given.rho)
+    many = len(pair[0]) * len(pair[1]) >= MANY_PAIRS
+    limit = choose_truncation(truncation, float(tol), many)
+    problem = Problem(operations, *pair, given.rho, None if method == "geomloss" else limit)
     report = progress or (lambda share: None)
     if method == "geomloss":
         return _geomloss(problem, given, float(scaling), float(tol), precision, report)
     ascent: Ascent | Multiscale
     options = given.blur, float(tol), int(max_iter), precision, report
-    many = len(problem.a) * len(problem.b) >= MANY_PAIRS
     if multiscale is True or (multiscale == "auto" and many and max_iter >= SHORT):
         ascent = Multiscale(problem, pair, *options)
     else:
         ascent = Ascent(problem, *options)
     ascent.run(None if start is None else _start(start, problem))
-    return _finish(ascent, given)
+    if verify and limit is not None:
+        _take_all_pairs(ascent, given.epsilon)
+    return _finish(ascent, given, limit)
 
 
 def check_solver_options(
@@ -152,6 +164,26 @@ def check_solver_options(
     check_choice("precision", precision, PRECISIONS)
     if not isinstance(multiscale, bool):
         check_choice("multiscale", multiscale, MULTISCALE)
+
+
+def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
+    """Return what pairs may be left out for, in nats; None for nothing."""
+    if truncation == "auto" and isinstance(truncation, str):
+        return 0.1 * tol if many else None
+    return None if truncation is None else check_number("truncation", truncation, 1e-9, 0.1)
+
+
+def _take_all_pairs(ascent: Ascent | Multiscale, epsilon: float) -> None:
+    """Replace the last softmins by such over all pairs."""
+    problem, state = ascent.problem, ascent.state
+    for softmin in (problem.to_rows, problem.to_columns):
+        softmin.release()
+    t_rows = problem.to_rows(state.g, epsilon, ascent.precise)
+    t_columns = problem.to_columns(state.f, epsilon, ascent.precise)
+    residual = problem.residual(state.f, state.g, t_rows, t_columns, epsilon)
+    ascent.state = State(state.f, state.g, t_rows, t_columns, residual)
+    if residual > ascent.tol and ascent.status == "converged":
+        ascent.status = "precision"
 
 
 def check_problem(
@@ -237,7 +269,7 @@ def _geomloss(
     )  # fmt: skip
 
 
-def _finish(ascent: Ascent | Multiscale, given: Strengths) -> Potentials:
+def _finish(ascent: Ascent | Multiscale, given: Strengths, truncation: float | None) -> Potentials:
     """Put the result together, and warn if it is not what was asked for."""
     problem, state = ascent.problem, ascent.state
     reached = f"residual {state.residual:.1e} epsilon"
@@ -253,7 +285,7 @@ def _finish(ascent: Ascent | Multiscale, given: Strengths) -> Potentials:
         state.f, state.g, given.blur, given.reach, ascent.status, message, ascent.n_iter,
         state.residual, np.array(ascent.residuals),
         problem.certificate(state.f, state.g, state.t_rows, state.t_columns, given.epsilon),
-        ascent.precise,
+        ascent.precise, truncation, problem.truncation_error, problem.visited,
     )  # fmt: skip
 
 

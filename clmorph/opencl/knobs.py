@@ -57,12 +57,15 @@ class Knobs:
     tile_group: int
     slices_per_unit: int
 
-    def rows_constants(self, dimension: int, precise: bool = False) -> dict[str, int | float]:
+    def rows_constants(
+        self, dimension: int, precise: bool = False, listed: bool = False
+    ) -> dict[str, int | float]:
         """Return the macros of ``rows.cl``."""
         return {
             "DIM": dimension,
             "EXP2_BUILTIN": self.exp2_builtin,
             "GROUP": self.group,
+            "LISTED": int(listed),
             "PRECISE": self.precise if precise else 0,
             "SENTINEL": SENTINEL,
             "TILE": self.tile,

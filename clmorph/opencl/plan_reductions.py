@@ -8,14 +8,16 @@ from numpy.typing import NDArray
 
 from clmorph.opencl.clouds import Cloud, pad, split, unsort
 from clmorph.opencl.knobs import SENTINEL
-from clmorph.opencl.reductions import LOG2_E, Reductions
-from clmorph.operations import Float64, PlanRows
+from clmorph.opencl.near import NearReductions
+from clmorph.opencl.reductions import LOG2_E
+from clmorph.opencl.tile_pairs import TilePairs
+from clmorph.operations import Float64, NearPairs, PlanRows
 
 #: Thresholds of draws stay below row sums that rounding made a little less than 1.
 LARGEST_THRESHOLD = 1.0 - 1e-5
 
 
-class PlanReductions(Reductions):
+class PlanReductions(NearReductions):
     """The transport half of `OpenCLOperations`."""
 
     def count_plan_rows(
@@ -94,18 +96,20 @@ class PlanReductions(Reductions):
         softmin: Float64,
         epsilon: float,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> tuple[Float64, Float64]:
         """Return mean and covariance of each row's destinations."""
-        kernel, tile = self._row_kernels(rows, precise)["plan_moments"], self._knobs.tile
-        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon)
+        pairs = None if near is None else near.pairs
+        kernels, tile = self._row_kernels(rows, precise, pairs is not None), self._knobs.tile
+        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon, pairs)
         dimension, n = rows.centers.shape[1], len(rows)
         moments = np.empty((1 + dimension + dimension * (dimension + 1) // 2, rows.stride))
-        for part in self._row_parts(rows, columns):
+        for part in self._row_parts(rows, columns, pairs=pairs):
             out = np.empty((len(moments), len(part) * tile), np.float32)
             buffer = self._work.empty(out.nbytes)
             self._launch_rows(
-                kernel, rows, columns, *levels, part, np.uint32(out.shape[1]), base, buffer,
-                precise=precise,
+                kernels["plan_moments"], rows, columns, *levels, part, np.uint32(out.shape[1]),
+                base, buffer, precise=precise, pairs=pairs,
             )  # fmt: skip
             cl.enqueue_copy(self._work.queue, out, buffer)
             moments[:, part.start * tile : part.stop * tile] = out
@@ -131,21 +135,23 @@ class PlanReductions(Reductions):
         epsilon: float,
         thresholds: Float64,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> NDArray[np.int32]:
         """Return columns drawn from each plan row."""
-        kernel, tile = self._row_kernels(rows, precise)["sample_plan_rows"], self._knobs.tile
-        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon)
+        pairs = None if near is None else near.pairs
+        kernels, tile = self._row_kernels(rows, precise, pairs is not None), self._knobs.tile
+        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon, pairs)
         n, n_draws = thresholds.shape
         ordered = np.zeros((rows.stride, n_draws), np.float32)
         ordered[:n] = np.minimum(thresholds[rows.order], LARGEST_THRESHOLD)
         draws = np.empty((rows.stride, n_draws), np.int32)
-        for part in self._row_parts(rows, columns):
+        for part in self._row_parts(rows, columns, pairs=pairs):
             section = slice(part.start * tile, part.stop * tile)
             draws[section] = -1
             buffer = self._work.buffer(draws[section], np.int32)
             self._launch_rows(
-                kernel, rows, columns, *levels, part, np.uint32(n_draws), base,
-                self._work.buffer(ordered[section]), buffer, precise=precise,
+                kernels["sample_plan_rows"], rows, columns, *levels, part, np.uint32(n_draws),
+                base, self._work.buffer(ordered[section]), buffer, precise=precise, pairs=pairs,
             )  # fmt: skip
             cl.enqueue_copy(self._work.queue, draws[section], buffer)
         # Row sums that rounding keeps from the last thresholds: as the draw before them.
@@ -155,12 +161,18 @@ class PlanReductions(Reductions):
         return unsort(rows, columns.order[np.maximum(draws[:n], 0)].astype(np.int32))
 
     def _conditional_levels(
-        self, rows: Cloud, columns: Cloud, g: Float64, softmin: Float64, epsilon: float
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        pairs: TilePairs | None,
     ) -> tuple[cl.Buffer, Float64, Float64, float, cl.Buffer]:
         """Columns' heights and tops, rows' tops, k, and what makes log2 of pi_ij / r_i of e_ij."""
         k = LOG2_E / epsilon
         heights, tops = self._column_heights(columns, g, k)
-        tops_of_rows = self._row_tops(rows, columns, tops, k)
+        tops_of_rows = self._row_tops(rows, columns, tops, k, pairs)
         bases = np.repeat(tops_of_rows, self._knobs.tile)[: len(rows)] - k * rows.own_costs
         bases += k * softmin[rows.order]
         base = self._work.buffer(split(pad(bases, rows.stride, SENTINEL)))
