@@ -237,9 +237,10 @@ class Multiscale:
     def _cycle(self, grid: Grid, g: Array) -> None:
         """Iterate over the points, the cells' problem solved in between."""
         problem, epsilon = self.problem, self._blur**2
-        self.precise = needs_more(problem, self.precision, epsilon, self.tol)
         before = np.inf
         while True:
+            # Known better once there are lists of near pairs, which leave out large exponents.
+            self.precise = needs_more(problem, self.precision, epsilon, self.tol)
             coarse = problem.rounding(epsilon, precise=False)
             precise = self.precise and before <= SWITCH * coarse
             f, g, t_rows = problem.update_f(g, problem.softmin_rows(g, epsilon, precise), epsilon)

@@ -12,8 +12,9 @@ Array = NDArray[np.float64]
 
 #: Pairs are chosen for this share of the truncation, so that they serve while potentials move.
 RESERVE = 3e-2
-#: A choice of pairs is made again with what it found out, if its guess was off by more nats.
-GOOD_GUESS = 1.0
+#: A choice of pairs is made again with what it found out, if its guess was off by more nats on
+#: average: it keeps more than need be.
+GOOD_GUESS = 0.5
 #: Choices in a row after which nothing is left out instead.
 ATTEMPTS = 3
 
@@ -103,7 +104,7 @@ class Softmin:
             self.rows, self.columns, potential, self.guess, epsilon, RESERVE * self._truncation
         )
         _finite(near.softmin)
-        missed = float(np.abs(near.softmin - self.guess).max()) / epsilon
+        missed = float(np.abs(near.softmin - self.guess).mean()) / epsilon
         self.guess = near.softmin
         if float(near.skipped.max()) > self._truncation:
             return None

@@ -24,7 +24,7 @@ BLOCK_BOUNDS = 1 << 17
 #: Pairs of tiles that are measured at once.
 CHUNK_PAIRS = 1 << 20
 #: Shares at which a list may be cut, as parts of the budget.
-CUTS = 2.0 ** -np.arange(0, 24, 2)
+CUTS = 8.0 ** -np.arange(7)
 #: Half of the budget is for what is never looked at.
 UNSEEN = 0.5
 #: What float32 may take off a measured share, as a factor.
@@ -160,32 +160,36 @@ def candidates(
     """
     n_rows, n_columns = len(rows.centers), len(columns.centers)
     step = max(1, BLOCK_BOUNDS // n_columns)
-    first = 0
+    # All tiles under this together stay within half of the budget, whatever their number.
+    hopeless = np.float32(np.log2(0.5 * budget / n_columns))
+    first, count = 0, 0
     lengths: list[NDArray[np.int64]] = []
     tiles: list[NDArray[np.uint32]] = []
-    unseen: list[Float64] = []
+    shares: list[NDArray[np.float32]] = []
     for begin in range(0, n_rows, step):
         section = slice(begin, min(begin + step, n_rows))
         bounds = tile_bounds(of_rows, section, of_columns, k)
-        shares = np.exp2(np.minimum(bounds, np.float32(60.0)))
-        n_block = len(shares)
-        starts = np.arange(n_block + 1, dtype=np.int64) * n_columns
-        keep, below = _keep(starts, shares.ravel(), budget)
-        lengths.append(keep.reshape(shares.shape).sum(axis=1))
-        tiles.append((np.flatnonzero(keep) % n_columns).astype(np.uint32))
-        unseen.append(below)
-        if sum(map(len, tiles)) >= CHUNK_PAIRS or section.stop == n_rows:
+        # No row is without: its best tile has its largest bound.
+        above = bounds >= np.minimum(bounds.max(axis=1), hopeless)[:, None]
+        places = np.flatnonzero(above)
+        lengths.append(np.count_nonzero(above, axis=1))
+        tiles.append((places % n_columns).astype(np.uint32))
+        shares.append(np.exp2(np.minimum(bounds.ravel()[places], np.float32(60.0))))
+        count += len(places)
+        if count >= CHUNK_PAIRS or section.stop == n_rows:
             part = range(first, section.stop)
+            starts = np.concatenate(([0], np.cumsum(np.concatenate(lengths))))
+            keep, unseen = _keep(starts, np.concatenate(shares), 0.5 * budget)
             each = np.zeros(n_rows, np.int64)
-            each[first : section.stop] = np.concatenate(lengths)
-            listed = np.concatenate(tiles)
+            each[part.start : part.stop] = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
+            listed = np.concatenate(tiles)[keep]
             owner = np.repeat(np.arange(n_rows), each)
             distances = np.zeros(len(listed))
             for d in range(rows.centers.shape[1]):
                 distances += 0.5 * (rows.centers[owner, d] - columns.centers[listed, d]) ** 2
             pairs = TilePairs(np.concatenate(([0], np.cumsum(each))), listed, distances)
-            yield _Candidates(part, pairs, np.concatenate(unseen))
-            first, lengths, tiles, unseen = section.stop, [], [], []
+            yield _Candidates(part, pairs, unseen + 0.5 * budget)
+            first, count, lengths, tiles, shares = section.stop, 0, [], [], []
 
 
 def _keep(
