@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from clmorph.ascent import ROUNDING_MARGIN, TOP, Ascent, State, needs_more, share_done
 from clmorph.cells import Cells, make_cells
 from clmorph.operations import Operations
-from clmorph.points import AnyMeasure, WeightedPoints
+from clmorph.points import AnyMeasure
 from clmorph.problem import Problem
 from clmorph.softmins import Softmin
 
@@ -38,6 +38,8 @@ ANNEALING_SIDE = 1.0
 FEW_PAIRS = 1 << 20
 #: Residuals to reach at larger blurs, and over the cells before the points are looked at.
 LEVEL_TOLERANCE, FIRST_TOLERANCE = 0.2, 1e-2
+#: Truncation at larger blurs.
+LEVEL_TRUNCATION = 1e-2
 #: Residual to reach over the cells: this share of that over the points, and of the tolerance.
 CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
 #: Cells serve as long as a cycle leaves at most this share of the residual.
@@ -151,7 +153,8 @@ class Multiscale:
         finest = self.problem if grid is None else grid.problem
         g = start
         if g is None:
-            g = self._anneal([each.measure for each in cells], finest)
+            coarse = self._pair if grid is None else (grid.source.measure, grid.target.measure)
+            g = self._anneal(coarse, finest)
             self._tell(0.2)
             if grid is not None:
                 g = self._first(grid, g)
@@ -177,30 +180,59 @@ class Multiscale:
         ]
         return Grid(problem, source, target, *extensions)
 
-    def _anneal(self, pair: list[WeightedPoints], finest: Problem) -> Array:
+    def _anneal(self, pair: tuple[AnyMeasure, AnyMeasure], finest: Problem) -> Array:
         """Return potentials g for the finest problem, from larger blurs over larger cells."""
         top = TOP * np.sqrt(2 * self.problem.largest_cost)
         blur = self._blur
-        levels: list[tuple[float, list[WeightedPoints]]] = []
+        levels: list[tuple[float, list[Cells]]] = []
         while len(pair[0]) * len(pair[1]) > FEW_PAIRS and blur < top:
             blur *= 2
-            pair = [make_cells(measure, ANNEALING_SIDE * blur).measure for measure in pair]
-            levels.append((blur, pair))
-        reached: tuple[Any, Array] | None = None  # cloud of the sources' cells, and their f
-        for level, (source, target) in levels[::-1]:
-            problem = Problem(self.problem.operations, source, target, self.problem.rho)
-            g = None if reached is None else self._extended(*reached, problem, 2 * level)
+            cells = [make_cells(measure, ANNEALING_SIDE * blur) for measure in pair]
+            levels.append((blur, cells))
+            pair = cells[0].measure, cells[1].measure
+        g: Array | None = None
+        problems = [finest]
+        problems += [self._cells_problem(one.measure, other.measure) for _, (one, other) in levels]
+        for (level, cells), problem in reversed(list(zip(levels, problems[1:], strict=True))):
             ascent = Ascent(problem, level, LEVEL_TOLERANCE, self._max_iter, "float32", _ignore)
             ascent.run(g)
-            reached = problem.rows, ascent.state.f
-        if reached is None:
-            return np.zeros(len(finest.b))
-        return self._extended(*reached, finest, 2 * self._blur)
+            problems.pop()
+            g = self._extended(problem, ascent.state, cells, problems[-1], level)
+        return np.zeros(len(finest.b)) if g is None else g
 
-    def _extended(self, rows: Any, f: Array, problem: Problem, blur: float) -> Array:
-        """Carry potentials on to the columns of a finer problem, at the blur they are for."""
-        softmin = Softmin(self.problem.operations, problem.columns, rows, (problem.b, f))
-        return self.problem.damping(blur**2)[1] * softmin(f, blur**2)
+    def _level_truncation(self, rows: int, columns: int) -> float | None:
+        """Return what to leave out for at larger blurs, between so many points."""
+        if self.problem.truncation is None or rows * columns < MANY_PAIRS:
+            return None
+        return LEVEL_TRUNCATION
+
+    def _cells_problem(self, source: AnyMeasure, target: AnyMeasure) -> Problem:
+        truncation = self._level_truncation(len(source), len(target))
+        return Problem(self.problem.operations, source, target, self.problem.rho, truncation)
+
+    def _extended(
+        self, coarse: Problem, state: State, cells: list[Cells], fine: Problem, blur: float
+    ) -> Array:
+        """Carry potentials on to the columns of a finer problem, at the blur they are for.
+
+        Where the finer problem's softmins need guesses, they are what is carried on.
+        """
+
+        def softmin(rows: Any, columns: Any, weights: tuple[Array, Array], guess: Array) -> Softmin:
+            truncation = self._level_truncation(len(weights[0]), len(weights[1]))
+            result = Softmin(self.problem.operations, rows, columns, weights, truncation)
+            result.guess = guess
+            return result
+
+        if fine.truncation is not None:
+            fine.to_rows.guess = softmin(
+                fine.rows, coarse.columns, (fine.a, coarse.b), state.t_rows[cells[0].labels]
+            )(state.g, blur**2)
+        carried = softmin(
+            fine.columns, coarse.rows, (fine.b, coarse.a), state.t_columns[cells[1].labels]
+        )(state.f, blur**2)
+        fine.to_columns.guess = carried
+        return self.problem.damping(blur**2)[1] * carried
 
     def _first(self, grid: Grid, g: Array) -> Array:
         """Return potentials g from the cells' problem alone, begun at potentials of its own."""

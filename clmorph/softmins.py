@@ -10,8 +10,9 @@ from clmorph.operations import NearPairs, Operations, rounding_error
 
 Array = NDArray[np.float64]
 
-#: Pairs are chosen for this share of the truncation, so that they serve while potentials move.
-RESERVE = 3e-2
+#: Pairs are chosen for this share of the truncation, so that they serve while potentials move;
+#: for less each time that they moved too far, and at least for a share of 10^-7.
+RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-2, 1e-7
 #: A choice of pairs is made again with what it found out, if its guess was off by more nats on
 #: average: it keeps more than need be.
 GOOD_GUESS = 0.5
@@ -59,6 +60,7 @@ class Softmin:
         self._truncation = truncation
         self._massive = weights[1] > 0
         self._pairs = len(weights[0]) * len(weights[1])
+        self._reserve = RESERVE
         self._near: NearPairs | None = None
         self._chosen_for: tuple[float, Array] = (0.0, np.zeros(0))
         self.guess: Array | None = None
@@ -73,6 +75,7 @@ class Softmin:
             self.error = self._bound(potential, softmin, epsilon)
             if self.error <= self._truncation:
                 return softmin
+            self._reserve = max(LEAST_RESERVE, SCARCER * self._reserve)
         if self.guess is None:
             self.guess = self._over(None, potential, epsilon, False)
         for _ in range(ATTEMPTS):
@@ -101,7 +104,12 @@ class Softmin:
         assert self.guess is not None
         assert self._truncation is not None
         near = self.operations.near_pairs(
-            self.rows, self.columns, potential, self.guess, epsilon, RESERVE * self._truncation
+            self.rows,
+            self.columns,
+            potential,
+            self.guess,
+            epsilon,
+            self._reserve * self._truncation,
         )
         _finite(near.softmin)
         missed = float(np.abs(near.softmin - self.guess).mean()) / epsilon
