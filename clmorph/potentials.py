@@ -1,6 +1,6 @@
 """What a transport solver returns."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -94,6 +94,14 @@ class Potentials:
         if isinstance(self.reach, tuple):
             return tuple(np.inf if reach is None else reach**2 for reach in self.reach)
         return np.inf if self.reach is None else self.reach**2
+
+    def swapped(self) -> "Potentials":
+        """Return the same seen from the target."""
+        reach = self.reach[::-1] if isinstance(self.reach, tuple) else self.reach
+        certificate = self.certificate._replace(
+            row_mass=self.column_mass, column_mass=self.row_mass
+        )
+        return replace(self, f=self.g, g=self.f, reach=reach, certificate=certificate)
 
     @property
     def primal(self) -> float:

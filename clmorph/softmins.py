@@ -44,8 +44,8 @@ class Softmin:
         About what the next softmin will be; the last one unless set.
     error : float
         By how many nats the logarithms of the last softmin's sums can be too small: a bound.
-    visited : float
-        Share of all pairs that the last one summed.
+    near : NearPairs or None
+        What the last one summed; None: all pairs.
     """
 
     def __init__(
@@ -64,7 +64,8 @@ class Softmin:
         self._near: NearPairs | None = None
         self._chosen_for: tuple[float, Array] = (0.0, np.zeros(0))
         self.guess: Array | None = None
-        self.error, self.visited = 0.0, 1.0
+        self.near: NearPairs | None = None
+        self.error = 0.0
 
     def __call__(self, potential: Array, epsilon: float, precise: bool = False) -> Array:
         """Return T(potential), (N,) for (M,)."""
@@ -81,11 +82,11 @@ class Softmin:
         for _ in range(ATTEMPTS):
             near = self._choose(potential, epsilon)
             if near is not None:
-                self.error = float(near.skipped.max())
+                softmin = near.softmin
                 if precise:
-                    return self._over(near, potential, epsilon, True)
-                self.visited = near.n_pairs / self._pairs
-                return near.softmin
+                    softmin = self._over(near, potential, epsilon, True)
+                self.near, self.error = near, float(near.skipped.max())
+                return softmin
         # What is left out cannot be bounded: leave out nothing.
         self._near, self.error = None, 0.0
         return self._over(None, potential, epsilon, precise)
@@ -93,11 +94,6 @@ class Softmin:
     def release(self) -> None:
         """Sum over all pairs from now on."""
         self._truncation = self._near = None
-
-    @property
-    def near(self) -> NearPairs | None:
-        """The pairs that were chosen, if they still serve."""
-        return self._near
 
     def _choose(self, potential: Array, epsilon: float) -> NearPairs | None:
         """Choose pairs; None if they leave out too much, as after a bad guess."""
@@ -124,12 +120,18 @@ class Softmin:
     def _over(
         self, near: NearPairs | None, potential: Array, epsilon: float, precise: bool
     ) -> Array:
-        softmin = _finite(
-            self.operations.softmin(self.rows, self.columns, potential, epsilon, precise, near)
-        )
-        self.visited = 1.0 if near is None else near.n_pairs / self._pairs
-        self.guess, self.error = softmin, 0.0
+        arguments = self.rows, self.columns, potential, epsilon, precise
+        if near is None:
+            softmin = _finite(self.operations.softmin(*arguments))
+        else:
+            softmin = _finite(self.operations.softmin(*arguments, near))
+        self.near, self.guess, self.error = near, softmin, 0.0
         return softmin
+
+    @property
+    def visited(self) -> float:
+        """Share of all pairs that the last softmin summed."""
+        return 1.0 if self.near is None else min(1.0, self.near.n_pairs / self._pairs)
 
     def _bound(self, potential: Array, softmin: Array, epsilon: float) -> float:
         """Return by how many nats the sums over the chosen pairs can be too small now."""
@@ -153,6 +155,26 @@ class Softmin:
             n_columns = self._near.n_columns
             largest_cost = min(largest_cost, self._near.largest)
         return rounding_error(self.operations, n_columns, largest_cost / epsilon, precise)
+
+
+def plan_softmin(
+    operations: Operations, clouds: tuple[Any, Any], pair: tuple[Any, Any], potentials: Any
+) -> Softmin:
+    """Return what takes T(g) of a plan's rows, as the solver took it.
+
+    Parameters
+    ----------
+    operations : Operations
+    clouds : (rows, columns)
+    pair : (source, target)
+        Measures, or what has `weights`.
+    potentials : Potentials
+    """
+    weights = pair[0].weights, pair[1].weights
+    result = Softmin(operations, *clouds, weights, potentials.truncation)
+    rho = potentials.rho[0] if isinstance(potentials.rho, tuple) else potentials.rho
+    result.guess = potentials.f * (1.0 + potentials.epsilon / rho)
+    return result
 
 
 def _finite(softmin: Array) -> Array:

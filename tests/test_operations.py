@@ -246,6 +246,41 @@ def test_plan_rows(variant, rng, name, blur):
         assert np.all(np.diff(columns) > 0)
 
 
+@pytest.mark.parametrize("precise", [False, True])
+@pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("name", PAIRS)
+def test_plan_rows_by_lists_are_the_same(variant, monkeypatch, rng, name, blur, precise):
+    """Tiles without a pair above its threshold are left out, and nothing else."""
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    exact = _upload(REFERENCE, pair)
+    f = _potential(rng, len(pair[0][0]), epsilon)
+    g = REFERENCE.softmin(exact[1], exact[0], f, epsilon)
+    by_row = REFERENCE.row_maxima(*exact, g, epsilon) + f / epsilon + exact[0].log_weights
+    by_column = REFERENCE.row_maxima(*exact[::-1], f, epsilon) + g / epsilon
+    by_column += exact[1].log_weights
+    clouds = _upload(variant, pair)
+    infinite = np.full(len(g), np.inf)
+    for thresholds in (
+        (by_row + np.log(1e-3), by_column + np.log(1e-2)),
+        (np.full(len(f), by_row.max() - 5.0), infinite),
+        (np.full(len(f), np.inf), infinite),
+        (np.full(len(f), -np.inf), infinite),
+    ):
+        results = []
+        for smallest in (1 << 62, 0):
+            monkeypatch.setattr("clmorph.opencl.plan_reductions.LISTED_FROM", smallest)
+            counts = variant.count_plan_rows(*clouds, f, g, epsilon, *thresholds, precise)
+            rows = variant.plan_rows(*clouds, f, g, epsilon, *thresholds, precise, counts)
+            results.append((counts, *rows[:2]))
+            results[-1] += (np.log(np.maximum(rows.mass, 1e-290)),)
+        for all_of_it, listed in list(zip(*results, strict=True))[:-1]:
+            assert np.array_equal(all_of_it, listed)
+        # Where a row is measured from depends on what is listed.
+        difference = np.abs(results[0][-1] - results[1][-1]).max(initial=0.0)
+        assert difference <= 2 * log_sum_exp_tolerance(variant, *pair, epsilon, precise)
+
+
 def _dense(rows, n_columns):
     mass = np.zeros((len(rows.indptr) - 1, n_columns))
     mass[np.repeat(np.arange(len(mass)), np.diff(rows.indptr)), rows.indices] = rows.mass

@@ -1,5 +1,6 @@
 """Find the pairs of tiles that matter, and leave out the rest with a proof of what it holds."""
 
+import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -180,16 +181,64 @@ def candidates(
             part = range(first, section.stop)
             starts = np.concatenate(([0], np.cumsum(np.concatenate(lengths))))
             keep, unseen = _keep(starts, np.concatenate(shares), 0.5 * budget)
-            each = np.zeros(n_rows, np.int64)
-            each[part.start : part.stop] = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
-            listed = np.concatenate(tiles)[keep]
-            owner = np.repeat(np.arange(n_rows), each)
-            distances = np.zeros(len(listed))
-            for d in range(rows.centers.shape[1]):
-                distances += 0.5 * (rows.centers[owner, d] - columns.centers[listed, d]) ** 2
-            pairs = TilePairs(np.concatenate(([0], np.cumsum(each))), listed, distances)
+            each = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
+            pairs = _tile_pairs(rows, columns, part, each, np.concatenate(tiles)[keep])
             yield _Candidates(part, pairs, unseen + 0.5 * budget)
             first, count, lengths, tiles, shares = section.stop, 0, [], [], []
+
+
+def possible_pairs(
+    rows: Cloud,
+    columns: Cloud,
+    sides: list[tuple[TileBounds, TileBounds]],
+    k: float,
+) -> Iterator[tuple[range, TilePairs]]:
+    """Yield pairs of tiles that any of some bounds leaves above 0, in parts of the row tiles.
+
+    Parameters
+    ----------
+    rows, columns : Cloud
+    sides : list of (rows', columns') TileBounds
+    k : float
+    """
+    n_rows, n_columns = len(rows.centers), len(columns.centers)
+    step = max(1, BLOCK_BOUNDS // n_columns)
+    first, count = 0, 0
+    lengths: list[NDArray[np.int64]] = []
+    tiles: list[NDArray[np.uint32]] = []
+    for begin in range(0, n_rows, step):
+        section = slice(begin, min(begin + step, n_rows))
+        bounds = [tile_bounds(one, section, other, k) for one, other in sides]
+        highest = functools.reduce(np.maximum, bounds)
+        # Reductions want at least one column tile for each row tile.
+        above = highest >= np.minimum(highest.max(axis=1), 0.0)[:, None]
+        lengths.append(np.count_nonzero(above, axis=1))
+        tiles.append((np.flatnonzero(above) % n_columns).astype(np.uint32))
+        count += len(tiles[-1])
+        if count >= CHUNK_PAIRS or section.stop == n_rows:
+            part = range(first, section.stop)
+            yield (
+                part,
+                _tile_pairs(rows, columns, part, np.concatenate(lengths), np.concatenate(tiles)),
+            )
+            first, count, lengths, tiles = section.stop, 0, [], []
+
+
+def _tile_pairs(
+    rows: Cloud,
+    columns: Cloud,
+    part: range,
+    lengths: NDArray[np.int64],
+    tiles: NDArray[np.uint32],
+) -> TilePairs:
+    """Return the pairs of some row tiles; the others have none."""
+    each = np.zeros(len(rows.centers), np.int64)
+    each[part.start : part.stop] = lengths
+    owner = np.repeat(np.arange(len(each)), each)
+    distances = np.zeros(len(tiles))
+    for d in range(rows.centers.shape[1]):
+        distances += 0.5 * (rows.centers[owner, d] - columns.centers[tiles, d]) ** 2
+    return TilePairs(np.concatenate(([0], np.cumsum(each))), tiles, distances)
 
 
 def _keep(

@@ -113,14 +113,21 @@ class Reductions:
         return self._work.buffer(split(heights)), tops
 
     def _row_tops(
-        self, rows: Cloud, columns: Cloud, tops: Float64, k: float, pairs: TilePairs | None = None
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        tops: Float64,
+        k: float,
+        pairs: TilePairs | None = None,
+        within: range | None = None,
     ) -> Float64:
         """Largest level of each row tile: what its rows are measured from."""
-        result = np.empty(len(rows.centers))
-        each = len(tops) if pairs is None else -(-len(pairs.tiles) // len(result))
+        result = np.zeros(len(rows.centers))
+        within = within or range(len(result))
+        each = len(tops) if pairs is None else -(-len(pairs.tiles) // len(within))
         step = max(1, (1 << 22) // max(1, each))
-        for first in range(0, len(result), step):
-            block = range(first, min(first + step, len(result)))
+        for first in range(within.start, within.stop, step):
+            block = range(first, min(first + step, within.stop))
             section = slice(block.start, block.stop)
             if pairs is None:
                 levels = _levels(rows.centers[section], columns.centers, tops, k)
