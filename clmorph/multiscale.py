@@ -25,7 +25,7 @@ from clmorph.cells import Cells, make_cells
 from clmorph.operations import Operations
 from clmorph.points import AnyMeasure
 from clmorph.problem import Problem
-from clmorph.softmins import Softmin
+from clmorph.softmins import LEAST_RESERVE, Softmin
 
 Array = NDArray[np.float64]
 
@@ -257,6 +257,8 @@ class Multiscale:
     def _ascend(self, g: Array) -> None:
         """Go on over the points alone."""
         told = self._told
+        for softmin in (self.problem.to_rows, self.problem.to_columns):
+            softmin.reserve = LEAST_RESERVE  # potentials will move far
         ascent = Ascent(
             self.problem, self._blur, self.tol, self._max_iter, self.precision,
             lambda share: self._tell(told + (1 - told) * share),

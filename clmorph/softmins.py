@@ -10,8 +10,8 @@ from clmorph.operations import NearPairs, Operations, rounding_error
 
 Array = NDArray[np.float64]
 
-#: Pairs are chosen for this share of the truncation, so that they serve while potentials move;
-#: for less each time that they moved too far, and at least for a share of 10^-7.
+#: Pairs are chosen for less than the truncation, so that they serve while potentials move: at
+#: first for this share, for less each time that they moved too far, and at last for this little.
 RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-2, 1e-7
 #: A choice of pairs is made again with what it found out, if its guess was off by more nats on
 #: average: it keeps more than need be.
@@ -46,6 +46,8 @@ class Softmin:
         By how many nats the logarithms of the last softmin's sums can be too small: a bound.
     near : NearPairs or None
         What the last one summed; None: all pairs.
+    reserve : float
+        Pairs are chosen for this share of the truncation; the less, the longer they serve.
     """
 
     def __init__(
@@ -60,7 +62,7 @@ class Softmin:
         self._truncation = truncation
         self._massive = weights[1] > 0
         self._pairs = len(weights[0]) * len(weights[1])
-        self._reserve = RESERVE
+        self.reserve = RESERVE
         self._near: NearPairs | None = None
         self._chosen_for: tuple[float, Array] = (0.0, np.zeros(0))
         self.guess: Array | None = None
@@ -76,7 +78,7 @@ class Softmin:
             self.error = self._bound(potential, softmin, epsilon)
             if self.error <= self._truncation:
                 return softmin
-            self._reserve = max(LEAST_RESERVE, SCARCER * self._reserve)
+            self.reserve = max(LEAST_RESERVE, SCARCER * self.reserve)
         if self.guess is None:
             self.guess = self._over(None, potential, epsilon, False)
         for _ in range(ATTEMPTS):
@@ -105,7 +107,7 @@ class Softmin:
             potential,
             self.guess,
             epsilon,
-            self._reserve * self._truncation,
+            self.reserve * self._truncation,
         )
         _finite(near.softmin)
         missed = float(np.abs(near.softmin - self.guess).mean()) / epsilon
