@@ -38,8 +38,8 @@ ANNEALING_SIDE = 1.0
 FEW_PAIRS = 1 << 20
 #: Residuals to reach at larger blurs, and over the cells before the points are looked at.
 LEVEL_TOLERANCE, FIRST_TOLERANCE = 0.2, 1e-2
-#: Truncation at larger blurs.
-LEVEL_TRUNCATION = 1e-2
+#: Truncation at larger blurs; for what share of it pairs are chosen where guesses are rough.
+LEVEL_TRUNCATION, LEVEL_RESERVE = 1e-2, 1e-6
 #: Residual to reach over the cells: this share of that over the points, and of the tolerance.
 CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
 #: Cells serve as long as a cycle leaves at most this share of the residual.
@@ -208,7 +208,8 @@ class Multiscale:
 
     def _cells_problem(self, source: AnyMeasure, target: AnyMeasure) -> Problem:
         truncation = self._level_truncation(len(source), len(target))
-        return Problem(self.problem.operations, source, target, self.problem.rho, truncation)
+        problem = Problem(self.problem.operations, source, target, self.problem.rho, truncation)
+        return _prepare(problem, LEVEL_RESERVE)
 
     def _extended(
         self, coarse: Problem, state: State, cells: list[Cells], fine: Problem, blur: float
@@ -221,7 +222,7 @@ class Multiscale:
         def softmin(rows: Any, columns: Any, weights: tuple[Array, Array], guess: Array) -> Softmin:
             truncation = self._level_truncation(len(weights[0]), len(weights[1]))
             result = Softmin(self.problem.operations, rows, columns, weights, truncation)
-            result.guess = guess
+            result.guess, result.reserve = guess, LEVEL_RESERVE
             return result
 
         if fine.truncation is not None:
@@ -257,8 +258,7 @@ class Multiscale:
     def _ascend(self, g: Array) -> None:
         """Go on over the points alone."""
         told = self._told
-        for softmin in (self.problem.to_rows, self.problem.to_columns):
-            softmin.reserve = LEAST_RESERVE  # potentials will move far
+        _prepare(self.problem, LEAST_RESERVE)
         ascent = Ascent(
             self.problem, self._blur, self.tol, self._max_iter, self.precision,
             lambda share: self._tell(told + (1 - told) * share),
@@ -317,6 +317,13 @@ class Multiscale:
     def _tell(self, share: float) -> None:
         self._told = max(self._told, share)
         self._report(self._told)
+
+
+def _prepare(problem: Problem, reserve: float) -> Problem:
+    """Let near pairs be chosen that serve although potentials will move far."""
+    for softmin in (problem.to_rows, problem.to_columns):
+        softmin.reserve = reserve
+    return problem
 
 
 def _ignore(share: float) -> None:

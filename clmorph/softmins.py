@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 #: Pairs are chosen for less than the truncation, so that they serve while potentials move: at
 #: first for this share, for less each time that they moved too far, and at last for this little.
-RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-2, 1e-7
+RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-24
 #: A choice of pairs is made again with what it found out, if its guess was off by more nats on
 #: average: it keeps more than need be.
 GOOD_GUESS = 0.5
