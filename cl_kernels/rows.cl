@@ -189,6 +189,9 @@ void log_sum_exp(
 }
 
 #if LISTED
+#ifndef LARGEST_SHARE
+#error "LARGEST_SHARE (log2 of the largest share that measure_tiles tells apart) must be given"
+#endif
 // The same, and the largest share that each listed tile has in the sum of a row, as far as
 // these are known: 2^(-base_i) is about the sum of row i.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
@@ -222,8 +225,8 @@ void measure_tiles(
         GROUP_BARRIER();
         const vreal s_tile = add_tile(u, staged, &m, &s);
         s += s_tile;
-        // 2^60: far above any share, and its product with a sum is still finite
-        const vreal share = s_tile * exp2_nonpositive(min(m + base, (vreal)(60.0f)));
+        // Above LARGEST_SHARE the host keeps the tile; its product with a sum is still finite.
+        const vreal share = s_tile * exp2_nonpositive(min(m + base, (vreal)((float)LARGEST_SHARE)));
         float lanes[WIDTH];
         VSTORE(share, 0, lanes);
         float largest = lanes[0];

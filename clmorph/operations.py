@@ -51,7 +51,7 @@ class NearPairs(NamedTuple):
 
     pairs: Any  #: the backend's own
     softmin: Float64  #: (N,) T(g) over these pairs, or over some more; cost units
-    skipped: Float64  #: (N,)
+    skipped: Float64  #: (N,) above 0 where anything is left out
     n_pairs: int  #: pairs that are visited
     n_columns: int  #: most columns of a row
     largest: float  #: largest cost among them, cost units

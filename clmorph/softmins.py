@@ -139,8 +139,10 @@ class Softmin:
         """Return by how many nats the sums over the chosen pairs can be too small now."""
         assert self._near is not None
         grown = float((potential - self._chosen_for[1])[self._massive].max())
-        exponents = (grown + softmin - self._near.softmin) / epsilon
-        return float((self._near.skipped * np.exp(np.minimum(exponents, 300.0))).max())
+        with np.errstate(divide="ignore"):
+            logarithms = np.log(self._near.skipped)
+        logarithms += (grown + softmin - self._near.softmin) / epsilon
+        return float(np.exp(np.minimum(logarithms.max(), 700.0)))
 
     def rounding(self, n_columns: int, largest_cost: float, epsilon: float, precise: bool) -> float:
         """By how many nats rounding may change a softmin; see `rounding_error`.

@@ -9,7 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.opencl.clouds import Cloud, unsort
-from clmorph.opencl.knobs import SENTINEL
+from clmorph.opencl.knobs import LARGEST_SHARE, SENTINEL
 from clmorph.opencl.reductions import LOG2_E, Reductions
 from clmorph.opencl.tile_pairs import (
     TileBounds,
@@ -72,11 +72,14 @@ class NearReductions(Reductions):
             sums, shares = self._measured(rows, columns, heights, tops, k, guess, pairs, part)
             found[section] = sums
             # By how much the guess was above the sum, in the worst row of each tile.
-            off = np.full(len(sums), -np.inf)
-            off[: n - section.start] = guess[section] - sums[: n - section.start]
-            factor = MARGIN * np.exp2(np.minimum(off.reshape(len(part), tile).max(axis=1), 600.0))
+            off = np.full((2, len(sums)), [[-np.inf], [np.inf]])
+            off[:, : n - section.start] = guess[section] - sums[: n - section.start]
+            above, below = off.reshape(2, len(part), tile)
+            factor = MARGIN * np.exp2(np.clip(above.max(axis=1), -900.0, 600.0))
             starts = pairs.starts[part.start : part.stop + 1]
             shares *= np.repeat(factor, np.diff(starts))
+            # Where the guess was far below the sum of some row, shares were not told apart.
+            shares[np.repeat(below.min(axis=1) < -LARGEST_SHARE, np.diff(starts))] = 1.0
             keep, left = _keep(starts, shares, (1 - UNSEEN) * budget)
             left += factor * unseen
             with np.errstate(divide="ignore"):

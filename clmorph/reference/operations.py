@@ -103,6 +103,8 @@ class NumPyOperations:
             left = np.where(keep[block], 0.0, share).sum(axis=1)
             total = np.exp(exponents - top).sum(axis=1)
             found[block] = -epsilon * (top[:, 0] + np.log(total) + np.log1p(-left))
+            # Shares too small for any number may grow when potentials change.
+            left[~keep[block].all(axis=1)] += np.finfo(float).tiny
             skipped[block] = left / (1.0 - left)
             cost = np.where(keep[block], _costs(rows.points[block], columns.points), 0.0)
             largest = max(largest, float(cost.max()))
