@@ -22,6 +22,8 @@
 // -D GROUP   work-items of a work-group along dimension 0
 // -D UNROLL  columns taken together in the inner loop, divides TILE (speed only)
 // -D PRECISE arithmetic of the exponents, and PLANES of their inputs: see exponents.cl
+// -D LISTED  0 (default): rows see all column tiles; 1: those listed for their own tile, the
+//            levels in the list's order
 
 #include "common.cl"
 
@@ -36,6 +38,10 @@
 #endif
 #ifndef UNROLL
 #define UNROLL 8 // enough independent chains to hide the latency of a multiply-add
+#endif
+
+#ifndef LISTED
+#define LISTED 0
 #endif
 
 #include "exponents.cl"
@@ -55,12 +61,35 @@
     const __global float* restrict column_offsets,    /* (PLANES, DIM, column_stride): v */    \
     const __global float* restrict column_centers,    /* (n_column_tiles, DIM): q */           \
     const __global float* restrict column_potentials, /* (PLANES, column_stride): h */         \
-    const __global float* restrict levels             /* (row tiles, PLANES, n_column_tiles) */
+    const __global float* restrict levels             /* see below */                          \
+    LIST_ARGUMENTS
+
+// Column tiles of a row tile: q = TILE_AT(n) for FIRST_TILE <= n < END_TILE. Levels are
+// (row tiles, PLANES, n_column_tiles), or (PLANES, n_listed).
+#if LISTED
+#define LIST_ARGUMENTS                                                                         \
+    , const uint n_listed,                                                                     \
+    const __global uint* restrict list_starts,        /* (row tiles of this launch + 1,) */    \
+    const __global uint* restrict listed              /* (n_listed,) */
+#define LIST_ROW (row_tile - first_row / TILE)
+#define FIRST_TILE list_starts[LIST_ROW]
+#define END_TILE list_starts[LIST_ROW + 1]
+#define TILE_AT(n) listed[n]
+#define OWN_LEVELS levels
+#define LEVEL_PLANE n_listed
+#else
+#define LIST_ARGUMENTS
+#define FIRST_TILE 0
+#define END_TILE n_column_tiles
+#define TILE_AT(n) (n)
+#define OWN_LEVELS (levels + (row_tile - first_row / TILE) * n_column_tiles * PLANES)
+#define LEVEL_PLANE n_column_tiles
+#endif
 
 // Put column tile q, recentered for the row tile, into local memory:
 // staged[d][j] = k (v - (p - q))_d for d < DIM, staged[DIM][j] = the part without u.
 static inline void stage_columns(
-    const uint q, const uint row_tile, const uint column_stride, const uint n_column_tiles,
+    const uint q, const uint row_tile, const uint column_stride, const uint level_plane,
     const ereal k, const __global float* row_centers,
     const __global float* column_offsets, const __global float* column_centers,
     const __global float* column_potentials, const __global float* level,
@@ -70,7 +99,7 @@ static inline void stage_columns(
     for (int d = 0; d < DIM; ++d)
         shift[d] = e_sum(e_constant(row_centers[row_tile * DIM + d], 0.0f),
                          e_constant(-column_centers[q * DIM + d], 0.0f));
-    const ereal level_pq = e_constant(level[q], level[q + (PLANES - 1) * n_column_tiles]);
+    const ereal level_pq = e_constant(level[0], level[(PLANES - 1) * level_plane]);
     for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
         ereal quadratic = e_constant(0.0f, 0.0f);
         for (int d = 0; d < DIM; ++d) {
@@ -92,11 +121,40 @@ static inline void load_rows(
         u[d] = e_load(row_offsets + (size_t)d * row_stride + row, (size_t)DIM * row_stride);
 }
 
+// Add the staged columns to m = max_j e_ij and s = sum_j 2^(e_ij - m), but for the sum over
+// these columns themselves, which is returned: sums of sums round less than one long sum.
+static inline vreal add_tile(
+    const ereal* u, const __local staged_real* staged, vreal* maximum, vreal* sum)
+{
+    vreal m = *maximum;
+    vreal s = *sum;
+    vreal s_tile = (vreal)(0.0f);
+    for (uint j = 0; j < TILE; j += UNROLL) {
+        ereal e[UNROLL];
+        vreal m_new = m;
+#pragma unroll
+        for (int c = 0; c < UNROLL; ++c) {
+            e[c] = exponent(u, staged, j + c);
+            m_new = max(m_new, e_nearest(e[c]));
+        }
+        const vreal rescale = exp2_nonpositive(m - m_new);
+        s *= rescale;
+        s_tile *= rescale;
+#pragma unroll
+        for (int c = 0; c < UNROLL; ++c)
+            s_tile += exp2_nonpositive(e_above(e[c], m_new));
+        m = m_new;
+    }
+    *maximum = m;
+    *sum = s;
+    return s_tile;
+}
+
 // Online maximum m_i = max_j e_ij and s_i = sum_j 2^(e_ij - m_i), over the column tiles
 // of this share; the host joins the shares.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void log_sum_exp(
-    CLOUD_ARGUMENTS, const uint n_rows, const uint tiles_per_share,
+    CLOUD_ARGUMENTS, const uint n_rows,
     __global float* restrict maxima, // (shares, n_rows)
     __global float* restrict sums)   // (shares, n_rows)
 {
@@ -104,43 +162,93 @@ void log_sum_exp(
     const uint local_row = get_global_id(0) * WIDTH;
     const uint row = first_row + local_row;
     const uint row_tile = row / TILE;
-    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles * PLANES;
+    const __global float* own_levels = OWN_LEVELS;
     const uint share = get_global_id(1);
-    const uint q_end = min(n_column_tiles, (share + 1) * tiles_per_share);
+    const uint shares = get_global_size(1);
+    const uint per_share = (END_TILE - FIRST_TILE + shares - 1) / shares;
+    const uint n_begin = min((uint)(END_TILE), FIRST_TILE + share * per_share);
+    const uint n_end = min((uint)(END_TILE), n_begin + per_share);
 
     ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
     // Above columns without mass: the difference of two sentinels is no exponent.
     vreal m = (vreal)(0.5f * SENTINEL);
     vreal s = (vreal)(0.0f);
-    for (uint q = share * tiles_per_share; q < q_end; ++q) {
-        stage_columns(q, row_tile, column_stride, n_column_tiles, e_constant(k, k_low),
+    for (uint n = n_begin; n < n_end; ++n) {
+        const uint q = TILE_AT(n);
+        stage_columns(q, row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),
                       row_centers, column_offsets, column_centers, column_potentials,
-                      levels + level_row, staged);
+                      own_levels + n, staged);
         GROUP_BARRIER();
-        vreal s_tile = (vreal)(0.0f); // on its own: sums of sums round less than one long sum
-        for (uint j = 0; j < TILE; j += UNROLL) {
-            ereal e[UNROLL];
-            vreal m_new = m;
-#pragma unroll
-            for (int c = 0; c < UNROLL; ++c) {
-                e[c] = exponent(u, staged, j + c);
-                m_new = max(m_new, e_nearest(e[c]));
-            }
-            const vreal rescale = exp2_nonpositive(m - m_new);
-            s *= rescale;
-            s_tile *= rescale;
-#pragma unroll
-            for (int c = 0; c < UNROLL; ++c)
-                s_tile += exp2_nonpositive(e_above(e[c], m_new));
-            m = m_new;
-        }
+        const vreal s_tile = add_tile(u, staged, &m, &s);
         s += s_tile;
         GROUP_BARRIER();
     }
     VSTORE(m, (size_t)share * n_rows + local_row, maxima);
     VSTORE(s, (size_t)share * n_rows + local_row, sums);
 }
+
+#if LISTED
+#ifndef LARGEST_SHARE
+#error "LARGEST_SHARE (log2 of the largest share that measure_tiles tells apart) must be given"
+#endif
+// The same, and the largest share that each listed tile has in the sum of a row, as far as
+// these are known: 2^(-base_i) is about the sum of row i.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void measure_tiles(
+    CLOUD_ARGUMENTS,
+    const __global float* restrict row_bases,   // (n_rows,) of this launch
+    __global float* restrict maxima,            // (n_rows,)
+    __global float* restrict sums,              // (n_rows,)
+    __global float* restrict shares)            // (work-groups of a row tile, n_listed)
+{
+    __local staged_real staged[STAGED_SIZE];
+    const uint local_row = get_global_id(0) * WIDTH;
+    const uint row = first_row + local_row;
+    const uint row_tile = row / TILE;
+    const uint part = (row - row_tile * TILE) / (GROUP * WIDTH);
+    const __global float* own_levels = OWN_LEVELS;
+#if GROUP > 1
+    __local float of_rows[GROUP];
+#endif
+
+    ereal u[DIM];
+    load_rows(row_offsets, row_stride, row, u);
+    const vreal base = VLOAD(local_row, row_bases);
+    vreal m = (vreal)(0.5f * SENTINEL);
+    vreal s = (vreal)(0.0f);
+    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+        const uint q = TILE_AT(n);
+        stage_columns(q, row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),
+                      row_centers, column_offsets, column_centers, column_potentials,
+                      own_levels + n, staged);
+        GROUP_BARRIER();
+        const vreal s_tile = add_tile(u, staged, &m, &s);
+        s += s_tile;
+        // Above LARGEST_SHARE the host keeps the tile; its product with a sum is still finite.
+        const vreal share = s_tile * exp2_nonpositive(min(m + base, (vreal)((float)LARGEST_SHARE)));
+        float lanes[WIDTH];
+        VSTORE(share, 0, lanes);
+        float largest = lanes[0];
+        for (int lane = 1; lane < WIDTH; ++lane)
+            largest = max(largest, lanes[lane]);
+#if GROUP > 1
+        of_rows[get_local_id(0)] = largest;
+        GROUP_BARRIER();
+        if (get_local_id(0) == 0) {
+            for (int item = 1; item < GROUP; ++item)
+                largest = max(largest, of_rows[item]);
+            shares[(size_t)part * n_listed + n] = largest;
+        }
+#else
+        shares[(size_t)part * n_listed + n] = largest;
+#endif
+        GROUP_BARRIER();
+    }
+    VSTORE(m, local_row, maxima);
+    VSTORE(s, local_row, sums);
+}
+#endif
 
 // log2 pi_ij = e_ij + base_i; a small number where pi_ij matters, unlike both its terms.
 static inline vreal log2_plan(const ereal e, const vreal base, const vreal base_low)
@@ -165,7 +273,7 @@ void count_plan_rows(
     const uint local_row = get_global_id(0) * WIDTH;
     const uint row = first_row + local_row;
     const uint row_tile = row / TILE;
-    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles * PLANES;
+    const __global float* own_levels = OWN_LEVELS;
 
     ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
@@ -173,10 +281,11 @@ void count_plan_rows(
     const vreal base_low = VLOAD((size_t)row_stride + row, row_bases);
     const vreal row_threshold = VLOAD(row, row_thresholds);
     vreal count = (vreal)(0.0f); // exact: a cloud has at most 2^24 points
-    for (uint q = 0; q < n_column_tiles; ++q) {
-        stage_columns(q, row_tile, column_stride, n_column_tiles, e_constant(k, k_low),
+    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+        const uint q = TILE_AT(n);
+        stage_columns(q, row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),
                       row_centers, column_offsets, column_centers, column_potentials,
-                      levels + level_row, staged);
+                      own_levels + n, staged);
         GROUP_BARRIER();
         for (uint j = 0; j < TILE; ++j)
             count += select((vreal)(0.0f), (vreal)(1.0f),
@@ -201,7 +310,7 @@ void fill_plan_rows(
     const uint local_row = get_global_id(0) * WIDTH;
     const uint row = first_row + local_row;
     const uint row_tile = row / TILE;
-    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles * PLANES;
+    const __global float* own_levels = OWN_LEVELS;
 
     ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
@@ -211,10 +320,11 @@ void fill_plan_rows(
     uint slot[WIDTH];
     for (int lane = 0; lane < WIDTH; ++lane)
         slot[lane] = starts[local_row + lane];
-    for (uint q = 0; q < n_column_tiles; ++q) {
-        stage_columns(q, row_tile, column_stride, n_column_tiles, e_constant(k, k_low),
+    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+        const uint q = TILE_AT(n);
+        stage_columns(q, row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),
                       row_centers, column_offsets, column_centers, column_potentials,
-                      levels + level_row, staged);
+                      own_levels + n, staged);
         GROUP_BARRIER();
         for (uint j = 0; j < TILE; ++j) {
             const vreal log2_pi = log2_plan(exponent(u, staged, j), base, base_low);
@@ -252,7 +362,7 @@ void plan_moments(
     const uint local_row = get_global_id(0) * WIDTH;
     const uint row = first_row + local_row;
     const uint row_tile = row / TILE;
-    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles * PLANES;
+    const __global float* own_levels = OWN_LEVELS;
 
     ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
@@ -261,10 +371,11 @@ void plan_moments(
     vreal total[MOMENTS];
     for (int m = 0; m < MOMENTS; ++m)
         total[m] = (vreal)(0.0f);
-    for (uint q = 0; q < n_column_tiles; ++q) {
-        stage_columns(q, row_tile, column_stride, n_column_tiles, e_constant(k, k_low),
+    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+        const uint q = TILE_AT(n);
+        stage_columns(q, row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),
                       row_centers, column_offsets, column_centers, column_potentials,
-                      levels + level_row, staged);
+                      own_levels + n, staged);
         GROUP_BARRIER();
         vreal of_tile[MOMENTS];
         for (int m = 0; m < MOMENTS; ++m)
@@ -305,7 +416,7 @@ void sample_plan_rows(
     const uint local_row = get_global_id(0) * WIDTH;
     const uint row = first_row + local_row;
     const uint row_tile = row / TILE;
-    const uint level_row = (row_tile - first_row / TILE) * n_column_tiles * PLANES;
+    const __global float* own_levels = OWN_LEVELS;
 
     ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
@@ -319,10 +430,11 @@ void sample_plan_rows(
     }
     vreal limit = VLOAD(0, next);
     vreal before = (vreal)(0.0f); // sum over the tiles so far; their sums round less
-    for (uint q = 0; q < n_column_tiles; ++q) {
-        stage_columns(q, row_tile, column_stride, n_column_tiles, e_constant(k, k_low),
+    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+        const uint q = TILE_AT(n);
+        stage_columns(q, row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),
                       row_centers, column_offsets, column_centers, column_potentials,
-                      levels + level_row, staged);
+                      own_levels + n, staged);
         GROUP_BARRIER();
         vreal of_tile = (vreal)(0.0f);
         for (uint j = 0; j < TILE; ++j) {

@@ -122,7 +122,7 @@ class Ascent:
         for number, level in enumerate(levels):
             epsilon = level**2
             limit = int(ANNEALING_SHARE * self._max_iter)
-            precise = self._needs_more(epsilon, LEVEL_TOLERANCE)
+            precise = needs_more(self.problem, self.precision, epsilon, LEVEL_TOLERANCE)
             reached = self._climb(g, epsilon, LEVEL_TOLERANCE, limit, precise).g
             g = reached
             if before is not None:
@@ -154,19 +154,10 @@ class Ascent:
             level /= ANNEALING
         return levels[::-1]
 
-    def _needs_more(self, epsilon: float, tol: float) -> bool:
-        """Whether float32 exponents are too coarse for a tolerance, and better ones allowed."""
-        if self.precision != "auto":
-            return self.precision == "float64"
-        operations = self.problem.operations
-        if operations.exponent_roundoff == operations.precise_roundoff:
-            return True
-        return self.problem.rounding(epsilon, precise=False) > 0.25 * tol
-
     def _last_level(self, g: Array) -> None:
         """Climb in float32 as far as it goes, then precisely."""
         epsilon, limit = self._blur**2, self._max_iter
-        self.precise = self._needs_more(epsilon, self.tol)
+        self.precise = needs_more(self.problem, self.precision, epsilon, self.tol)
         operations = self.problem.operations
         if self.precision != "auto" or operations.exponent_roundoff == operations.precise_roundoff:
             reached = self._climb(g, epsilon, self.tol, limit, self.precise)
@@ -234,6 +225,7 @@ class Ascent:
                 mass = float(problem.row_mass(f, t_rows, epsilon).sum())
                 dual = problem.dual(f, g_shifted, mass, epsilon)
                 slack = 1e-12 * abs(floor) + 1e-2 * rounding * epsilon * mass
+                slack += problem.truncation_error * epsilon * mass
                 if not dual >= floor - slack:
                     g, fallback = fallback, None
                     memory.rejected()
@@ -246,7 +238,7 @@ class Ascent:
             first = first or residual
             since_best = 0 if residual < 0.9 * best else since_best + 1
             best = min(best, residual)
-            self._tell(self._done + self._level_share * _share(first, best, tol))
+            self._tell(self._done + self._level_share * share_done(first, best, tol))
             stalled = since_best >= STALLED and residual <= rounding
             if residual <= tol or stalled or self.n_iter >= limit:
                 self.status = "max_iter"
@@ -264,8 +256,18 @@ class Ascent:
             g, fallback = (image, None) if guess is None else (guess, image)
 
 
-def _share(first: float, residual: float, tol: float) -> float:
+def share_done(first: float, residual: float, tol: float) -> float:
     """Share done, as residuals fall geometrically."""
     if residual <= tol or first <= tol:
         return 1.0
     return float(np.clip(np.log(first / residual) / np.log(first / tol), 0.0, 1.0))
+
+
+def needs_more(problem: Problem, precision: str, epsilon: float, tol: float) -> bool:
+    """Whether float32 exponents are too coarse for a tolerance, and better ones allowed."""
+    if precision != "auto":
+        return precision == "float64"
+    operations = problem.operations
+    if operations.exponent_roundoff == operations.precise_roundoff:
+        return True
+    return problem.rounding(epsilon, precise=False) > 0.25 * tol

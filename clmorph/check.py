@@ -157,11 +157,31 @@ def check(operations: Operations) -> Iterator[Finding]:
             error = float(np.abs(got - want).max() / unit)
             kind = "precise " * len(options) + name
             yield Finding(f"{kind}, blur {blur:g}", error, tolerance, "nats")
+        yield _check_near(operations, ours, pair, g, exact.softmin(*theirs, g, epsilon), blur)
     yield _check_plan(operations, exact, ours, theirs, pair)
     yield from _check_rows(operations, exact, pair)
     yield from _check_splats(operations, exact)
     yield from _check_own_widths(operations, exact)
     yield _check_morph(operations)
+
+
+def _check_near(
+    operations: Operations,
+    ours: tuple[Any, Any],
+    pair: tuple[Cloud, Cloud],
+    g: Float64,
+    want: Float64,
+    blur: float,
+) -> Finding:
+    """Check that near pairs leave out no more than they say, nor than they may."""
+    epsilon, budget = blur**2, 1e-4
+    near = operations.near_pairs(*ours, g, want, epsilon, budget)
+    tolerance = log_sum_exp_tolerance(operations, *pair, epsilon)
+    excess = [float(near.skipped.max() - 1.5 * budget)]
+    for got in (near.softmin, operations.softmin(*ours, g, epsilon, False, near)):
+        missing = (got - want) / epsilon
+        excess += [float((missing - near.skipped).max()), float(-missing.min())]
+    return Finding(f"near_pairs, blur {blur:g}", max(0.0, *excess), tolerance, "nats")
 
 
 def _check_plan(

@@ -42,6 +42,21 @@ class Bins(NamedTuple):
     order: NDArray[np.int64]  #: (K,) particles by bin; inside a bin in their own order
 
 
+class NearPairs(NamedTuple):
+    """The pairs of two clouds that matter, as `Operations.near_pairs` found them.
+
+    What is left out is known: a row's sum over all columns is at most 1 + `skipped` times that
+    over these pairs, for the potential and epsilon that they were found for.
+    """
+
+    pairs: Any  #: the backend's own
+    softmin: Float64  #: (N,) T(g) over these pairs, or over some more; cost units
+    skipped: Float64  #: (N,) above 0 where anything is left out
+    n_pairs: int  #: pairs that are visited
+    n_columns: int  #: most columns of a row
+    largest: float  #: largest cost among them, cost units
+
+
 class Operations(Protocol):
     """What a backend does. Clouds, particles and splats are the backend's own handles."""
 
@@ -79,6 +94,7 @@ class Operations(Protocol):
         potential: Float64,
         epsilon: float,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> Float64:
         """Return the soft minimum of cost minus potential, T(g) of the paper's section 3.1.
 
@@ -91,13 +107,45 @@ class Operations(Protocol):
         epsilon : float, cost units
         precise : bool
             Form exponents in more than float32, at about half the speed.
+        near : NearPairs, optional
+            Sum over these pairs only.
 
         Returns
         -------
         (N,) array, cost units
         """
 
-    def row_maxima(self, rows: Any, columns: Any, potential: Float64, epsilon: float) -> Float64:
+    def near_pairs(
+        self,
+        rows: Any,
+        columns: Any,
+        potential: Float64,
+        softmin: Float64,
+        epsilon: float,
+        budget: float,
+    ) -> NearPairs:
+        """Find the pairs that matter for the rows' sums.
+
+        Parameters
+        ----------
+        rows, columns : clouds of N and M points
+        potential : (M,) array, cost units
+        softmin : (N,) array, cost units
+            T(potential), or a guess at it: the better it is the fewer pairs are left, and the
+            nearer `skipped` comes to the budget; that it bounds what is left out holds always.
+        epsilon : float, cost units
+        budget : float
+            The share of a row's sum that may be left out.
+        """
+
+    def row_maxima(
+        self,
+        rows: Any,
+        columns: Any,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
+    ) -> Float64:
         """Return max_j [(g_j - C_ij) / epsilon + log b_j]: (N,) array, in nats."""
 
     def count_plan_rows(
@@ -154,6 +202,7 @@ class Operations(Protocol):
         softmin: Float64,
         epsilon: float,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> tuple[Float64, Float64]:
         """Return mean and covariance of each row's destinations, over the whole plan.
 
@@ -164,9 +213,9 @@ class Operations(Protocol):
         rows, columns : clouds of N and M points in D dimensions
         g : (M,) array, cost units
         softmin : (N,) array, cost units
-            T(g), by `softmin` with the same `precise`.
+            T(g), by `softmin` with the same `precise` and `near`.
         epsilon : float, cost units
-        precise : bool
+        precise, near
             As in `softmin`.
 
         Returns
@@ -184,6 +233,7 @@ class Operations(Protocol):
         epsilon: float,
         thresholds: Float64,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> NDArray[np.int32]:
         """Return columns drawn from each plan row, pi_ij / (pi 1)_i: (N, k) array.
 
@@ -192,7 +242,7 @@ class Operations(Protocol):
 
         Parameters
         ----------
-        rows, columns, g, softmin, epsilon, precise
+        rows, columns, g, softmin, epsilon, precise, near
             As in `plan_moments`.
         thresholds : (N, k) array
             Within [0, 1), ascending in each row.

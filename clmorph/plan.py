@@ -14,6 +14,7 @@ from clmorph.errors import InputError, PlanSizeError
 from clmorph.operations import PlanRows
 from clmorph.points import MeasureLike, as_pair
 from clmorph.potentials import Potentials
+from clmorph.softmins import plan_softmin
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -153,7 +154,9 @@ def transport_plan(
     """Build the plan of potentials, in streaming: never a dense one.
 
     log pi_ij = (f_i + g_j - C_ij) / epsilon + log a_i + log b_j (Eq. 2). Pairs are counted
-    first and then written, each row at its own place.
+    first and then written, each row at its own place. Where many pairs are to be sought, parts
+    of the plan that provably hold none above its threshold are not looked at; where potentials
+    come with a truncation, largest pairs are sought, and row masses summed, with that as well.
 
     Parameters
     ----------
@@ -200,7 +203,8 @@ def transport_plan(
     with np.errstate(divide="ignore"):
         log_a, log_b = np.log(source.weights), np.log(target.weights)
     with np.errstate(over="ignore"):
-        softmin = operations.softmin(rows, columns, g, epsilon, potentials.precise)
+        to_rows = plan_softmin(operations, (rows, columns), (source, target), potentials)
+        softmin = to_rows(g, epsilon, potentials.precise)
         whole = np.exp((f - softmin) / epsilon + log_a)
     total = float(whole.sum())
     if not total <= 1e3 * max(source.mass, target.mass):
@@ -213,13 +217,22 @@ def transport_plan(
         tau = check_number("log_threshold", log_threshold, -1e4, 1e4)
         row_thresholds, column_thresholds = np.full(len(f), tau), np.full(len(g), np.inf)
     else:
-        row_maxima = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon + log_a
+        row_maxima = operations.row_maxima(rows, columns, g, epsilon, to_rows.near)
+        row_maxima += f / epsilon + log_a
         row_thresholds = row_maxima + np.log(relative)
         if relative_to == "plan":
             row_thresholds[:] = row_thresholds.max()
             column_thresholds = np.full(len(g), np.inf)
         else:
-            column_maxima = operations.row_maxima(columns, rows, f, epsilon) + g / epsilon + log_b
+            near = None
+            if potentials.truncation is not None:
+                to_columns = plan_softmin(
+                    operations, (columns, rows), (target, source), potentials.swapped()
+                )
+                to_columns(f, epsilon)
+                near = to_columns.near
+            column_maxima = operations.row_maxima(columns, rows, f, epsilon, near)
+            column_maxima += g / epsilon + log_b
             column_thresholds = column_maxima + np.log(relative)
     arguments = rows, columns, f, g, epsilon, row_thresholds, column_thresholds, potentials.precise
     counts = operations.count_plan_rows(*arguments)

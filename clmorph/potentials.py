@@ -1,6 +1,6 @@
 """What a transport solver returns."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -50,6 +50,14 @@ class Potentials:
         Bounds and marginals that follow from these potentials.
     precise : bool
         Whether the last iterations needed more than float32 exponents.
+    truncation : float or None
+        What pairs could be left out for, see `clmorph.sinkhorn`; None: nothing was.
+    truncation_error : float
+        By how many nats the logarithms of the last row and column sums can be too small for what
+        was left out: a proven bound. It is part of `residual`, `primal` and `dual`; `row_mass`,
+        `column_mass` and `transported_mass` can be too small by this share.
+    visited : float
+        Share of all pairs of points that the last softmins summed.
     """
 
     f: Array
@@ -63,6 +71,9 @@ class Potentials:
     residuals: Array
     certificate: Certificate
     precise: bool = False
+    truncation: float | None = None
+    truncation_error: float = 0.0
+    visited: float = 1.0
 
     def __repr__(self) -> str:
         return f"<Potentials for {len(self.f)} and {len(self.g)} points, {self.message}>"
@@ -83,6 +94,14 @@ class Potentials:
         if isinstance(self.reach, tuple):
             return tuple(np.inf if reach is None else reach**2 for reach in self.reach)
         return np.inf if self.reach is None else self.reach**2
+
+    def swapped(self) -> "Potentials":
+        """Return the same seen from the target."""
+        reach = self.reach[::-1] if isinstance(self.reach, tuple) else self.reach
+        certificate = self.certificate._replace(
+            row_mass=self.column_mass, column_mass=self.row_mass
+        )
+        return replace(self, f=self.g, g=self.f, reach=reach, certificate=certificate)
 
     @property
     def primal(self) -> float:

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.errors import InputError
-from clmorph.operations import Operations, rounding_error
+from clmorph.operations import Operations
 from clmorph.points import AnyMeasure
+from clmorph.softmins import Softmin
 
 Array = NDArray[np.float64]
 
@@ -57,6 +57,8 @@ class Problem:
     source, target : Measure or WeightedPoints
     rho : (rho_source, rho_target)
         Cost units; infinite is balanced.
+    truncation : float, optional
+        See `clmorph.softmins.Softmin`.
     """
 
     def __init__(
@@ -65,16 +67,19 @@ class Problem:
         source: AnyMeasure,
         target: AnyMeasure,
         rho: tuple[float, float],
+        truncation: float | None = None,
     ) -> None:
         self.operations = operations
-        self._rows = operations.upload(source.points, source.weights, source.offsets)
-        self._columns = self._rows
+        self.rows = operations.upload(source.points, source.weights, source.offsets)
+        self.columns = self.rows
         if target is not source:
-            self._columns = operations.upload(target.points, target.weights, target.offsets)
+            self.columns = operations.upload(target.points, target.weights, target.offsets)
         self.a, self.b = source.weights, target.weights
+        self.to_rows = Softmin(operations, self.rows, self.columns, (self.a, self.b), truncation)
+        self.to_columns = Softmin(operations, self.columns, self.rows, (self.b, self.a), truncation)
         with np.errstate(divide="ignore"):
             self.log_a, self.log_b = np.log(self.a), np.log(self.b)
-        self.rho = rho
+        self.rho, self.truncation = rho, truncation
         #: 1 / rho, 0 if balanced: with it one infinite rho is harmless.
         self.inverse_rho = tuple(0.0 if np.isinf(value) else 1.0 / value for value in rho)
         self.masses = float(self.a.sum()), float(self.b.sum())
@@ -89,17 +94,29 @@ class Problem:
     def softmin_rows(self, g: Array, epsilon: float, precise: bool) -> Array:
         """T(g): (N,) array."""
         self.n_softmin += 1
-        return _finite(self.operations.softmin(self._rows, self._columns, g, epsilon, precise))
+        return self.to_rows(g, epsilon, precise)
 
     def softmin_columns(self, f: Array, epsilon: float, precise: bool) -> Array:
         """T(f): (M,) array."""
         self.n_softmin += 1
-        return _finite(self.operations.softmin(self._columns, self._rows, f, epsilon, precise))
+        return self.to_columns(f, epsilon, precise)
+
+    @property
+    def truncation_error(self) -> float:
+        """By how many nats the sums of the last softmins can be too small."""
+        return max(self.to_rows.error, self.to_columns.error)
+
+    @property
+    def visited(self) -> float:
+        """Share of all pairs that the last softmins summed, the mean of both."""
+        return 0.5 * (self.to_rows.visited + self.to_columns.visited)
 
     def rounding(self, epsilon: float, precise: bool) -> float:
         """By how many nats a softmin may be off."""
-        columns = max(len(self.a), len(self.b))
-        return rounding_error(self.operations, columns, self.largest_cost / epsilon, precise)
+        return max(
+            self.to_rows.rounding(len(self.b), self.largest_cost, epsilon, precise),
+            self.to_columns.rounding(len(self.a), self.largest_cost, epsilon, precise),
+        )
 
     def update_f(self, g: Array, t_rows: Array, epsilon: float) -> tuple[Array, Array, Array]:
         """Maximize the dual over all (f, g + s), given T(g): return f, g + s and its softmin.
@@ -133,11 +150,15 @@ class Problem:
     def residual(
         self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float
     ) -> float:
-        """max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon, over points of positive mass."""
+        """max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon, over points of positive mass.
+
+        With truncation a bound of it, for the softmins taken last.
+        """
         source, target = self.damping(epsilon)
+        # What is left out can only be missing from the sums behind the softmins.
         change_f = np.abs(f - source * t_rows)[self.a > 0]
         change_g = np.abs(g - target * t_columns)[self.b > 0]
-        return float(max(change_f.max(), change_g.max()) / epsilon)
+        return float(max(change_f.max(), change_g.max()) / epsilon) + self.truncation_error
 
     def row_mass(self, f: Array, t_rows: Array, epsilon: float) -> Array:
         """First marginal of the plan of (f, g), given T(g)."""
@@ -165,7 +186,12 @@ class Problem:
     def certificate(
         self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float
     ) -> Certificate:
-        """Return what T(g) and T(f) prove about (f, g)."""
+        """Return what T(g) and T(f) prove about (f, g).
+
+        With truncation masses can be up to a factor exp(truncation_error) larger; dual and
+        primal are then the least and the greatest that this leaves possible.
+        """
+        missing = self.truncation_error
         rows = self.row_mass(f, t_rows, epsilon)
         columns = self.column_mass(g, t_columns, epsilon)
         plan_mass = float(rows.sum())
@@ -179,26 +205,31 @@ class Problem:
                 # rho KL(pi 1 | a exp(-f / rho)), term by term
                 excess = (potential - softmin) / epsilon + potential * inverse
                 limit = np.exp(np.minimum(-potential * inverse, MAX_EXPONENT)) * weights
-                excess = np.clip(excess, -MAX_EXPONENT, MAX_EXPONENT)
-                terms = excess * np.exp(excess) - np.expm1(excess)
+                terms = _kl_terms(excess)
+                if missing:
+                    terms = np.maximum(terms, _kl_terms(excess + missing))
                 gap += inner(limit, np.maximum(terms, 0.0)) / inverse
             else:
                 primal += inner(marginal - weights, potential)
                 marginal_error += float(np.abs(marginal - weights).sum())
+                if missing:
+                    more = np.expm1(missing) * marginal
+                    primal += inner(more, np.abs(potential))
+                    marginal_error += float(more.sum())
         balanced = not any(self.inverse_rho)
+        primal += gap
+        if missing:
+            dual = self.dual(f, g, plan_mass * np.exp(missing), epsilon)
+            gap = primal - dual
         return Certificate(
-            primal + gap, dual, None if balanced else gap, marginal_error, rows, columns, plan_mass
+            primal, dual, None if balanced else gap, marginal_error, rows, columns, plan_mass
         )
 
 
-def _finite(softmin: Array) -> Array:
-    """Return a softmin if it is finite; float32 ends before float64 does."""
-    if np.all(np.isfinite(softmin)):
-        return softmin
-    raise InputError(
-        "points are too far apart for this blur on this device, whose float32 overflows: raise "
-        "blur, scale the points, or use backend='numpy'"
-    )
+def _kl_terms(excess: Array) -> Array:
+    """Return x e^x - e^x + 1, which grows with |x|."""
+    excess = np.clip(excess, -MAX_EXPONENT, MAX_EXPONENT)
+    return excess * np.exp(excess) - np.expm1(excess)
 
 
 def inner(x: Array, y: Array) -> float:

@@ -16,6 +16,7 @@ from clmorph.operations import Operations
 from clmorph.plan import Plan
 from clmorph.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.potentials import Potentials
+from clmorph.softmins import Softmin, plan_softmin
 
 Array = NDArray[np.float64]
 
@@ -66,6 +67,8 @@ def sample_plan(
 ) -> Plan:
     """Draw targets from each row of a plan, in streaming and without bias.
 
+    Where potentials come with a truncation, what it leaves out is never drawn.
+
     Each draw carries the same share of its row's mass. Thresholds are stratified: draw s falls
     into the s-th of equal parts of the row, so that few draws already spread as the row does.
 
@@ -94,15 +97,16 @@ def sample_plan(
     source, target = as_pair(source, target)
     draws = check_integer("draws", draws, 1, MAX_DRAWS)
     seed = check_integer("seed", seed, 0, 2**63)
-    operations, clouds, softmin = _rows(source, target, potentials, backend)
+    operations, clouds, to_rows, softmin = _rows(source, target, potentials, backend)
     whole = _row_mass(source.weights, potentials, softmin)
     rng = np.random.default_rng(seed)
     thresholds = (np.arange(draws) + rng.random((len(source), draws))) / draws
     # Dividing can round up to 1.
     thresholds = np.minimum(thresholds, np.nextafter(1.0, 0.0))
     columns = operations.sample_plan_rows(
-        *clouds, potentials.g, softmin, potentials.epsilon, thresholds, potentials.precise
-    )
+        *clouds, potentials.g, softmin, potentials.epsilon, thresholds, potentials.precise,
+        to_rows.near,
+    )  # fmt: skip
     rows = np.repeat(np.arange(len(source)), draws)
     mass = np.repeat(whole / draws, draws)
     shape = (len(source), len(target))
@@ -118,6 +122,8 @@ def barycentric_plan(
     source: Measure, target: Measure, potentials: Potentials, *, backend: Backend = "auto"
 ) -> Barycentric:
     """Compute mean and covariance of every pixel's destination, in streaming, nothing pruned.
+
+    Where potentials come with a truncation, what it leaves out is left out here too.
 
     Parameters
     ----------
@@ -144,10 +150,13 @@ def barycentric_plan(
             )
     pair = as_pair(source, target)
     to_colors = destination_colors(source, target)
-    operations, clouds, softmin = _rows(*pair, potentials, backend)
+    operations, clouds, to_rows, softmin = _rows(*pair, potentials, backend)
     epsilon, precise = potentials.epsilon, potentials.precise
-    mean, covariance = operations.plan_moments(*clouds, potentials.g, softmin, epsilon, precise)
-    columns = operations.softmin(*clouds[::-1], potentials.f, epsilon, precise)
+    mean, covariance = operations.plan_moments(
+        *clouds, potentials.g, softmin, epsilon, precise, to_rows.near
+    )
+    to_columns = plan_softmin(operations, clouds[::-1], pair[::-1], potentials.swapped())
+    columns = to_columns(potentials.f, epsilon, precise)
     with np.errstate(divide="ignore"):
         column_mass = np.exp((potentials.g - columns) / epsilon + np.log(target.weights))
     return Barycentric(
@@ -182,8 +191,8 @@ def destination_colors(source: Measure, target: Measure) -> Callable[[Array], Ar
 
 def _rows(
     source: AnyMeasure, target: AnyMeasure, potentials: Potentials, backend: Backend
-) -> tuple[Operations, tuple[Any, Any], Array]:
-    """Return the operations, the uploaded clouds and T(g)."""
+) -> tuple[Operations, tuple[Any, Any], Softmin, Array]:
+    """Return the operations, the uploaded clouds, what takes T(g), and T(g)."""
     sizes = len(potentials.f), len(potentials.g)
     if sizes != (len(source), len(target)):
         raise InputError(
@@ -195,8 +204,9 @@ def _rows(
         operations.upload(source.points, source.weights, source.offsets),
         operations.upload(target.points, target.weights, target.offsets),
     )
-    softmin = operations.softmin(*clouds, potentials.g, potentials.epsilon, potentials.precise)
-    return operations, clouds, softmin
+    to_rows = plan_softmin(operations, clouds, (source, target), potentials)
+    softmin = to_rows(potentials.g, potentials.epsilon, potentials.precise)
+    return operations, clouds, to_rows, softmin
 
 
 def _row_mass(weights: Array, potentials: Potentials, softmin: Array) -> Array:

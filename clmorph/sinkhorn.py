@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph import defaults, geomloss_schedule
-from clmorph.ascent import Ascent
+from clmorph.ascent import SHORT, Ascent, State
 from clmorph.backends import Backend, get_backend
 from clmorph.checks import check_choice, check_integer, check_number
 from clmorph.errors import ConvergenceWarning, DeviceError, InputError
+from clmorph.multiscale import MANY_PAIRS, Multiscale
 from clmorph.operations import Operations
 from clmorph.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.potentials import Potentials
@@ -25,6 +26,8 @@ Progress = Callable[[float], None]
 
 METHODS = ("certified", "geomloss")
 PRECISIONS = ("auto", "float32", "float64")
+#: Or a bool.
+MULTISCALE = ("auto",)
 #: Relative difference of masses up to which balanced transport is feasible.
 MASS_TOLERANCE = 1e-6
 #: Largest cost and largest rho, in units of epsilon: potentials are of their size, and beyond
@@ -48,6 +51,9 @@ def sinkhorn(
     precision: str = "auto",
     start: Potentials | None = None,
     progress: Progress | None = None,
+    multiscale: bool | str = "auto",
+    truncation: float | str | None = "auto",
+    verify: bool = False,
 ) -> Potentials:
     """Solve unbalanced entropic optimal transport between two measures.
 
@@ -86,6 +92,16 @@ def sinkhorn(
         Of a similar problem with as many points: where to begin, instead of annealing.
     progress : callable, optional
         Called now and then with the share done.
+    multiscale : {"auto", True, False}
+        Whether to solve through coarser problems (`clmorph.multiscale`); "auto" does with
+        2^27 pairs of points or more. `n_iter` counts the iterations over the points.
+    truncation : float, "auto" or None
+        Far pairs are left out of the sums as long as this provably lowers no row's or column's
+        logarithm by more than so many nats; `truncation_error` says what was left out at most.
+        "auto": tol / 10 with 2^27 pairs or more, else None, which leaves out nothing.
+    verify : bool
+        With truncation: take the last two softmins once more, over all pairs. The residual and
+        the certificate are then those without truncation.
 
     Returns
     -------
@@ -104,17 +120,26 @@ def sinkhorn(
         If the residual does not reach `tol`.
     """
     given = strengths(blur, reach, epsilon, rho)
-    check_solver_options(tol, max_iter, method, scaling, precision)
+    check_solver_options(tol, max_iter, method, scaling, precision, multiscale)
     pair = as_pair(source, target)
     operations = get_backend(backend)
     check_problem(*pair, given, operations, precision)
-    problem = Problem(operations, *pair, given.rho)
+    many = len(pair[0]) * len(pair[1]) >= MANY_PAIRS
+    limit = choose_truncation(truncation, float(tol), many)
+    problem = Problem(operations, *pair, given.rho, None if method == "geomloss" else limit)
     report = progress or (lambda share: None)
     if method == "geomloss":
         return _geomloss(problem, given, float(scaling), float(tol), precision, report)
-    ascent = Ascent(problem, given.blur, float(tol), int(max_iter), precision, report)
+    ascent: Ascent | Multiscale
+    options = given.blur, float(tol), int(max_iter), precision, report
+    if multiscale is True or (multiscale == "auto" and many and max_iter >= SHORT):
+        ascent = Multiscale(problem, pair, *options)
+    else:
+        ascent = Ascent(problem, *options)
     ascent.run(None if start is None else _start(start, problem))
-    return _finish(ascent, given)
+    if verify and limit is not None:
+        _take_all_pairs(ascent, given.epsilon)
+    return _finish(ascent, given, limit)
 
 
 def check_solver_options(
@@ -123,6 +148,7 @@ def check_solver_options(
     method: Any = "certified",
     scaling: Any = defaults.SCALING,
     precision: Any = "auto",
+    multiscale: Any = "auto",
 ) -> None:
     """Check options of `sinkhorn` without doing any of its work.
 
@@ -136,6 +162,28 @@ def check_solver_options(
     check_choice("method", method, METHODS)
     check_number("scaling", scaling, 0.01, 0.999)
     check_choice("precision", precision, PRECISIONS)
+    if not isinstance(multiscale, bool):
+        check_choice("multiscale", multiscale, MULTISCALE)
+
+
+def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
+    """Return what pairs may be left out for, in nats; None for nothing."""
+    if truncation == "auto" and isinstance(truncation, str):
+        return 0.1 * tol if many else None
+    return None if truncation is None else check_number("truncation", truncation, 1e-9, 0.1)
+
+
+def _take_all_pairs(ascent: Ascent | Multiscale, epsilon: float) -> None:
+    """Replace the last softmins by such over all pairs."""
+    problem, state = ascent.problem, ascent.state
+    for softmin in (problem.to_rows, problem.to_columns):
+        softmin.release()
+    t_rows = problem.to_rows(state.g, epsilon, ascent.precise)
+    t_columns = problem.to_columns(state.f, epsilon, ascent.precise)
+    residual = problem.residual(state.f, state.g, t_rows, t_columns, epsilon)
+    ascent.state = State(state.f, state.g, t_rows, t_columns, residual)
+    if residual > ascent.tol and ascent.status == "converged":
+        ascent.status = "precision"
 
 
 def check_problem(
@@ -221,7 +269,7 @@ def _geomloss(
     )  # fmt: skip
 
 
-def _finish(ascent: Ascent, given: Strengths) -> Potentials:
+def _finish(ascent: Ascent | Multiscale, given: Strengths, truncation: float | None) -> Potentials:
     """Put the result together, and warn if it is not what was asked for."""
     problem, state = ascent.problem, ascent.state
     reached = f"residual {state.residual:.1e} epsilon"
@@ -237,7 +285,7 @@ def _finish(ascent: Ascent, given: Strengths) -> Potentials:
         state.f, state.g, given.blur, given.reach, ascent.status, message, ascent.n_iter,
         state.residual, np.array(ascent.residuals),
         problem.certificate(state.f, state.g, state.t_rows, state.t_columns, given.epsilon),
-        ascent.precise,
+        ascent.precise, truncation, problem.truncation_error, problem.visited,
     )  # fmt: skip
 
 

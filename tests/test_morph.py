@@ -145,7 +145,7 @@ def test_public_signatures_are_mirrored():
         beyond = set(ours) - set(theirs)
         assert beyond <= {
             "backend", "progress", "relative", "log_threshold", "splatting", "method", "scaling",
-            "precision", "start", "relative_to", "max_bytes",
+            "precision", "start", "relative_to", "max_bytes", "multiscale", "truncation", "verify",
             "barycentric", "sample", "seed", "sigma", "endpoints", "mass", "weights",
             "color_space", "color_metric", "path_space", "ease",
             "solve_size", "max_memory", "max_particles",

@@ -31,7 +31,7 @@ def _potential(rng, n, epsilon):
 def test_twins_have_the_protocols_signatures():
     names = [name for name in vars(Operations) if not name.startswith("_")]
     operations = [name for name in names if callable(getattr(Operations, name, None))]
-    assert len(operations) == 15
+    assert len(operations) == 16
     for name in operations:
         wanted = list(inspect.signature(getattr(Operations, name)).parameters)
         for backend in (NumPyOperations, OpenCLOperations):
@@ -104,6 +104,113 @@ def test_launches_are_cut_without_changing_a_bit(variant, rng):
     assert np.array_equal(whole, cut)
 
 
+@pytest.mark.parametrize("guessed", [True, False])
+@pytest.mark.parametrize("budget", [1e-7, 1e-4, 0.05])
+@pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("name", PAIRS)
+def test_near_pairs(variant, rng, name, blur, budget, guessed):
+    """What is left out is within what is said of it, and that within the budget."""
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    exact = _upload(REFERENCE, pair)
+    f = _potential(rng, len(pair[0][0]), epsilon)
+    g = REFERENCE.softmin(exact[1], exact[0], f, epsilon)
+    whole = REFERENCE.softmin(*exact, g, epsilon)
+    guess = whole + epsilon * (0.5 * rng.normal(size=len(whole)) if guessed else 0.0)
+    tolerance = log_sum_exp_tolerance(variant, *pair, epsilon)
+    for backend, rounding in ((variant, tolerance), (REFERENCE, 1e-9)):
+        clouds = _upload(backend, pair)
+        near = backend.near_pairs(*clouds, g, guess, epsilon, budget)
+        assert near.skipped.min() >= 0
+        assert near.n_pairs >= len(f) * len(g) or near.skipped.max() > 0
+        assert near.skipped.max() <= (30 if guessed else 1.5) * budget
+        assert len(f) <= near.n_pairs
+        softmin = backend.softmin(*clouds, g, epsilon, False, near)
+        precise = backend.softmin(*clouds, g, epsilon, True, near)
+        for values in (near.softmin, softmin, precise):
+            missing = (values - whole) / epsilon
+            assert missing.min() >= -rounding
+            assert np.all(missing <= near.skipped + rounding)
+        less = (softmin - near.softmin) / epsilon
+        assert less.min() >= -2 * rounding
+        assert np.all(less <= near.skipped + 2 * rounding)
+        maxima = backend.row_maxima(*clouds, g, epsilon, near)
+        largest = REFERENCE.row_maxima(*exact, g, epsilon)
+        sums = -whole / epsilon
+        shares = np.exp(np.maximum(maxima, largest) - sums)
+        assert np.all((np.abs(maxima - largest) <= rounding) | (shares <= 1.1 * near.skipped))
+
+
+def test_near_pairs_leave_out_most_of_far_clusters(variant, rng):
+    """Four clusters, as far apart as mass does not go: a quarter of the pairs is left."""
+    middles = 3.0 * np.arange(4)[:, None, None]
+    x, y = ((middles + 0.1 * rng.random((4, 256, 5))).reshape(-1, 5) for _ in range(2))
+    clouds = [variant.upload(points, np.full(1024, 1 / 1024)) for points in (x, y)]
+    g = np.zeros(1024)
+    whole = variant.softmin(*clouds, g, 0.0025)
+    near = variant.near_pairs(*clouds, g, whole, 0.0025, 1e-4)
+    assert near.n_pairs <= 1024**2 / 4
+    assert near.n_columns <= 256
+
+
+def test_a_hopeless_guess_is_told(variant, rng):
+    """Far too small a sum guessed for: everything looks large, and nothing is left out."""
+    pair = PAIRS["random"](rng)
+    clouds, epsilon = _upload(variant, pair), 0.01
+    g = np.zeros(403)
+    whole = variant.softmin(*clouds, g, epsilon)
+    high = variant.near_pairs(*clouds, g, whole + 400 * epsilon, epsilon, 1e-4)
+    assert high.n_pairs >= 257 * 403
+    few = 400 * (np.arange(257) % 50 == 0)
+    for guess in (whole - 400 * epsilon, whole + epsilon * few, whole - epsilon * few):
+        near = variant.near_pairs(*clouds, g, guess, epsilon, 1e-4)
+        assert np.all(np.isfinite(near.softmin))
+        softmin = variant.softmin(*clouds, g, epsilon, False, near)
+        rounding = log_sum_exp_tolerance(variant, *pair, epsilon)
+        assert np.all((softmin - whole) / epsilon <= near.skipped + rounding)
+
+
+@pytest.mark.parametrize("precise", [False, True])
+def test_near_launches_are_cut_without_changing_a_bit(variant, rng, precise):
+    pair = [(rng.random((n, 5)), np.full(n, 1 / n)) for n in (700, 900)]
+    clouds, g = _upload(variant, pair), rng.random(900)
+    guess = variant.softmin(*clouds, g, 0.01)
+    budget = variant.reductions._budget
+    results = []
+    for pairs in (1 << 40, 1):
+        budget._pairs = pairs
+        near = variant.near_pairs(*clouds, g, guess, 0.01, 1e-3)
+        budget._pairs = pairs
+        results.append(
+            [near.softmin, near.skipped, variant.softmin(*clouds, g, 0.01, precise, near)]
+        )
+    assert all(np.array_equal(*both) for both in zip(*results, strict=True))
+
+
+@pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("name", PAIRS)
+def test_moments_and_draws_over_near_pairs(variant, rng, name, blur):
+    """Over near pairs that leave out next to nothing they are those over all."""
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    clouds = _upload(variant, pair)
+    g = _potential(rng, len(pair[1][0]), epsilon)
+    softmin = variant.softmin(*clouds, g, epsilon, True)
+    near = variant.near_pairs(*clouds, g, softmin, epsilon, 1e-8)
+    over_all = variant.plan_moments(*clouds, g, softmin, epsilon, True)
+    over_near = variant.plan_moments(*clouds, g, softmin, epsilon, True, near)
+    tolerance = UNIT * (32 + 4 * np.sqrt(len(g)))
+    size = 1.0 + max(np.abs(points).max() for points, _ in pair)
+    for got, want, scale in zip(over_near, over_all, (size, 8 * size**2), strict=True):
+        assert np.abs(got - want).max() <= 2 * (tolerance + 1e-7) * scale
+    thresholds = np.tile([0.1, 0.5, 0.9], (len(softmin), 1))
+    draws = variant.sample_plan_rows(*clouds, g, softmin, epsilon, thresholds, True, near)
+    assert draws.min() >= 0
+    assert np.all(pair[1][1][draws] > 0)
+    want = variant.sample_plan_rows(*clouds, g, softmin, epsilon, thresholds, True)
+    assert np.mean(draws != want) <= 0.01
+
+
 @pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
 @pytest.mark.parametrize("name", PAIRS)
 def test_plan_rows(variant, rng, name, blur):
@@ -141,6 +248,41 @@ def test_plan_rows(variant, rng, name, blur):
     for row in range(len(f)):
         columns = got.indices[got.indptr[row] : got.indptr[row + 1]]
         assert np.all(np.diff(columns) > 0)
+
+
+@pytest.mark.parametrize("precise", [False, True])
+@pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("name", PAIRS)
+def test_plan_rows_by_lists_are_the_same(variant, monkeypatch, rng, name, blur, precise):
+    """Tiles without a pair above its threshold are left out, and nothing else."""
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    exact = _upload(REFERENCE, pair)
+    f = _potential(rng, len(pair[0][0]), epsilon)
+    g = REFERENCE.softmin(exact[1], exact[0], f, epsilon)
+    by_row = REFERENCE.row_maxima(*exact, g, epsilon) + f / epsilon + exact[0].log_weights
+    by_column = REFERENCE.row_maxima(*exact[::-1], f, epsilon) + g / epsilon
+    by_column += exact[1].log_weights
+    clouds = _upload(variant, pair)
+    infinite = np.full(len(g), np.inf)
+    for thresholds in (
+        (by_row + np.log(1e-3), by_column + np.log(1e-2)),
+        (np.full(len(f), by_row.max() - 5.0), infinite),
+        (np.full(len(f), np.inf), infinite),
+        (np.full(len(f), -np.inf), infinite),
+    ):
+        results = []
+        for smallest in (1 << 62, 0):
+            monkeypatch.setattr("clmorph.opencl.plan_reductions.LISTED_FROM", smallest)
+            counts = variant.count_plan_rows(*clouds, f, g, epsilon, *thresholds, precise)
+            rows = variant.plan_rows(*clouds, f, g, epsilon, *thresholds, precise, counts)
+            results.append((counts, *rows[:2]))
+            results[-1] += (np.log(np.maximum(rows.mass, 1e-290)),)
+        for all_of_it, listed in list(zip(*results, strict=True))[:-1]:
+            assert np.array_equal(all_of_it, listed)
+        # Where a row is measured from depends on what is listed.
+        difference = np.abs(results[0][-1] - results[1][-1]).max(initial=0.0)
+        assert difference <= 2 * log_sum_exp_tolerance(variant, *pair, epsilon, precise)
 
 
 def _dense(rows, n_columns):

@@ -51,6 +51,19 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         operations.softmin(columns, rows, f, 0.01, True),
         operations.row_maxima(rows, columns, g, 0.01),
     ]
+    for clouds, own, potential in (((rows, columns), f, g), ((columns, rows), g, f)):
+        guess = operations.softmin(*clouds, potential, 0.01)
+        near = operations.near_pairs(*clouds, potential, guess, 0.01, 1e-3)
+        results.append(np.array([float(near.skipped.max() <= 2e-3)]))
+        for precise in (False, True):
+            over_near = operations.softmin(*clouds, potential, 0.01, precise, near)
+            results.append(np.round((over_near - guess) / 0.01, 2) + 0.0)
+            results += operations.plan_moments(*clouds, potential, guess, 0.01, precise, near)
+        thresholds = np.tile([0.1, 0.4, 0.9], (len(own), 1))
+        draws = operations.sample_plan_rows(
+            *clouds, potential, guess, 0.01, thresholds, False, near
+        )
+        results.append(np.array([float(draws.min() >= 0 and draws.max() < len(potential))]))
     for precise in (False, True):
         kept = operations.plan_rows(
             rows, columns, f, g, 0.01, np.full(n, -9.0), np.full(m, np.inf), precise

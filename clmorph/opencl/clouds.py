@@ -32,6 +32,8 @@ class Cloud:
         Sorted; half the squared distance of each point to its tile's center, and its offset.
     stride : int
         N padded to whole tiles.
+    shifts : (tiles, tile, D) float32 array
+        Points less their tile's center; what pads the last tile repeats the last point.
     offsets_buffer : (2, D, stride) float32
         Points less their tile's center, and what that rounds off.
     centers_buffer : (tiles, D) float32
@@ -43,6 +45,7 @@ class Cloud:
     offsets: Float64
     own_costs: Float64
     stride: int
+    shifts: NDArray[np.float32]
     offsets_buffer: cl.Buffer
     centers_buffer: cl.Buffer
 
@@ -96,6 +99,7 @@ def make_cloud(
         offsets=added,
         own_costs=0.5 * np.sum(shifts[:n] ** 2, axis=1) + added,
         stride=n_tiles * tile,
+        shifts=shifts.astype(np.float32).reshape(n_tiles, tile, dimension),
         offsets_buffer=work.buffer(split(shifts.T)),
         centers_buffer=work.buffer(centers),
     )

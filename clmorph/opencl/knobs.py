@@ -11,6 +11,9 @@ from clmorph.operations import BASE_RUNG, RUNGS, RUNGS_PER_OCTAVE
 #: Stands for minus infinity in float32 exponents: far under any of them, yet the sum of
 #: a few is still finite. Exact in float32, so that it is the same number in any precision.
 SENTINEL = float(np.float32(-1e30))
+#: Log2 of the largest share of a tile that is told from larger ones, where a guess at the sum of
+#: a row was far too small; times a tile of points it is still a float32.
+LARGEST_SHARE = 110
 #: Particles of a bin whose moments are added up before they join the total.
 MOMENT_CHUNK = 1024
 #: Columns taken together where exponents fill two registers each.
@@ -57,12 +60,16 @@ class Knobs:
     tile_group: int
     slices_per_unit: int
 
-    def rows_constants(self, dimension: int, precise: bool = False) -> dict[str, int | float]:
+    def rows_constants(
+        self, dimension: int, precise: bool = False, listed: bool = False
+    ) -> dict[str, int | float]:
         """Return the macros of ``rows.cl``."""
         return {
             "DIM": dimension,
             "EXP2_BUILTIN": self.exp2_builtin,
             "GROUP": self.group,
+            "LARGEST_SHARE": LARGEST_SHARE,
+            "LISTED": int(listed),
             "PRECISE": self.precise if precise else 0,
             "SENTINEL": SENTINEL,
             "TILE": self.tile,

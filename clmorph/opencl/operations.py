@@ -17,7 +17,7 @@ from clmorph.opencl.particles import ParticleSet, Splats
 from clmorph.opencl.plan_reductions import PlanReductions
 from clmorph.opencl.splatting import Splatting
 from clmorph.opencl.tuning import tuned_knobs
-from clmorph.operations import Bins, Float32, Float64, PlanRows
+from clmorph.operations import Bins, Float32, Float64, NearPairs, PlanRows
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -102,16 +102,35 @@ class OpenCLOperations:
         potential: Float64,
         epsilon: float,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
-        return self.reductions.softmin(rows, columns, potential, epsilon, precise)
+        return self.reductions.softmin(rows, columns, potential, epsilon, precise, near)
+
+    @_operation
+    def near_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        softmin: Float64,
+        epsilon: float,
+        budget: float,
+    ) -> NearPairs:
+        """Find the pairs that matter for the rows' sums."""
+        return self.reductions.near_pairs(rows, columns, potential, softmin, epsilon, budget)
 
     @_operation
     def row_maxima(
-        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
     ) -> Float64:
         """Return max_j [(g_j - C_ij) / epsilon + log b_j], in nats."""
-        return self.reductions.row_maxima(rows, columns, potential, epsilon)
+        return self.reductions.row_maxima(rows, columns, potential, epsilon, near)
 
     @_operation
     def count_plan_rows(
@@ -157,9 +176,10 @@ class OpenCLOperations:
         softmin: Float64,
         epsilon: float,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> tuple[Float64, Float64]:
         """Return mean and covariance of each row's destinations."""
-        return self.reductions.plan_moments(rows, columns, g, softmin, epsilon, precise)
+        return self.reductions.plan_moments(rows, columns, g, softmin, epsilon, precise, near)
 
     @_operation
     def sample_plan_rows(
@@ -171,10 +191,11 @@ class OpenCLOperations:
         epsilon: float,
         thresholds: Float64,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> NDArray[np.int32]:
         """Return columns drawn from each plan row."""
         return self.reductions.sample_plan_rows(
-            rows, columns, g, softmin, epsilon, thresholds, precise
+            rows, columns, g, softmin, epsilon, thresholds, precise, near
         )
 
     # --- particles -----------------------------------------------------------------

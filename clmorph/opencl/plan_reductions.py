@@ -1,5 +1,6 @@
 """Reductions over the rows of a plan: pairs above a threshold, moments, draws."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -8,14 +9,18 @@ from numpy.typing import NDArray
 
 from clmorph.opencl.clouds import Cloud, pad, split, unsort
 from clmorph.opencl.knobs import SENTINEL
-from clmorph.opencl.reductions import LOG2_E, Reductions
-from clmorph.operations import Float64, PlanRows
+from clmorph.opencl.near import NearReductions, possible_pairs
+from clmorph.opencl.reductions import LOG2_E
+from clmorph.opencl.tile_pairs import TilePairs, column_bounds, row_bounds
+from clmorph.operations import Float64, NearPairs, PlanRows
 
 #: Thresholds of draws stay below row sums that rounding made a little less than 1.
 LARGEST_THRESHOLD = 1.0 - 1e-5
+#: From so many pairs on rows of plans are sought by lists of tiles.
+LISTED_FROM = 1 << 27
 
 
-class PlanReductions(Reductions):
+class PlanReductions(NearReductions):
     """The transport half of `OpenCLOperations`."""
 
     def count_plan_rows(
@@ -30,16 +35,20 @@ class PlanReductions(Reductions):
         precise: bool = False,
     ) -> NDArray[np.int64]:
         """Return how many pairs of each row `plan_rows` keeps."""
-        levels = self._plan_levels(rows, columns, f, g, epsilon)
-        shared = self._plan_buffers(rows, columns, levels, row_thresholds, column_thresholds)
-        kernel, tile = self._row_kernels(rows, precise)["count_plan_rows"], self._knobs.tile
+        arguments = rows, columns, f, g, epsilon, row_thresholds, column_thresholds
         counts = np.empty(rows.stride, np.int32)
-        for part in self._row_parts(rows, columns):
-            out = self._work.empty(len(part) * tile * 4)
-            self._launch_rows(
-                kernel, rows, columns, *levels[:4], part, *shared, out, precise=precise
-            )
-            cl.enqueue_copy(self._work.queue, counts[part.start * tile : part.stop * tile], out)
+        tile = self._knobs.tile
+        for within, pairs in self._plan_pairs(*arguments):
+            levels = self._plan_levels(rows, columns, f, g, epsilon, within, pairs)
+            shared = self._plan_buffers(rows, columns, levels, row_thresholds, column_thresholds)
+            kernel = self._row_kernels(rows, precise, pairs is not None)["count_plan_rows"]
+            for part in self._row_parts(rows, columns, pairs=pairs, within=within):
+                out = self._work.empty(len(part) * tile * 4)
+                self._launch_rows(
+                    kernel, rows, columns, *levels[:4], part, *shared, out,
+                    precise=precise, pairs=pairs,
+                )  # fmt: skip
+                cl.enqueue_copy(self._work.queue, counts[part.start * tile : part.stop * tile], out)
         return unsort(rows, counts[: len(rows)].astype(np.int64))
 
     def plan_rows(
@@ -58,30 +67,31 @@ class PlanReductions(Reductions):
         arguments = (rows, columns, f, g, epsilon, row_thresholds, column_thresholds, precise)
         if counts is None:
             counts = self.count_plan_rows(*arguments)
-        levels = self._plan_levels(rows, columns, f, g, epsilon)
-        shared = self._plan_buffers(rows, columns, levels, row_thresholds, column_thresholds)
-        kernel, tile = self._row_kernels(rows, precise)["fill_plan_rows"], self._knobs.tile
-        n = len(rows)
+        n, tile = len(rows), self._knobs.tile
         sorted_counts = np.zeros(rows.stride, np.int64)
         sorted_counts[:n] = counts[rows.order]
         indices, mass = [], []
-        for part in self._row_parts(rows, columns, sorted_counts):
-            in_part = sorted_counts[part.start * tile : part.stop * tile]
-            ends = np.cumsum(in_part)
-            kept = int(ends[-1])
-            column_buffer, mass_buffer = self._work.empty(4 * kept), self._work.empty(4 * kept)
-            self._launch_rows(
-                kernel, rows, columns, *levels[:4], part, *shared,
-                self._work.buffer(ends - in_part, np.uint32), column_buffer, mass_buffer,
-                precise=precise,
-            )  # fmt: skip
-            found = np.empty(kept, np.int32)
-            log2_masses = np.empty(kept, np.float32)
-            if kept:
-                cl.enqueue_copy(self._work.queue, found, column_buffer)
-                cl.enqueue_copy(self._work.queue, log2_masses, mass_buffer)
-            indices.append(columns.order[found].astype(np.int32))
-            mass.append(np.exp2(log2_masses.astype(float)))
+        for within, pairs in self._plan_pairs(*arguments[:-1]):
+            levels = self._plan_levels(rows, columns, f, g, epsilon, within, pairs)
+            shared = self._plan_buffers(rows, columns, levels, row_thresholds, column_thresholds)
+            kernel = self._row_kernels(rows, precise, pairs is not None)["fill_plan_rows"]
+            for part in self._row_parts(rows, columns, sorted_counts, pairs, within):
+                in_part = sorted_counts[part.start * tile : part.stop * tile]
+                ends = np.cumsum(in_part)
+                kept = int(ends[-1])
+                column_buffer, mass_buffer = self._work.empty(4 * kept), self._work.empty(4 * kept)
+                self._launch_rows(
+                    kernel, rows, columns, *levels[:4], part, *shared,
+                    self._work.buffer(ends - in_part, np.uint32), column_buffer, mass_buffer,
+                    precise=precise, pairs=pairs,
+                )  # fmt: skip
+                found = np.empty(kept, np.int32)
+                log2_masses = np.empty(kept, np.float32)
+                if kept:
+                    cl.enqueue_copy(self._work.queue, found, column_buffer)
+                    cl.enqueue_copy(self._work.queue, log2_masses, mass_buffer)
+                indices.append(columns.order[found].astype(np.int32))
+                mass.append(np.exp2(log2_masses.astype(float)))
         return _unsort_rows(
             rows, len(columns), sorted_counts[:n], np.concatenate(indices), np.concatenate(mass)
         )
@@ -94,18 +104,20 @@ class PlanReductions(Reductions):
         softmin: Float64,
         epsilon: float,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> tuple[Float64, Float64]:
         """Return mean and covariance of each row's destinations."""
-        kernel, tile = self._row_kernels(rows, precise)["plan_moments"], self._knobs.tile
-        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon)
+        pairs = None if near is None else near.pairs
+        kernels, tile = self._row_kernels(rows, precise, pairs is not None), self._knobs.tile
+        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon, pairs)
         dimension, n = rows.centers.shape[1], len(rows)
         moments = np.empty((1 + dimension + dimension * (dimension + 1) // 2, rows.stride))
-        for part in self._row_parts(rows, columns):
+        for part in self._row_parts(rows, columns, pairs=pairs):
             out = np.empty((len(moments), len(part) * tile), np.float32)
             buffer = self._work.empty(out.nbytes)
             self._launch_rows(
-                kernel, rows, columns, *levels, part, np.uint32(out.shape[1]), base, buffer,
-                precise=precise,
+                kernels["plan_moments"], rows, columns, *levels, part, np.uint32(out.shape[1]),
+                base, buffer, precise=precise, pairs=pairs,
             )  # fmt: skip
             cl.enqueue_copy(self._work.queue, out, buffer)
             moments[:, part.start * tile : part.stop * tile] = out
@@ -131,21 +143,23 @@ class PlanReductions(Reductions):
         epsilon: float,
         thresholds: Float64,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> NDArray[np.int32]:
         """Return columns drawn from each plan row."""
-        kernel, tile = self._row_kernels(rows, precise)["sample_plan_rows"], self._knobs.tile
-        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon)
+        pairs = None if near is None else near.pairs
+        kernels, tile = self._row_kernels(rows, precise, pairs is not None), self._knobs.tile
+        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon, pairs)
         n, n_draws = thresholds.shape
         ordered = np.zeros((rows.stride, n_draws), np.float32)
         ordered[:n] = np.minimum(thresholds[rows.order], LARGEST_THRESHOLD)
         draws = np.empty((rows.stride, n_draws), np.int32)
-        for part in self._row_parts(rows, columns):
+        for part in self._row_parts(rows, columns, pairs=pairs):
             section = slice(part.start * tile, part.stop * tile)
             draws[section] = -1
             buffer = self._work.buffer(draws[section], np.int32)
             self._launch_rows(
-                kernel, rows, columns, *levels, part, np.uint32(n_draws), base,
-                self._work.buffer(ordered[section]), buffer, precise=precise,
+                kernels["sample_plan_rows"], rows, columns, *levels, part, np.uint32(n_draws),
+                base, self._work.buffer(ordered[section]), buffer, precise=precise, pairs=pairs,
             )  # fmt: skip
             cl.enqueue_copy(self._work.queue, draws[section], buffer)
         # Row sums that rounding keeps from the last thresholds: as the draw before them.
@@ -155,24 +169,70 @@ class PlanReductions(Reductions):
         return unsort(rows, columns.order[np.maximum(draws[:n], 0)].astype(np.int32))
 
     def _conditional_levels(
-        self, rows: Cloud, columns: Cloud, g: Float64, softmin: Float64, epsilon: float
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        pairs: TilePairs | None,
     ) -> tuple[cl.Buffer, Float64, Float64, float, cl.Buffer]:
         """Columns' heights and tops, rows' tops, k, and what makes log2 of pi_ij / r_i of e_ij."""
         k = LOG2_E / epsilon
         heights, tops = self._column_heights(columns, g, k)
-        tops_of_rows = self._row_tops(rows, columns, tops, k)
+        tops_of_rows = self._row_tops(rows, columns, tops, k, pairs)
         bases = np.repeat(tops_of_rows, self._knobs.tile)[: len(rows)] - k * rows.own_costs
         bases += k * softmin[rows.order]
         base = self._work.buffer(split(pad(bases, rows.stride, SENTINEL)))
         return heights, tops, tops_of_rows, k, base
 
+    def _plan_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+    ) -> Iterator[tuple[range, TilePairs | None]]:
+        """Yield parts of the row tiles, and the pairs of tiles that can hold a kept pair there.
+
+        What bounds exclude holds no pair above a threshold, so nothing is lost.
+        """
+        thresholds = _log2_threshold(row_thresholds), _log2_threshold(column_thresholds)
+        everything = min(float(values.min()) for values in thresholds) <= 0.2 * SENTINEL
+        if rows.stride * columns.stride < LISTED_FROM or everything:
+            yield range(len(rows.centers)), None
+            return
+        k = LOG2_E / epsilon
+        bases = k * (f[rows.order] - rows.offsets) + rows.log2_weights
+        bases[rows.log2_weights <= SENTINEL] = SENTINEL
+        values = (g[columns.order] - columns.offsets) * k + columns.log2_weights
+        by_row = thresholds[0][rows.order] - bases
+        by_column = values - thresholds[1][columns.order]
+        # log2 pi_ij is above the threshold of its row, or above that of its column.
+        sides = [
+            (row_bounds(rows, np.minimum(over, -SENTINEL), k),
+             column_bounds(columns, np.maximum(under, SENTINEL), k, largest=True))
+            for over, under in ((by_row, values), (-bases, by_column))
+        ]  # fmt: skip
+        yield from possible_pairs(rows, columns, sides, k)
+
     def _plan_levels(
-        self, rows: Cloud, columns: Cloud, f: Float64, g: Float64, epsilon: float
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        within: range,
+        pairs: TilePairs | None,
     ) -> tuple[cl.Buffer, Float64, Float64, float, Float64]:
         """Columns' heights and tops, rows' tops, k, and what makes log2 pi_ij of e_ij."""
         k = LOG2_E / epsilon
         heights, tops = self._column_heights(columns, g, k)
-        tops_of_rows = self._row_tops(rows, columns, tops, k)
+        tops_of_rows = self._row_tops(rows, columns, tops, k, pairs, within)
         # log2 pi_ij = e_ij + bases_i; a row without mass keeps nothing.
         bases = np.repeat(tops_of_rows, self._knobs.tile)[: len(rows)] - k * rows.own_costs
         bases += f[rows.order] * k + rows.log2_weights

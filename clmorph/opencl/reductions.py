@@ -11,7 +11,8 @@ from clmorph.opencl import program
 from clmorph.opencl.clouds import Cloud, make_cloud, pad, split, unsort
 from clmorph.opencl.knobs import SENTINEL, Knobs
 from clmorph.opencl.launches import LaunchBudget, Workspace
-from clmorph.operations import Float64
+from clmorph.opencl.tile_pairs import TilePairs
+from clmorph.operations import Float64, NearPairs
 
 LOG2_E = float(np.log2(np.e))
 
@@ -25,7 +26,7 @@ class Reductions:
     def __init__(self, work: Workspace, knobs: Knobs) -> None:
         self._work, self._knobs = work, knobs
         self._budget = LaunchBudget()
-        self._kernels: dict[tuple[int, bool], dict[str, cl.Kernel]] = {}
+        self._kernels: dict[tuple[int, bool, bool], dict[str, cl.Kernel]] = {}
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
         """Take a weighted cloud."""
@@ -38,39 +39,51 @@ class Reductions:
         potential: Float64,
         epsilon: float,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
-        log2_maxima, sums = self._log_sum_exp(rows, columns, potential, epsilon, precise)
+        log2_maxima, sums = self._log_sum_exp(rows, columns, potential, epsilon, precise, near)
         # Of points that float32 cannot hold apart nothing is left; the caller looks at results.
         with np.errstate(invalid="ignore"):
             return unsort(rows, -epsilon / LOG2_E * (log2_maxima + np.log2(sums)))
 
     def row_maxima(
-        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
     ) -> Float64:
         """Return max_j [(g_j - C_ij) / epsilon + log b_j], in nats."""
-        log2_maxima, _ = self._log_sum_exp(rows, columns, potential, epsilon, False)
+        log2_maxima, _ = self._log_sum_exp(rows, columns, potential, epsilon, False, near)
         return unsort(rows, log2_maxima / LOG2_E)
 
     def _log_sum_exp(
-        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        precise: bool,
+        near: NearPairs | None = None,
     ) -> tuple[Float64, Float64]:
         """Log2 maximum (all constants of the row added) and sum of every sorted row."""
-        kernel = self._row_kernels(rows, precise)["log_sum_exp"]
+        pairs = None if near is None else near.pairs
+        kernel = self._row_kernels(rows, precise, pairs is not None)["log_sum_exp"]
         k = LOG2_E / epsilon
         heights, tops = self._column_heights(columns, potential, k)
-        tops_of_rows = self._row_tops(rows, columns, tops, k)
+        tops_of_rows = self._row_tops(rows, columns, tops, k, pairs)
         shares = self._column_shares(rows, columns)
-        per_share = -(-len(columns.centers) // shares)
         tile = self._knobs.tile
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
-        for part in self._row_parts(rows, columns):
+        for part in self._row_parts(rows, columns, pairs=pairs):
             n_rows = len(part) * tile
             out = np.empty((2, shares, n_rows), np.float32)
             buffers = self._work.empty(out.nbytes // 2), self._work.empty(out.nbytes // 2)
             self._launch_rows(
                 kernel, rows, columns, heights, tops, tops_of_rows, k, part,
-                np.uint32(n_rows), np.uint32(per_share), *buffers, shares=shares, precise=precise,
+                np.uint32(n_rows), *buffers, shares=shares, precise=precise, pairs=pairs,
             )  # fmt: skip
             for values, buffer in zip(out, buffers, strict=True):
                 cl.enqueue_copy(self._work.queue, values, buffer)
@@ -99,13 +112,29 @@ class Reductions:
         heights = np.where(values == SENTINEL, SENTINEL, values - tops[:, None])
         return self._work.buffer(split(heights)), tops
 
-    def _row_tops(self, rows: Cloud, columns: Cloud, tops: Float64, k: float) -> Float64:
+    def _row_tops(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        tops: Float64,
+        k: float,
+        pairs: TilePairs | None = None,
+        within: range | None = None,
+    ) -> Float64:
         """Largest level of each row tile: what its rows are measured from."""
-        result = np.empty(len(rows.centers))
-        step = max(1, (1 << 22) // len(tops))
-        for first in range(0, len(result), step):
-            block = slice(first, first + step)
-            result[block] = _levels(rows.centers[block], columns.centers, tops, k).max(axis=1)
+        result = np.zeros(len(rows.centers))
+        within = within or range(len(result))
+        each = len(tops) if pairs is None else -(-len(pairs.tiles) // len(within))
+        step = max(1, (1 << 22) // max(1, each))
+        for first in range(within.start, within.stop, step):
+            block = range(first, min(first + step, within.stop))
+            section = slice(block.start, block.stop)
+            if pairs is None:
+                levels = _levels(rows.centers[section], columns.centers, tops, k)
+                result[section] = levels.max(axis=1)
+            else:
+                starts, _, levels = pairs.levels(block, tops, k)
+                result[section] = np.maximum.reduceat(levels, starts[:-1])
         return result
 
     def _column_shares(self, rows: Cloud, columns: Cloud) -> int:
@@ -117,17 +146,27 @@ class Reductions:
         return max(1, min(wanted, len(columns.centers), 64))
 
     def _row_parts(
-        self, rows: Cloud, columns: Cloud, counts: NDArray[np.int64] | None = None
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        counts: NDArray[np.int64] | None = None,
+        pairs: TilePairs | None = None,
+        within: range | None = None,
     ) -> Iterator[range]:
         """Split the row tiles so that no launch runs long, nor writes too much."""
-        n_tiles = len(rows.centers)
+        n_tiles, tile = len(rows.centers), self._knobs.tile
+        first, end = (0, n_tiles) if within is None else (within.start, within.stop)
         kept = None
         if counts is not None:
             kept = counts.reshape(n_tiles, -1).sum(axis=1, dtype=np.int64).cumsum()
-        first = 0
-        while first < n_tiles:
-            tiles = self._budget.pairs() // (self._knobs.tile * columns.stride)
-            stop = min(n_tiles, first + max(1, int(tiles)))
+        while first < end:
+            budget = self._budget.pairs()
+            if pairs is None:
+                stop = first + max(1, int(budget // (tile * columns.stride)))
+            else:
+                last = pairs.starts[first] + budget // tile**2
+                stop = int(np.searchsorted(pairs.starts, last, side="right")) - 1
+            stop = min(end, max(stop, first + 1))
             if kept is not None:
                 before = kept[first - 1] if first else 0
                 stop = min(stop, int(np.searchsorted(kept, before + FILL_PAIRS, side="right")))
@@ -148,34 +187,51 @@ class Reductions:
         *arguments: Any,
         shares: int = 1,
         precise: bool = False,
+        pairs: TilePairs | None = None,
     ) -> None:
         """Run a kernel of ``rows.cl`` over some row tiles and wait for it."""
         section = slice(part.start, part.stop)
-        levels = _levels(rows.centers[section], columns.centers, tops, k)
-        levels -= tops_of_rows[section, None]
-        levels = np.maximum(levels, SENTINEL)
-        if precise:
-            levels = np.swapaxes(split(levels), 0, 1)
         n_rows = len(part) * self._knobs.tile
-        with self._budget.measure(n_rows * columns.stride):
+        lists: tuple[Any, ...] = ()
+        if pairs is None:
+            levels = _levels(rows.centers[section], columns.centers, tops, k)
+            levels -= tops_of_rows[section, None]
+            work = n_rows * columns.stride
+        else:
+            starts, listed, levels = pairs.levels(part, tops, k)
+            levels -= np.repeat(tops_of_rows[section], np.diff(starts))
+            work = self._knobs.tile**2 * len(listed)
+            lists = (
+                np.uint32(len(listed)), self._work.buffer(starts, np.uint32),
+                self._work.buffer(listed, np.uint32),
+            )  # fmt: skip
+        levels = np.maximum(levels, SENTINEL)
+        planes: NDArray[Any] = levels
+        if precise:
+            planes = split(levels) if lists else np.swapaxes(split(levels), 0, 1)
+        with self._budget.measure(work):
             self._work.launch(
                 kernel, (n_rows // self._knobs.width, shares), (self._knobs.group, 1),
                 np.uint32(part.start * self._knobs.tile), np.uint32(rows.stride),
                 np.uint32(columns.stride), np.uint32(len(columns.centers)), *split(np.asarray(k)),
                 rows.offsets_buffer, rows.centers_buffer, columns.offsets_buffer,
-                columns.centers_buffer, heights, self._work.buffer(levels),
+                columns.centers_buffer, heights, self._work.buffer(planes), *lists,
                 *arguments,
             )  # fmt: skip
 
-    def _row_kernels(self, rows: Cloud, precise: bool) -> dict[str, cl.Kernel]:
-        key = rows.centers.shape[1], precise
+    def _row_kernels(
+        self, rows: Cloud, precise: bool, listed: bool = False
+    ) -> dict[str, cl.Kernel]:
+        key = rows.centers.shape[1], precise, listed
         if key not in self._kernels:
             constants = self._knobs.rows_constants(*key)
             built = program.build(self._work.context, "rows.cl", constants)
-            names = (
+            names = [
                 "log_sum_exp", "count_plan_rows", "fill_plan_rows", "plan_moments",
                 "sample_plan_rows",
-            )  # fmt: skip
+            ]  # fmt: skip
+            if listed:
+                names.append("measure_tiles")
             self._kernels[key] = {name: cl.Kernel(built, name) for name in names}
         return self._kernels[key]
 

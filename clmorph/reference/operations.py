@@ -13,6 +13,7 @@ from clmorph.operations import (
     Bins,
     Float32,
     Float64,
+    NearPairs,
     PlanRows,
     bin_grid,
 )
@@ -69,21 +70,58 @@ class NumPyOperations:
         potential: Float64,
         epsilon: float,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
         result = np.empty(len(rows.points))
-        for block, exponents in _exponent_blocks(rows, columns, potential, epsilon):
+        for block, exponents in _exponent_blocks(rows, columns, potential, epsilon, near):
             largest = exponents.max(axis=1)
             total = np.exp(exponents - largest[:, None]).sum(axis=1)
             result[block] = -epsilon * (largest + np.log(total))
         return result
 
+    def near_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        softmin: Float64,
+        epsilon: float,
+        budget: float,
+    ) -> NearPairs:
+        """Find the pairs that matter for the rows' sums, each by itself and without the guess."""
+        keep = np.ones((len(rows.points), len(columns.points)), bool)
+        found, skipped = np.empty(len(keep)), np.empty(len(keep))
+        largest = 0.0
+        for block, exponents in _exponent_blocks(rows, columns, potential, epsilon):
+            top = exponents.max(axis=1, keepdims=True)
+            share = np.exp(exponents - top)
+            share /= share.sum(axis=1, keepdims=True)
+            order = np.argsort(share, axis=1)
+            below = np.cumsum(np.take_along_axis(share, order, axis=1), axis=1)
+            np.put_along_axis(keep[block], order, below > budget, axis=1)
+            left = np.where(keep[block], 0.0, share).sum(axis=1)
+            total = np.exp(exponents - top).sum(axis=1)
+            found[block] = -epsilon * (top[:, 0] + np.log(total) + np.log1p(-left))
+            # Shares too small for any number may grow when potentials change.
+            left[~keep[block].all(axis=1)] += np.finfo(float).tiny
+            skipped[block] = left / (1.0 - left)
+            cost = np.where(keep[block], _costs(rows.points[block], columns.points), 0.0)
+            largest = max(largest, float(cost.max()))
+        counts = keep.sum(axis=1)
+        return NearPairs(keep, found, skipped, int(counts.sum()), int(counts.max()), largest)
+
     def row_maxima(
-        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
     ) -> Float64:
         """Return max_j [(g_j - C_ij) / epsilon + log b_j], in nats."""
         result = np.empty(len(rows.points))
-        for block, exponents in _exponent_blocks(rows, columns, potential, epsilon):
+        for block, exponents in _exponent_blocks(rows, columns, potential, epsilon, near):
             result[block] = exponents.max(axis=1)
         return result
 
@@ -135,11 +173,12 @@ class NumPyOperations:
         softmin: Float64,
         epsilon: float,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> tuple[Float64, Float64]:
         """Return mean and covariance of each row's destinations."""
         n, dimension = rows.points.shape
         mean, covariance = np.empty((n, dimension)), np.empty((n, dimension, dimension))
-        for block, exponents in _exponent_blocks(rows, columns, g, epsilon):
+        for block, exponents in _exponent_blocks(rows, columns, g, epsilon, near):
             share = np.exp(exponents + softmin[block, None] / epsilon)
             share /= share.sum(axis=1, keepdims=True)
             mean[block] = share @ columns.points
@@ -160,10 +199,11 @@ class NumPyOperations:
         epsilon: float,
         thresholds: Float64,
         precise: bool = False,
+        near: NearPairs | None = None,
     ) -> NDArray[np.int32]:
         """Return columns drawn from each plan row."""
         draws = np.empty(thresholds.shape, np.int32)
-        for block, exponents in _exponent_blocks(rows, columns, g, epsilon):
+        for block, exponents in _exponent_blocks(rows, columns, g, epsilon, near):
             sums = np.cumsum(np.exp(exponents + softmin[block, None] / epsilon), axis=1)
             sums /= sums[:, -1:]
             for row, (own, wanted) in enumerate(zip(sums, thresholds[block], strict=True)):
@@ -262,21 +302,32 @@ class NumPyOperations:
         return np.moveaxis(sums[1:], 0, -1), sums[0]
 
 
+def _costs(x: Float64, y: Float64) -> Float64:
+    """|x_i - y_j|^2 / 2."""
+    costs = np.zeros((len(x), len(y)))
+    for d in range(x.shape[1]):
+        costs += 0.5 * (x[:, d, None] - y[:, d]) ** 2
+    return costs
+
+
 def _exponent_blocks(
-    rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
+    rows: Cloud,
+    columns: Cloud,
+    potential: Float64,
+    epsilon: float,
+    near: NearPairs | None = None,
 ) -> Iterator[tuple[slice, Float64]]:
     """Yield (g_j - C_ij) / epsilon + log b_j for blocks of rows."""
     step = max(1, BLOCK_ENTRIES // max(1, len(columns.points)))
     for first in range(0, len(rows.points), step):
         block = slice(first, first + step)
-        x, y = rows.points[block], columns.points
-        exponents = np.zeros((len(x), len(y)))
-        for d in range(x.shape[1]):
-            exponents -= 0.5 * (x[:, d, None] - y[:, d]) ** 2
+        exponents = -_costs(rows.points[block], columns.points)
         exponents += potential - columns.offsets
         exponents -= rows.offsets[block, None]
         exponents /= epsilon
         exponents += columns.log_weights
+        if near is not None:
+            exponents[~near.pairs[block]] = -np.inf
         yield block, exponents
 
 

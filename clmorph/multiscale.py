@@ -1,0 +1,330 @@
+"""Solve large problems through coarser ones.
+
+Annealing in the blur and refinement in space go hand in hand: at each blur points are taken
+together in cells of about its size (`clmorph.cells`), and potentials are carried on to the next
+blur and its finer cells by a softmin, evaluated at the new points. At the last blur the problem
+of the points themselves is solved in cycles (a two-grid method): one iteration over the points
+tells by how much the softmins of the cells are off; the problem of the cells is solved with this
+correction; and what changes there is carried back. Each cycle leaves a few percent of the
+residual, so two to four iterations over the points are enough, and their residual, over the
+points, decides when it is small.
+
+Sources of the ideas: Schmitzer, "Stabilized sparse scaling algorithms for entropy regularized
+transport problems" (2019), for annealing with refinement; Brandt, "Multi-level adaptive
+solutions to boundary-value problems" (1977), for the correction (his full approximation scheme).
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.ascent import ROUNDING_MARGIN, TOP, Ascent, State, needs_more, share_done
+from clmorph.cells import Cells, make_cells
+from clmorph.operations import Operations
+from clmorph.points import AnyMeasure
+from clmorph.problem import Problem
+from clmorph.softmins import LEAST_RESERVE, Softmin
+
+Array = NDArray[np.float64]
+
+#: Sides of the cells at the last blur, in units of it, the first that saves enough; and what is
+#: enough: the share of pairs of points that are left as pairs of cells.
+SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.5)
+#: Side of the cells at larger blurs.
+ANNEALING_SIDE = 1.0
+#: Annealing begins where no more pairs of cells than this are left.
+FEW_PAIRS = 1 << 20
+#: Residuals to reach at larger blurs, and over the cells before the points are looked at.
+LEVEL_TOLERANCE, FIRST_TOLERANCE = 0.2, 1e-2
+#: Truncation at larger blurs; for what share of it pairs are chosen where guesses are rough.
+LEVEL_TRUNCATION, LEVEL_RESERVE = 1e-2, 1e-6
+#: Residual to reach over the cells: this share of that over the points, and of the tolerance.
+CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
+#: Cells serve as long as a cycle leaves at most this share of the residual.
+PROGRESS = 0.5
+#: Better exponents than float32 are taken below so many times its rounding, where needed at all.
+SWITCH = 300.0
+#: Problems with at least so many pairs are solved through coarser ones, if not told otherwise.
+MANY_PAIRS = 1 << 27
+
+
+class CorrectedProblem(Problem):
+    """A problem whose softmins are off by a known correction.
+
+    f = Delta (T(g) + tau) is what maximizes the dual over f when the mass that is asked for is
+    a exp(tau / epsilon) while the softmins keep a; so with masses and softmins replaced in this
+    way every formula of `Problem` holds as it stands, its dual included.
+    """
+
+    def __init__(
+        self,
+        operations: Operations,
+        source: AnyMeasure,
+        target: AnyMeasure,
+        rho: tuple[float, float],
+        truncation: float | None = None,
+    ) -> None:
+        super().__init__(operations, source, target, rho, truncation)
+        self._own = self.a, self.b
+        self._corrections: tuple[Array | float, Array | float] = (0.0, 0.0)
+
+    def softmin_rows(self, g: Array, epsilon: float, precise: bool) -> Array:
+        """T(g), corrected."""
+        return super().softmin_rows(g, epsilon, precise) + self._corrections[0]
+
+    def softmin_columns(self, f: Array, epsilon: float, precise: bool) -> Array:
+        """T(f), corrected."""
+        return super().softmin_columns(f, epsilon, precise) + self._corrections[1]
+
+    def correct(self, rows: Array, columns: Array, epsilon: float) -> None:
+        """Set the corrections tau of T(g), (N,), and of T(f), (M,)."""
+        if not any(self.inverse_rho):
+            # Balanced: the masses asked for must stay equal.
+            total = float((self._own[0] * np.exp(rows / epsilon)).sum())
+            total /= float((self._own[1] * np.exp(columns / epsilon)).sum())
+            columns = columns + epsilon * np.log(total)
+        self._corrections = rows, columns
+        self.a = self._own[0] * np.exp(rows / epsilon)
+        self.b = self._own[1] * np.exp(columns / epsilon)
+        with np.errstate(divide="ignore"):
+            self.log_a, self.log_b = np.log(self.a), np.log(self.b)
+        self.masses = float(self.a.sum()), float(self.b.sum())
+
+
+class Grid(NamedTuple):
+    """The problem of the cells at the last blur."""
+
+    problem: CorrectedProblem
+    source: Cells
+    target: Cells
+    to_target: Softmin  #: from the cells of the source to the points of the target
+    to_source: Softmin  #: and the reverse
+
+
+class Multiscale:
+    """One solve of a large problem; the attributes of `clmorph.ascent.Ascent`.
+
+    Parameters
+    ----------
+    problem : Problem
+    pair : (source, target)
+        What it is about: Measure or WeightedPoints.
+    blur, tol, max_iter, precision, report
+        As in `clmorph.ascent.Ascent`; iterations are those over the points.
+    """
+
+    state: State
+    status: str
+    rounding: float
+    precise: bool
+
+    def __init__(
+        self,
+        problem: Problem,
+        pair: tuple[AnyMeasure, AnyMeasure],
+        blur: float,
+        tol: float,
+        max_iter: int,
+        precision: str,
+        report: Callable[[float], None],
+    ) -> None:
+        self.problem, self._pair = problem, pair
+        self.tol, self.precision = tol, precision
+        self.residuals: list[float] = []
+        self._blur, self._max_iter, self._report, self._told = blur, max_iter, report, 0.0
+
+    @property
+    def n_iter(self) -> int:
+        """Iterations over the points so far."""
+        return -(-self.problem.n_softmin // 2)
+
+    def run(self, start: Array | None) -> None:
+        """Solve from potentials g, or from the top of the annealing."""
+        sides = [side * self._blur for side in SIDES]
+        pairs = len(self.problem.a) * len(self.problem.b)
+        grid: Grid | None = None
+        for side, enough in zip(sides, ENOUGH, strict=True):
+            cells = [make_cells(measure, side) for measure in self._pair]
+            if len(cells[0].measure) * len(cells[1].measure) <= enough * pairs:
+                grid = self._make_grid(cells[0], cells[1])
+                break
+        finest = self.problem if grid is None else grid.problem
+        g = start
+        if g is None:
+            coarse = self._pair if grid is None else (grid.source.measure, grid.target.measure)
+            g = self._anneal(coarse, finest)
+            self._tell(0.2)
+            if grid is not None:
+                g = self._first(grid, g)
+                self._tell(0.3)
+        if grid is None:
+            self._ascend(g)
+        else:
+            self._cycle(grid, g)
+        self._tell(1.0)
+
+    def _make_grid(self, source: Cells, target: Cells) -> Grid:
+        points = self.problem
+        operations, rho, truncation = points.operations, points.rho, points.truncation
+        cells = source.measure, target.measure
+        few = len(cells[0]) * len(cells[1]) < MANY_PAIRS
+        problem = CorrectedProblem(operations, *cells, rho, None if few else truncation)
+        extensions = [
+            Softmin(operations, rows, columns, weights, truncation)
+            for rows, columns, weights in (
+                (points.columns, problem.rows, (points.b, cells[0].weights)),
+                (points.rows, problem.columns, (points.a, cells[1].weights)),
+            )
+        ]
+        return Grid(problem, source, target, *extensions)
+
+    def _anneal(self, pair: tuple[AnyMeasure, AnyMeasure], finest: Problem) -> Array:
+        """Return potentials g for the finest problem, from larger blurs over larger cells."""
+        top = TOP * np.sqrt(2 * self.problem.largest_cost)
+        blur = self._blur
+        levels: list[tuple[float, list[Cells]]] = []
+        while len(pair[0]) * len(pair[1]) > FEW_PAIRS and blur < top:
+            blur *= 2
+            cells = [make_cells(measure, ANNEALING_SIDE * blur) for measure in pair]
+            levels.append((blur, cells))
+            pair = cells[0].measure, cells[1].measure
+        g: Array | None = None
+        problems = [finest]
+        problems += [self._cells_problem(one.measure, other.measure) for _, (one, other) in levels]
+        for (level, cells), problem in reversed(list(zip(levels, problems[1:], strict=True))):
+            ascent = Ascent(problem, level, LEVEL_TOLERANCE, self._max_iter, "float32", _ignore)
+            ascent.run(g)
+            problems.pop()
+            g = self._extended(problem, ascent.state, cells, problems[-1], level)
+        return np.zeros(len(finest.b)) if g is None else g
+
+    def _level_truncation(self, rows: int, columns: int) -> float | None:
+        """Return what to leave out for at larger blurs, between so many points."""
+        if self.problem.truncation is None or rows * columns < MANY_PAIRS:
+            return None
+        return LEVEL_TRUNCATION
+
+    def _cells_problem(self, source: AnyMeasure, target: AnyMeasure) -> Problem:
+        truncation = self._level_truncation(len(source), len(target))
+        problem = Problem(self.problem.operations, source, target, self.problem.rho, truncation)
+        return _prepare(problem, LEVEL_RESERVE)
+
+    def _extended(
+        self, coarse: Problem, state: State, cells: list[Cells], fine: Problem, blur: float
+    ) -> Array:
+        """Carry potentials on to the columns of a finer problem, at the blur they are for.
+
+        Where the finer problem's softmins need guesses, they are what is carried on.
+        """
+
+        def softmin(rows: Any, columns: Any, weights: tuple[Array, Array], guess: Array) -> Softmin:
+            truncation = self._level_truncation(len(weights[0]), len(weights[1]))
+            result = Softmin(self.problem.operations, rows, columns, weights, truncation)
+            result.guess, result.reserve = guess, LEVEL_RESERVE
+            return result
+
+        if fine.truncation is not None:
+            fine.to_rows.guess = softmin(
+                fine.rows, coarse.columns, (fine.a, coarse.b), state.t_rows[cells[0].labels]
+            )(state.g, blur**2)
+        carried = softmin(
+            fine.columns, coarse.rows, (fine.b, coarse.a), state.t_columns[cells[1].labels]
+        )(state.f, blur**2)
+        fine.to_columns.guess = carried
+        return self.problem.damping(blur**2)[1] * carried
+
+    def _first(self, grid: Grid, g: Array) -> Array:
+        """Return potentials g from the cells' problem alone, begun at potentials of its own."""
+        epsilon = self._blur**2
+        state = self._solve_cells(grid, g, FIRST_TOLERANCE)
+        grid.to_target.guess = state.t_columns[grid.target.labels]
+        grid.to_source.guess = state.t_rows[grid.source.labels]
+        self.problem.to_rows.guess = grid.to_source(state.g, epsilon)
+        self.problem.to_columns.guess = grid.to_target(state.f, epsilon)
+        return self.problem.damping(epsilon)[1] * self.problem.to_columns.guess
+
+    def _solve_cells(self, grid: Grid, g: Array, tol: float) -> State:
+        done = -(-grid.problem.n_softmin // 2)
+        precise = needs_more(grid.problem, self.precision, self._blur**2, tol)
+        ascent = Ascent(
+            grid.problem, self._blur, tol, done + self._max_iter,
+            "auto" if precise else "float32", _ignore,
+        )  # fmt: skip
+        ascent.run(g)
+        return ascent.state
+
+    def _ascend(self, g: Array) -> None:
+        """Go on over the points alone."""
+        told = self._told
+        _prepare(self.problem, LEAST_RESERVE)
+        ascent = Ascent(
+            self.problem, self._blur, self.tol, self._max_iter, self.precision,
+            lambda share: self._tell(told + (1 - told) * share),
+        )  # fmt: skip
+        ascent.run(g)
+        self.state, self.status, self.precise = ascent.state, ascent.status, ascent.precise
+        self.rounding = ascent.rounding
+        self.residuals += ascent.residuals
+
+    def _cycle(self, grid: Grid, g: Array) -> None:
+        """Iterate over the points, the cells' problem solved in between."""
+        problem, epsilon = self.problem, self._blur**2
+        before = np.inf
+        while True:
+            # Known better once there are lists of near pairs, which leave out large exponents.
+            self.precise = needs_more(problem, self.precision, epsilon, self.tol)
+            coarse = problem.rounding(epsilon, precise=False)
+            precise = self.precise and before <= SWITCH * coarse
+            f, g, t_rows = problem.update_f(g, problem.softmin_rows(g, epsilon, precise), epsilon)
+            t_columns = problem.softmin_columns(f, epsilon, precise)
+            residual = problem.residual(f, g, t_rows, t_columns, epsilon)
+            self.state = State(f, g, t_rows, t_columns, residual)
+            self.residuals.append(residual)
+            self._tell(0.3 + 0.7 * share_done(self.residuals[0], residual, self.tol))
+            rounding = problem.rounding(epsilon, precise)
+            self.rounding = ROUNDING_MARGIN * rounding
+            if residual <= self.tol - (0.0 if precise else rounding):
+                self.status = "converged"
+                return
+            if self.n_iter >= self._max_iter:
+                self.status = "max_iter"
+                return
+            image, _, _ = problem.update_g(f, t_columns, epsilon)
+            if residual > PROGRESS * before:
+                self._ascend(image)
+                return
+            g = self._correct(grid, image)
+            before = residual
+
+    def _correct(self, grid: Grid, image: Array) -> Array:
+        """Return better potentials g than the image of the last iteration."""
+        epsilon, cells = self._blur**2, grid.problem
+        f, g, t_rows, t_columns, residual = self.state
+        own_f = grid.source.mean(f, self.problem.a)
+        own_g = grid.target.mean(g, self.problem.b)
+        cells.correct(
+            grid.source.mean(t_rows, self.problem.a) - cells.to_rows(own_g, epsilon),
+            grid.target.mean(t_columns, self.problem.b) - cells.to_columns(own_f, epsilon),
+            epsilon,
+        )
+        tol = max(CYCLE_SHARE * residual, CYCLE_FLOOR * self.tol)
+        new_f = self._solve_cells(grid, grid.target.mean(image, self.problem.b), tol).f
+        change = grid.to_target(new_f, epsilon) - grid.to_target(own_f, epsilon)
+        return self.problem.damping(epsilon)[1] * (t_columns + change)
+
+    def _tell(self, share: float) -> None:
+        self._told = max(self._told, share)
+        self._report(self._told)
+
+
+def _prepare(problem: Problem, reserve: float) -> Problem:
+    """Let near pairs be chosen that serve although potentials will move far."""
+    for softmin in (problem.to_rows, problem.to_columns):
+        softmin.reserve = reserve
+    return problem
+
+
+def _ignore(share: float) -> None:
+    """Tell nobody: what is done over cells takes little of the time."""

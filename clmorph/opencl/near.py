@@ -1,0 +1,288 @@
+"""Find the pairs of tiles that matter, and leave out the rest with a proof of what it holds."""
+
+import functools
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clmorph.opencl.clouds import Cloud, unsort
+from clmorph.opencl.knobs import LARGEST_SHARE, SENTINEL
+from clmorph.opencl.reductions import LOG2_E, Reductions
+from clmorph.opencl.tile_pairs import (
+    TileBounds,
+    TilePairs,
+    column_bounds,
+    row_bounds,
+    tile_bounds,
+)
+from clmorph.operations import Float64, NearPairs
+
+#: Entries of a block of bounds: small enough for a core's cache.
+BLOCK_BOUNDS = 1 << 17
+#: Pairs of tiles that are measured at once.
+CHUNK_PAIRS = 1 << 20
+#: Shares at which a list may be cut, as parts of the budget.
+CUTS = 8.0 ** -np.arange(7)
+#: Half of the budget is for what is never looked at.
+UNSEEN = 0.5
+#: What float32 may take off a measured share, as a factor.
+MARGIN = 1.05
+
+
+class _Candidates(NamedTuple):
+    """Column tiles of some row tiles, and the share that all others can have there."""
+
+    part: range
+    pairs: TilePairs
+    unseen: Float64  #: (row tiles of the part,)
+
+
+class NearReductions(Reductions):
+    """What finds lists of tiles."""
+
+    def near_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        softmin: Float64,
+        epsilon: float,
+        budget: float,
+    ) -> NearPairs:
+        """Find the pairs that matter for the rows' sums.
+
+        Bounds over pairs of tiles exclude most; the rest is summed, once, and tiles whose largest
+        share in any of their rows turns out to be small are left out as well.
+        """
+        k, tile, n = LOG2_E / epsilon, self._knobs.tile, len(rows)
+        values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
+        guess = -k * (softmin[rows.order] - rows.offsets)
+        of_rows = row_bounds(rows, guess, k)
+        of_columns = column_bounds(columns, np.maximum(values, SENTINEL), k)
+        heights, tops = self._column_heights(columns, potential, k)
+        found, skipped = np.empty(rows.stride), np.empty(len(rows.centers))
+        kept: list[TilePairs] = []
+        for part, pairs, unseen in candidates(
+            rows, columns, of_rows, of_columns, k, UNSEEN * budget
+        ):
+            section = slice(part.start * tile, part.stop * tile)
+            sums, shares = self._measured(rows, columns, heights, tops, k, guess, pairs, part)
+            found[section] = sums
+            # By how much the guess was above the sum, in the worst row of each tile.
+            off = np.full((2, len(sums)), [[-np.inf], [np.inf]])
+            off[:, : n - section.start] = guess[section] - sums[: n - section.start]
+            above, below = off.reshape(2, len(part), tile)
+            factor = MARGIN * np.exp2(np.clip(above.max(axis=1), -900.0, 600.0))
+            starts = pairs.starts[part.start : part.stop + 1]
+            shares *= np.repeat(factor, np.diff(starts))
+            # Where the guess was far below the sum of some row, shares were not told apart.
+            shares[np.repeat(below.min(axis=1) < -LARGEST_SHARE, np.diff(starts))] = 1.0
+            keep, left = _keep(starts, shares, (1 - UNSEEN) * budget)
+            left += factor * unseen
+            with np.errstate(divide="ignore"):
+                left = np.where(left < 1.0, left / np.maximum(1.0 - left, 0.0), np.inf)
+            skipped[part.start : part.stop] = left
+            lengths = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
+            kept.append(TilePairs(lengths, pairs.tiles[keep], pairs.distances[keep]))
+        lengths, tiles, distances = (np.concatenate(arrays) for arrays in zip(*kept, strict=True))
+        starts = np.concatenate(([0], np.cumsum(lengths)))
+        return NearPairs(
+            TilePairs(starts, tiles, distances),
+            unsort(rows, -found[:n] / k + rows.offsets),
+            unsort(rows, np.repeat(skipped, tile)[:n]),
+            len(tiles) * tile**2,
+            int(lengths.max()) * tile,
+            _largest_cost(of_rows, of_columns, lengths, tiles, distances),
+        )
+
+    def _measured(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        heights: cl.Buffer,
+        tops: Float64,
+        k: float,
+        guess: Float64,
+        pairs: TilePairs,
+        part: range,
+    ) -> tuple[Float64, Float64]:
+        """Log2 of the sums of a part's rows, and each pair's largest share, by the guess."""
+        kernel = self._row_kernels(rows, False, True)["measure_tiles"]
+        tile, n = self._knobs.tile, len(rows)
+        groups = tile // (self._knobs.group * self._knobs.width)
+        tops_of_rows = np.zeros(len(rows.centers))
+        sums, shares = np.empty(len(part) * tile), np.empty(len(pairs.tiles))
+        for launch in self._row_parts(rows, columns, pairs=pairs, within=part):
+            starts, _, levels = pairs.levels(launch, tops, k)
+            tops_of_rows[launch.start : launch.stop] = np.maximum.reduceat(levels, starts[:-1])
+            section = slice(launch.start * tile, min(n, launch.stop * tile))
+            constants = np.repeat(tops_of_rows[launch.start : launch.stop], tile)
+            constants[: section.stop - section.start] -= k * (
+                rows.own_costs[section] - rows.offsets[section]
+            )
+            bases = np.full(len(constants), SENTINEL)
+            bases[: section.stop - section.start] = -guess[section]
+            bases = np.maximum(bases + constants, SENTINEL)
+            out = [np.empty(len(constants), np.float32) for _ in range(2)]
+            out.append(np.empty(groups * len(levels), np.float32))
+            buffers = [self._work.empty(values.nbytes) for values in out]
+            self._launch_rows(
+                kernel, rows, columns, heights, tops, tops_of_rows, k, launch,
+                self._work.buffer(bases), *buffers, pairs=pairs,
+            )  # fmt: skip
+            for values, buffer in zip(out, buffers, strict=True):
+                cl.enqueue_copy(self._work.queue, values, buffer)
+            own = (launch.start - part.start) * tile
+            with np.errstate(divide="ignore"):
+                logarithms = out[0] + np.log2(out[1].astype(float))
+            sums[own : own + len(constants)] = logarithms + constants
+            first = pairs.starts[launch.start]
+            shares[first : first + len(levels)] = out[2].reshape(groups, -1).max(axis=0)
+        return sums, shares
+
+
+def candidates(
+    rows: Cloud,
+    columns: Cloud,
+    of_rows: TileBounds,
+    of_columns: TileBounds,
+    k: float,
+    budget: float,
+) -> Iterator[_Candidates]:
+    """Yield pairs of tiles in parts of the row tiles, without such as bounds exclude.
+
+    Parameters
+    ----------
+    rows, columns : Cloud
+    of_rows, of_columns : TileBounds
+    k : float
+    budget : float
+        What those may hold that are left out, as a share of any row.
+    """
+    n_rows, n_columns = len(rows.centers), len(columns.centers)
+    step = max(1, BLOCK_BOUNDS // n_columns)
+    # All tiles under this together stay within half of the budget, whatever their number.
+    hopeless = np.float32(np.log2(0.5 * budget / n_columns))
+    first, count = 0, 0
+    lengths: list[NDArray[np.int64]] = []
+    tiles: list[NDArray[np.uint32]] = []
+    shares: list[NDArray[np.float32]] = []
+    for begin in range(0, n_rows, step):
+        section = slice(begin, min(begin + step, n_rows))
+        bounds = tile_bounds(of_rows, section, of_columns, k)
+        # No row is without: its best tile has its largest bound.
+        above = bounds >= np.minimum(bounds.max(axis=1), hopeless)[:, None]
+        places = np.flatnonzero(above)
+        lengths.append(np.count_nonzero(above, axis=1))
+        tiles.append((places % n_columns).astype(np.uint32))
+        shares.append(np.exp2(np.minimum(bounds.ravel()[places], np.float32(60.0))))
+        count += len(places)
+        if count >= CHUNK_PAIRS or section.stop == n_rows:
+            part = range(first, section.stop)
+            starts = np.concatenate(([0], np.cumsum(np.concatenate(lengths))))
+            keep, unseen = _keep(starts, np.concatenate(shares), 0.5 * budget)
+            each = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
+            pairs = _tile_pairs(rows, columns, part, each, np.concatenate(tiles)[keep])
+            yield _Candidates(part, pairs, unseen + 0.5 * budget)
+            first, count, lengths, tiles, shares = section.stop, 0, [], [], []
+
+
+def possible_pairs(
+    rows: Cloud,
+    columns: Cloud,
+    sides: list[tuple[TileBounds, TileBounds]],
+    k: float,
+) -> Iterator[tuple[range, TilePairs]]:
+    """Yield pairs of tiles that any of some bounds leaves above 0, in parts of the row tiles.
+
+    Parameters
+    ----------
+    rows, columns : Cloud
+    sides : list of (rows', columns') TileBounds
+    k : float
+    """
+    n_rows, n_columns = len(rows.centers), len(columns.centers)
+    step = max(1, BLOCK_BOUNDS // n_columns)
+    first, count = 0, 0
+    lengths: list[NDArray[np.int64]] = []
+    tiles: list[NDArray[np.uint32]] = []
+    for begin in range(0, n_rows, step):
+        section = slice(begin, min(begin + step, n_rows))
+        bounds = [tile_bounds(one, section, other, k) for one, other in sides]
+        highest = functools.reduce(np.maximum, bounds)
+        # Reductions want at least one column tile for each row tile.
+        above = highest >= np.minimum(highest.max(axis=1), 0.0)[:, None]
+        lengths.append(np.count_nonzero(above, axis=1))
+        tiles.append((np.flatnonzero(above) % n_columns).astype(np.uint32))
+        count += len(tiles[-1])
+        if count >= CHUNK_PAIRS or section.stop == n_rows:
+            part = range(first, section.stop)
+            yield (
+                part,
+                _tile_pairs(rows, columns, part, np.concatenate(lengths), np.concatenate(tiles)),
+            )
+            first, count, lengths, tiles = section.stop, 0, [], []
+
+
+def _tile_pairs(
+    rows: Cloud,
+    columns: Cloud,
+    part: range,
+    lengths: NDArray[np.int64],
+    tiles: NDArray[np.uint32],
+) -> TilePairs:
+    """Return the pairs of some row tiles; the others have none."""
+    each = np.zeros(len(rows.centers), np.int64)
+    each[part.start : part.stop] = lengths
+    owner = np.repeat(np.arange(len(each)), each)
+    distances = np.zeros(len(tiles))
+    for d in range(rows.centers.shape[1]):
+        distances += 0.5 * (rows.centers[owner, d] - columns.centers[tiles, d]) ** 2
+    return TilePairs(np.concatenate(([0], np.cumsum(each))), tiles, distances)
+
+
+def _keep(
+    starts: NDArray[np.int64], shares: NDArray[Any], budget: float
+) -> tuple[NDArray[np.bool_], Float64]:
+    """Choose which shares to keep so that those left out add to no more than the budget.
+
+    Parameters
+    ----------
+    starts : (k + 1,) array
+        Where each row's shares begin; none is without.
+    shares : (n,) array
+    budget : float
+
+    Returns
+    -------
+    keep : (n,) array of bool
+        Each row's largest always is.
+    left : (k,) array
+        Sum of those left out.
+    """
+    lengths = np.diff(starts)
+    largest = np.maximum.reduceat(shares, starts[:-1])
+    cut, left = np.zeros(len(lengths)), np.zeros(len(lengths))
+    for candidate in budget * CUTS[::-1]:
+        limit = np.minimum(candidate, largest)
+        below = np.where(shares < np.repeat(limit, lengths), shares, 0)
+        sums = np.add.reduceat(below, starts[:-1], dtype=float)
+        fits = sums <= budget
+        cut[fits], left[fits] = limit[fits], sums[fits]
+    return shares >= np.repeat(cut, lengths), left
+
+
+def _largest_cost(
+    rows: TileBounds,
+    columns: TileBounds,
+    lengths: NDArray[np.int64],
+    tiles: NDArray[np.uint32],
+    distances: Float64,
+) -> float:
+    """Return a bound of the cost of all pairs of points in pairs of tiles."""
+    radii = [np.sqrt(np.sum(side.sides.astype(float) ** 2, axis=1)) for side in (rows, columns)]
+    farthest = np.sqrt(2 * distances) + np.repeat(radii[0], lengths) + radii[1][tiles]
+    return 0.5 * float(farthest.max()) ** 2

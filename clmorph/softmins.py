@@ -1,0 +1,191 @@
+"""The soft minimum between two clouds, over the pairs that matter."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.errors import InputError
+from clmorph.operations import NearPairs, Operations, rounding_error
+
+Array = NDArray[np.float64]
+
+#: Pairs are chosen for less than the truncation, so that they serve while potentials move: at
+#: first for this share, for less each time that they moved too far, and at last for this little.
+RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-24
+#: A choice of pairs is made again with what it found out, if its guess was off by more nats on
+#: average: it keeps more than need be.
+GOOD_GUESS = 0.5
+#: Choices in a row after which nothing is left out instead.
+ATTEMPTS = 3
+
+
+class Softmin:
+    """T: potentials of the columns to soft minima over the rows (paper, section 3.1).
+
+    With a truncation it is summed over near pairs only (`Operations.near_pairs`). These are
+    chosen for one potential g; at another one, h, the share of the rest can have grown by no
+    more than exp(max(h - g) / epsilon), times what the row's own sum has changed by. Only where
+    this bound exceeds the truncation they are chosen anew.
+
+    Parameters
+    ----------
+    operations : Operations
+    rows, columns
+        Its clouds.
+    weights : (N,), (M,)
+        Of both clouds.
+    truncation : float, optional
+        By how many nats a log-sum-exp may be too small; all pairs are summed if None.
+
+    Attributes
+    ----------
+    guess : (N,) array or None
+        About what the next softmin will be; the last one unless set.
+    error : float
+        By how many nats the logarithms of the last softmin's sums can be too small: a bound.
+    near : NearPairs or None
+        What the last one summed; None: all pairs.
+    reserve : float
+        Pairs are chosen for this share of the truncation; the less, the longer they serve.
+    """
+
+    def __init__(
+        self,
+        operations: Operations,
+        rows: Any,
+        columns: Any,
+        weights: tuple[Array, Array],
+        truncation: float | None = None,
+    ) -> None:
+        self.operations, self.rows, self.columns = operations, rows, columns
+        self._truncation = truncation
+        self._massive = weights[1] > 0
+        self._pairs = len(weights[0]) * len(weights[1])
+        self.reserve = RESERVE
+        self._near: NearPairs | None = None
+        self._chosen_for: tuple[float, Array] = (0.0, np.zeros(0))
+        self.guess: Array | None = None
+        self.near: NearPairs | None = None
+        self.error = 0.0
+
+    def __call__(self, potential: Array, epsilon: float, precise: bool = False) -> Array:
+        """Return T(potential), (N,) for (M,)."""
+        if self._truncation is None:
+            return self._over(None, potential, epsilon, precise)
+        if self._near is not None and self._chosen_for[0] == epsilon:
+            softmin = self._over(self._near, potential, epsilon, precise)
+            self.error = self._bound(potential, softmin, epsilon)
+            if self.error <= self._truncation:
+                return softmin
+            self.reserve = max(LEAST_RESERVE, SCARCER * self.reserve)
+        if self.guess is None:
+            self.guess = self._over(None, potential, epsilon, False)
+        for _ in range(ATTEMPTS):
+            near = self._choose(potential, epsilon)
+            if near is not None:
+                softmin = near.softmin
+                if precise:
+                    softmin = self._over(near, potential, epsilon, True)
+                self.near, self.error = near, float(near.skipped.max())
+                return softmin
+        # What is left out cannot be bounded: leave out nothing.
+        self._near, self.error = None, 0.0
+        return self._over(None, potential, epsilon, precise)
+
+    def release(self) -> None:
+        """Sum over all pairs from now on."""
+        self._truncation = self._near = None
+
+    def _choose(self, potential: Array, epsilon: float) -> NearPairs | None:
+        """Choose pairs; None if they leave out too much, as after a bad guess."""
+        assert self.guess is not None
+        assert self._truncation is not None
+        near = self.operations.near_pairs(
+            self.rows,
+            self.columns,
+            potential,
+            self.guess,
+            epsilon,
+            self.reserve * self._truncation,
+        )
+        _finite(near.softmin)
+        missed = float(np.abs(near.softmin - self.guess).mean()) / epsilon
+        self.guess = near.softmin
+        if float(near.skipped.max()) > self._truncation:
+            return None
+        # After a bad guess more is kept than need be: good for once.
+        self._near = near if missed <= GOOD_GUESS else None
+        self._chosen_for = epsilon, potential
+        return near
+
+    def _over(
+        self, near: NearPairs | None, potential: Array, epsilon: float, precise: bool
+    ) -> Array:
+        arguments = self.rows, self.columns, potential, epsilon, precise
+        if near is None:
+            softmin = _finite(self.operations.softmin(*arguments))
+        else:
+            softmin = _finite(self.operations.softmin(*arguments, near))
+        self.near, self.guess, self.error = near, softmin, 0.0
+        return softmin
+
+    @property
+    def visited(self) -> float:
+        """Share of all pairs that the last softmin summed."""
+        return 1.0 if self.near is None else min(1.0, self.near.n_pairs / self._pairs)
+
+    def _bound(self, potential: Array, softmin: Array, epsilon: float) -> float:
+        """Return by how many nats the sums over the chosen pairs can be too small now."""
+        assert self._near is not None
+        grown = float((potential - self._chosen_for[1])[self._massive].max())
+        with np.errstate(divide="ignore"):
+            logarithms = np.log(self._near.skipped)
+        logarithms += (grown + softmin - self._near.softmin) / epsilon
+        return float(np.exp(np.minimum(logarithms.max(), 700.0)))
+
+    def rounding(self, n_columns: int, largest_cost: float, epsilon: float, precise: bool) -> float:
+        """By how many nats rounding may change a softmin; see `rounding_error`.
+
+        Parameters
+        ----------
+        n_columns : int
+        largest_cost : float
+            Over all pairs.
+        epsilon : float
+        precise : bool
+        """
+        if self._near is not None and self._chosen_for[0] == epsilon:
+            n_columns = self._near.n_columns
+            largest_cost = min(largest_cost, self._near.largest)
+        return rounding_error(self.operations, n_columns, largest_cost / epsilon, precise)
+
+
+def plan_softmin(
+    operations: Operations, clouds: tuple[Any, Any], pair: tuple[Any, Any], potentials: Any
+) -> Softmin:
+    """Return what takes T(g) of a plan's rows, as the solver took it.
+
+    Parameters
+    ----------
+    operations : Operations
+    clouds : (rows, columns)
+    pair : (source, target)
+        Measures, or what has `weights`.
+    potentials : Potentials
+    """
+    weights = pair[0].weights, pair[1].weights
+    result = Softmin(operations, *clouds, weights, potentials.truncation)
+    rho = potentials.rho[0] if isinstance(potentials.rho, tuple) else potentials.rho
+    result.guess = potentials.f * (1.0 + potentials.epsilon / rho)
+    return result
+
+
+def _finite(softmin: Array) -> Array:
+    """Return a softmin if it is finite; float32 ends before float64 does."""
+    if np.all(np.isfinite(softmin)):
+        return softmin
+    raise InputError(
+        "points are too far apart for this blur on this device, whose float32 overflows: raise "
+        "blur, scale the points, or use backend='numpy'"
+    )

@@ -1,0 +1,217 @@
+"""Solving through cells, against solving directly."""
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph import multiscale, reference, sinkhorn
+from clmorph.cells import make_cells
+from clmorph.multiscale import CorrectedProblem
+from clmorph.points import WeightedPoints
+from clmorph.problem import Problem
+
+
+def pictures(side):
+    y, x = np.mgrid[:side, :side] / side
+    one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
+    two = np.stack([(x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.1, y, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
+    return [clmorph.lift(image, 1.0) for image in (one, two)]
+
+
+def same_up_to_a_constant(got, want, tolerance):
+    shift = 0.0 if got.reach is not None else np.mean(got.f - want.f)
+    assert np.abs(got.f - want.f - shift).max() <= tolerance * got.epsilon
+    assert np.abs(got.g - want.g + shift).max() <= tolerance * got.epsilon
+
+
+# --- cells ------------------------------------------------------------------------------
+
+
+def test_cells_are_small_and_keep_mass_and_its_center(rng):
+    points, weights = rng.normal(size=(3000, 5)), rng.random(3000)
+    cells = make_cells(WeightedPoints(points, weights), 0.7)
+    coarse = cells.measure
+    assert len(coarse) == cells.labels.max() + 1 < 3000
+    assert coarse.mass == pytest.approx(weights.sum(), rel=1e-12)
+    assert np.allclose(coarse.weights @ coarse.points, weights @ points, atol=1e-9)
+    for cell in range(0, len(coarse), 50):
+        own = points[cells.labels == cell]
+        assert np.all(np.ptp(own, axis=0) <= 0.7)
+        assert np.all(np.abs(own - coarse.points[cell]) <= 0.7)
+    values = rng.random(3000)
+    sums = np.bincount(cells.labels, weights * values)
+    assert np.allclose(cells.mean(values, weights), sums / coarse.weights)
+
+
+def test_cells_without_mass_and_with_offsets():
+    points = np.array([[0.1], [0.2], [5.0], [5.05], [9.0]])
+    weights = np.array([1.0, 3.0, 0.0, 0.0, 0.0])
+    cells = make_cells(WeightedPoints(points, weights, np.arange(5.0)), 1.0)
+    assert cells.measure.weights.tolist() == [4.0, 0.0, 0.0]
+    assert np.allclose(cells.measure.points[:, 0], [0.175, 5.025, 9.0])
+    assert np.allclose(cells.measure.offsets, [0.75, 2.5, 4.0])
+    assert np.allclose(cells.mean(points[:, 0], weights), [0.175, 5.025, 9.0])
+
+
+def test_cells_of_eleven_dimensions_far_apart(rng):
+    """More places than an integer can count."""
+    points = 1e3 * rng.normal(size=(500, 11))
+    points[250:] = points[:250] + 1e-7
+    cells = make_cells(WeightedPoints(points, np.ones(500)), 1e-3)
+    assert 250 <= len(cells.measure) <= 260
+    assert np.mean(cells.labels[:250] == cells.labels[250:]) > 0.95
+
+
+# --- the correction ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rho", [(0.3, 0.3), (0.1, np.inf), (np.inf, np.inf)])
+def test_a_corrected_problem_is_a_transport_problem(rng, rho):
+    """Its dual has its softmins as gradient: half-steps maximize it."""
+    x, y = rng.random((20, 2)), rng.random((25, 2))
+    source, target = (WeightedPoints(points, np.full(len(points), 1 / len(points)))
+                      for points in (x, y))  # fmt: skip
+    epsilon = 0.05
+    problem = CorrectedProblem(clmorph.get_backend("numpy"), source, target, rho)
+    problem.correct(
+        0.3 * epsilon * rng.normal(size=20), 0.3 * epsilon * rng.normal(size=25), epsilon
+    )
+    assert np.isclose(*problem.masses) or np.isfinite(rho[0])
+    g = 0.1 * rng.random(25)
+    f, g, t_rows = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
+
+    def dual(f, g):
+        rows = problem.row_mass(f, problem.softmin_rows(g, epsilon, True), epsilon)
+        return problem.dual(f, g, float(rows.sum()), epsilon)
+
+    best = dual(f, g)
+    for _ in range(20):
+        assert dual(f + 1e-3 * rng.normal(size=20), g) < best
+    for s in (1e-3, -1e-3):
+        assert dual(f + s, g - s) <= best + 1e-12
+    rows = problem.row_mass(f, t_rows, epsilon).sum()
+    columns = problem.column_mass(g, problem.softmin_columns(f, epsilon, True), epsilon).sum()
+    assert rows == pytest.approx(columns, rel=1e-9)  # one plan has both
+
+
+def test_the_correction_makes_the_cells_problem_agree(rng):
+    """At the potentials that it was computed for, softmins are those of the points."""
+    source, target = pictures(20)
+    epsilon, backend = 0.01, clmorph.get_backend("numpy")
+    points = Problem(backend, source, target, (0.1, 0.1))
+    cells = [make_cells(measure, 0.1) for measure in (source, target)]
+    coarse = CorrectedProblem(backend, cells[0].measure, cells[1].measure, (0.1, 0.1))
+    f, g = 0.1 * rng.random(400), 0.1 * rng.random(400)
+    own_f, own_g = cells[0].mean(f, source.weights), cells[1].mean(g, target.weights)
+    want = [cells[0].mean(points.to_rows(g, epsilon), source.weights),
+            cells[1].mean(points.to_columns(f, epsilon), target.weights)]  # fmt: skip
+    coarse.correct(want[0] - coarse.to_rows(own_g, epsilon),
+                   want[1] - coarse.to_columns(own_f, epsilon), epsilon)  # fmt: skip
+    assert np.allclose(coarse.softmin_rows(own_g, epsilon, True), want[0])
+    assert np.allclose(coarse.softmin_columns(own_f, epsilon, True), want[1])
+
+
+# --- whole solves -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reach", [0.05, 0.3, 1.0, None, (0.3, None), (0.1, 0.7)], ids=str)
+@pytest.mark.parametrize("blur", [0.02, 0.05, 0.2])
+def test_the_solution_is_the_same(device, blur, reach):
+    source, target = pictures(40)
+    got = sinkhorn(source, target, blur, reach, 1e-4, backend=device, multiscale=True)
+    want = sinkhorn(source, target, blur, reach, 1e-4, backend=device)
+    assert got.converged
+    assert got.residual <= 1e-4
+    rounding = 2e-5 * got.epsilon * got.transported_mass
+    assert got.dual - rounding <= want.primal + want.marginal_error
+    assert want.dual - rounding <= got.primal + got.marginal_error
+    if reach == 0.3:
+        same_up_to_a_constant(got, want, 0.02)
+
+
+def test_few_iterations_over_the_points(device):
+    source, target = pictures(64)
+    got = sinkhorn(source, target, 0.1, 0.3, backend=device, multiscale=True)
+    assert got.converged
+    assert got.n_iter <= 4
+    assert len(got.residuals) == got.n_iter
+    # Each cycle leaves a small part.
+    assert np.all(got.residuals[1:] < 0.3 * got.residuals[:-1])
+
+
+def test_the_residual_is_that_of_the_points(rng):
+    source, target = pictures(24)
+    got = sinkhorn(source, target, 0.1, 0.3, 1e-2, backend="numpy", multiscale=True)
+    problem = Problem(clmorph.get_backend("numpy"), source, target, (got.rho, got.rho))
+    softmins = problem.to_rows(got.g, got.epsilon), problem.to_columns(got.f, got.epsilon)
+    residual = problem.residual(got.f, got.g, *softmins, got.epsilon)
+    assert residual == pytest.approx(got.residual, rel=1e-6)
+
+
+def test_without_cells_that_save_anything(rng):
+    """A blur below the points' distance: each is a cell of its own, and nothing is gained."""
+    (a, x), (b, y) = [(np.full(60, 1 / 60), rng.random((60, 3))) for _ in range(2)]
+    got = sinkhorn((a, x), (b, y), 0.01, 0.3, 1e-4, backend="numpy", multiscale=True)
+    want = reference.sinkhorn((a, x), (b, y), 0.01, 0.3, 1e-6, 10**5)
+    assert got.converged
+    same_up_to_a_constant(got, want, 0.05)
+
+
+def test_cells_that_mislead_are_left(monkeypatch):
+    """With cells far larger than the blur cycles do not converge; the solve does."""
+    monkeypatch.setattr(multiscale, "SIDES", (6.0,))
+    monkeypatch.setattr(multiscale, "ENOUGH", (1.0,))
+    source, target = pictures(24)
+    got = sinkhorn(source, target, 0.04, 0.3, backend="numpy", multiscale=True)
+    assert got.converged
+    want = sinkhorn(source, target, 0.04, 0.3, 1e-5, backend="numpy", multiscale=False)
+    same_up_to_a_constant(got, want, 0.1)
+
+
+def test_an_earlier_solution_is_a_start(device):
+    source, target = pictures(48)
+    first = sinkhorn(source, target, 0.1, 0.3, backend=device, multiscale=True)
+    again = sinkhorn(source, target, 0.1, 0.3, backend=device, multiscale=True, start=first)
+    assert again.converged
+    assert again.n_iter <= 2
+
+
+def test_max_iter_and_progress(rng):
+    source, target = pictures(32)
+    shares = []
+    with pytest.warns(clmorph.ConvergenceWarning, match="not converged after 2 iterations"):
+        got = sinkhorn(
+            source, target, 0.1, 1.0, 1e-9, 2, "numpy", multiscale=True, progress=shares.append
+        )
+    assert (got.status, got.n_iter) == ("max_iter", 2)
+    assert shares[-1] == 1
+    assert np.all(np.diff(shares) >= 0)
+
+
+def test_costs_with_offsets(device, rng):
+    """A color metric for each pixel: eleven coordinates and offsets."""
+    image = rng.random((24, 24, 3))
+    metric = np.eye(3) + 0.1 * np.abs(rng.normal(size=(24, 24, 1, 1)))
+    source = clmorph.lift(image, 0.5, color_metric=metric)
+    target = clmorph.lift(rng.random((24, 24, 3)), 0.5)
+    got = sinkhorn(source, target, 0.1, 0.3, 1e-4, backend=device, multiscale=True)
+    want = sinkhorn(source, target, 0.1, 0.3, 1e-5, backend=device)
+    assert got.converged
+    same_up_to_a_constant(got, want, 0.02)
+
+
+@pytest.mark.parametrize("value", ["yes", 2, None])
+def test_wrong_options(value):
+    one = clmorph.lift(np.zeros((2, 2)))
+    with pytest.raises(clmorph.InputError, match="multiscale"):
+        sinkhorn(one, one, backend="numpy", multiscale=value)
+
+
+def test_small_problems_are_solved_as_ever(device):
+    """Bit by bit, and without a truncation."""
+    source, target = pictures(32)
+    ours = sinkhorn(source, target, backend=device)
+    plain = sinkhorn(source, target, backend=device, multiscale=False, truncation=None)
+    assert np.array_equal(ours.f, plain.f)
+    assert np.array_equal(ours.g, plain.g)
+    assert (ours.truncation, ours.truncation_error, ours.visited) == (None, 0.0, 1.0)
