@@ -8,7 +8,7 @@ from clmorph.estimates import affordable, estimate, predict_pairs
 from clmorph.operations import Operations
 from clmorph.plan import Plan, transport_plan
 from clmorph.potentials import Potentials
-from clmorph.refinement import Cells, drawn, refined
+from clmorph.refinement import PixelCells, drawn, refined
 from clmorph.sampling import MAX_DRAWS, Barycentric, barycentric_plan, sample_plan
 
 #: Share of a device's memory that a morph may take, unless told otherwise.
@@ -22,8 +22,8 @@ def default_memory(operations: Operations) -> float | None:
 
 
 def make_plan(
-    source: Cells,
-    target: Cells,
+    source: PixelCells,
+    target: PixelCells,
     potentials: Potentials,
     operations: Operations,
     *,
@@ -37,7 +37,7 @@ def make_plan(
 
     Parameters
     ----------
-    source, target : Cells
+    source, target : PixelCells
     potentials : Potentials
         Of `source.coarse` and `target.coarse`.
     operations : Operations
@@ -71,8 +71,8 @@ def make_plan(
 
 
 def _way(
-    source: Cells,
-    target: Cells,
+    source: PixelCells,
+    target: PixelCells,
     potentials: Potentials,
     operations: Operations,
     max_particles: int | None,

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class PixelCells:
     """An image's pixels, in square cells.
 
     Attributes
@@ -54,7 +54,7 @@ def _owners(shape: tuple[int, int], side: int) -> NDArray[np.int64]:
     return (row[:, None] * columns + column).ravel()
 
 
-def in_cells(measure: Measure, size: int) -> Cells:
+def in_cells(measure: Measure, size: int) -> PixelCells:
     """Gather an image's pixels into cells.
 
     Parameters
@@ -65,7 +65,7 @@ def in_cells(measure: Measure, size: int) -> Cells:
 
     Returns
     -------
-    Cells
+    PixelCells
         Of one pixel each if the image is no larger.
 
     Raises
@@ -77,7 +77,7 @@ def in_cells(measure: Measure, size: int) -> Cells:
     while -(-max(measure.shape) // side) > size:
         side *= 2
     if side == 1:
-        return Cells(measure, measure, 1)
+        return PixelCells(measure, measure, 1)
     if measure.has_metric_map:
         raise InputError(
             "solve_size: not with a color metric for each pixel; leave it out, or give one metric"
@@ -98,11 +98,11 @@ def in_cells(measure: Measure, size: int) -> Cells:
         mean(measure.positions), np.clip(mean(measure.colors), 0.0, 1.0), mass, (height, width),
         measure.color_weight, measure.extent, measure.color_space, measure.color_metric,
     )  # fmt: skip
-    return Cells(measure, coarse, side)
+    return PixelCells(measure, coarse, side)
 
 
 def refined(
-    plan: Plan | Barycentric, source: Cells, target: Cells
+    plan: Plan | Barycentric, source: PixelCells, target: PixelCells
 ) -> Plan | Barycentric:  # fmt: skip
     """Return a plan between cells as one between their pixels.
 
@@ -114,7 +114,7 @@ def refined(
     ----------
     plan : Plan or Barycentric
         Between `source.coarse` and `target.coarse`.
-    source, target : Cells
+    source, target : PixelCells
 
     Returns
     -------
@@ -144,15 +144,15 @@ def refined(
     return _as_plan(rows, columns, mass, plan, source, target)
 
 
-def _places(source: Cells, target: Cells) -> list[tuple[int, int]]:
+def _places(source: PixelCells, target: PixelCells) -> list[tuple[int, int]]:
     """Places in the finer of two cells: row and column."""
     side = max(source.side, target.side)
     return [(row, column) for row in range(side) for column in range(side)]
 
 
 def _pixels(
-    source: Cells,
-    target: Cells,
+    source: PixelCells,
+    target: PixelCells,
     i: NDArray[np.int64],
     j: NDArray[np.int64],
     place: tuple[int, int],
@@ -176,7 +176,7 @@ def _pixels(
     return pairs, found[0][pairs], found[1][pairs]
 
 
-def drawn(plan: Plan, source: Cells, target: Cells, draws: int) -> Plan:
+def drawn(plan: Plan, source: PixelCells, target: PixelCells, draws: int) -> Plan:
     """Return draws from a plan between cells as pairs of pixels, each draw once.
 
     A row's draws, in the order of a Z-curve over the target's cells, go in turn to the cell's
@@ -187,7 +187,7 @@ def drawn(plan: Plan, source: Cells, target: Cells, draws: int) -> Plan:
     ----------
     plan : Plan
         From `clmorph.sample_plan`.
-    source, target : Cells
+    source, target : PixelCells
     draws : int
         Draws of each row.
     """
@@ -214,7 +214,7 @@ def z_order(row: NDArray[np.int64], column: NDArray[np.int64]) -> NDArray[np.int
 
 
 def _in_turn(
-    cells: Cells, owner: NDArray[np.int64], rank: NDArray[np.int64], draws: int, finest: int
+    cells: PixelCells, owner: NDArray[np.int64], rank: NDArray[np.int64], draws: int, finest: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the pixel of each draw and its place in the finest of cells, by row and column."""
     places = np.divmod(np.arange(len(cells.fine)), cells.fine.shape[1])
@@ -250,7 +250,7 @@ def _before(share: Array, owners: NDArray[np.int64]) -> Array:
 
 
 def _at_place(
-    cells: Cells, owner: NDArray[np.int64], place: NDArray[np.int64], finest: int
+    cells: PixelCells, owner: NDArray[np.int64], place: NDArray[np.int64], finest: int
 ) -> NDArray[np.int64]:
     """Return the pixel of each cell at a place; a cell that is cut off has what it has again."""
     found = []
@@ -266,8 +266,8 @@ def _as_plan(
     columns: NDArray[np.int64],
     mass: Array,
     coarse: Plan,
-    source: Cells,
-    target: Cells,
+    source: PixelCells,
+    target: PixelCells,
 ) -> Plan:
     """Return pairs of pixels as a plan; pairs that were dropped are shared out as those kept."""
     shape = len(source.fine), len(target.fine)
@@ -285,7 +285,7 @@ def _as_plan(
     )  # fmt: skip
 
 
-def _refined_means(plan: Barycentric, source: Cells, target: Cells) -> Barycentric:
+def _refined_means(plan: Barycentric, source: PixelCells, target: PixelCells) -> Barycentric:
     """Move each pixel as the cells around it move, in between by linear interpolation."""
     fine, coarse, owners = source.fine, source.coarse, source.owners
 

@@ -127,7 +127,7 @@ def test_a_morph_has_all_the_pixels(device, rng, shapes, options):
 
 
 def test_the_same_picture_stays(device, rng):
-    """Cells that stay keep their pixels in place: nothing is blurred by solving low."""
+    """PixelCells that stay keep their pixels in place: nothing is blurred by solving low."""
     image = rng.random((16, 16, 3))
     result = clmorph.morph(
         image, image, 3, solve_size=4, blur=0.01, backend=device, splatting="none",
