@@ -14,7 +14,7 @@ from click.exceptions import NoArgsIsHelpError
 from clmorph.commands import options
 from clmorph.commands import settings as files
 from clmorph.defaults import N_FRAMES, PRESETS
-from clmorph.errors import ClmorphError, InputError
+from clmorph.errors import ClmorphError, FileError, InputError
 from clmorph.release import __version__
 
 #: Shells that complete what is typed.
@@ -70,8 +70,8 @@ def _settings_callback(context: click.Context, parameter: click.Parameter, path:
     """Read a file of settings before any other option is looked at."""
     if path is None:
         return None
-    names = [other.name for other in context.command.params if other.name not in NOT_SETTINGS]
-    found = files.read_settings(path, [name for name in names if name])
+    settable = [other for other in context.command.params if other.name not in NOT_SETTINGS]
+    found = files.read_settings(path, settable)
     context.default_map = {name: value for name, value in found.items() if name != files.IMAGES}
     return found[files.IMAGES]
 
@@ -115,7 +115,6 @@ def morph(
     config: list[tuple[Path, str | None]] | None,
     dump_config: bool,
     as_json: bool,
-    max_pixels: int,
     device: str | None,
     backend: str | None,
     **given: Any,
@@ -132,12 +131,16 @@ def morph(
 
     Options that are not given are those of the preset.
     """  # noqa: D301
-    from clmorph.commands.morph import announce_changes, run_morph
+    from clmorph.commands.morph import announce_changes, announce_idle, run_morph
 
     settings = _settings(context, preset, given)
     if config is not None and not images:
         images = tuple(path for path, _ in config)
         announce_changes(config)
+    if context.get_parameter_source("output") is ParameterSource.COMMANDLINE and (
+        context.get_parameter_source("format") is not ParameterSource.COMMANDLINE
+    ):
+        settings.pop("format", None)  # it belongs to the output that the file names
     if dump_config:
         click.echo(files.as_toml(settings, images), nl=False)
         return
@@ -148,10 +151,12 @@ def morph(
         )
     if not output:
         raise InputError("no output given: expected -o with a name, such as -o out.gif")
-    run_morph(
-        images, output, settings, max_pixels=max_pixels, device=device, backend=backend,
-        as_json=as_json,
+    announce_idle(
+        [name for name in given if context.get_parameter_source(name)
+         is ParameterSource.COMMANDLINE],
+        output, settings.get("format"),
     )  # fmt: skip
+    run_morph(images, output, settings, device=device, backend=backend, as_json=as_json)
 
 
 def _settings(context: click.Context, preset: str | None, given: dict[str, Any]) -> files.Settings:
@@ -164,8 +169,8 @@ def _settings(context: click.Context, preset: str | None, given: dict[str, Any])
     chosen = files.preset(preset or "photo")
     in_line = context.get_parameter_source("preset")
     if in_line is ParameterSource.COMMANDLINE:
-        return files.layered((said[False], chosen, said[True]))
-    return files.layered((chosen, said[False], said[True]))
+        return files.layered((files.usual(), said[False], chosen, said[True]))
+    return files.layered((files.usual(), chosen, said[False], said[True]))
 
 
 @cli.command()
@@ -194,7 +199,7 @@ def inspect(
     as_json: bool,
     preset: str,
     frames: int,
-    max_pixels: int,
+    max_pixels: int | None,
     device: str | None,
     backend: str | None,
     **given: Any,
@@ -312,8 +317,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         message = " ".join(error.format_message().split())
         click.echo(f"clmorph: error: {message} (clmorph --help shows the usage)", err=True)
         return 2
+    except FileError as error:  # a name is not to be taken for an option
+        click.echo(f"clmorph: error: {error}", err=True)
+        return 2
     except ClmorphError as error:
         click.echo(f"clmorph: error: {_in_option_names(str(error))}", err=True)
+        return 2
+    except UnicodeError as error:
+        click.echo(f"clmorph: error: a name cannot be printed here ({error.reason})"
+                   if isinstance(error, UnicodeEncodeError) else f"clmorph: error: {error}",
+                   err=True)  # fmt: skip
         return 2
     except MemoryError:
         click.echo("clmorph: error: not enough memory; use a smaller --size", err=True)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.defaults import PRESETS
-from clmorph.export import Output, described
+from clmorph.export import Output, described, write_all
 from clmorph.film import recorded
 from clmorph.images import as_rgb, fit, read_image
 from clmorph.morph import morph
@@ -64,8 +64,7 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
         [result], Motion(), keep=True, parameters=described([result]), folder=folder,
         progress=stages,
     ) as film:  # fmt: skip
-        for number, output in enumerate(outputs):
-            output.write(film, report=stages.part("files", number, len(outputs)))
+        write_all(outputs, film, report=lambda output, share: stages(output.path.name, share))
     options = ", ".join(f"{name} {value}" for name, value in PARAMETERS.items())
     times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in stages.seconds.items())
     return [

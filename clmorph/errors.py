@@ -12,6 +12,10 @@ class InputError(ClmorphError, ValueError):
     """A value given by the caller cannot be used: wrong shape, range, name or file."""
 
 
+class FileError(InputError):
+    """An image file cannot be used; the message begins with its name."""
+
+
 class PlanSizeError(InputError):
     """A plan would keep more pairs than it may.
 

@@ -191,8 +191,8 @@ def affordable(
             return way
     least = min(need(**way) for way in ways)
     raise InputError(
-        f"max_memory={max_memory:.3g}: expected at least {least / 1e6:.1f} MB for images of these "
-        "sizes; raise it, or use smaller images"
+        f"max_memory={limit / 1e9:.3g} GB: expected at least {least / 1e9:.2g} GB for images of "
+        "these sizes; raise it, or use smaller images"
     )
 
 

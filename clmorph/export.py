@@ -1,11 +1,16 @@
 """Write a morph, or a chain of morphs, as files that people open."""
 
+import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from clmorph import defaults
 from clmorph.checks import check_choice
@@ -13,10 +18,15 @@ from clmorph.errors import InputError, OutputError
 from clmorph.files import atomic_path, check_place
 from clmorph.film import Film, StageProgress, recorded
 from clmorph.formats import animation, archive, gif, page, sheet, stills, video
+from clmorph.formats.embedding import as_text
 from clmorph.framing import Look
 from clmorph.motion import Motion
 from clmorph.progress import Report
 from clmorph.result import Morph
+
+#: Options that decide about sizes and colors, and about when frames are shown.
+SIZES = ("canvas", "scaling", "background")
+PACE = ("fps", "duration", "hold", "loop")
 
 
 @dataclass(frozen=True)
@@ -39,6 +49,10 @@ class Format:
         Whether it tells of the morphs, not of their frames alone.
     check : callable
         Raises OutputError if something that it needs is missing.
+    heeds : tuple of str
+        Which options about looks and motion make a difference to it.
+    fastest : float
+        Frames a second that it can hold, at most.
     """
 
     endings: tuple[str, ...]
@@ -48,24 +62,32 @@ class Format:
     exact: bool = False
     keep: bool = False
     check: Callable[[], None] = lambda: None
+    heeds: tuple[str, ...] = (*SIZES, *PACE)
+    fastest: float = math.inf
 
 
 #: Every kind of file by its name; those without an ending of their own need to be named.
 FORMATS: dict[str, Format] = {
-    "gif": Format((".gif",), "a looping GIF", gif.write, animated=True),
-    "webp": Format((".webp",), "an animated WebP", animation.write_webp, animated=True),
+    "gif": Format((".gif",), "a looping GIF", gif.write, animated=True, fastest=50.0),
+    "webp": Format(
+        (".webp",), "an animated WebP", animation.write_webp, animated=True,
+        heeds=(*SIZES, *PACE, "lossless"),
+    ),
     "apng": Format((".apng",), "an animated PNG", animation.write_apng, animated=True),
     "mp4": Format((".mp4",), "a video, H.264", video.write_mp4, True, check=video.check_video),
     "webm": Format((".webm",), "a video, VP9", video.write_webm, True, check=video.check_video),
     "html": Format((".html", ".htm"), "a page to play with", page.write, keep=True),
-    "sheet": Format((".png",), "a contact sheet", sheet.write),
+    "sheet": Format((".png",), "a contact sheet", sheet.write, heeds=SIZES),
     "npz": Format(
-        (".npz",), "NumPy arrays: frames, times, plan", archive.write, exact=True, keep=True
+        (".npz",), "NumPy arrays: frames, times, plan", archive.write, exact=True, keep=True,
+        heeds=(),
     ),
-    "tiff": Format((".tif", ".tiff"), "a TIFF with a page for each frame", stills.write_tiff),
-    "png-folder": Format(("",), "a folder of PNG frames", stills.write_png_folder),
-    "tiff-folder": Format((), "a folder of TIFF frames", stills.write_tiff_folder),
-}
+    "tiff": Format(
+        (".tif", ".tiff"), "a TIFF with a page for each frame", stills.write_tiff, heeds=SIZES
+    ),
+    "png-folder": Format(("",), "a folder of PNG frames", stills.write_png_folder, heeds=SIZES),
+    "tiff-folder": Format((), "a folder of TIFF frames", stills.write_tiff_folder, heeds=SIZES),
+}  # fmt: skip
 #: Formats whose result is a folder.
 FOLDERS = ("png-folder", "tiff-folder")
 
@@ -114,26 +136,50 @@ class Output:
                 + ", ".join(_endings())
             )
 
-    def write(self, film: Film, look: Look | None = None, report: Report | None = None) -> None:
-        """Write a film there: whole, or not at all.
+    def check_motion(self, motion: Motion) -> None:
+        """Raise InputError if frames follow one another faster than the file can hold."""
+        if motion.fps > self.format.fastest * (1 + 1e-9):
+            raise InputError(
+                f"fps={motion.fps:.4g} is too fast for {self.path}: expected at most "
+                f"{self.format.fastest:g}; lower it, or write .webp, .apng or a video"
+            )
 
-        Parameters
-        ----------
-        film : Film
-            Recorded with this format's `exact` and `keep`.
-        look : Look, optional
-        report : callable, optional
-            Called with the share done.
 
-        Raises
-        ------
-        OutputError
-            If it cannot be written.
-        InputError
-            If the film cannot be shown that way.
-        """
-        with atomic_path(self.place) as new:
-            self.format.write(film, look or Look(), new, report or (lambda share: None))
+def write_all(
+    outputs: Sequence[Output],
+    film: Film,
+    look: Look | None = None,
+    report: Callable[[Output, float], None] | None = None,
+    texts: Mapping[Path, str] | None = None,
+) -> None:
+    """Write a film to one or several places: all of them whole, or none.
+
+    Parameters
+    ----------
+    outputs : sequence of Output
+    film : Film
+        Recorded with the `exact` and `keep` of their formats.
+    look : Look, optional
+    report : callable, optional
+        Called with an output and the share of it done.
+    texts : mapping, optional
+        What else is to be written, by place.
+
+    Raises
+    ------
+    OutputError
+        If one cannot be written.
+    InputError
+        If the film cannot be shown that way.
+    """
+    with ExitStack() as stack:
+        # Each takes its place when the stack is left, which is after all are there.
+        places = [stack.enter_context(atomic_path(output.place)) for output in outputs]
+        for place, text in (texts or {}).items():
+            stack.enter_context(atomic_path(place)).write_text(text, "utf-8")
+        for output, new in zip(outputs, places, strict=True):
+            told = partial(report, output) if report else (lambda share: None)
+            output.format.write(film, look or Look(), new, told)
 
 
 def _endings() -> list[str]:
@@ -204,14 +250,27 @@ def save(
         raise InputError("morphs: expected a Morph, or a sequence of at least one")
     output = Output(path, format)
     look, motion = Look(canvas, scaling, background, lossless), Motion(fps, hold, loop)
+    output.check_motion(motion)
+    if not isinstance(reverse, bool | np.bool_):
+        raise InputError(f"reverse={reverse!r}: expected True or False")
+    for one, other in itertools.pairwise(chain):
+        if not np.array_equal(one.target.colors, other.source.colors):
+            raise InputError(
+                "morphs: expected each to begin with the picture that the one before ends with"
+            )
     report = progress or (lambda stage, share: None)
     told = parameters if parameters is not None else described(chain)
+    try:
+        as_text(told)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"parameters: expected what JSON takes ({error})") from None
     with recorded(
-        chain, motion, reverse=reverse, exact=output.format.exact, keep=output.format.keep,
+        chain, motion, n_morphs=len(chain), reverse=reverse,
+        exact=output.format.exact, keep=output.format.keep,
         pixelated=all(morph.pixelated for morph in chain), parameters=told,
         folder=output.place.parent, progress=progress,
     ) as film:  # fmt: skip
-        output.write(film, look, partial(report, output.name))
+        write_all([output], film, look, lambda place, share: report(f"write {path}", share))
 
 
 def described(morphs: Sequence[Morph]) -> dict[str, Any]:

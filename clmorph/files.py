@@ -1,5 +1,7 @@
 """Files appear whole or not at all."""
 
+import errno
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -83,7 +85,10 @@ def atomic_path(target: str | PathLike[str]) -> Iterator[Path]:
         made = folder / f"new{place.suffix}"
         yield made
         if made.is_dir() and place.is_dir():
-            place.rmdir()  # only if it is empty
+            _fill(place, made)
+            return
+        if place.is_file():
+            shutil.copymode(place, made)
         made.replace(place)
     except OSError as error:
         raise OutputError(
@@ -92,6 +97,20 @@ def atomic_path(target: str | PathLike[str]) -> Iterator[Path]:
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def _fill(place: Path, made: Path) -> None:
+    """Move files into a folder that is empty: it stays the folder that people stand in."""
+    if any(place.iterdir()):
+        raise OSError(errno.ENOTEMPTY, os.strerror(errno.ENOTEMPTY))
+    moved = []
+    try:
+        for file in sorted(made.iterdir()):
+            moved.append(file.replace(place / file.name))
+    except BaseException:
+        for file in moved:
+            file.unlink(missing_ok=True)
+        raise
 
 
 def _reason(error: Exception) -> str:

@@ -75,6 +75,7 @@ def recorded(
     motion: Motion,
     *,
     reverse: bool = False,
+    n_morphs: int = 1,
     exact: bool = False,
     keep: bool = False,
     pixelated: bool = False,
@@ -92,6 +93,8 @@ def recorded(
     motion : Motion
     reverse : bool
         From the end to the beginning.
+    n_morphs : int
+        How many will come; only to name stages.
     exact : bool
         Frames as floats, for files that hold more than 8 bits.
     keep : bool
@@ -114,7 +117,7 @@ def recorded(
         for number, morph in enumerate(morphs):
             if keep:
                 kept.append(morph)
-            name = "frames" if number == 0 else f"frames {number + 1}"
+            name = f"frames {number + 1}" if n_morphs > 1 else "frames"
             rendered = morph.__dict__.get("frames")  # those that were asked for before
             for index, t in enumerate(morph.times):
                 if number == 0 or index > 0:

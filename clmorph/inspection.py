@@ -1,5 +1,6 @@
 """A look at the transport between two images: its numbers, before any frame is drawn."""
 
+import math
 import time
 
 from numpy.typing import ArrayLike
@@ -134,7 +135,9 @@ color_space, color_metric, weights, backend
     report("timing", 0.0)
     drawn, moving = plan, pairs
     if max(cells[0].side, cells[1].side) > 1 or pairs > (max_particles or pairs):
-        made = make_plan(*cells, potentials, operations, max_particles=max_particles)
+        made = make_plan(
+            *cells, potentials, operations, max_particles=max_particles, max_memory=math.inf
+        )
         if isinstance(made, Plan):
             drawn, moving = made, len(made)
     frames = frame_seconds(*whole, potentials, drawn, moving, int(n_frames), operations)

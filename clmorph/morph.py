@@ -26,7 +26,7 @@ from clmorph.measures import EXTENTS, MASSES, Measure
 from clmorph.motion import EASES, eased
 from clmorph.optimal_width import NO_DIVERGENCE, optimal_curve
 from clmorph.plan import Plan
-from clmorph.planning import make_plan
+from clmorph.planning import check_ways, make_plan
 from clmorph.refinement import in_cells
 from clmorph.result import Morph
 from clmorph.sampling import MAX_DRAWS, Barycentric, destination_colors
@@ -254,6 +254,9 @@ def morph(
     coarsest = solve_size or max(source.shape + target.shape)
     cells = in_cells(source, coarsest), in_cells(target, coarsest)
     operations = get_backend(backend)
+    check_ways(
+        *cells, operations, sample=sample, barycentric=barycentric, max_memory=max_memory
+    )  # fmt: skip
     report("transport", 0.0)
     potentials = sinkhorn(
         cells[0].coarse, cells[1].coarse, blur, reach, tol, max_iter, operations,

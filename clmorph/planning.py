@@ -3,7 +3,7 @@
 import warnings
 from typing import Any
 
-from clmorph.errors import MemoryWarning
+from clmorph.errors import InputError, MemoryWarning
 from clmorph.estimates import affordable, estimate, predict_pairs
 from clmorph.operations import Operations
 from clmorph.plan import Plan, transport_plan
@@ -57,17 +57,79 @@ def make_plan(
     if sample is None and not barycentric:
         way = _way(source, target, potentials, operations, max_particles, max_memory)
         sample, barycentric = way.get("sample"), way.get("barycentric", False)
-    plan: Plan | Barycentric
     if barycentric:
-        plan = barycentric_plan(*measures, potentials, backend=operations)
-    elif sample is not None:
-        # Each pixel of a cell has draws of its own, if there can be so many.
-        draws = min(MAX_DRAWS, sample * max(source.side, target.side) ** 2)
-        plan = sample_plan(*measures, potentials, draws, seed=seed, backend=operations)
-        return plan if draws == sample else drawn(plan, source, target, draws)
-    else:
+        means = barycentric_plan(*measures, potentials, backend=operations)
+        return refined(means, source, target)
+    if sample is None:
         plan = transport_plan(*measures, potentials, backend=operations)
-    return refined(plan, source, target)
+        return refined(plan, source, target)
+    # Each pixel of a cell has draws of its own.
+    draws = sample * _finest(source, target)
+    plan = sample_plan(*measures, potentials, draws, seed=seed, backend=operations)
+    return plan if draws == sample else drawn(plan, source, target, draws)
+
+
+def _finest(source: PixelCells, target: PixelCells) -> int:
+    """Pixels of the larger of both images' cells."""
+    return int(max(source.side, target.side) ** 2)
+
+
+def check_ways(
+    source: PixelCells,
+    target: PixelCells,
+    operations: Operations,
+    *,
+    sample: int | None = None,
+    barycentric: bool = False,
+    max_memory: float | None = None,
+) -> None:
+    """Check, before anything is solved, that the particles can be made as is asked for.
+
+    Parameters
+    ----------
+    source, target, operations, sample, barycentric, max_memory
+        As in `make_plan`.
+
+    Raises
+    ------
+    InputError
+        If there would be too many draws from a cell, or not even the least would fit into
+        `max_memory`.
+    """
+    finest = _finest(source, target)
+    if sample is not None and sample * finest > MAX_DRAWS:
+        raise InputError(
+            f"sample={sample}: expected at most {MAX_DRAWS // finest} with cells of {finest} "
+            "pixels; lower it, or raise solve_size"
+        )
+    limit = default_memory(operations) if max_memory is None else max_memory
+    if limit is None:
+        return
+    shapes, kind = _kind(source, target, operations)
+    asked = sample is not None or barycentric
+    ways = [(sample, barycentric)] if asked else [(1, False), (None, True)]
+    needs = (
+        estimate(shapes[0], shapes[1], sample=draws, barycentric=means, **kind)
+        for draws, means in ways
+    )
+    least = min(max(need.ram, need.device) for need in needs)
+    if least > limit and (max_memory is not None or not asked):
+        raise InputError(
+            f"max_memory={limit / 1e9:.3g} GB: expected at least {least / 1e9:.2g} GB for these "
+            "images; raise it, or use smaller images"
+        )
+
+
+def _kind(
+    source: PixelCells, target: PixelCells, operations: Operations
+) -> tuple[tuple[tuple[int, int], tuple[int, int]], dict[str, Any]]:
+    """Return the images' shapes, and what else an estimate asks for."""
+    fine = source.fine, target.fine
+    return (fine[0].shape, fine[1].shape), {
+        "alpha": any(measure.alpha is not None for measure in fine),
+        "dimension": 11 if fine[0].has_metric_map else 5,
+        "backend": operations,
+    }
 
 
 def _way(
@@ -79,35 +141,37 @@ def _way(
     max_memory: float | None,
 ) -> dict[str, Any]:
     """Return options of the plan within both limits; none if all pairs may be kept."""
-    finest = max(source.side, target.side) ** 2
+    finest = _finest(source, target)
     most = len(source.coarse) * len(target.coarse) * finest
     limit = default_memory(operations) if max_memory is None else max_memory
-    fine = source.fine, target.fine
-    shapes = fine[0].shape, fine[1].shape
-    kind: dict[str, Any] = {
-        "alpha": any(measure.alpha is not None for measure in fine),
-        "dimension": 11 if fine[0].has_metric_map else 5,
-        "backend": operations,
-    }
+    shapes, kind = _kind(source, target, operations)
     need = estimate(*shapes, most, **kind)
     few = max_particles is None or most <= max_particles
     if few and (limit is None or max(need.ram, need.device) <= limit):
         return {}  # whatever it keeps
     pairs = finest * predict_pairs(source.coarse, target.coarse, potentials, backend=operations)
     wanted: dict[str, Any] = {}
+    particles, points = pairs, len(source.coarse) * finest
     if max_particles is not None and pairs > max_particles:
-        wanted = {"sample": max(1, min(MAX_DRAWS, max_particles // (len(source.coarse) * finest)))}
-        pairs = wanted["sample"] * len(source.coarse) * finest
+        wanted = _drawn(max_particles // points, finest)
+        particles = wanted.get("sample", 1) * points
     if limit is None:
         return wanted
-    way = affordable(limit, *shapes, pairs, **kind)
+    way = affordable(limit, *shapes, particles, **kind)
     if not way:
         return wanted
+    way = _drawn(way["sample"], finest) if "sample" in way else way
     chosen = f"sample={way['sample']}" if "sample" in way else "barycentric=True"
     warnings.warn(
-        f"the plan's {pairs:.2g} pairs would not fit into max_memory={limit / 1e9:.3g} GB: "
-        f"{chosen} is taken in their place",
+        f"{particles:.2g} particles, of the plan's {pairs:.2g} pairs, would not fit into "
+        f"max_memory={limit / 1e9:.3g} GB: {chosen} is taken in their place",
         MemoryWarning,
         stacklevel=4,
     )
     return way
+
+
+def _drawn(draws: int, finest: int) -> dict[str, Any]:
+    """Return options for so many draws a pixel, or for means if cells are too large for any."""
+    most = MAX_DRAWS // finest
+    return {"sample": int(max(1, min(most, draws)))} if most else {"barycentric": True}

@@ -215,7 +215,11 @@ class Morph:
     @cached_property
     def pixelated(self) -> bool:
         """Whether both images are pixel art."""
-        images = (measure.colors.reshape(*measure.shape, 3) for measure in self._measures)
+        images = []
+        for measure in self._measures:
+            channels = [measure.colors]
+            channels += [] if measure.alpha is None else [measure.alpha[:, None]]
+            images.append(np.hstack(channels).reshape(*measure.shape, -1))
         return all(is_pixel_art(image) for image in images)
 
     @property

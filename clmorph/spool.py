@@ -9,6 +9,8 @@ from typing import Any, Self, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.errors import OutputError
+
 #: Bytes of frames that stay in memory; more go to a temporary file.
 IN_MEMORY = 128 * 1024**2
 
@@ -33,8 +35,14 @@ class Spool(Sequence[NDArray[Any]]):
         """Add an array of the spool's dtype."""
         if array.dtype != self._dtype:
             raise TypeError(f"an array of {array.dtype} in a spool of {self._dtype}")
-        offset = self._file.seek(0, 2)
-        self._file.write(np.ascontiguousarray(array).tobytes())
+        try:
+            offset = self._file.seek(0, 2)
+            self._file.write(np.ascontiguousarray(array).tobytes())
+        except OSError as error:
+            raise OutputError(
+                f"frames cannot wait on disk until they are written ({error.strerror or error}): "
+                "free some space, or take fewer or smaller frames"
+            ) from error
         self._places.append((offset, array.shape))
 
     def shape(self, index: int) -> tuple[int, ...]:

@@ -35,13 +35,13 @@ class Stages:
 
     def __init__(self) -> None:
         self._bars = Progress(
-            TextColumn("{task.description:12}"),
+            TextColumn("{task.description:12}", markup=False),
             BarColumn(),
             TextColumn("{task.percentage:>3.0f} %"),
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(compact=True),
-            TextColumn("{task.fields[note]}"),
+            TextColumn("{task.fields[note]}", markup=False),
             console=NOTES,
             disable=not NOTES.is_terminal,
             transient=True,
@@ -65,10 +65,6 @@ class Stages:
     def marked(self, mark: str) -> Callable[[str, float], None]:
         """Return what shows stages with a mark behind their names."""
         return lambda stage, share: self(stage + mark, share)
-
-    def part(self, stage: str, number: int, count: int) -> Callable[[float], None]:
-        """Return what shows one of several equal parts of a stage."""
-        return lambda share: self(stage, (number + share) / count)
 
     def __call__(self, stage: str, share: float) -> None:
         """Show that `share` (0 to 1) of a stage is done, and the note that it bears."""

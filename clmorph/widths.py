@@ -124,8 +124,11 @@ def is_pixel_art(image: NDArray[np.float64]) -> bool:
 
     Parameters
     ----------
-    image : (H, W, C) array
+    image : (H, W, 3) or (H, W, 4) array
+        Opacity, and colors that are not seen, do not count.
     """
+    if image.shape[2] == 4:
+        image = np.where(image[..., 3:] > 0, image[..., :3], 0.0)
     if _block_side(image) > 1:
         return True
     if max(image.shape[:2]) > SPRITE_SIDE:

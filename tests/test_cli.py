@@ -1,6 +1,7 @@
 """The command line through its real entry point."""
 
 import builtins
+import dataclasses
 import json
 import os
 import pty
@@ -17,6 +18,7 @@ from PIL import Image
 
 import clmorph
 from clmorph.cli import main
+from clmorph.export import FORMATS
 from clmorph.opencl.device import find_devices
 
 COMMAND = Path(sys.executable).with_name("clmorph")
@@ -129,9 +131,8 @@ def test_a_mistake_in_a_process_of_its_own(pictures):
     assert "Traceback" not in done.stderr
 
 
-def test_unconverged_is_said(pictures, capfd, monkeypatch):
-    monkeypatch.setitem(clmorph.morph.__kwdefaults__, "max_iter", 9)
-    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3"]) == 0
+def test_unconverged_is_said(pictures, capfd):
+    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3", "--max-iter", "9"]) == 0
     assert "not converged after 9 iterations" in capfd.readouterr().out
 
 
@@ -164,6 +165,45 @@ def test_ctrl_c_leaves_nothing(pictures):
     assert err.splitlines()[-1] == "clmorph: interrupted, nothing was written"
     assert "Traceback" not in err
     assert sorted(pictures.iterdir()) == before
+
+
+def test_ctrl_c_while_the_second_file_is_written(pictures, monkeypatch, capfd):
+    """All files or none: the first is not left behind."""
+
+    def interrupt(*arguments):
+        raise KeyboardInterrupt
+
+    kind = dataclasses.replace(FORMATS["apng"], write=interrupt)
+    monkeypatch.setitem(FORMATS, "apng", kind)
+    before = sorted(pictures.iterdir())
+    outputs = ["-o", "x.webp", "-o", "y.apng", "--recipe", "--frames", "3"]
+    assert main(["morph", "a.png", "b.jpg", *outputs]) == 130
+    assert sorted(pictures.iterdir()) == before
+
+
+def test_what_cannot_be_written_is_said_before_anything_is_solved(pictures, monkeypatch, capfd):
+    monkeypatch.setattr("clmorph.commands.morph.make_morph", None)
+    Path("r.gif.json").mkdir()
+    Image.new("RGBA", (5, 5)).save("void.png")
+    for arguments, words in (
+        ("a.png b.jpg -o x.webp -o x.gif --fps 60", "--fps 60 is too fast for x.gif"),
+        ("a.png b.jpg -o r.gif --recipe", "r.gif.json is a folder"),
+        ("a.png b.jpg -o a.gif -o b.webp --format gif", "--format is for one output"),
+        ("a.png b.jpg void.png -o x.gif", "void.png: every pixel is transparent"),
+        ("size=3.png b.jpg -o x.gif", "error: size=3.png: no such file"),
+    ):
+        assert main(["morph", *arguments.split()]) == 2
+        assert words in capfd.readouterr().err
+
+
+def test_names_that_cannot_be_printed(pictures):
+    done = subprocess.run(
+        [COMMAND, "morph", "a.png", "b.jpg", "-o", b"o\xff.gif", "--frames", "3"],
+        capture_output=True, check=False, env=os.environ | {"PYTHONIOENCODING": "utf-8:strict"},
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert b"Traceback" not in done.stderr
+    assert done.stdout.startswith("o\ufffd.gif: 3 frames".encode())
 
 
 def test_ctrl_c_while_loading(monkeypatch, capfd):
@@ -350,7 +390,7 @@ def test_progress_is_shown_to_people_only(pictures):
     os.close(leader)
     assert process.returncode == 0
     shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", told.decode())
-    for words in ("transport", "frames", "x.gif", "left", "100 %", "4 of 4"):
+    for words in ("transport", "frames", "write x.gif", "left", "100 %", "4 of 4"):
         assert words in shown
     assert re.search(r"residual \de-0\d of 1e-03", shown)
     quiet = run(*arguments)

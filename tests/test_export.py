@@ -13,7 +13,7 @@ from programs import program
 
 import clmorph
 from clmorph import InputError, OutputError
-from clmorph.export import FORMATS, Output, save
+from clmorph.export import FORMATS, Output, save, write_all
 from clmorph.film import Film
 from clmorph.formats.embedding import read_parameters
 from clmorph.framing import Look
@@ -148,7 +148,7 @@ def test_videos_have_true_colors(tmp_path, name):
     frames = [np.full((32, 32, 3), color, np.uint8) for color in colors]
     film = Film(frames, [frame.shape for frame in frames], np.linspace(0, 1, 5),
                 np.zeros(5, bool), Motion())  # fmt: skip
-    Output(tmp_path / name).write(film, Look("source"))
+    write_all([Output(tmp_path / name)], film, Look("source"))
     for frame, color in zip(decoded(tmp_path / name), colors, strict=True):
         assert np.abs(frame.astype(int) - color).max() <= 4
 
@@ -448,7 +448,7 @@ def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):
         film = Film(spool, shapes, np.linspace(0, 1, 100), np.zeros(100, bool), Motion())
         tracemalloc.start()
         try:
-            Output(tmp_path / "out.gif").write(film, Look("source"))
+            write_all([Output(tmp_path / "out.gif")], film, Look("source"))
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()

@@ -79,7 +79,7 @@ OPTIONS = [
     ("a.png b.jpg -o x.gif --scaling best", "--scaling"),
     ("a.png b.jpg -o x.gif --ease bounce", "--ease"),
     ("a.png b.jpg -o x.gif --loop twice", "--loop"),
-    ("a.png b.jpg -o x.gif --fps 100", "too fast for a GIF"),
+    ("a.png b.jpg -o x.gif --fps 100", "--fps 100 is too fast for x.gif"),
     ("a.png b.jpg -o x.gif --fps 10 --duration 9", "contradict"),
     ("a.png b.jpg -o x.gif --duration 1 --hold 2", "no longer than the rests"),
     ("a.png b.jpg -o x.gif --config missing.toml", "no such file"),
@@ -100,7 +100,7 @@ OPTIONS = [
     ("a.png b.jpg -o x.gif --sigma optimal --splatting none", "--sigma"),
     ("a.png b.jpg -o x.gif --sigma optimal --reach 0.3,balanced", "one reach"),
     ("a.png b.jpg -o x.gif --barycentric --sample 2", "contradict"),
-    ("clear.png b.jpg -o x.gif", "every pixel of the image is transparent"),
+    ("clear.png b.jpg -o x.gif", "clear.png: every pixel is transparent"),
 ]
 CASES = FILES + OUTPUTS + OPTIONS
 CASES += [

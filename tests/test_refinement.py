@@ -1,5 +1,6 @@
 """Solve low, render high: plans between cells become plans between pixels; memory kept."""
 
+import sys
 import warnings
 
 import numpy as np
@@ -144,7 +145,7 @@ def test_solving_at_full_size_changes_nothing(device, rng):
     )
 
 
-def test_too_little_memory_is_said(device, rng):
+def test_too_little_memory_is_said(device, rng, monkeypatch):
     images = rng.random((2, 32, 32, 3))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -155,8 +156,19 @@ def test_too_little_memory_is_said(device, rng):
     assert f"max_memory={0.6 * need.ram / 1e9:.3g} GB" in str(told[0].message)
     assert told[0].filename == __file__
     assert len(fewer.particles) < len(whole.particles)
-    with pytest.raises(InputError, match="expected at least"):
-        clmorph.morph(*images, 3, backend=device, max_memory=1e5)
+    monkeypatch.setattr(sys.modules["clmorph.morph"], "sinkhorn", None)  # before anything is solved
+    for options in ({}, {"sample": 4096}, {"barycentric": True}):
+        with pytest.raises(InputError, match=r"max_memory=0\.0001 GB: expected at least"):
+            clmorph.morph(*images, 3, backend=device, max_memory=1e5, **options)
+
+
+def test_as_many_draws_as_there_can_be(rng):
+    """At the cap, and above it, with cells: all pixels have some, or one line says why not."""
+    images = rng.random((2, 12, 12, 3))
+    whole = clmorph.morph(*images, 3, solve_size=6, sample=1024, backend="numpy")
+    assert whole.plan.shape == (144, 144)
+    with pytest.raises(InputError, match="sample=1025: expected at most 1024 with cells of 4"):
+        clmorph.morph(*images, 3, solve_size=6, sample=1025, backend="numpy")
 
 
 def test_particles_are_limited(device, rng):

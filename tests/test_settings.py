@@ -1,5 +1,6 @@
 """Presets, files of settings, recipes: what decides, and that runs can be repeated."""
 
+import contextlib
 import json
 import math
 import tomllib
@@ -95,7 +96,8 @@ def test_every_file_can_be_made_again_from_itself(name, capfd):
     assert main(["morph", *arguments, *options]) == 0
     for source in (f"out{ending}", f"out{ending}.json"):
         again = f"again{len(source)}{ending}"
-        assert main(["morph", "--config", source, "-o", again]) == 0
+        by_name = ["--format", name] if name == "tiff-folder" else []
+        assert main(["morph", "--config", source, "-o", again, *by_name]) == 0
         assert "note:" not in capfd.readouterr().err
         files = [Path(f"out{ending}"), Path(again)]
         if files[0].is_dir():
@@ -103,6 +105,134 @@ def test_every_file_can_be_made_again_from_itself(name, capfd):
         else:
             contents = [file.read_bytes() for file in files]
         assert contents[0] == contents[1]
+
+
+def test_what_a_file_is_called_and_what_it_becomes_is_free():
+    """Files are known by what is in them, and the next one by its own ending."""
+    arguments = ["morph", "a.png", "b.png", "--frames", "3"]
+    for name, kind in (("p.htm", None), ("m.m4v", "mp4"), ("x.bin", "webm"), ("z", "npz"),
+                       ("t.tiff", None), ("f", "tiff-folder"), ("g.png", "gif")):  # fmt: skip
+        by_name = ["--format", kind] if kind else []
+        assert main([*arguments, "-o", name, *by_name]) == 0
+        assert main(["morph", "--config", name, "-o", f"{name}.webp"]) == 0
+        with Image.open(f"{name}.webp") as again:
+            assert again.n_frames == 3
+
+
+def test_everything_that_decides_is_recorded(capfd):
+    options = ["--preset", "pixel-art", "--max-pixels", "100", "--frames", "3", "--recipe"]
+    assert main(["morph", "a.png", "b.png", "-o", "o.gif", *options]) == 0
+    told = json.loads(Path("o.gif.json").read_text())["options"]
+    wanted = {"max_pixels": 100, "fps": 20, "hold": 0.65, "ease": "linear", "loop": "loop",
+              "mass": "uniform", "tol": 0.001, "seed": 0, "frames": 3}  # fmt: skip
+    assert wanted.items() <= told.items()
+    assert set(dumped(capfd)) >= set(wanted)
+    assert "format" not in told
+
+
+def test_memory_that_gave_way_is_recorded(capfd, monkeypatch):
+    """On a larger device the same run would draw others."""
+    rng = np.random.default_rng(8)
+    for name in "de":
+        Image.fromarray(rng.integers(0, 255, (32, 32, 3), np.uint8)).save(f"{name}.png")
+    arguments = ["d.png", "e.png", "--frames", "3", "--blur", "0.3", "--backend", "opencl"]
+    assert main(["morph", *arguments, "-o", "o.npz", "--json"]) == 0
+    capfd.readouterr()
+    assert main(["morph", *arguments, "-o", "o.npz", "--max-memory", "0.03", "--json"]) == 0
+    out, err = capfd.readouterr()
+    summary = json.loads(out)
+    assert "max_memory=0.03 GB" in summary["notes"][0]
+    assert "note: " in err
+    assert summary["options"]["max_memory"] == 0.03
+    with monkeypatch.context() as patch:
+        for module in ("clmorph.planning", "clmorph.commands.morph"):
+            patch.setattr(f"{module}.default_memory", lambda operations: 0.03e9)
+        assert main(["morph", *arguments, "-o", "p.npz", "--json"]) == 0
+    told = json.loads(capfd.readouterr().out)
+    assert told["options"]["max_memory"] == 0.03
+    assert told["particles"] == summary["particles"]
+    assert main(["morph", "--config", "p.npz", "-o", "q.npz", "--backend", "opencl"]) == 0
+    assert Path("p.npz").read_bytes() == Path("q.npz").read_bytes()
+
+
+def test_flags_can_be_taken_back(capfd):
+    Path("x.toml").write_text("reverse = true\nlossless = true\nrecipe = true\n")
+    assert dumped(capfd, "--config", "x.toml")["reverse"] is True
+    line = ["--no-reverse", "--no-lossless", "--no-recipe"]
+    found = dumped(capfd, "--config", "x.toml", *line)
+    assert not any(found[name] for name in ("reverse", "lossless", "recipe"))
+
+
+def test_idle_options_are_noted(capfd):
+    for name, options in (("o.npz", ["--canvas", "9x9"]), ("o.gif", ["--lossless"]),
+                          ("o", ["--loop", "ping-pong"])):  # fmt: skip
+        assert main(["morph", "a.png", "b.png", "-o", name, "--frames", "3", *options]) == 0
+        assert f"note: {options[0]} makes no difference to {name}" in capfd.readouterr().err
+    assert (
+        main(
+            [
+                "morph",
+                "a.png",
+                "b.png",
+                "-o",
+                "o.gif",
+                "-o",
+                "o.webp",
+                "--frames",
+                "3",
+                "--lossless",
+            ]
+        )
+        == 0
+    )
+    assert "makes no difference" not in capfd.readouterr().err
+
+
+BROKEN = {
+    "a.json": b'{"clmorph":"1","options":5}',
+    "b.json": b'{"clmorph":"1","options":{"frames":[1]}}',
+    "c.json": b'{"clmorph":"1","options":{},"images":[{"file":null}]}',
+    "d.json": b"[" * 100000,
+    "e.json": b'{"a":' * 100000,
+    "f.toml": b"blur = {a=1}",
+    "g.toml": b"frames = 4.7",
+    "h.toml": b"blur = true",
+    "i.toml": b"seed = true",
+    "j.toml": b"output = 5",
+    "k.toml": b"reverse = 1",
+    "l.toml": b"frames = [3]",
+    "m.npz": b"PK\003\004garbage",
+    "n.webm": b"\x1aE\xdf\xa3 and nothing more",
+    "o.mp4": b"\0\0\0\x18ftypmp42 and nothing more",
+    "p.gif": b"GIF89a",
+    "q.html": b"<!DOCTYPE html>",
+    "r.png": b"\x89PNG\r\n\x1a\n",
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_files_of_settings(name, capfd):
+    Path(name).write_bytes(BROKEN[name])
+    line = told(capfd, "a.png", "b.png", "-o", "out.gif", "--config", name)
+    assert name in line
+    assert not Path("out.gif").exists()
+
+
+def test_a_damaged_archive(capfd, rng):
+    import clmorph
+
+    assert main(["morph", "a.png", "b.png", "-o", "o.npz", "--frames", "3"]) == 0
+    whole = Path("o.npz").read_bytes()
+    for place in range(60, len(whole), len(whole) // 25):
+        Path("d.npz").write_bytes(whole[:place] + b"\xff" * 40 + whole[place + 40 :])
+        for read in (clmorph.load, lambda path: read_parameters(Path(path))):
+            # Harmless, or told in our words; nothing else.
+            with contextlib.suppress(InputError):
+                read("d.npz")
+    np.save("bare.npy", np.zeros(3))
+    Path("bare.npy").rename("bare.npz")
+    with pytest.raises(InputError, match=r"bare\.npz"):
+        clmorph.load("bare.npz")
 
 
 def test_recipes_tell_no_folders_in_files_that_get_around(tmp_path):
@@ -129,7 +259,7 @@ def test_mistakes_in_files(capfd):
     cases = {
         "colour_weight = 3": "unknown setting 'colour_weight'; did you mean 'color_weight'?",
         "blur = ": "not TOML",
-        'blur = "soft"': "'--blur'",
+        'blur = "soft"': "blur = 'soft': expected a number",
         'splatting = "big"': "--splatting",
         "images = 3": "expected a list",
         'preset = "lovely"': "--preset",

@@ -94,6 +94,8 @@ def main() -> None:
         shutil.rmtree(frames, ignore_errors=True)
         places = [word for path in (*outputs, frames) for word in ("-o", str(path))]
         assert clmorph(["morph", *images, *places, *options]) == 0
+    if not all((folder / f"{name}-frames").is_dir() for name in BEST):
+        return
     rows = [strip(folder / f"{name}-frames") for name in BEST]
     width = max(row.width for row in rows)
     whole = Image.new("RGB", (width, len(rows) * (HEIGHT + 12) - 12), "white")

@@ -4,7 +4,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from clmorph.errors import InputError
+from clmorph.errors import FileError, InputError
 from clmorph.terminal import NOTES
 
 
@@ -25,14 +25,18 @@ def read_picture(path: Path, max_pixels: int) -> Any:
 
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("always")
-        pixels = read_image(path, max_pixels=max_pixels)
+        try:
+            pixels = read_image(path, max_pixels=max_pixels)
+        except InputError as error:
+            raise FileError(str(error)) from None
     for note in notes:
         NOTES.print(f"note: {note.message}", markup=False)
     return pixels
 
 
-def note_warning(message: Warning | str, *others: Any, **more: Any) -> None:
-    """Print a warning as a note; in place of `warnings.showwarning`."""
+def note_warning(notes: list[str], message: Warning | str, *others: Any, **more: Any) -> None:
+    """Print a warning as a note and keep it; the rest stands in for `warnings.showwarning`."""
+    notes.append(str(message))
     NOTES.print(f"note: {message}", markup=False)
 
 

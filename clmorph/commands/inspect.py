@@ -3,16 +3,17 @@
 import json
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from clmorph.commands.common import open_backend, read_picture
+from clmorph.commands.common import note_warning, open_backend, read_picture
 from clmorph.commands.settings import Settings, layered, preset
 from clmorph.errors import ConvergenceWarning, InputError, OutputError
 from clmorph.files import check_place
-from clmorph.images import fit
+from clmorph.images import MAX_PIXELS, fit
 from clmorph.inspection import inspect
 from clmorph.plots import check_plotting, draw_inspection
 from clmorph.terminal import Stages
@@ -31,7 +32,7 @@ def run_inspect(
     given: Settings,
     *,
     n_frames: int,
-    max_pixels: int,
+    max_pixels: int | None,
     device: str | None,
     backend: str | None,
     as_json: bool,
@@ -62,13 +63,14 @@ def run_inspect(
     settings = layered((preset(chosen), given))
     size = settings.get("size")
     options: dict[str, Any] = {name: settings[name] for name in TRANSPORT if name in settings}
-    pictures = [read_picture(path, max_pixels) for path in images]
+    pictures = [read_picture(path, max_pixels or MAX_PIXELS) for path in images]
     if size is not None:
         pictures = [fit(picture, size) for picture in pictures]
     operations = open_backend(device, backend)
     with Stages() as stages, warnings.catch_warnings():
         # Said among the numbers.
         warnings.simplefilter("ignore", ConvergenceWarning)
+        warnings.showwarning = partial(note_warning, [])
         found = inspect(
             *pictures, n_frames=n_frames, backend=operations, progress=stages, **options
         )

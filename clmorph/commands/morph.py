@@ -5,7 +5,7 @@ import json
 import time
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,23 @@ from clmorph import defaults
 from clmorph.commands import settings as files
 from clmorph.commands.common import note_warning, open_backend, read_picture
 from clmorph.commands.settings import Settings
-from clmorph.errors import ConvergenceWarning, InputError
-from clmorph.export import Output
-from clmorph.files import atomic_path
+from clmorph.errors import (
+    ConvergenceWarning,
+    FileError,
+    InputError,
+    MemoryWarning,
+    OutputError,
+)
+from clmorph.export import PACE, SIZES, Output, write_all
+from clmorph.files import check_place
 from clmorph.film import Film, recorded
 from clmorph.framing import Look
-from clmorph.images import fit
+from clmorph.images import MAX_PIXELS, fit
 from clmorph.morph import check_options
 from clmorph.morph import morph as make_morph
 from clmorph.motion import Motion, resting
 from clmorph.operations import Operations
+from clmorph.planning import default_memory
 from clmorph.potentials import Potentials
 from clmorph.result import Morph
 from clmorph.terminal import NOTES, Stages
@@ -36,7 +43,7 @@ from clmorph.widths import is_pixel_art
 #: Settings that are not the morph's own, by what takes them.
 MOTION = ("fps", "duration", "hold", "loop")
 LOOK = ("canvas", "scaling", "background", "lossless")
-RUN = ("frames", "size", "reverse", "format", "recipe")
+RUN = ("frames", "size", "reverse", "format", "recipe", "max_pixels")
 
 
 @dataclass
@@ -48,6 +55,7 @@ class _Run:
     outputs: Sequence[Output]
     options: Settings = field(default_factory=dict)
     solved: list[Potentials] = field(default_factory=list)
+    particles: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         said = self.settings
@@ -59,6 +67,8 @@ class _Run:
         check_options(n_frames=self.n_frames, **self.options)
         self.look = Look(**{name: said[name] for name in LOOK if name in said})
         self.motion = self._motion()
+        for output in self.outputs:
+            output.check_motion(self.motion)
 
     def _motion(self) -> Motion:
         given = {name: self.settings[name] for name in MOTION if name in self.settings}
@@ -82,6 +92,7 @@ class _Run:
                 **self.options,
             )  # fmt: skip
             self.solved.append(morph.potentials)
+            self.particles.append(len(morph.particles))
             yield morph
 
 
@@ -90,7 +101,6 @@ def run_morph(
     outputs: Sequence[Path],
     settings: Settings,
     *,
-    max_pixels: int,
     device: str | None,
     backend: str | None,
     as_json: bool,
@@ -104,8 +114,6 @@ def run_morph(
     outputs : sequence of Path
     settings : dict
         By option names with underscores.
-    max_pixels : int
-        Larger files are refused.
     device, backend : str, optional
     as_json : bool
         Say what was made to programs, not to people.
@@ -114,47 +122,64 @@ def run_morph(
     for output, path in itertools.product(outputs, images):
         if output.exists() and path.exists() and output.samefile(path):
             raise InputError(f"-o {output} would overwrite an input; choose another name")
+    if "format" in settings and len(outputs) > 1:
+        raise InputError("--format is for one output: leave it out, or write one at a time")
     places = [Output(output, settings.get("format")) for output in outputs]
     if len({place.place for place in places}) < len(places):
         raise InputError("two outputs have one name; choose different ones")
+    recipes = [output.with_name(f"{output.name}.json") for output in outputs]
+    if settings.get("recipe"):
+        for beside in recipes:
+            if check_place(beside).is_dir():
+                raise OutputError(f"{beside} is a folder; choose another name for the output")
     run = _Run(images, settings, places)
-    size = settings.get("size")
-    pictures = [read_picture(path, max_pixels) for path in images]
-    if size is not None:
-        pictures = [fit(picture, size) for picture in pictures]
+    pictures = [_read(path, settings) for path in images]
     operations = open_backend(device, backend)
     told = files.recipe(settings, images, operations.description)
+    notes: list[str] = []
     with Stages() as stages, warnings.catch_warnings():
         # Said in the last line.
         warnings.simplefilter("ignore", ConvergenceWarning)
-        warnings.showwarning = note_warning
+        warnings.simplefilter("always", MemoryWarning)
+        warnings.showwarning = partial(note_warning, notes)
         with recorded(
-            run.morphs(pictures, operations, stages), run.motion,
+            run.morphs(pictures, operations, stages), run.motion, n_morphs=len(pictures) - 1,
             reverse=bool(settings.get("reverse")),
             exact=any(place.format.exact for place in places),
             keep=any(place.format.keep for place in places),
             pixelated=all(map(is_pixel_art, pictures)), parameters=told,
             folder=places[0].place.parent, progress=stages,
         ) as film:  # fmt: skip
-            for place in places:
-                place.write(film, run.look, partial(stages, place.path.name))
-            summary = _summary(run, film, stages, told)
-    if settings.get("recipe"):
-        for place in places:
-            _write_recipe(run, place.path, operations.description)
+            if notes and "max_memory" not in settings:
+                # What gave way would not on a larger device: its limit belongs to the recipe.
+                settings["max_memory"] = float(f"{(default_memory(operations) or 0) / 1e9:.6g}")
+                film = replace(film, parameters=files.recipe(
+                    settings, images, operations.description))  # fmt: skip
+            texts = {}
+            if settings.get("recipe"):
+                for beside in recipes:
+                    folder = beside.resolve().parent
+                    whole = files.recipe(settings, images, operations.description, folder)
+                    texts[beside] = json.dumps(whole, indent=2) + "\n"
+            write_all(
+                places, film, run.look,
+                lambda place, share: stages(f"write {place.path.name}", share), texts,
+            )  # fmt: skip
+            summary = _summary(run, film, stages, notes)
     summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
     click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
 
 
-def _write_recipe(run: _Run, output: Path, device: str) -> None:
-    """Leave what repeats the run beside a file."""
-    beside = output.with_name(f"{output.name}.json")
-    whole = files.recipe(run.settings, run.images, device, beside.resolve().parent)
-    with atomic_path(beside) as new:
-        new.write_text(json.dumps(whole, indent=2) + "\n", "utf-8")
+def _read(path: Path, settings: Settings) -> NDArray[np.float64]:
+    """Return a picture at the size at which it is drawn, with something to see."""
+    picture: NDArray[np.float64] = read_picture(path, settings.get("max_pixels", MAX_PIXELS))
+    if picture.shape[2] == 4 and not picture[..., 3].any():
+        raise FileError(f"{path}: every pixel is transparent; expected something to see")
+    size = settings.get("size")
+    return picture if size is None else fit(picture, size)
 
 
-def _summary(run: _Run, film: Film, stages: Stages, told: dict[str, Any]) -> dict[str, Any]:
+def _summary(run: _Run, film: Film, stages: Stages, notes: list[str]) -> dict[str, Any]:
     """Return what was made, for programs."""
     return {
         "outputs": [{"path": str(output.path), "format": output.name} for output in run.outputs],
@@ -172,8 +197,10 @@ def _summary(run: _Run, film: Film, stages: Stages, told: dict[str, Any]) -> dic
             }
             for potentials in run.solved
         ],
+        "particles": run.particles,
+        "notes": notes,
         "seconds": {name: round(value, 3) for name, value in stages.seconds.items()},
-        **told,
+        **film.parameters,
     }
 
 
@@ -183,7 +210,7 @@ def _last_line(run: _Run, summary: dict[str, Any]) -> str:
     lasting = ""
     if any(output.format.animated for output in run.outputs):
         lasting = f", {summary['duration']:.3g} s a round"
-    names = ", ".join(str(output.path) for output in run.outputs)
+    names = ", ".join(click.format_filename(output.path) for output in run.outputs)
     return (
         f"{names}: {summary['frames']} frames{lasting}, made in "
         f"{summary['seconds']['total']:.1f} s; {worst.message}"
@@ -195,3 +222,12 @@ def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
     for path, known in images:
         if known is not None and path.is_file() and files.digest(path) != known:
             NOTES.print(f"note: {path} is not the file that was used then", markup=False)
+
+
+def announce_idle(names: Sequence[str], outputs: Sequence[Path], format: str | None) -> None:
+    """Note options that make no difference to any of the outputs."""
+    formats = [Output(output, format).format for output in outputs]
+    for name in (*SIZES, *PACE, "lossless"):
+        if name in names and not any(name in kind.heeds for kind in formats):
+            places = ", ".join(str(output) for output in outputs)
+            NOTES.print(f"note: --{name} makes no difference to {places}", markup=False)

@@ -142,7 +142,10 @@ plan_options = _together(
         help="Gigabytes; if the plan needs more, fewer particles are drawn.  [default: half of "
         "the device's]",
     ),
-    _option("Transport", "--barycentric", is_flag=True, default=None, help="One particle a pixel."),
+    _option(
+        "Transport", "--barycentric/--no-barycentric", is_flag=True, default=None,
+        help="One particle a pixel.",
+    ),
     _option(
         "Transport", "--sample", type=int, help="So many particles a pixel, drawn from the plan."
     ),
@@ -194,7 +197,10 @@ motion_options = _together(
         help="Even, slow at both ends (smooth), at the start (in) or the end (out).",
     ),
     _option("Motion", "--loop", type=click.Choice(LOOPS), help="What follows the last frame."),
-    _option("Motion", "--reverse", is_flag=True, default=None, help="From the last to the first."),
+    _option(
+        "Motion", "--reverse/--no-reverse", is_flag=True, default=None,
+        help="From the last to the first.",
+    ),
 )  # fmt: skip
 
 file_options = _together(
@@ -221,10 +227,10 @@ file_options = _together(
         help="Under what is transparent, and for bars: white, #204060 …",
     ),
     _option(
-        "File", "--lossless", is_flag=True, default=None, help="WebP without loss."
+        "File", "--lossless/--no-lossless", is_flag=True, default=None, help="WebP without loss."
     ),
     _option(
-        "File", "--recipe", is_flag=True, default=None,
+        "File", "--recipe/--no-recipe", is_flag=True, default=None,
         help="Leave OUTPUT.json beside it, from which --config repeats the run.",
     ),
 )  # fmt: skip
@@ -241,6 +247,6 @@ device_options = _together(
 )  # fmt: skip
 
 max_pixels_option = _option(
-    "Transport", "--max-pixels", type=int, default=MAX_PIXELS, show_default=True,
-    help="Refuse larger files.",
+    "Transport", "--max-pixels", type=int,
+    help=f"Refuse larger files.  [default: {MAX_PIXELS}]",
 )  # fmt: skip

@@ -2,6 +2,7 @@
 
 import difflib
 import hashlib
+import inspect
 import math
 import os
 import tomllib
@@ -9,9 +10,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import click
+
+from clmorph import defaults
 from clmorph.defaults import PRESETS
 from clmorph.errors import InputError
 from clmorph.formats.embedding import read_parameters
+from clmorph.images import MAX_PIXELS
+from clmorph.morph import check_options
 
 Settings = dict[str, Any]
 
@@ -58,14 +64,26 @@ def preset(name: str) -> Settings:
     return dict(PRESETS[name])
 
 
-def read_settings(path: Path, names: Sequence[str]) -> Settings:
+def usual() -> Settings:
+    """Return what holds without a preset: written down, so that runs can be repeated."""
+    options = inspect.signature(check_options).parameters
+    settings = {name: option.default for name, option in options.items() if name != "n_frames"}
+    settings |= {"frames": options["n_frames"].default, "loop": "loop", "canvas": "dynamic"}
+    settings |= {"fps": defaults.FPS, "hold": defaults.HOLD, "scaling": "auto"}
+    settings |= {"max_pixels": MAX_PIXELS}
+    return {
+        name: value for name, value in settings.items() if value is not None and value is not False
+    }
+
+
+def read_settings(path: Path, parameters: Sequence[click.Parameter]) -> Settings:
     """Read settings from TOML, from a recipe (JSON), or from a file that clmorph has written.
 
     Parameters
     ----------
     path : Path
-    names : sequence of str
-        Of the options that there are.
+    parameters : sequence of click.Parameter
+        Options that a file may set.
 
     Returns
     -------
@@ -79,45 +97,79 @@ def read_settings(path: Path, names: Sequence[str]) -> Settings:
     """
     if not path.exists():
         raise InputError(f"--config {path}: no such file")
-    if path.suffix.lower() == ".toml":
-        try:
-            with path.open("rb") as stream:
-                found = tomllib.load(stream)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: not TOML ({' '.join(str(error).split())})") from None
-    else:
-        told = read_parameters(path)
-        if "options" not in told:
-            raise InputError(
-                f"{path} was saved from Python, with what clmorph.morph was called with, and "
-                "holds no settings of the command line"
-            )
-        found = {**told["options"], IMAGES: told.get(IMAGES, [])}
+    found = _toml(path) if path.suffix.lower() == ".toml" else _told(path)
+    known = {str(parameter.name): parameter for parameter in parameters}
     settings: Settings = {}
-    known = [*names, IMAGES, OUTPUT, PRESET]
     for key, value in found.items():
         name = key.replace("-", "_")
-        if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
+        if name not in known and name != IMAGES:
+            near = difflib.get_close_matches(name, [*known, IMAGES], 1)
+            hint = f"did you mean {near[0]!r}?" if near else "clmorph morph --help lists them"
             raise InputError(f"{path}: unknown setting {key!r}; {hint}")
+        if name != IMAGES:
+            _check_kind(path, key, value, known[name])
         settings[name] = value
     images = settings.get(IMAGES, [])
-    if not isinstance(images, list) or not all(isinstance(image, str | dict) for image in images):
+    named = isinstance(images, list) and all(
+        isinstance(entry.get("file") if isinstance(entry, dict) else entry, str) for entry in images
+    )
+    if not named:
         raise InputError(f"{path}: {IMAGES}: expected a list of file names")
-    settings[IMAGES] = [_found_image(image, path.parent) for image in images]
+    settings[IMAGES] = [_found_image(image, path) for image in images]
     if OUTPUT in settings:
         outputs = settings[OUTPUT]
         outputs = outputs if isinstance(outputs, list) else [outputs]
-        settings[OUTPUT] = [str(path.parent / str(output)) for output in outputs]
+        settings[OUTPUT] = [str(path.parent / output) for output in outputs]
     return settings
 
 
-def _found_image(entry: str | Mapping[str, Any], folder: Path) -> tuple[Path, str | None]:
+def _toml(path: Path) -> Settings:
+    try:
+        with path.open("rb") as stream:
+            return tomllib.load(stream)
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not TOML ({' '.join(str(error).split())})") from None
+
+
+def _told(path: Path) -> Settings:
+    told = read_parameters(path)
+    options = told.get("options")
+    if not isinstance(options, dict):
+        raise InputError(
+            f"{path} was saved from Python, with what clmorph.morph was called with, and "
+            "holds no settings of the command line"
+        )
+    return {**options, IMAGES: told.get(IMAGES, [])}
+
+
+def _check_kind(path: Path, key: str, value: Any, parameter: click.Parameter) -> None:
+    """Refuse values that would be converted in silence: 4.7 frames, or a blur of true."""
+    kind = parameter.type
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if getattr(parameter, "is_flag", False):
+        good, expected = isinstance(value, bool), "true or false"
+    elif kind is click.INT:
+        good, expected = number and value == int(value), "a whole number"
+    elif kind is click.FLOAT:
+        good, expected = number, "a number"
+    elif parameter.name == OUTPUT:
+        names = value if isinstance(value, list) else [value]
+        good, expected = all(isinstance(name, str) for name in names), "a file name, or several"
+    elif isinstance(kind, click.Choice) or kind is click.STRING:
+        good, expected = isinstance(value, str), "a text"
+    else:  # numbers with words of their own, pairs of them
+        parts = value if isinstance(value, list) else [value]
+        good = all(isinstance(part, int | float | str) and part is not True for part in parts)
+        expected = "a number"
+    if not good:
+        raise InputError(f"{path}: {key} = {value!r}: expected {expected}")
+
+
+def _found_image(entry: str | Mapping[str, Any], config: Path) -> tuple[Path, str | None]:
     """Return where an image of a settings file lies, and its digest then if that is known."""
-    name = entry if isinstance(entry, str) else str(entry.get("file", ""))
+    name = entry if isinstance(entry, str) else str(entry["file"])
     digest = None if isinstance(entry, str) else entry.get("sha256")
-    beside = folder / name
+    beside = config.parent / name
     return (beside if beside.exists() else Path(name)), digest
 
 
@@ -160,7 +212,8 @@ def recipe(
 
     return {
         "clmorph": __version__,
-        "options": as_text(settings),
+        # The format is the output's own: another run can have another.
+        "options": as_text({name: settings[name] for name in settings if name != "format"}),
         IMAGES: [
             {
                 "file": path.name if folder is None else os.path.relpath(path, folder),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clmorph.errors import InputError
 from clmorph.film import Film
-from clmorph.formats.embedding import as_text
+from clmorph.formats.embedding import UNREADABLE, as_text
 from clmorph.framing import Look
 from clmorph.plan import Plan
 from clmorph.progress import Report, tracked
@@ -123,7 +123,7 @@ def load(path: str | PathLike[str]) -> Archive:
         If the file cannot be read, or is another's.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             if "frames" in archive:
                 frames: Sequence[NDArray[np.float32]] = archive["frames"]
             else:
@@ -134,7 +134,7 @@ def load(path: str | PathLike[str]) -> Archive:
                 [_read_plan(archive, number) for number in range(n_morphs)],
                 [(archive[f"f_{number}"], archive[f"g_{number}"]) for number in range(n_morphs)],
             )  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         reason = " ".join(str(error).split())
         raise InputError(
             f"{path}: not a morph saved as .npz, or damaged ({reason}); expected a file that "

@@ -2,7 +2,9 @@
 
 import json
 import re
-from collections.abc import Mapping
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +17,11 @@ if TYPE_CHECKING:
 
 #: What a text says first, so that it is known for one of ours.
 MARK = "clmorph"
+#: What libraries raise for files that are damaged, or something else.
+UNREADABLE = (
+    OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, SyntaxError,
+    NotImplementedError, RecursionError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 #: Exif and TIFF's tag for a text about an image.
 IMAGE_DESCRIPTION = 0x010E
 
@@ -61,10 +68,11 @@ def read_parameters(path: Path) -> dict[str, Any]:
             raise InputError(f"{path}: a folder without frames of clmorph; expected a file")
         path = stills[0]
     try:
-        text = _READERS.get(path.suffix.lower(), _from_picture)(path)
+        text = _reader(path)(path)
         found = json.loads(text) if text else None
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read ({' '.join(str(error).split())})") from None
+    except UNREADABLE as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: cannot be read ({reason})") from None
     if not isinstance(found, dict) or MARK not in found:
         raise InputError(
             f"{path} holds no parameters of clmorph: expected a file that it has written"
@@ -75,7 +83,11 @@ def read_parameters(path: Path) -> dict[str, Any]:
 def _from_picture(path: Path) -> str:
     from PIL import Image
 
-    with Image.open(path) as picture:
+    try:
+        picture = Image.open(path)
+    except Image.DecompressionBombError as error:
+        raise ValueError(error) from None
+    with picture:
         if picture.format == "GIF":
             return bytes(picture.info.get("comment", b"")).decode("ascii", "replace")
         if picture.format == "PNG":
@@ -99,7 +111,7 @@ def _from_video(path: Path) -> str:
 def _from_archive(path: Path) -> str:
     import numpy as np
 
-    with np.load(path, allow_pickle=False) as archive:
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
         return str(archive["parameters"])
 
 
@@ -116,10 +128,15 @@ def _from_json(path: Path) -> str:
     return path.read_text("utf-8")
 
 
-_READERS = {
-    ".mp4": _from_video,
-    ".webm": _from_video,
-    ".npz": _from_archive,
-    ".html": _from_page,
-    ".json": _from_json,
-}
+def _reader(path: Path) -> Callable[[Path], str]:
+    """Return what reads a file, by how it begins: names can be changed."""
+    with path.open("rb") as stream:
+        start = stream.read(64)
+    if start[4:8] == b"ftyp" or start.startswith(b"\x1aE\xdf\xa3"):
+        return _from_video
+    if start.startswith(b"PK"):
+        return _from_archive
+    text = start.lstrip()
+    if text.startswith(b"{"):
+        return _from_json
+    return _from_page if text[:9].lower() == b"<!doctype" else _from_picture
