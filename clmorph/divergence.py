@@ -15,6 +15,7 @@ from clmorph import defaults
 from clmorph.ascent import ROUNDING_MARGIN
 from clmorph.backends import Backend, get_backend
 from clmorph.errors import InputError
+from clmorph.multiscale import MANY_PAIRS
 from clmorph.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.potentials import Potentials
 from clmorph.problem import Problem, largest_cost
@@ -22,6 +23,7 @@ from clmorph.sinkhorn import (
     Progress,
     check_problem,
     check_solver_options,
+    choose_truncation,
     sinkhorn,
     warn_unless_converged,
 )
@@ -142,7 +144,8 @@ def sinkhorn_divergence(
 
     parts: list[Potentials] = []
     for number, measure in enumerate(pair):
-        problem = Problem(operations, measure, measure, given.rho)
+        truncation = choose_truncation("auto", float(tol), len(measure) ** 2 >= MANY_PAIRS)
+        problem = Problem(operations, measure, measure, given.rho, truncation)
         parts.append(_self_transport(problem, given, float(tol), int(max_iter), precision))
         report(0.15 * (number + 1))
     if _are_equal(*pair):
@@ -222,6 +225,7 @@ def _self_transport(
     return Potentials(
         f, f, given.blur, given.reach, status, message, len(residuals), residual,
         np.array(residuals), problem.certificate(f, f, softmin, softmin, epsilon), precise,
+        problem.truncation, problem.to_rows.error, problem.to_rows.visited,
     )  # fmt: skip
 
 

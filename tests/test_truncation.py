@@ -1,5 +1,6 @@
 """With near pairs only, against all pairs: what is left out is what is said."""
 
+import sys
 import warnings
 
 import numpy as np
@@ -192,10 +193,19 @@ def test_plans_of_truncated_potentials(device, monkeypatch, rng):
     assert np.mean(np.abs(draws[0] - draws[1])) <= 0.01
 
 
-def test_divergence_at_scale_is_bounded(device, rng):
+def test_divergences_of_many_points_are_truncated_and_stay_bounded(device, monkeypatch, rng):
     pair = pair_of("picture", rng, 500, 600)
-    got = clmorph.sinkhorn_divergence(*pair, 0.05, 0.3, backend=device)
-    assert got.interval[0] <= got.value <= got.interval[1]
+    want = clmorph.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
+    assert want.cross.truncation is want.source_self.truncation is None
+    for module in ("sinkhorn", "divergence", "multiscale"):  # one module has its function's name
+        monkeypatch.setattr(sys.modules[f"clmorph.{module}"], "MANY_PAIRS", 0)
+    got = clmorph.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
+    for part in (got.cross, got.source_self, got.target_self):
+        assert part.truncation == pytest.approx(1e-5)
+        assert part.truncation_error <= part.truncation
+        assert part.converged
+    assert got.interval[0] <= want.interval[1]
+    assert want.interval[0] <= got.interval[1]
 
 
 @pytest.mark.parametrize("value", ["much", -1.0, 0.0, 0.5, np.nan, [1e-4]])

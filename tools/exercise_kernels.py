@@ -53,8 +53,8 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     ]
     for clouds, own, potential in (((rows, columns), f, g), ((columns, rows), g, f)):
         guess = operations.softmin(*clouds, potential, 0.01)
-        near = operations.near_pairs(*clouds, potential, guess, 0.01, 1e-3)
-        results.append(np.array([float(near.skipped.max() <= 2e-3)]))
+        near = operations.near_pairs(*clouds, potential, guess, 0.01, 1e-7)
+        results.append(np.array([float(near.skipped.max() <= 2e-7)]))
         for precise in (False, True):
             over_near = operations.softmin(*clouds, potential, 0.01, precise, near)
             results.append(np.round((over_near - guess) / 0.01, 2) + 0.0)
