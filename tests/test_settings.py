@@ -255,6 +255,14 @@ def test_a_picture_that_has_changed_is_noted(capfd):
     assert "b.png is not the file that was used then" in " ".join(capfd.readouterr().err.split())
 
 
+def test_a_picture_that_is_gone_is_said(capfd):
+    assert main(["morph", "a.png", "b.png", "-o", "out.png", "--frames", "3"]) == 0
+    Path("b.png").unlink()
+    assert "b.png: no such file, but the settings name it" in told(
+        capfd, "--config", "out.png", "-o", "again.png"
+    )
+
+
 def test_mistakes_in_files(capfd):
     cases = {
         "colour_weight = 3": "unknown setting 'colour_weight'; did you mean 'color_weight'?",

@@ -218,8 +218,19 @@ def _last_line(run: _Run, summary: dict[str, Any]) -> str:
 
 
 def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
-    """Note images that are not what they were when a file of settings was written."""
+    """Note images that are not what they were when a file of settings was written.
+
+    Raises
+    ------
+    FileError
+        If one is not there at all.
+    """
     for path, known in images:
+        if not path.exists():
+            raise FileError(
+                f"{path}: no such file, but the settings name it; put it there, or name the "
+                "pictures in the command line"
+            )
         if known is not None and path.is_file() and files.digest(path) != known:
             NOTES.print(f"note: {path} is not the file that was used then", markup=False)
 
