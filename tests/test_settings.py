@@ -258,6 +258,7 @@ def test_a_picture_that_has_changed_is_noted(capfd):
 def test_a_picture_that_is_gone_is_said(capfd):
     assert main(["morph", "a.png", "b.png", "-o", "out.png", "--frames", "3"]) == 0
     Path("b.png").unlink()
+    capfd.readouterr()
     assert "b.png: no such file, but the settings name it" in told(
         capfd, "--config", "out.png", "-o", "again.png"
     )
