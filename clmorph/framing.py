@@ -31,7 +31,8 @@ class Look:
     canvas : {"dynamic", "source", "target"} or (width, height)
         "dynamic" keeps every frame's size where a file can, and else takes one that holds all,
         small ones enlarged. The others scale all frames to one size, with bars where shapes
-        differ.
+        differ. "source" is the first picture that was given, "target" the last one, in whichever
+        order they are shown.
     scaling : {"auto", "nearest", "smooth"}
         "auto": nearest for pixel art, smooth for the rest.
     background : str, optional
@@ -92,6 +93,12 @@ def as_canvas(canvas: Any) -> Any:
     )
 
 
+def in_time(shapes: Iterable[tuple[int, ...]], times: NDArray[Any]) -> list[tuple[int, ...]]:
+    """Return frames' shapes in the order of the morph's time, whichever is shown first."""
+    shapes = list(shapes)
+    return [shapes[index] for index in np.argsort(times, kind="stable")]
+
+
 class Framing:
     """Bring frames to one size.
 
@@ -99,7 +106,7 @@ class Framing:
     ----------
     look : Look
     shapes : iterable of (H, W, C)
-        Of the frames, in the order of time.
+        Of the frames, in the order of the morph's time; see `in_time`.
     pixelated : bool
         Whether the pictures are pixel art.
     side : int

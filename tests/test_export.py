@@ -324,6 +324,26 @@ def test_canvases(tmp_path, growing):
                 assert picture.size == size
 
 
+@pytest.mark.parametrize("name", [name for name in FORMATS if name not in ("npz", "html")])
+def test_canvases_are_those_of_the_pictures_as_given_when_reversed(tmp_path, growing, name):
+    ending = (FORMATS[name].endings or ("",))[0]
+    path = tmp_path / f"out{ending}"
+    for canvas, size in (("source", (8, 6)), ("target", (16, 12))):
+        shutil.rmtree(path, ignore_errors=True)
+        save(growing, path, format=name, canvas=canvas, reverse=True)
+        if name in ("mp4", "webm"):
+            told = probe(path)
+            assert (told["width"], told["height"]) == size
+            continue
+        with Image.open(sorted(path.iterdir())[0] if path.is_dir() else path) as picture:
+            rows, columns = 1, min(5, len(growing.times))
+            gaps = (columns * 12 + 12, rows * 34 + 12) if name == "sheet" else (0, 0)
+            cells = (columns, rows) if name == "sheet" else (1, 1)
+            assert picture.size == tuple(
+                cell * side + gap for cell, side, gap in zip(cells, size, gaps, strict=True)
+            )
+
+
 def test_contact_sheet(tmp_path, growing):
     save(growing, tmp_path / "sheet.PNG", scaling="nearest")
     with Image.open(tmp_path / "sheet.PNG") as sheet:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clmorph.framing import Framing, Look, as_canvas
+from clmorph.framing import Framing, Look, as_canvas, in_time
 from clmorph.spool import Spool
 from clmorph.widths import is_pixel_art
 
@@ -45,6 +45,12 @@ def test_nearest_makes_squares_and_smooth_does_not(rng):
     assert len(np.unique(smooth.reshape(-1, 3), axis=0)) > 48
     forced = np.asarray(Framing(Look("80x60", "nearest"), SHAPES, False)(frame))
     assert np.array_equal(forced, squares)
+
+
+def test_shapes_are_put_in_the_order_of_time():
+    times = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
+    shapes = [(side, side, 3) for side in (3, 7, 4, 9, 5)]
+    assert in_time(shapes, times) == in_time(shapes[::-1], times[::-1]) == shapes
 
 
 def test_bars_and_backgrounds():

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from clmorph.film import Film
 from clmorph.formats.embedding import as_exif, as_png_info
-from clmorph.framing import Framing, Look
+from clmorph.framing import Framing, Look, in_time
 from clmorph.motion import whole_units
 from clmorph.progress import Report, tracked
 
@@ -24,7 +24,7 @@ class _Pictures:
 
     def __init__(self, film: Film, look: Look, report: Report) -> None:
         self._film, self._report = film, report
-        self._framing = Framing(look, film.shapes, film.pixelated, SIDE)
+        self._framing = Framing(look, in_time(film.shapes, film.times), film.pixelated, SIDE)
         self._order = [index for index, _ in film.played()]
 
     @property

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from clmorph.errors import InputError
 from clmorph.film import Film
 from clmorph.formats.embedding import as_text
-from clmorph.framing import Framing, Look
+from clmorph.framing import Framing, Look, in_time
 from clmorph.motion import whole_units
 from clmorph.progress import Report, tracked
 
@@ -34,7 +34,7 @@ def write(film: Film, look: Look, file: Path, report: Report) -> None:
             f"fps={film.motion.fps:.4g} is too fast for a GIF: expected at most "
             f"{1 / SHORTEST:.0f}; lower it, or write .webp, .apng or a video"
         )
-    framing = Framing(look, film.shapes, film.pixelated, SIDE)
+    framing = Framing(look, in_time(film.shapes, film.times), film.pixelated, SIDE)
     palette = _palette(film, framing)
     pictures = (
         _in_palette(framing(film.picture(index)), palette, framing.nearest)

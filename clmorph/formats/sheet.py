@@ -6,7 +6,7 @@ import numpy as np
 
 from clmorph.film import Film
 from clmorph.formats.embedding import as_png_info
-from clmorph.framing import Framing, Look
+from clmorph.framing import Framing, Look, in_time
 from clmorph.progress import Report, tracked
 
 #: Longer side, in pixels, of each picture.
@@ -27,7 +27,8 @@ def write(film: Film, look: Look, file: Path, report: Report) -> None:
     count = min(FRAMES, len(film))
     chosen = np.unique(np.round(np.linspace(0, len(film) - 1, count)).astype(int))
     look = replace(look, background=look.background or "white")
-    framing = Framing(look, [film.shapes[i] for i in chosen], film.pixelated, SIDE)
+    shapes = in_time([film.shapes[i] for i in chosen], film.times[chosen])
+    framing = Framing(look, shapes, film.pixelated, SIDE)
     width, height = framing.size
     columns = min(COLUMNS, len(chosen))
     rows = -(-len(chosen) // columns)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from clmorph.film import Film
 from clmorph.formats.embedding import as_png_info, as_text
-from clmorph.framing import Framing, Look
+from clmorph.framing import Framing, Look, in_time
 from clmorph.progress import Report, tracked
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ DEFLATE = "tiff_adobe_deflate"
 
 def _pictures(film: Film, look: Look, report: Report) -> Iterator["Image"]:
     """Return the frames as they are, each at its own size, unless the look names one."""
-    framing = Framing(look, film.shapes, film.pixelated)
+    framing = Framing(look, in_time(film.shapes, film.times), film.pixelated)
     for index in tracked(range(len(film)), report):
         frame = film.picture(index)
         yield framing.unscaled(frame) if look.canvas == "dynamic" else framing(frame)

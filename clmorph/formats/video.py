@@ -10,7 +10,7 @@ import numpy as np
 from clmorph.errors import OutputError
 from clmorph.film import Film
 from clmorph.formats.embedding import as_text
-from clmorph.framing import Framing, Look
+from clmorph.framing import Framing, Look, in_time
 from clmorph.progress import Report, tracked
 
 #: Longer side, in pixels, to which small frames are enlarged.
@@ -50,8 +50,9 @@ def _write(
     from av.video.reformatter import ColorRange, Colorspace
 
     framing = Framing(
-        look, film.shapes, film.pixelated, SIDE, even=True, opacity=container == "webm"
-    )
+        look, in_time(film.shapes, film.times), film.pixelated, SIDE, even=True,
+        opacity=container == "webm",
+    )  # fmt: skip
     pixels = "yuva420p" if framing.clear else "yuv420p"
     codec, settings = CODECS[container]
     rate = film.motion.rate
