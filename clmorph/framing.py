@@ -1,5 +1,6 @@
 """Frames of any sizes on one canvas, for files that have only one."""
 
+import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -161,7 +162,8 @@ class Framing:
         """Return a frame (H, W, 3 or 4) on the canvas, as RGB, or RGBA if `clear`.
 
         It is scaled to fit, its shape kept, and centered; around it is the background, or
-        nothing where pictures have opacity.
+        nothing where pictures have opacity. Pixel art is enlarged by whole factors: its pixels
+        stay squares of one size.
         """
         from PIL import Image
 
@@ -199,6 +201,8 @@ class Framing:
         from PIL import Image
 
         factor = min(whole / part for whole, part in zip(self._inner, picture.size, strict=True))
+        if self.nearest and factor > 1:
+            factor = math.floor(factor)
         width, height = (max(1, round(side * factor)) for side in picture.size)
         size = width, height
         if size == picture.size:
