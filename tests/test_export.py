@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import weakref
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from clmorph.film import Film
 from clmorph.formats.embedding import read_parameters
 from clmorph.framing import Look
 from clmorph.images import to_bytes
-from clmorph.motion import Motion
+from clmorph.motion import Motion, resting
 from clmorph.spool import Spool
 
 #: The least peak signal-to-noise ratio of lossy files, in decibels, on small photographs: of
@@ -139,6 +140,41 @@ def test_videos(tmp_path, morph, name, codec):
     for frame, index in zip(decoded(tmp_path / name), order, strict=True):
         large = Image.fromarray(wanted(morph)[index]).resize((128, 96), Image.Resampling.BICUBIC)
         assert psnr(frame, np.asarray(large)) > LEAST_PSNR[name[4:]]
+
+
+#: Pictures, frames of each morph, frames a second or seconds in all, rest at the pictures.
+LENGTHS = [
+    (2, 4, {"duration": 3.0}, 0.65), (2, 4, {"fps": 1.0}, 0.4), (2, 6, {"duration": 2.0}, 0.3),
+    (2, 12, {"duration": 1.7}, 0.65), (3, 5, {"fps": 7.0}, 0.33), (3, 4, {"fps": 1.5}, 0.1),
+    (3, 6, {"duration": 4.321}, 0.123), (2, 3, {"fps": 240.0}, 0.0), (2, 3, {"fps": 0.3}, 0.9),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["out.mp4", "out.webm"])
+@pytest.mark.parametrize(("n_images", "n_frames", "pace", "hold"), LENGTHS)
+@pytest.mark.parametrize("loop", ["loop", "ping-pong"])
+def test_videos_last_as_long_as_the_film(tmp_path, name, n_images, n_frames, pace, hold, loop):
+    rests = resting(n_images, n_frames)
+    if "duration" in pace:
+        motion = Motion.lasting(pace["duration"], rests, hold, loop)
+    else:
+        motion = Motion(pace["fps"], hold, loop)
+    frames = [np.full((16, 16, 3), 9 * n, np.uint8) for n in range(len(rests))]
+    times = np.linspace(0, n_images - 1, len(rests))
+    film = Film(frames, [frame.shape for frame in frames], times, rests, motion)
+    Output(tmp_path / name).write(film, Look("source"))
+    told = probe(tmp_path / name)
+    rate = Fraction(told["r_frame_rate"])
+    assert rate == motion.rate_for([seconds for _, seconds in film.played()])
+    assert abs(float(told["format"]["duration"]) - film.duration) < 1 / rate + 0.002
+    assert abs(int(told["nb_read_frames"]) / rate - film.duration) < 1 / rate
+    # Every picture begins when it should, in frames.
+    grays = [-99.0, *(frame.mean() for frame in decoded(tmp_path / name))]
+    begins = np.flatnonzero(np.abs(np.diff(grays)) > 4)
+    ends = np.cumsum([seconds for _, seconds in film.played()])
+    if loop == "loop":
+        assert len(begins) == len(film)
+        assert np.abs(begins[1:] - ends[:-1] * float(rate)).max() < 0.51
 
 
 @pytest.mark.parametrize("name", ["out.mp4", "out.webm"])

@@ -11,6 +11,7 @@ from clmorph.errors import OutputError
 from clmorph.film import Film
 from clmorph.formats.embedding import as_text
 from clmorph.framing import Framing, Look, in_time
+from clmorph.motion import whole_units
 from clmorph.progress import Report, tracked
 
 #: Longer side, in pixels, to which small frames are enlarged.
@@ -55,7 +56,9 @@ def _write(
     )  # fmt: skip
     pixels = "yuva420p" if framing.clear else "yuv420p"
     codec, settings = CODECS[container]
-    rate = film.motion.rate
+    played = film.played()
+    lengths = [seconds for _, seconds in played]
+    rate = film.motion.rate_for(lengths)
     # Without the encoder's version and a random number: the same film gives the same bytes.
     options = options | {"fflags": "+bitexact"}
     with av.open(str(file), "w", format=container, options=options) as movie:
@@ -73,14 +76,17 @@ def _write(
         context.color_trc = SRGB_CURVE
         mode = "rgba" if framing.clear else "rgb24"
         number = 0
-        for index, seconds in tracked(film.played(), report):
+        shown = [
+            (index, n) for (index, _), n in zip(played, whole_units(lengths, rate), strict=True)
+        ]
+        for index, repeats in tracked(shown, report):
             picture: Any = np.asarray(framing(film.picture(index)))
             image = av.VideoFrame.from_ndarray(picture, mode).reformat(
                 format=pixels, dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG,
                 interpolation="LANCZOS",
             )  # fmt: skip
             # A picture that rests is a frame that is repeated.
-            for _ in range(max(1, round(seconds * rate))):
+            for _ in range(repeats):
                 image.pts, image.time_base = number, Fraction(1) / rate
                 movie.mux(stream.encode(image))
                 number += 1
