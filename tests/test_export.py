@@ -4,8 +4,10 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import weakref
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -465,7 +467,9 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, na
     assert folder or path.read_text() == "before"
 
 
-@pytest.mark.parametrize("name", ["out.gif", "out.npz", "out.html", "frames"])
+@pytest.mark.parametrize(
+    "name", ["out.gif", "out.apng", "out.webp", "out.tif", "out.npz", "out.html", "frames"]
+)
 def test_frames_are_not_held(tmp_path, monkeypatch, name):
     """They are rendered one by one, wait on disk, and are read again one by one."""
     rng = np.random.default_rng(6)
@@ -489,6 +493,121 @@ def test_frames_are_not_held(tmp_path, monkeypatch, name):
     save(result, tmp_path / name, loop="ping-pong")
     assert len(most) >= 40
     assert max(most) <= 3
+
+
+#: Writes a film of smooth frames that move, made when they are read, and tells by how many MB
+#: more memory was ever taken for many than for some.
+GROWTH = """
+import pathlib, sys
+import numpy as np
+from clmorph.export import Output
+from clmorph.film import Film
+from clmorph.framing import Look
+from clmorph.motion import Motion
+
+def most():
+    status = pathlib.Path("/proc/self/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) / 1e3
+
+class Frames:
+    def __init__(self, side):
+        self.waves = np.linspace(0, 7, side)[:, None] + np.linspace(0, 5, side)
+
+    def __getitem__(self, index):
+        waves = np.sin(self.waves + 0.2 * index)[..., None] + [0.1, 0.3, 0.7]
+        return (127.5 + 70 * waves).clip(0, 255).astype(np.uint8)
+
+name, folder, side, *counts = sys.argv[1:]
+peaks = []
+for count in map(int, counts):
+    film = Film(Frames(int(side)), [(int(side), int(side), 3)] * count, np.linspace(0, 1, count),
+                np.zeros(count, bool), Motion())
+    Output(f"{folder}/{count}{name}").write(film, Look("source"))
+    peaks.append(most())
+print(peaks[1] - peaks[0])
+"""
+
+
+@pytest.mark.parametrize("name", [".gif", ".webp", ".apng", ".tif", "", ".mp4", ".webm"])
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path, name):
+    """By the system's account, for what image libraries take is not Python's."""
+    if not Path("/proc/self/status").exists():
+        pytest.skip("memory is told elsewhere on this system")
+    # Encoders of videos look ahead by some dozens of frames.
+    side, some, many = (300, 80, 160) if name in (".mp4", ".webm") else (600, 10, 60)
+    run = [sys.executable, "-c", GROWTH, name, tmp_path, str(side), str(some), str(many)]
+    told = subprocess.run(run, capture_output=True, check=True, text=True).stdout
+    one = side**2 * 3 / 1e6
+    assert float(told) < 0.2 * one * (many - some)
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_progress_is_that_of_the_writing(tmp_path, growing, monkeypatch, name):
+    """Once for each frame, when it has been read and before the next is, up to the whole."""
+    events = []
+    read = Film.picture
+    monkeypatch.setattr(Film, "picture", lambda self, n: (events.append("read"), read(self, n))[1])
+    ending = (FORMATS[name].endings or ("",))[0]
+
+    def progress(stage, share):
+        if stage == name:
+            events.append(float(share))
+
+    save(growing, tmp_path / f"out{ending}", format=name, loop="ping-pong", progress=progress)
+    shares = [event for event in events if event != "read"]
+    count = 8 if FORMATS[name].animated else 5
+    assert shares == pytest.approx(np.arange(1, count + 1) / count)
+    if name not in ("npz", "html"):
+        assert events[-2 * count :] == [part for share in shares for part in ("read", share)]
+
+
+@pytest.mark.parametrize("name", ["out.gif", "out.apng", "out.webp"])
+@pytest.mark.parametrize("depth", [3, 4])
+def test_frames_that_repeat_or_stay_for_minutes_last_as_long(tmp_path, name, depth):
+    """Longer than a frame's duration has digits for; one that is all clear is one, too."""
+    frames = np.zeros((5, 6, 7, depth), np.uint8)
+    frames[3:, 2:4, 3:5] = [200, 200, 200, 255][:depth]
+    frames[[0, 1, 3], 1:3, 1:4, -1] = 255
+    rests = np.array([True, False, False, False, True])
+    film = Film(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 5), rests,
+                Motion(10, 700.0, "ping-pong"))  # fmt: skip
+    Output(tmp_path / name).write(film, Look("source", lossless=True))
+    told, durations = stills(tmp_path / name)
+    assert sum(durations) == pytest.approx(1000 * film.duration)
+    ends, shown = np.cumsum(durations), np.cumsum([seconds for _, seconds in film.played()]) * 1000
+    for (index, _), end in zip(film.played(), shown, strict=True):
+        seen = told[np.searchsorted(ends, end - 50)]
+        if depth == 3:
+            assert np.array_equal(seen[..., :3], frames[index])
+        else:
+            assert np.array_equal(seen[..., 3], frames[index][..., 3])
+            there = frames[index][..., 3:] > 0
+            assert np.array_equal(seen * there, frames[index] * there)
+
+
+@pytest.mark.parametrize("name", ["out.gif", "out.apng"])
+@pytest.mark.parametrize("clear", [False, True])
+def test_ffmpeg_sees_the_same_frames(tmp_path, rng, name, clear):
+    """Another decoder of what is put together here, part by part."""
+    frames = np.zeros((6, 20, 24, 4), np.uint8)
+    for number, frame in enumerate(frames):
+        frame[2:9, 2 * number : 2 * number + 9, :3] = rng.choice([40, 90, 200], (7, 9, 1))
+        frame[2:9, 2 * number : 2 * number + 9, 3] = 255
+    frames = frames if clear else frames[..., :3]
+    film = Film(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 6),
+                np.zeros(6, bool), Motion(10))  # fmt: skip
+    Output(tmp_path / name).write(film, Look("source"))
+    raw = subprocess.run(
+        [program("ffmpeg"), "-v", "error", "-i", tmp_path / name, "-f", "rawvideo", "-pix_fmt",
+         "rgba", "-"], capture_output=True, check=True,
+    ).stdout  # fmt: skip
+    seen = np.frombuffer(raw, np.uint8).reshape(-1, 20, 24, 4)
+    assert len(seen) == 6
+    if not clear:
+        assert np.array_equal(seen[..., :3], frames)
+    else:
+        assert np.array_equal(seen[..., 3], frames[..., 3])
+        assert np.array_equal(seen * (seen[..., 3:] > 0), frames)
 
 
 def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):

@@ -1,13 +1,15 @@
 """GIF: one palette over all frames, so that nothing flickers."""
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.errors import InputError
 from clmorph.film import Film
+from clmorph.formats.deltas import box_of, changed, pieces
 from clmorph.formats.embedding import as_text
 from clmorph.framing import Framing, Look, in_time
 from clmorph.motion import whole_units
@@ -24,6 +26,8 @@ COLORS = 255
 SAMPLES = 250_000
 #: Browsers take a shorter frame for a long one.
 SHORTEST = 0.02
+#: A frame's duration has 16 bits; this is in hundredths of a second.
+LONGEST = 65_000
 
 
 def write(film: Film, look: Look, file: Path, report: Report) -> None:
@@ -36,21 +40,44 @@ def write(film: Film, look: Look, file: Path, report: Report) -> None:
         )
     framing = Framing(look, in_time(film.shapes, film.times), film.pixelated, SIDE)
     palette = _palette(film, framing)
-    pictures = (
-        _in_palette(framing(film.picture(index)), palette, framing.nearest)
-        for index, _ in tracked(film.played(), report)
+    shown = list(zip((index for index, _ in film.played()), whole_units(seconds, 100), strict=True))
+    frames = (
+        (_in_palette(framing(film.picture(index)), palette, framing.nearest), units)
+        for index, units in tracked(shown, report)
     )
-    options: dict[str, Any] = {}
-    if framing.clear:
-        # What was drawn before must not show through.
-        options = {"transparency": COLORS, "disposal": 2}
+    head: dict[str, Any] = {"comment": as_text(film.parameters).encode()}
     if film.motion.loop != "once":
-        options["loop"] = 0
-    next(pictures).save(
-        file, save_all=True, append_images=pictures, optimize=False,
-        duration=[10 * units for units in whole_units(seconds, 100)],
-        comment=as_text(film.parameters).encode(), **options,
-    )  # fmt: skip
+        head["loop"] = 0
+    with file.open("wb") as stream:
+        _write_frames(stream, frames, head, framing.clear)
+
+
+def _write_frames(
+    stream: BinaryIO, frames: Iterable[tuple["Image", int]], head: dict[str, Any], clear: bool
+) -> None:
+    """Write pictures of one palette, each with its hundredths of a second, as they come.
+
+    Pillow's own writer of animations keeps all until the last is there.
+    """
+    from PIL.GifImagePlugin import getdata, getheader
+
+    before: Image | None = None
+    for picture, units in frames:
+        options: dict[str, Any] = {}
+        if before is None:
+            stream.writelines(getheader(picture, info=head | {"duration": 1})[0])
+        box = changed(before, picture)
+        if clear:
+            # What was drawn before must not show through.
+            options = {"transparency": COLORS, "disposal": 2}
+            if before is not None:
+                box = box_of(np.asarray(picture) != COLORS)
+        part = picture.crop(box)
+        # One that stays longer than a frame can is drawn again.
+        for piece in pieces(units, LONGEST):
+            stream.writelines(getdata(part, box[:2], duration=10 * piece, **options))
+        before = picture
+    stream.write(b";")
 
 
 def _palette(film: Film, framing: Framing) -> "Image":

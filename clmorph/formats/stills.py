@@ -1,8 +1,11 @@
 """Frames as pictures of their own: folders of PNG or TIFF, and a TIFF of many pages."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from clmorph.film import Film
 from clmorph.formats.embedding import as_png_info, as_text
@@ -47,8 +50,16 @@ def write_tiff_folder(film: Film, look: Look, folder: Path, report: Report) -> N
 
 def write_tiff(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write one TIFF with a page for each frame."""
-    pictures = _pictures(film, look, report)
-    next(pictures).save(
-        file, format="TIFF", save_all=True, append_images=pictures, compression=DEFLATE,
-        description=as_text(film.parameters),
-    )  # fmt: skip
+    import tifffile
+
+    text = as_text(film.parameters)
+    # Offsets of 32 bits reach no further than 4 GiB; deflating hardly lengthens anything.
+    large = sum(math.prod(shape) + 2 * len(text) for shape in film.shapes) > 2**32 - 2**24
+    # Pillow's own writer keeps all pages until the last is there.
+    with tifffile.TiffWriter(file, bigtiff=large) as tiff:
+        for picture in _pictures(film, look, report):
+            tiff.write(
+                np.asarray(picture), photometric="rgb", planarconfig="contig",
+                extrasamples=["unassalpha"] if picture.mode == "RGBA" else None,
+                compression="zlib", description=text, software=False, metadata=None,
+            )  # fmt: skip

@@ -76,9 +76,8 @@ def _write(
         context.color_trc = SRGB_CURVE
         mode = "rgba" if framing.clear else "rgb24"
         number = 0
-        shown = [
-            (index, n) for (index, _), n in zip(played, whole_units(lengths, rate), strict=True)
-        ]
+        lasting = whole_units(lengths, rate)
+        shown = [(index, repeats) for (index, _), repeats in zip(played, lasting, strict=True)]
         for index, repeats in tracked(shown, report):
             picture: Any = np.asarray(framing(film.picture(index)))
             image = av.VideoFrame.from_ndarray(picture, mode).reformat(
@@ -90,4 +89,6 @@ def _write(
                 image.pts, image.time_base = number, Fraction(1) / rate
                 movie.mux(stream.encode(image))
                 number += 1
-        movie.mux(stream.encode(None))
+            if number == sum(lasting):
+                # Before the last report: what the encoder has looked ahead at is still to come.
+                movie.mux(stream.encode(None))
