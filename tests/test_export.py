@@ -19,6 +19,7 @@ from clmorph import InputError, OutputError
 from clmorph.export import FORMATS, Output, save
 from clmorph.film import Film
 from clmorph.formats.embedding import read_parameters
+from clmorph.formats.video import CODECS
 from clmorph.framing import Look
 from clmorph.images import to_bytes
 from clmorph.motion import Motion, resting
@@ -502,6 +503,7 @@ import pathlib, sys
 import numpy as np
 from clmorph.export import Output
 from clmorph.film import Film
+from clmorph.formats.video import CODECS
 from clmorph.framing import Look
 from clmorph.motion import Motion
 
@@ -628,6 +630,53 @@ def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):
         finally:
             tracemalloc.stop()
     assert peak < 14e6
+
+
+@pytest.mark.parametrize(
+    ("name", "most"), [("out.webp", 16383), ("out.gif", 65535), ("out.mp4", 16384),
+                       ("out.webm", 65536)]
+)  # fmt: skip
+def test_pictures_that_a_file_cannot_hold_are_refused_at_once(tmp_path, monkeypatch, name, most):
+    """And the largest that it can hold are written."""
+    wide = np.zeros((2, most + 2, 3), np.uint8)
+    for width, fits in ((most + 2 - most % 2, False), (most, True)):
+        frames = [wide[:, :width]] * 2
+        film = Film(frames, [frame.shape for frame in frames], np.array([0.0, 1.0]),
+                    np.zeros(2, bool), Motion())  # fmt: skip
+        if fits:
+            Output(tmp_path / name).write(film)
+            if name.endswith(("gif", "webp")):
+                assert stills(tmp_path / name)[0][0].shape == (2, most, 4)
+            else:
+                assert (probe(tmp_path / name)["width"], probe(tmp_path / name)["height"]) == (
+                    most, 2
+                )  # fmt: skip
+            continue
+        with monkeypatch.context() as patch:
+            patch.setattr(Film, "picture", lambda *args: pytest.fail("encoding has begun"))
+            with pytest.raises(InputError, match=f"at most {most}: set a smaller") as caught:
+                Output(tmp_path / name).write(film)
+        assert "\n" not in str(caught.value)
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "name", ["out.webp", "out.gif", "out.apng", "out.mp4", "out.webm", "out.tif", "", "out.png"]
+)
+def test_what_encoders_raise_is_told_in_one_line(tmp_path, monkeypatch, growing, name):
+    def broken(*args, **options):
+        raise RuntimeError("ERROR adding frame\nof two lines")
+
+    monkeypatch.setattr("PIL.Image.Image.paste", broken)
+    monkeypatch.setattr("PIL.Image.Image.save", broken)
+    monkeypatch.setattr("PIL.GifImagePlugin.getdata", broken)
+    monkeypatch.setattr("tifffile.TiffWriter.write", broken)
+    if name in ("out.mp4", "out.webm"):
+        monkeypatch.setitem(CODECS, name[4:], (CODECS[name[4:]][0], {"crf": "nothing"}))
+    with pytest.raises(OutputError, match=r"the encoder of .* failed .*another format") as caught:
+        save(growing, tmp_path / (name or "frames"), canvas="source")
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
 
 
 def test_refusals(tmp_path, growing, monkeypatch):

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from clmorph.film import Film
 from clmorph.formats.apng import write_frames
 from clmorph.formats.embedding import as_exif, as_png_info
+from clmorph.formats.limits import check_size, encoding
 from clmorph.framing import Framing, Look, in_time
 from clmorph.motion import whole_units
 from clmorph.progress import Report, Share, tracked
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 SIDE = 384
 #: Of lossy WebP, 0 to 100.
 WEBP_QUALITY = 90
+#: WebP's longest side, in pixels: it has 14 bits.
+WEBP_MOST = 16383
 
 
 def _framing(film: Film, look: Look) -> Framing:
@@ -27,10 +30,13 @@ def _milliseconds(film: Film) -> list[int]:
     return whole_units([seconds for _, seconds in film.played()], 1000)
 
 
+@encoding("WebP")
 def write_webp(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write an animated WebP, lossy unless the look says otherwise."""
     count = len(film.played())
-    _reel(film, _framing(film, look), report).save(
+    framing = _framing(film, look)
+    check_size(framing.size, WEBP_MOST, "WebP")
+    _reel(film, framing, report).save(
         file, format="WEBP", save_all=True, duration=_milliseconds(film),
         loop=int(film.motion.loop == "once"), lossless=look.lossless, exact=look.lossless,
         quality=80 if look.lossless else WEBP_QUALITY, method=4, exif=as_exif(film.parameters),
@@ -64,6 +70,7 @@ def _reel(film: Film, framing: Framing, report: Report) -> "Image":
     return reel
 
 
+@encoding("animated PNG")
 def write_apng(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write an animated PNG."""
     framing = _framing(film, look)

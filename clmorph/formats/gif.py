@@ -11,6 +11,7 @@ from clmorph.errors import InputError
 from clmorph.film import Film
 from clmorph.formats.deltas import box_of, changed, pieces
 from clmorph.formats.embedding import as_text
+from clmorph.formats.limits import check_size, encoding
 from clmorph.framing import Framing, Look, in_time
 from clmorph.motion import whole_units
 from clmorph.progress import Report, tracked
@@ -28,8 +29,11 @@ SAMPLES = 250_000
 SHORTEST = 0.02
 #: A frame's duration has 16 bits; this is in hundredths of a second.
 LONGEST = 65_000
+#: The longest side, in pixels: it has 16 bits.
+MOST = 65535
 
 
+@encoding("GIF")
 def write(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write an animated GIF; opacity is rounded to all or nothing."""
     seconds = [seconds for _, seconds in film.played()]
@@ -39,6 +43,7 @@ def write(film: Film, look: Look, file: Path, report: Report) -> None:
             f"{1 / SHORTEST:.0f}; lower it, or write .webp, .apng or a video"
         )
     framing = Framing(look, in_time(film.shapes, film.times), film.pixelated, SIDE)
+    check_size(framing.size, MOST, "GIF")
     palette = _palette(film, framing)
     shown = list(zip((index for index, _ in film.played()), whole_units(seconds, 100), strict=True))
     frames = (

@@ -6,6 +6,7 @@ import numpy as np
 
 from clmorph.film import Film
 from clmorph.formats.embedding import as_png_info
+from clmorph.formats.limits import encoding
 from clmorph.framing import Framing, Look, in_time
 from clmorph.progress import Report, tracked
 
@@ -18,6 +19,7 @@ COLUMNS = 5
 GAP, LABEL = 12, 22
 
 
+@encoding("PNG")
 def write(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write up to ten frames with their times, on white."""
     from dataclasses import replace

@@ -9,6 +9,7 @@ import numpy as np
 
 from clmorph.film import Film
 from clmorph.formats.embedding import as_png_info, as_text
+from clmorph.formats.limits import encoding
 from clmorph.framing import Framing, Look, in_time
 from clmorph.progress import Report, tracked
 
@@ -32,6 +33,7 @@ def _names(film: Film) -> Iterator[str]:
     return (f"frame-{number:0{digits}d}" for number in range(len(film)))
 
 
+@encoding("PNG")
 def write_png_folder(film: Film, look: Look, folder: Path, report: Report) -> None:
     """Write a new folder of PNG files."""
     folder.mkdir()
@@ -40,6 +42,7 @@ def write_png_folder(film: Film, look: Look, folder: Path, report: Report) -> No
         picture.save(folder / f"{name}.png", pnginfo=info)
 
 
+@encoding("TIFF")
 def write_tiff_folder(film: Film, look: Look, folder: Path, report: Report) -> None:
     """Write a new folder of TIFF files."""
     folder.mkdir()
@@ -48,6 +51,7 @@ def write_tiff_folder(film: Film, look: Look, folder: Path, report: Report) -> N
         picture.save(folder / f"{name}.tif", compression=DEFLATE, description=text)
 
 
+@encoding("TIFF")
 def write_tiff(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write one TIFF with a page for each frame."""
     import tifffile

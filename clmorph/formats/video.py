@@ -10,6 +10,7 @@ import numpy as np
 from clmorph.errors import OutputError
 from clmorph.film import Film
 from clmorph.formats.embedding import as_text
+from clmorph.formats.limits import check_size, encoding
 from clmorph.framing import Framing, Look, in_time
 from clmorph.motion import whole_units
 from clmorph.progress import Report, tracked
@@ -21,6 +22,8 @@ CODECS: dict[str, tuple[str, dict[str, str]]] = {
     "mp4": ("libx264", {"crf": "14", "preset": "medium"}),
     "webm": ("libvpx-vp9", {"crf": "16", "b": "0", "deadline": "good", "cpu-used": "3"}),
 }
+#: What they are called, and their encoders' longest side, in pixels.
+LIMITS = {"mp4": ("H.264", 16384), "webm": ("VP9", 65536)}
 #: ITU-T H.273 code points: the matrix and primaries of BT.709, the transfer curve of sRGB.
 BT709, SRGB_CURVE = 1, 13
 
@@ -54,6 +57,8 @@ def _write(
         look, in_time(film.shapes, film.times), film.pixelated, SIDE, even=True,
         opacity=container == "webm",
     )  # fmt: skip
+    words, most = LIMITS[container]
+    check_size(framing.size, most, words)
     pixels = "yuva420p" if framing.clear else "yuv420p"
     codec, settings = CODECS[container]
     played = film.played()
@@ -61,7 +66,10 @@ def _write(
     rate = film.motion.rate_for(lengths)
     # Without the encoder's version and a random number: the same film gives the same bytes.
     options = options | {"fflags": "+bitexact"}
-    with av.open(str(file), "w", format=container, options=options) as movie:
+    with (
+        encoding(words, av.error.FFmpegError),
+        av.open(str(file), "w", format=container, options=options) as movie,
+    ):
         movie.metadata["comment"] = as_text(film.parameters)
         stream: Any = movie.add_stream(codec, rate=rate, options=settings)
         stream.width, stream.height = framing.size
