@@ -158,6 +158,16 @@ class Framing:
             factor = np.ceil(factor)  # pixels of one size
         return max(1, round(width * factor)), max(1, round(height * factor))
 
+    @property
+    def ground(self) -> tuple[int, ...] | None:
+        """Color of bars, and of what shows through, as RGB; None if nothing is there."""
+        from PIL import ImageColor
+
+        if self.clear:
+            return None
+        color = ImageColor.getcolor(self._background, "RGB")
+        return color if isinstance(color, tuple) else (color,) * 3
+
     def __call__(self, frame: NDArray[np.uint8]) -> "Image":
         """Return a frame (H, W, 3 or 4) on the canvas, as RGB, or RGBA if `clear`.
 

@@ -323,6 +323,56 @@ def test_pixel_art_is_not_dithered_and_keeps_its_pixels(tmp_path):
         assert np.array_equal(frames[end][::32, ::32, :3], to_bytes(sprite))
 
 
+@pytest.mark.parametrize("depth", [3, 4])
+def test_a_chain_of_sprites_of_many_colors_is_exact(tmp_path, depth):
+    """60 colors each, 180 in all; colors of pixels that are not seen take no entries."""
+    rng = np.random.default_rng(8)
+    sprites = rng.random((3, 60, depth))[np.arange(3)[:, None, None], rng.permuted(
+        np.resize(np.arange(60), (3, 20, 20)), axis=1)]  # fmt: skip
+    if depth == 4:
+        sprites[..., 3] = rng.random((3, 20, 20)) > 0.2
+        hidden = sprites[..., 3] == 0
+        sprites[hidden, :3] = rng.random((hidden.sum(), 3))
+    chain = [clmorph.morph(*pair, 4, splatting="none") for pair in (sprites[:2], sprites[1:])]
+    save(chain, tmp_path / "out.gif", canvas="source", scaling="nearest")
+    frames, _ = stills(tmp_path / "out.gif")
+    for frame, sprite in zip(frames[::3], sprites, strict=True):
+        want = to_bytes(sprite)
+        seen = want[..., 3] > 0 if depth == 4 else np.ones((20, 20), bool)
+        assert np.array_equal(frame[..., 3] > 0, seen)
+        assert np.array_equal(frame[seen][:, :3], want[seen][:, :3])
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_sprites_rarest_color_is_exact(tmp_path, busy):
+    """One pixel of a million, whether the frames between have many colors or few."""
+    rng = np.random.default_rng(9)
+    frames = np.zeros((3, 600, 600, 3), np.uint8)
+    frames[:, :300] = 90, 120, 30
+    if busy:
+        frames[1] = rng.integers(0, 255, (600, 600, 3))
+    frames[0, 123, 457] = 255, 3, 9
+    frames[2, 411, 77] = 7, 250, 40
+    film = Film(list(frames), [(600, 600, 3)] * 3, np.array([0, 0.5, 1]),
+                np.array([True, False, True]), Motion(), pixelated=True)  # fmt: skip
+    Output(tmp_path / "out.gif").write(film, Look("source"))
+    told, _ = stills(tmp_path / "out.gif")
+    for index in (0, 2):
+        assert np.array_equal(told[index][..., :3], frames[index])
+
+
+def test_bars_beside_pixel_art_have_the_backgrounds_color(tmp_path):
+    """Also where frames that fit no better than by a whole factor have them, and no other."""
+    rng = np.random.default_rng(10)
+    frames = rng.integers(0, 255, (2, 12, 12, 3), np.uint8)
+    film = Film(list(frames), [(12, 12, 3)] * 2, np.array([0.0, 1.0]), np.ones(2, bool),
+                Motion(), pixelated=True)  # fmt: skip
+    Output(tmp_path / "out.gif").write(film, Look("40x40", background="#0a64c8"))
+    for frame in stills(tmp_path / "out.gif")[0]:
+        assert np.all(frame[:2, :, :3] == (10, 100, 200))
+        assert np.all(frame[:, 38:, :3] == (10, 100, 200))
+
+
 def test_a_gif_of_few_colors_is_exact(tmp_path):
     ramp = np.linspace(0, 1, 12).reshape(3, 4, 1) * np.ones(3)
     save(clmorph.morph(ramp, ramp, 2), tmp_path / "out.gif", canvas="source")

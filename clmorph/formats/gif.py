@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 SIDE = 384
 #: Colors of the palette; one more entry stands for what is transparent.
 COLORS = 255
+#: Entries that colors between the pictures' have at least.
+LEAST = 16
+#: Opacity from which a pixel is seen.
+OPAQUE = 128
 #: Pixels from which the palette is taken.
 SAMPLES = 250_000
 #: Browsers take a shorter frame for a long one.
@@ -88,36 +92,56 @@ def _write_frames(
 def _palette(film: Film, framing: Framing) -> "Image":
     """Return an image whose palette suits all frames, and what stands beside them.
 
-    Of pixel art the pictures' own colors are kept exactly.
+    Of pixel art the pictures' own colors are kept exactly, if they leave enough entries.
     """
     from PIL import Image
 
     pixels = sum(height * width for height, width, _ in film.shapes)
     step = max(1, pixels // SAMPLES)
-    bars = np.asarray(framing(np.zeros((1, 1, 3), np.uint8)))[:1, 0, :3]
     # Copies: a view would keep its frame.
     samples = [_colors(film, framing, index)[::step].copy() for index in range(len(film))]
-    pool = np.concatenate((*samples, np.repeat(bars, 256, axis=0)))
-    chosen = np.unique(pool, axis=0)
+    pool = np.concatenate(samples)
+    exact = _exact(film, framing)
+    # Every one of these counts, also those that the samples have missed.
+    chosen = _as_rgb(np.union1d(pool, exact))
     if len(chosen) > COLORS:
-        exact = bars
-        if framing.nearest:
-            ends = [_colors(film, framing, int(index)) for index in np.flatnonzero(film.rests)]
-            own = np.unique(np.concatenate((*ends, bars)), axis=0)
-            exact = own if len(own) <= COLORS // 2 else bars
-        rest = Image.fromarray(pool[:, None]).quantize(
+        others = _as_rgb(pool[~np.isin(pool, exact)])
+        rest = Image.fromarray(others[:, None]).quantize(
             COLORS - len(exact), method=Image.Quantize.MEDIANCUT, kmeans=1
         )
         found = np.frombuffer(bytes(rest.getpalette() or ()), np.uint8).reshape(-1, 3)
-        chosen = np.concatenate((exact, found))[:COLORS]
+        chosen = np.concatenate((_as_rgb(exact), found))[:COLORS]
     palette = Image.new("P", (1, 1))
     # Repeated, so that no entry is a color that is not there.
     palette.putpalette(np.resize(chosen, (COLORS, 3)).astype(np.uint8).tobytes())
     return palette
 
 
-def _colors(film: Film, framing: Framing, index: int) -> NDArray[np.uint8]:
-    return np.asarray(framing.unscaled(film.picture(index)))[..., :3].reshape(-1, 3)
+def _exact(film: Film, framing: Framing) -> NDArray[np.uint32]:
+    """Return the colors that must not change: the bars', and of pixel art the pictures' own."""
+    ground = np.array([framing.ground or (0, 0, 0)], np.uint8)
+    bars = own = _as_numbers(ground)
+    if framing.nearest:
+        for index in np.flatnonzero(film.rests):
+            own = np.union1d(own, _colors(film, framing, int(index)))
+            if len(own) > COLORS - LEAST:
+                return bars
+    return own
+
+
+def _colors(film: Film, framing: Framing, index: int) -> NDArray[np.uint32]:
+    """Return the colors of a frame's pixels that are seen, as numbers."""
+    picture = np.asarray(framing.unscaled(film.picture(index)))
+    seen = picture[picture[..., 3] >= OPAQUE] if picture.shape[2] == 4 else picture
+    return _as_numbers(seen[..., :3].reshape(-1, 3))
+
+
+def _as_numbers(colors: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    return colors.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+
+
+def _as_rgb(numbers: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    return np.stack([numbers >> 16, numbers >> 8, numbers], axis=-1).astype(np.uint8)
 
 
 def _in_palette(picture: "Image", palette: "Image", plain: bool) -> "Image":
@@ -130,7 +154,7 @@ def _in_palette(picture: "Image", palette: "Image", plain: bool) -> "Image":
         dither = Image.Dither.FLOYDSTEINBERG
         colors = picture.convert("RGB").quantize(palette=palette, dither=dither)
     if picture.mode == "RGBA":
-        hidden = picture.getchannel("A").point(lambda alpha: 255 * (alpha < 128))
+        hidden = picture.getchannel("A").point(lambda alpha: 255 * (alpha < OPAQUE))
         colors.paste(COLORS, mask=hidden)
     return colors
 
