@@ -1,5 +1,6 @@
 """Frames of any sizes on one canvas, for files that have only one."""
 
+import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -31,7 +32,8 @@ class Look:
     canvas : {"dynamic", "source", "target"} or (width, height)
         "dynamic" keeps every frame's size where a file can, and else takes one that holds all,
         small ones enlarged. The others scale all frames to one size, with bars where shapes
-        differ.
+        differ. "source" is the first picture that was given, "target" the last one, in whichever
+        order they are shown.
     scaling : {"auto", "nearest", "smooth"}
         "auto": nearest for pixel art, smooth for the rest.
     background : str, optional
@@ -92,6 +94,12 @@ def as_canvas(canvas: Any) -> Any:
     )
 
 
+def in_time(shapes: Iterable[tuple[int, ...]], times: NDArray[Any]) -> list[tuple[int, ...]]:
+    """Return frames' shapes in the order of the morph's time, whichever is shown first."""
+    shapes = list(shapes)
+    return [shapes[index] for index in np.argsort(times, kind="stable")]
+
+
 class Framing:
     """Bring frames to one size.
 
@@ -99,7 +107,7 @@ class Framing:
     ----------
     look : Look
     shapes : iterable of (H, W, C)
-        Of the frames, in the order of time.
+        Of the frames, in the order of the morph's time; see `in_time`.
     pixelated : bool
         Whether the pictures are pixel art.
     side : int
@@ -150,11 +158,22 @@ class Framing:
             factor = np.ceil(factor)  # pixels of one size
         return max(1, round(width * factor)), max(1, round(height * factor))
 
+    @property
+    def ground(self) -> tuple[int, ...] | None:
+        """Color of bars, and of what shows through, as RGB; None if nothing is there."""
+        from PIL import ImageColor
+
+        if self.clear:
+            return None
+        color = ImageColor.getcolor(self._background, "RGB")
+        return color if isinstance(color, tuple) else (color,) * 3
+
     def __call__(self, frame: NDArray[np.uint8]) -> "Image":
         """Return a frame (H, W, 3 or 4) on the canvas, as RGB, or RGBA if `clear`.
 
         It is scaled to fit, its shape kept, and centered; around it is the background, or
-        nothing where pictures have opacity.
+        nothing where pictures have opacity. Pixel art is enlarged by whole factors: its pixels
+        stay squares of one size.
         """
         from PIL import Image
 
@@ -192,6 +211,8 @@ class Framing:
         from PIL import Image
 
         factor = min(whole / part for whole, part in zip(self._inner, picture.size, strict=True))
+        if self.nearest and factor > 1:
+            factor = math.floor(factor)
         width, height = (max(1, round(side * factor)) for side in picture.size)
         size = width, height
         if size == picture.size:

@@ -1,5 +1,6 @@
 """When each frame is shown: easing, rests at the pictures, loops."""
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -14,6 +15,8 @@ from clmorph.errors import InputError
 EASES = ("linear", "smooth", "in", "out")
 #: What comes after the last frame: the first, the way back, or nothing.
 LOOPS = ("loop", "ping-pong", "once")
+#: Frames a second from which a rest that is rounded to whole ones is not seen to be.
+SMOOTH = 30
 
 
 def eased(times: NDArray[np.float64], ease: str) -> NDArray[np.float64]:
@@ -114,6 +117,25 @@ class Motion:
         """Frames a second, as files store them."""
         return Fraction(self.fps).limit_denominator(1001)
 
+    def rate_for(self, seconds: list[float]) -> Fraction:
+        """Return the rate at which pictures that are shown so long are frames, repeated.
+
+        Parameters
+        ----------
+        seconds : list of float
+            Of each picture, as `played` tells.
+
+        Returns
+        -------
+        Fraction
+            `rate` if all are whole frames then; else its first multiple, at least `SMOOTH`, of
+            which none is off by more than half.
+        """
+        frames = np.array(seconds) * float(self.rate)
+        if np.all(np.abs(frames - np.round(frames)) < 0.01):
+            return self.rate
+        return self.rate * max(1, math.ceil(SMOOTH / self.rate))
+
     def order(self, n_frames: int) -> list[int]:
         """Return the frames of one round."""
         there = list(range(n_frames))
@@ -131,13 +153,13 @@ class Motion:
         return [(index, even + self.hold * rests[index]) for index in self.order(len(rests))]
 
 
-def whole_units(seconds: list[float], per_second: int) -> list[int]:
+def whole_units(seconds: list[float], per_second: int | Fraction) -> list[int]:
     """Round durations to a file's unit so that their sums stay true.
 
     Parameters
     ----------
     seconds : list of float
-    per_second : int
+    per_second : int or Fraction
         Units a second.
 
     Returns
@@ -145,7 +167,9 @@ def whole_units(seconds: list[float], per_second: int) -> list[int]:
     list of int
         At least 1 each.
     """
-    ends = np.round(np.cumsum(seconds) * per_second).astype(int)
+    # Halves, which rests easily leave, all go up, whatever the sums' own rounding: equal
+    # durations side by side stay equal.
+    ends = np.floor(np.cumsum(seconds) * float(per_second) + (0.5 + 1e-6)).astype(int)
     return [max(1, int(units)) for units in np.diff(ends, prepend=0)]
 
 

@@ -4,7 +4,12 @@ import json
 import re
 import shutil
 import subprocess
+import sys
+import time
 import weakref
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,9 +21,10 @@ from clmorph import InputError, OutputError
 from clmorph.export import FORMATS, Output, save, write_all
 from clmorph.film import Film
 from clmorph.formats.embedding import read_parameters
+from clmorph.formats.video import CODECS
 from clmorph.framing import Look
 from clmorph.images import to_bytes
-from clmorph.motion import Motion
+from clmorph.motion import Motion, resting
 from clmorph.spool import Spool
 
 #: The least peak signal-to-noise ratio of lossy files, in decibels, on small photographs: of
@@ -141,6 +147,41 @@ def test_videos(tmp_path, morph, name, codec):
         assert psnr(frame, np.asarray(large)) > LEAST_PSNR[name[4:]]
 
 
+#: Pictures, frames of each morph, frames a second or seconds in all, rest at the pictures.
+LENGTHS = [
+    (2, 4, {"duration": 3.0}, 0.65), (2, 4, {"fps": 1.0}, 0.4), (2, 6, {"duration": 2.0}, 0.3),
+    (2, 12, {"duration": 1.7}, 0.65), (3, 5, {"fps": 7.0}, 0.33), (3, 4, {"fps": 1.5}, 0.1),
+    (3, 6, {"duration": 4.321}, 0.123), (2, 3, {"fps": 240.0}, 0.0), (2, 3, {"fps": 0.3}, 0.9),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["out.mp4", "out.webm"])
+@pytest.mark.parametrize(("n_images", "n_frames", "pace", "hold"), LENGTHS)
+@pytest.mark.parametrize("loop", ["loop", "ping-pong"])
+def test_videos_last_as_long_as_the_film(tmp_path, name, n_images, n_frames, pace, hold, loop):
+    rests = resting(n_images, n_frames)
+    if "duration" in pace:
+        motion = Motion.lasting(pace["duration"], rests, hold, loop)
+    else:
+        motion = Motion(pace["fps"], hold, loop)
+    frames = [np.full((16, 16, 3), 9 * n, np.uint8) for n in range(len(rests))]
+    times = np.linspace(0, n_images - 1, len(rests))
+    film = Film(frames, [frame.shape for frame in frames], times, rests, motion)
+    Output(tmp_path / name).write(film, Look("source"))
+    told = probe(tmp_path / name)
+    rate = Fraction(told["r_frame_rate"])
+    assert rate == motion.rate_for([seconds for _, seconds in film.played()])
+    assert abs(float(told["format"]["duration"]) - film.duration) < 1 / rate + 0.002
+    assert abs(int(told["nb_read_frames"]) / rate - film.duration) < 1 / rate
+    # Every picture begins when it should, in frames.
+    grays = [-99.0, *(frame.mean() for frame in decoded(tmp_path / name))]
+    begins = np.flatnonzero(np.abs(np.diff(grays)) > 4)
+    ends = np.cumsum([seconds for _, seconds in film.played()])
+    if loop == "loop":
+        assert len(begins) == len(film)
+        assert np.abs(begins[1:] - ends[:-1] * float(rate)).max() < 0.51
+
+
 @pytest.mark.parametrize("name", ["out.mp4", "out.webm"])
 def test_videos_have_true_colors(tmp_path, name):
     """Plain colors, which no codec has an excuse for: a wrong matrix would be off by 20."""
@@ -164,17 +205,28 @@ def test_odd_sizes_in_videos_are_made_even(tmp_path):
     assert (told["width"], told["height"]) == (34, 22)
 
 
-def test_webm_keeps_opacity(tmp_path, clear):
-    save(clear, tmp_path / "out.webm", canvas="64x64")
+def decoded_clear(file):
+    """The frames of a WebM with their opacity, which FFmpeg's own decoder of VP9 leaves out."""
+    shape = probe(file)["height"], probe(file)["width"], 4
     raw = subprocess.run(
-        [program("ffmpeg"), "-v", "error", "-c:v", "libvpx-vp9", "-i", tmp_path / "out.webm", "-f",
-         "rawvideo", "-pix_fmt", "rgba", "-"], capture_output=True, check=True,
+        [program("ffmpeg"), "-v", "error", "-c:v", "libvpx-vp9", "-i", file, "-f", "rawvideo",
+         "-pix_fmt", "rgba", "-"], capture_output=True, check=True,
     ).stdout  # fmt: skip
-    alpha = np.frombuffer(raw, np.uint8).reshape(-1, 64, 64, 4)[0, ..., 3]
-    large = Image.fromarray(wanted(clear)[0][..., 3]).resize((64, 64), Image.Resampling.BICUBIC)
-    assert np.abs(alpha.astype(float) - np.asarray(large)).mean() < 25
-    assert alpha.min() < 20
-    assert alpha.max() > 235
+    return np.frombuffer(raw, np.uint8).reshape(-1, *shape).astype(float)
+
+
+def test_webm_keeps_opacity(tmp_path, clear):
+    save(clear, tmp_path / "out.webm", canvas="64x64", hold=0)
+    opacities = set()
+    for frame, want in zip(decoded_clear(tmp_path / "out.webm"), wanted(clear), strict=True):
+        small = Image.fromarray(want).convert("RGBa")
+        large = small.resize((64, 64), Image.Resampling.BICUBIC).convert("RGBA")
+        large = np.asarray(large).astype(float)
+        assert np.abs(frame[..., 3] - large[..., 3]).max() <= 8
+        seen = large[..., 3] > 200
+        assert np.abs(frame - large)[seen].mean() < 12
+        opacities |= set(np.round(large[..., 3].ravel() / 16))
+    assert opacities == set(range(17))  # nothing of all this is for want of opacity
     save(clear, tmp_path / "out.mp4", canvas="64x64", background="#00ff00")
     corner = decoded(tmp_path / "out.mp4")[0]
     green = (corner[..., 1] > 200) & (corner[..., 0] < 80) & (corner[..., 2] < 80)
@@ -284,6 +336,56 @@ def test_pixel_art_is_not_dithered_and_keeps_its_pixels(tmp_path):
         assert np.array_equal(frames[end][::32, ::32, :3], to_bytes(sprite))
 
 
+@pytest.mark.parametrize("depth", [3, 4])
+def test_a_chain_of_sprites_of_many_colors_is_exact(tmp_path, depth):
+    """60 colors each, 180 in all; colors of pixels that are not seen take no entries."""
+    rng = np.random.default_rng(8)
+    sprites = rng.random((3, 60, depth))[np.arange(3)[:, None, None], rng.permuted(
+        np.resize(np.arange(60), (3, 20, 20)), axis=1)]  # fmt: skip
+    if depth == 4:
+        sprites[..., 3] = rng.random((3, 20, 20)) > 0.2
+        hidden = sprites[..., 3] == 0
+        sprites[hidden, :3] = rng.random((hidden.sum(), 3))
+    chain = [clmorph.morph(*pair, 4, splatting="none") for pair in (sprites[:2], sprites[1:])]
+    save(chain, tmp_path / "out.gif", canvas="source", scaling="nearest")
+    frames, _ = stills(tmp_path / "out.gif")
+    for frame, sprite in zip(frames[::3], sprites, strict=True):
+        want = to_bytes(sprite)
+        seen = want[..., 3] > 0 if depth == 4 else np.ones((20, 20), bool)
+        assert np.array_equal(frame[..., 3] > 0, seen)
+        assert np.array_equal(frame[seen][:, :3], want[seen][:, :3])
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_sprites_rarest_color_is_exact(tmp_path, busy):
+    """One pixel of a million, whether the frames between have many colors or few."""
+    rng = np.random.default_rng(9)
+    frames = np.zeros((3, 600, 600, 3), np.uint8)
+    frames[:, :300] = 90, 120, 30
+    if busy:
+        frames[1] = rng.integers(0, 255, (600, 600, 3))
+    frames[0, 123, 457] = 255, 3, 9
+    frames[2, 411, 77] = 7, 250, 40
+    film = Film(list(frames), [(600, 600, 3)] * 3, np.array([0, 0.5, 1]),
+                np.array([True, False, True]), Motion(), pixelated=True)  # fmt: skip
+    Output(tmp_path / "out.gif").write(film, Look("source"))
+    told, _ = stills(tmp_path / "out.gif")
+    for index in (0, 2):
+        assert np.array_equal(told[index][..., :3], frames[index])
+
+
+def test_bars_beside_pixel_art_have_the_backgrounds_color(tmp_path):
+    """Also where frames that fit no better than by a whole factor have them, and no other."""
+    rng = np.random.default_rng(10)
+    frames = rng.integers(0, 255, (2, 12, 12, 3), np.uint8)
+    film = Film(list(frames), [(12, 12, 3)] * 2, np.array([0.0, 1.0]), np.ones(2, bool),
+                Motion(), pixelated=True)  # fmt: skip
+    Output(tmp_path / "out.gif").write(film, Look("40x40", background="#0a64c8"))
+    for frame in stills(tmp_path / "out.gif")[0]:
+        assert np.all(frame[:2, :, :3] == (10, 100, 200))
+        assert np.all(frame[:, 38:, :3] == (10, 100, 200))
+
+
 def test_a_gif_of_few_colors_is_exact(tmp_path):
     ramp = np.linspace(0, 1, 12).reshape(3, 4, 1) * np.ones(3)
     save(clmorph.morph(ramp, ramp, 2), tmp_path / "out.gif", canvas="source")
@@ -324,6 +426,24 @@ def test_canvases(tmp_path, growing):
                 assert picture.size == size
 
 
+@pytest.mark.parametrize("name", [name for name in FORMATS if name not in ("npz", "html")])
+def test_canvases_are_those_of_the_pictures_as_given_when_reversed(tmp_path, growing, name):
+    ending = (FORMATS[name].endings or ("",))[0]
+    path = tmp_path / f"out{ending}"
+    for canvas, size in (("source", (8, 6)), ("target", (16, 12))):
+        shutil.rmtree(path, ignore_errors=True)
+        save(growing, path, format=name, canvas=canvas, reverse=True)
+        if name in ("mp4", "webm"):
+            told = probe(path)
+            assert (told["width"], told["height"]) == size
+            continue
+        with Image.open(sorted(path.iterdir())[0] if path.is_dir() else path) as picture:
+            if name == "sheet":  # one row; cells are wider, for their captions
+                assert picture.height == size[1] + 34 + 12
+            else:
+                assert picture.size == size
+
+
 def test_contact_sheet(tmp_path, growing):
     save(growing, tmp_path / "sheet.PNG", scaling="nearest")
     with Image.open(tmp_path / "sheet.PNG") as sheet:
@@ -331,6 +451,51 @@ def test_contact_sheet(tmp_path, growing):
         assert sheet.size == (5 * (192 + 12) + 12, 144 + 22 + 24)
         first = sheet.crop((12, 12, 12 + 192, 12 + 144)).resize((8, 6), Image.Resampling.BOX)
     assert np.array_equal(np.asarray(first), wanted(growing)[0])
+
+
+@pytest.mark.parametrize("pixelated", [False, True])
+def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
+    """All of a frame comes in: stripes one pixel wide turn gray instead of one of their colors."""
+    large = np.zeros((1000, 1500, 3), np.uint8)
+    large[:, ::2] = 255
+    film = Film([large] * 12, [large.shape] * 12, np.linspace(0, 1, 12), np.zeros(12, bool),
+                Motion(), pixelated)  # fmt: skip
+    for look, size in (
+        (Look(), (192, 128)), (Look("30x20"), (30, 20)), (Look("300x100"), (300, 100)),
+        (Look("source"), (1500, 1000)), (Look(scaling="nearest"), (192, 128)),
+    ):  # fmt: skip
+        Output(tmp_path / "sheet.png").write(film, look)
+        with Image.open(tmp_path / "sheet.png") as sheet:
+            width, height = sheet.size
+            first = np.asarray(sheet)[12 : 12 + size[1], 12 : 12 + size[0]]
+        assert height == 2 * (size[1] + 34) + 12
+        if look.canvas == (30, 20):
+            assert 5 * (30 + 12) + 12 < width <= 5 * (60 + 12) + 12
+        else:
+            assert width == 5 * (size[0] + 12) + 12
+        if look == Look():
+            assert np.abs(first[4:-4, 4:-4].astype(int) - 128).max() < 20
+        if look.scaling == "nearest":
+            assert set(np.unique(first)) <= {0, 255}
+
+
+def test_captions_of_a_contact_sheet_do_not_touch(tmp_path):
+    """Below pictures of one column: with white between, and whole."""
+    frames = np.zeros((5, 40, 1, 3), np.uint8)
+    film = Film(list(frames), [(40, 1, 3)] * 5, np.linspace(0, 12, 5), np.zeros(5, bool),
+                Motion())  # fmt: skip
+    Output(tmp_path / "sheet.png").write(film, Look("1x40"))
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        gray = np.asarray(sheet.convert("L"))
+    ink = np.flatnonzero((gray[12 + 40 + 1 : -8] < 128).any(axis=0))
+    gaps = np.diff(ink)
+    assert np.count_nonzero(gaps >= 9) == 4
+    assert ink[0] >= 9
+    assert ink[-1] < gray.shape[1] - 9
+    pictures = np.flatnonzero(gray[20] < 128)
+    centers = np.split(ink, np.flatnonzero(gaps >= 9) + 1)
+    for column, letters in zip(pictures, centers, strict=True):
+        assert abs(column - letters.mean()) < 6
 
 
 def test_loops(tmp_path, growing):
@@ -377,17 +542,98 @@ def test_every_format_tells_what_made_it(tmp_path, growing, name):
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
-@pytest.mark.parametrize("name", list(FORMATS))
-def test_the_same_film_gives_the_same_bytes(tmp_path, growing, name):
-    ending = (FORMATS[name].endings or ("",))[0]
-    contents = []
-    for folder in ("one", "two"):
-        (tmp_path / folder).mkdir()
-        path = tmp_path / folder / f"out{ending}"
+def contents(path):
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return [file.read_bytes() for file in files]
+
+
+@pytest.fixture(scope="module")
+def written_before(tmp_path_factory, growing):
+    """A film's bytes in every format, each written at least two seconds ago: ZIP's unit."""
+    found = {}
+    for name, format in FORMATS.items():
+        path = tmp_path_factory.mktemp(name) / f"out{(format.endings or ('',))[0]}"
         save(growing, path, format=name)
-        files = sorted(path.iterdir()) if path.is_dir() else [path]
-        contents.append([file.read_bytes() for file in files])
-    assert contents[0] == contents[1]
+        found[name] = contents(path)
+    time.sleep(2.1)
+    return found
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_the_same_film_gives_the_same_bytes(tmp_path, growing, written_before, name):
+    path = tmp_path / f"out{(FORMATS[name].endings or ('',))[0]}"
+    save(growing, path, format=name)
+    assert contents(path) == written_before[name]
+
+
+@pytest.fixture(scope="module", params=[0, 1, 2])
+def partly_clear(request):
+    """A chain of which one picture alone has opacity: a hole in it.
+
+    Where neither picture of a morph has any, its frames have none: there are frames of both kinds.
+    """
+    rng = np.random.default_rng(11)
+    images = [rng.choice([0.1, 0.5, 0.9], (8, 8, 3)) for _ in range(3)]
+    alpha = np.ones((8, 8))
+    alpha[2:6, 2:6] = 0
+    images[request.param] = np.dstack((images[request.param], alpha))
+    chain = [clmorph.morph(*pair, 4, splatting="none") for pair in pairwise(images)]
+    depths = {frame.shape[2] for morph in chain for frame in morph.frames}
+    assert depths == ({4} if request.param == 1 else {3, 4})
+    return chain, images
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_chains_with_opacity_in_one_picture(tmp_path, partly_clear, name):
+    """It is there in that one's frame, and in the others' all is seen; or it lies on white."""
+    chain, images = partly_clear
+    path = tmp_path / f"out{(FORMATS[name].endings or ('',))[0]}"
+    enlarged = name in ("webm", "mp4", "sheet")
+    # What codecs blur at the edges of 4 x 4 squares of one color, they do not in the middle.
+    canvas = {"sheet": "64x64", "webm": "128x128", "mp4": "128x128"}.get(name, "source")
+    look = {"canvas": canvas, "scaling": "nearest", "lossless": True, "hold": 0}
+    save(chain, path, format=name, **look)
+    if name == "html":
+        assert read_parameters(path)["clmorph"]
+        return
+    if name == "npz":
+        frames = [to_bytes(frame) for frame in clmorph.load(path).frames]
+    elif name == "webm":
+        frames = decoded_clear(path)
+    elif name == "mp4":
+        frames = decoded(path)
+    elif name == "sheet":
+        with Image.open(path) as sheet:
+            pixels = np.asarray(sheet)
+        assert pixels.shape == (2 * (64 + 34) + 12, 5 * (64 + 12) + 12, 3)
+        frames = [
+            pixels[top : top + 64, left : left + 64]
+            for top in (12, 12 + 98) for left in range(12, 12 + 5 * 76, 76)
+        ][:7]  # fmt: skip
+    elif path.is_dir():
+        frames = [np.asarray(Image.open(file)) for file in sorted(path.iterdir())]
+    else:
+        frames = stills(path)[0]
+    assert len(frames) == 7
+    for frame, image in zip(frames[::3], images, strict=True):
+        if enlarged:
+            unit = len(frame) // 8
+            frame = frame[unit // 2 :: unit, unit // 2 :: unit]
+        want = to_bytes(image)
+        seen = want[..., 3] > 0 if want.shape[2] == 4 else np.ones((8, 8), bool)
+        within = 12 if name in ("webm", "mp4") else 1
+        if name == "mp4" or name == "sheet":
+            assert frame.shape == (8, 8, 3)
+            assert frame[~seen].min(initial=255) >= 255 - within
+        elif frame.shape[2] == 4:
+            assert np.abs(frame[..., 3] - 255.0 * seen).max() <= within
+        else:
+            assert name == "npz"
+            assert seen.all()
+        # Hues have half the resolution in videos, so only gray is compared there.
+        error = frame[..., :3].astype(float) - want[..., :3]
+        error = error @ [0.2126, 0.7152, 0.0722] if name in ("webm", "mp4") else error
+        assert np.abs(error[seen]).max() <= within
 
 
 @pytest.mark.parametrize("name", list(FORMATS))
@@ -409,7 +655,9 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, na
     assert folder or path.read_text() == "before"
 
 
-@pytest.mark.parametrize("name", ["out.gif", "out.npz", "out.html", "frames"])
+@pytest.mark.parametrize(
+    "name", ["out.gif", "out.apng", "out.webp", "out.tif", "out.npz", "out.html", "frames"]
+)
 def test_frames_are_not_held(tmp_path, monkeypatch, name):
     """They are rendered one by one, wait on disk, and are read again one by one."""
     rng = np.random.default_rng(6)
@@ -435,6 +683,122 @@ def test_frames_are_not_held(tmp_path, monkeypatch, name):
     assert max(most) <= 3
 
 
+#: Writes a film of smooth frames that move, made when they are read, and tells by how many MB
+#: more memory was ever taken for many than for some.
+GROWTH = """
+import pathlib, sys
+import numpy as np
+from clmorph.export import Output
+from clmorph.film import Film
+from clmorph.formats.video import CODECS
+from clmorph.framing import Look
+from clmorph.motion import Motion
+
+def most():
+    status = pathlib.Path("/proc/self/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) / 1e3
+
+class Frames:
+    def __init__(self, side):
+        self.waves = np.linspace(0, 7, side)[:, None] + np.linspace(0, 5, side)
+
+    def __getitem__(self, index):
+        waves = np.sin(self.waves + 0.2 * index)[..., None] + [0.1, 0.3, 0.7]
+        return (127.5 + 70 * waves).clip(0, 255).astype(np.uint8)
+
+name, folder, side, *counts = sys.argv[1:]
+peaks = []
+for count in map(int, counts):
+    film = Film(Frames(int(side)), [(int(side), int(side), 3)] * count, np.linspace(0, 1, count),
+                np.zeros(count, bool), Motion())
+    Output(f"{folder}/{count}{name}").write(film, Look("source"))
+    peaks.append(most())
+print(peaks[1] - peaks[0])
+"""
+
+
+@pytest.mark.parametrize("name", [".gif", ".webp", ".apng", ".tif", "", ".mp4", ".webm"])
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path, name):
+    """By the system's account, for what image libraries take is not Python's."""
+    if not Path("/proc/self/status").exists():
+        pytest.skip("memory is told elsewhere on this system")
+    # Encoders of videos look ahead by some dozens of frames.
+    side, some, many = (300, 80, 160) if name in (".mp4", ".webm") else (600, 10, 60)
+    run = [sys.executable, "-c", GROWTH, name, tmp_path, str(side), str(some), str(many)]
+    told = subprocess.run(run, capture_output=True, check=True, text=True).stdout
+    one = side**2 * 3 / 1e6
+    assert float(told) < 0.2 * one * (many - some)
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_progress_is_that_of_the_writing(tmp_path, growing, monkeypatch, name):
+    """Once for each frame, when it has been read and before the next is, up to the whole."""
+    events = []
+    read = Film.picture
+    monkeypatch.setattr(Film, "picture", lambda self, n: (events.append("read"), read(self, n))[1])
+    ending = (FORMATS[name].endings or ("",))[0]
+
+    def progress(stage, share):
+        if stage == name:
+            events.append(float(share))
+
+    save(growing, tmp_path / f"out{ending}", format=name, loop="ping-pong", progress=progress)
+    shares = [event for event in events if event != "read"]
+    count = 8 if FORMATS[name].animated else 5
+    assert shares == pytest.approx(np.arange(1, count + 1) / count)
+    if name not in ("npz", "html"):
+        assert events[-2 * count :] == [part for share in shares for part in ("read", share)]
+
+
+@pytest.mark.parametrize("name", ["out.gif", "out.apng", "out.webp"])
+@pytest.mark.parametrize("depth", [3, 4])
+def test_frames_that_repeat_or_stay_for_minutes_last_as_long(tmp_path, name, depth):
+    """Longer than a frame's duration has digits for; one that is all clear is one, too."""
+    frames = np.zeros((5, 6, 7, depth), np.uint8)
+    frames[3:, 2:4, 3:5] = [200, 200, 200, 255][:depth]
+    frames[[0, 1, 3], 1:3, 1:4, -1] = 255
+    rests = np.array([True, False, False, False, True])
+    film = Film(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 5), rests,
+                Motion(10, 700.0, "ping-pong"))  # fmt: skip
+    Output(tmp_path / name).write(film, Look("source", lossless=True))
+    told, durations = stills(tmp_path / name)
+    assert sum(durations) == pytest.approx(1000 * film.duration)
+    ends, shown = np.cumsum(durations), np.cumsum([seconds for _, seconds in film.played()]) * 1000
+    for (index, _), end in zip(film.played(), shown, strict=True):
+        seen = told[np.searchsorted(ends, end - 50)]
+        if depth == 3:
+            assert np.array_equal(seen[..., :3], frames[index])
+        else:
+            assert np.array_equal(seen[..., 3], frames[index][..., 3])
+            there = frames[index][..., 3:] > 0
+            assert np.array_equal(seen * there, frames[index] * there)
+
+
+@pytest.mark.parametrize("name", ["out.gif", "out.apng"])
+@pytest.mark.parametrize("clear", [False, True])
+def test_ffmpeg_sees_the_same_frames(tmp_path, rng, name, clear):
+    """Another decoder of what is put together here, part by part."""
+    frames = np.zeros((6, 20, 24, 4), np.uint8)
+    for number, frame in enumerate(frames):
+        frame[2:9, 2 * number : 2 * number + 9, :3] = rng.choice([40, 90, 200], (7, 9, 1))
+        frame[2:9, 2 * number : 2 * number + 9, 3] = 255
+    frames = frames if clear else frames[..., :3]
+    film = Film(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 6),
+                np.zeros(6, bool), Motion(10))  # fmt: skip
+    Output(tmp_path / name).write(film, Look("source"))
+    raw = subprocess.run(
+        [program("ffmpeg"), "-v", "error", "-i", tmp_path / name, "-f", "rawvideo", "-pix_fmt",
+         "rgba", "-"], capture_output=True, check=True,
+    ).stdout  # fmt: skip
+    seen = np.frombuffer(raw, np.uint8).reshape(-1, 20, 24, 4)
+    assert len(seen) == 6
+    if not clear:
+        assert np.array_equal(seen[..., :3], frames)
+    else:
+        assert np.array_equal(seen[..., 3], frames[..., 3])
+        assert np.array_equal(seen * (seen[..., 3:] > 0), frames)
+
+
 def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):
     """Of a hundred frames of 256 x 256, 20 MB, only samples are in memory."""
     import tracemalloc
@@ -453,6 +817,53 @@ def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):
         finally:
             tracemalloc.stop()
     assert peak < 14e6
+
+
+@pytest.mark.parametrize(
+    ("name", "most"), [("out.webp", 16383), ("out.gif", 65535), ("out.mp4", 16384),
+                       ("out.webm", 65536)]
+)  # fmt: skip
+def test_pictures_that_a_file_cannot_hold_are_refused_at_once(tmp_path, monkeypatch, name, most):
+    """And the largest that it can hold are written."""
+    wide = np.zeros((2, most + 2, 3), np.uint8)
+    for width, fits in ((most + 2 - most % 2, False), (most, True)):
+        frames = [wide[:, :width]] * 2
+        film = Film(frames, [frame.shape for frame in frames], np.array([0.0, 1.0]),
+                    np.zeros(2, bool), Motion())  # fmt: skip
+        if fits:
+            Output(tmp_path / name).write(film)
+            if name.endswith(("gif", "webp")):
+                assert stills(tmp_path / name)[0][0].shape == (2, most, 4)
+            else:
+                assert (probe(tmp_path / name)["width"], probe(tmp_path / name)["height"]) == (
+                    most, 2
+                )  # fmt: skip
+            continue
+        with monkeypatch.context() as patch:
+            patch.setattr(Film, "picture", lambda *args: pytest.fail("encoding has begun"))
+            with pytest.raises(InputError, match=f"at most {most}: set a smaller") as caught:
+                Output(tmp_path / name).write(film)
+        assert "\n" not in str(caught.value)
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "name", ["out.webp", "out.gif", "out.apng", "out.mp4", "out.webm", "out.tif", "", "out.png"]
+)
+def test_what_encoders_raise_is_told_in_one_line(tmp_path, monkeypatch, growing, name):
+    def broken(*args, **options):
+        raise RuntimeError("ERROR adding frame\nof two lines")
+
+    monkeypatch.setattr("PIL.Image.Image.paste", broken)
+    monkeypatch.setattr("PIL.Image.Image.save", broken)
+    monkeypatch.setattr("PIL.GifImagePlugin.getdata", broken)
+    monkeypatch.setattr("tifffile.TiffWriter.write", broken)
+    if name in ("out.mp4", "out.webm"):
+        monkeypatch.setitem(CODECS, name[4:], (CODECS[name[4:]][0], {"crf": "nothing"}))
+    with pytest.raises(OutputError, match=r"the encoder of .* failed .*another format") as caught:
+        save(growing, tmp_path / (name or "frames"), canvas="source")
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
 
 
 def test_refusals(tmp_path, growing, monkeypatch):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clmorph.framing import Framing, Look, as_canvas
+from clmorph.framing import Framing, Look, as_canvas, in_time
 from clmorph.spool import Spool
 from clmorph.widths import is_pixel_art
 
@@ -45,6 +45,31 @@ def test_nearest_makes_squares_and_smooth_does_not(rng):
     assert len(np.unique(smooth.reshape(-1, 3), axis=0)) > 48
     forced = np.asarray(Framing(Look("80x60", "nearest"), SHAPES, False)(frame))
     assert np.array_equal(forced, squares)
+
+
+def test_pixels_of_pixel_art_stay_squares_of_one_size(rng):
+    """Between the ends frames fit the canvas by no whole factor."""
+    frame = rng.integers(1, 256, (6, 7, 3), np.uint8)
+    for look, opaque in ((Look("40x30"), True), (Look("40x30", background="#000102"), True),
+                         (Look("40x30"), False)):  # fmt: skip
+        own = frame if opaque else np.dstack((frame, np.full((6, 7), 255, np.uint8)))
+        picture = np.asarray(Framing(look, [own.shape], True)(own))
+        inner = picture[:, 2:37]
+        assert np.array_equal(inner, np.kron(own, np.ones((5, 5, 1))))
+        ground = ([0, 1, 2] if look.background else [0, 0, 0]) if opaque else [0] * 4
+        assert np.all(picture[:, :2] == ground)
+        assert np.all(picture[:, 37:] == ground)
+    even = np.asarray(Framing(Look("39x29"), [frame.shape], True, even=True)(frame))
+    assert even.shape == (30, 40, 3)
+    assert np.count_nonzero(even) == (4 * 6) * (4 * 7) * 3
+    smooth = np.asarray(Framing(Look("40x30"), [frame.shape], False)(frame))
+    assert np.count_nonzero(smooth.any(-1).any(0)) == 35  # as large as fits
+
+
+def test_shapes_are_put_in_the_order_of_time():
+    times = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
+    shapes = [(side, side, 3) for side in (3, 7, 4, 9, 5)]
+    assert in_time(shapes, times) == in_time(shapes[::-1], times[::-1]) == shapes
 
 
 def test_bars_and_backgrounds():

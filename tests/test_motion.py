@@ -1,5 +1,7 @@
 """When frames are shown: easing, rests, loops, durations."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -78,3 +80,20 @@ def test_rounding_does_not_add_up():
     assert set(units) == {3, 4}
     assert sum(units) == 1000
     assert whole_units([1e-6] * 3, 100) == [1, 1, 1]
+    assert whole_units([0.1] * 4, Fraction(25, 2)) == [1, 2, 1, 1]
+
+
+def test_halves_do_not_make_equal_durations_unequal():
+    """After a rest of half a unit more every sum ends in one half, or a rounding beside it."""
+    assert whole_units([0.25, *[0.1] * 20], 30)[1:] == [3] * 20
+    assert whole_units([0.75, *[0.1] * 20], 30)[1:] == [3] * 20
+
+
+def test_rates_at_which_rests_are_frames():
+    for fps, hold, rate in (
+        (20, 0.65, 20), (30, 0.1, 30), (1, 0.0, 1), (1, 2.0, 1), (1, 0.4, 30), (12, 0.65, 36),
+        (0.1, 0.5, 30), (29, 0.3, 58), (240, 0.001, 240), (12.5, 0.4, 12.5), (12.5, 0.3, 37.5),
+    ):  # fmt: skip
+        motion = Motion(fps, hold)
+        lengths = [seconds for _, seconds in motion.played(resting(2, 4))]
+        assert motion.rate_for(lengths) == rate, (fps, hold)

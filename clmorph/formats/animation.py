@@ -1,14 +1,15 @@
-"""Animated WebP and PNG, with opacity."""
+"""Animated WebP and PNG, with opacity, frame by frame."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clmorph.film import Film
+from clmorph.formats.apng import write_frames
 from clmorph.formats.embedding import as_exif, as_png_info
-from clmorph.framing import Framing, Look
+from clmorph.formats.limits import check_size, encoding
+from clmorph.framing import Framing, Look, in_time
 from clmorph.motion import whole_units
-from clmorph.progress import Report, tracked
+from clmorph.progress import Report, Share, tracked
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -17,45 +18,65 @@ if TYPE_CHECKING:
 SIDE = 384
 #: Of lossy WebP, 0 to 100.
 WEBP_QUALITY = 90
+#: WebP's longest side, in pixels: it has 14 bits.
+WEBP_MOST = 16383
 
 
-class _Pictures:
-    """The pictures as they are played, made anew whenever they are gone through."""
-
-    def __init__(self, film: Film, look: Look, report: Report) -> None:
-        self._film, self._report = film, report
-        self._framing = Framing(look, film.shapes, film.pixelated, SIDE)
-        self._order = [index for index, _ in film.played()]
-
-    @property
-    def first(self) -> "Image":
-        return self._framing(self._film.picture(self._order[0]))
-
-    def __iter__(self) -> Iterator["Image"]:
-        """Return all but the first."""
-        for index in tracked(self._order[1:], self._report):
-            yield self._framing(self._film.picture(index))
+def _framing(film: Film, look: Look) -> Framing:
+    return Framing(look, in_time(film.shapes, film.times), film.pixelated, SIDE)
 
 
 def _milliseconds(film: Film) -> list[int]:
     return whole_units([seconds for _, seconds in film.played()], 1000)
 
 
+@encoding("WebP")
 def write_webp(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write an animated WebP, lossy unless the look says otherwise."""
-    pictures = _Pictures(film, look, report)
-    pictures.first.save(
-        file, format="WEBP", save_all=True, append_images=pictures, duration=_milliseconds(film),
+    count = len(film.played())
+    framing = _framing(film, look)
+    check_size(framing.size, WEBP_MOST, "WebP")
+    _reel(film, framing, report).save(
+        file, format="WEBP", save_all=True, duration=_milliseconds(film),
         loop=int(film.motion.loop == "once"), lossless=look.lossless, exact=look.lossless,
         quality=80 if look.lossless else WEBP_QUALITY, method=4, exif=as_exif(film.parameters),
     )  # fmt: skip
+    report(Share(1.0, f"{count} of {count}"))
 
 
+def _reel(film: Film, framing: Framing, report: Report) -> "Image":
+    """Return an image of many frames, of which one is there at a time.
+
+    Pillow makes a list of images that are to be appended, but asks one of many frames for one
+    after the other. When it asks for the next, those before are written.
+    """
+    from PIL import Image
+
+    order = [index for index, _ in film.played()]
+    reel = Image.new("RGBA" if framing.clear else "RGB", framing.size)
+    shown = -1
+
+    def seek(number: int) -> None:
+        nonlocal shown
+        # Afterwards Pillow winds back to the first, for which there is no use.
+        if number != shown + 1:
+            return
+        if number > 0:
+            report(Share(number / len(order), f"{number} of {len(order)}"))
+        reel.paste(framing(film.picture(order[number])))
+        shown = number
+
+    reel.__dict__.update(n_frames=len(order), seek=seek)
+    return reel
+
+
+@encoding("animated PNG")
 def write_apng(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write an animated PNG."""
-    # Pillow goes through them twice here: for their modes, then for their pixels.
-    pictures = _Pictures(film, look, report)
-    pictures.first.save(
-        file, format="PNG", save_all=True, append_images=pictures, duration=_milliseconds(film),
-        loop=int(film.motion.loop == "once"), pnginfo=as_png_info(film.parameters),
-    )  # fmt: skip
+    framing = _framing(film, look)
+    durations = _milliseconds(film)
+    shown = [(index, time) for (index, _), time in zip(film.played(), durations, strict=True)]
+    frames = ((framing(film.picture(index)), time) for index, time in tracked(shown, report))
+    with file.open("wb") as stream:
+        plays = int(film.motion.loop == "once")
+        write_frames(stream, frames, durations, plays, as_png_info(film.parameters))

@@ -1,15 +1,18 @@
 """GIF: one palette over all frames, so that nothing flickers."""
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.errors import InputError
 from clmorph.film import Film
+from clmorph.formats.deltas import box_of, changed, pieces
 from clmorph.formats.embedding import as_text
-from clmorph.framing import Framing, Look
+from clmorph.formats.limits import check_size, encoding
+from clmorph.framing import Framing, Look, in_time
 from clmorph.motion import whole_units
 from clmorph.progress import Report, tracked
 
@@ -20,12 +23,21 @@ if TYPE_CHECKING:
 SIDE = 384
 #: Colors of the palette; one more entry stands for what is transparent.
 COLORS = 255
+#: Entries that colors between the pictures' have at least.
+LEAST = 16
+#: Opacity from which a pixel is seen.
+OPAQUE = 128
 #: Pixels from which the palette is taken.
 SAMPLES = 250_000
 #: Browsers take a shorter frame for a long one.
 SHORTEST = 0.02
+#: A frame's duration has 16 bits; this is in hundredths of a second.
+LONGEST = 65_000
+#: The longest side, in pixels: it has 16 bits.
+MOST = 65535
 
 
+@encoding("GIF")
 def write(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write an animated GIF; opacity is rounded to all or nothing."""
     seconds = [seconds for _, seconds in film.played()]
@@ -34,58 +46,102 @@ def write(film: Film, look: Look, file: Path, report: Report) -> None:
             f"fps={film.motion.fps:.4g} is too fast for a GIF: expected at most "
             f"{1 / SHORTEST:.0f}; lower it, or write .webp, .apng or a video"
         )
-    framing = Framing(look, film.shapes, film.pixelated, SIDE)
+    framing = Framing(look, in_time(film.shapes, film.times), film.pixelated, SIDE)
+    check_size(framing.size, MOST, "GIF")
     palette = _palette(film, framing)
-    pictures = (
-        _in_palette(framing(film.picture(index)), palette, framing.nearest)
-        for index, _ in tracked(film.played(), report)
+    shown = list(zip((index for index, _ in film.played()), whole_units(seconds, 100), strict=True))
+    frames = (
+        (_in_palette(framing(film.picture(index)), palette, framing.nearest), units)
+        for index, units in tracked(shown, report)
     )
-    options: dict[str, Any] = {}
-    if framing.clear:
-        # What was drawn before must not show through.
-        options = {"transparency": COLORS, "disposal": 2}
+    head: dict[str, Any] = {"comment": as_text(film.parameters).encode()}
     if film.motion.loop != "once":
-        options["loop"] = 0
-    next(pictures).save(
-        file, save_all=True, append_images=pictures, optimize=False,
-        duration=[10 * units for units in whole_units(seconds, 100)],
-        comment=as_text(film.parameters).encode(), **options,
-    )  # fmt: skip
+        head["loop"] = 0
+    with file.open("wb") as stream:
+        _write_frames(stream, frames, head, framing.clear)
+
+
+def _write_frames(
+    stream: BinaryIO, frames: Iterable[tuple["Image", int]], head: dict[str, Any], clear: bool
+) -> None:
+    """Write pictures of one palette, each with its hundredths of a second, as they come.
+
+    Pillow's own writer of animations keeps all until the last is there.
+    """
+    from PIL.GifImagePlugin import getdata, getheader
+
+    before: Image | None = None
+    for picture, units in frames:
+        options: dict[str, Any] = {}
+        if before is None:
+            stream.writelines(getheader(picture, info=head | {"duration": 1})[0])
+        box = changed(before, picture)
+        if clear:
+            # What was drawn before must not show through.
+            options = {"transparency": COLORS, "disposal": 2}
+            if before is not None:
+                box = box_of(np.asarray(picture) != COLORS)
+        part = picture.crop(box)
+        # One that stays longer than a frame can is drawn again.
+        for piece in pieces(units, LONGEST):
+            stream.writelines(getdata(part, box[:2], duration=10 * piece, **options))
+        before = picture
+    stream.write(b";")
 
 
 def _palette(film: Film, framing: Framing) -> "Image":
     """Return an image whose palette suits all frames, and what stands beside them.
 
-    Of pixel art the pictures' own colors are kept exactly.
+    Of pixel art the pictures' own colors are kept exactly, if they leave enough entries.
     """
     from PIL import Image
 
     pixels = sum(height * width for height, width, _ in film.shapes)
     step = max(1, pixels // SAMPLES)
-    bars = np.asarray(framing(np.zeros((1, 1, 3), np.uint8)))[:1, 0, :3]
     # Copies: a view would keep its frame.
     samples = [_colors(film, framing, index)[::step].copy() for index in range(len(film))]
-    pool = np.concatenate((*samples, np.repeat(bars, 256, axis=0)))
-    chosen = np.unique(pool, axis=0)
+    pool = np.concatenate(samples)
+    exact = _exact(film, framing)
+    # Every one of these counts, also those that the samples have missed.
+    chosen = _as_rgb(np.union1d(pool, exact))
     if len(chosen) > COLORS:
-        exact = bars
-        if framing.nearest:
-            ends = [_colors(film, framing, int(index)) for index in np.flatnonzero(film.rests)]
-            own = np.unique(np.concatenate((*ends, bars)), axis=0)
-            exact = own if len(own) <= COLORS // 2 else bars
-        rest = Image.fromarray(pool[:, None]).quantize(
+        others = _as_rgb(pool[~np.isin(pool, exact)])
+        rest = Image.fromarray(others[:, None]).quantize(
             COLORS - len(exact), method=Image.Quantize.MEDIANCUT, kmeans=1
         )
         found = np.frombuffer(bytes(rest.getpalette() or ()), np.uint8).reshape(-1, 3)
-        chosen = np.concatenate((exact, found))[:COLORS]
+        chosen = np.concatenate((_as_rgb(exact), found))[:COLORS]
     palette = Image.new("P", (1, 1))
     # Repeated, so that no entry is a color that is not there.
     palette.putpalette(np.resize(chosen, (COLORS, 3)).astype(np.uint8).tobytes())
     return palette
 
 
-def _colors(film: Film, framing: Framing, index: int) -> NDArray[np.uint8]:
-    return np.asarray(framing.unscaled(film.picture(index)))[..., :3].reshape(-1, 3)
+def _exact(film: Film, framing: Framing) -> NDArray[np.uint32]:
+    """Return the colors that must not change: the bars', and of pixel art the pictures' own."""
+    ground = np.array([framing.ground or (0, 0, 0)], np.uint8)
+    bars = own = _as_numbers(ground)
+    if framing.nearest:
+        for index in np.flatnonzero(film.rests):
+            own = np.union1d(own, _colors(film, framing, int(index)))
+            if len(own) > COLORS - LEAST:
+                return bars
+    return own
+
+
+def _colors(film: Film, framing: Framing, index: int) -> NDArray[np.uint32]:
+    """Return the colors of a frame's pixels that are seen, as numbers."""
+    picture = np.asarray(framing.unscaled(film.picture(index)))
+    seen = picture[picture[..., 3] >= OPAQUE] if picture.shape[2] == 4 else picture
+    return _as_numbers(seen[..., :3].reshape(-1, 3))
+
+
+def _as_numbers(colors: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    return colors.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+
+
+def _as_rgb(numbers: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    return np.stack([numbers >> 16, numbers >> 8, numbers], axis=-1).astype(np.uint8)
 
 
 def _in_palette(picture: "Image", palette: "Image", plain: bool) -> "Image":
@@ -98,7 +154,7 @@ def _in_palette(picture: "Image", palette: "Image", plain: bool) -> "Image":
         dither = Image.Dither.FLOYDSTEINBERG
         colors = picture.convert("RGB").quantize(palette=palette, dither=dither)
     if picture.mode == "RGBA":
-        hidden = picture.getchannel("A").point(lambda alpha: 255 * (alpha < 128))
+        hidden = picture.getchannel("A").point(lambda alpha: 255 * (alpha < OPAQUE))
         colors.paste(COLORS, mask=hidden)
     return colors
 

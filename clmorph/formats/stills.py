@@ -1,12 +1,16 @@
 """Frames as pictures of their own: folders of PNG or TIFF, and a TIFF of many pages."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from clmorph.film import Film
 from clmorph.formats.embedding import as_png_info, as_text
-from clmorph.framing import Framing, Look
+from clmorph.formats.limits import encoding
+from clmorph.framing import Framing, Look, in_time
 from clmorph.progress import Report, tracked
 
 if TYPE_CHECKING:
@@ -18,7 +22,7 @@ DEFLATE = "tiff_adobe_deflate"
 
 def _pictures(film: Film, look: Look, report: Report) -> Iterator["Image"]:
     """Return the frames as they are, each at its own size, unless the look names one."""
-    framing = Framing(look, film.shapes, film.pixelated)
+    framing = Framing(look, in_time(film.shapes, film.times), film.pixelated)
     for index in tracked(range(len(film)), report):
         frame = film.picture(index)
         yield framing.unscaled(frame) if look.canvas == "dynamic" else framing(frame)
@@ -29,6 +33,7 @@ def _names(film: Film) -> Iterator[str]:
     return (f"frame-{number:0{digits}d}" for number in range(len(film)))
 
 
+@encoding("PNG")
 def write_png_folder(film: Film, look: Look, folder: Path, report: Report) -> None:
     """Write a new folder of PNG files."""
     folder.mkdir()
@@ -37,6 +42,7 @@ def write_png_folder(film: Film, look: Look, folder: Path, report: Report) -> No
         picture.save(folder / f"{name}.png", pnginfo=info)
 
 
+@encoding("TIFF")
 def write_tiff_folder(film: Film, look: Look, folder: Path, report: Report) -> None:
     """Write a new folder of TIFF files."""
     folder.mkdir()
@@ -45,10 +51,19 @@ def write_tiff_folder(film: Film, look: Look, folder: Path, report: Report) -> N
         picture.save(folder / f"{name}.tif", compression=DEFLATE, description=text)
 
 
+@encoding("TIFF")
 def write_tiff(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write one TIFF with a page for each frame."""
-    pictures = _pictures(film, look, report)
-    next(pictures).save(
-        file, format="TIFF", save_all=True, append_images=pictures, compression=DEFLATE,
-        description=as_text(film.parameters),
-    )  # fmt: skip
+    import tifffile
+
+    text = as_text(film.parameters)
+    # Offsets of 32 bits reach no further than 4 GiB; deflating hardly lengthens anything.
+    large = sum(math.prod(shape) + 2 * len(text) for shape in film.shapes) > 2**32 - 2**24
+    # Pillow's own writer keeps all pages until the last is there.
+    with tifffile.TiffWriter(file, bigtiff=large) as tiff:
+        for picture in _pictures(film, look, report):
+            tiff.write(
+                np.asarray(picture), photometric="rgb", planarconfig="contig",
+                extrasamples=["unassalpha"] if picture.mode == "RGBA" else None,
+                compression="zlib", description=text, software=False, metadata=None,
+            )  # fmt: skip

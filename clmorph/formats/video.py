@@ -10,7 +10,9 @@ import numpy as np
 from clmorph.errors import OutputError
 from clmorph.film import Film
 from clmorph.formats.embedding import as_text
-from clmorph.framing import Framing, Look
+from clmorph.formats.limits import check_size, encoding
+from clmorph.framing import Framing, Look, in_time
+from clmorph.motion import whole_units
 from clmorph.progress import Report, tracked
 
 #: Longer side, in pixels, to which small frames are enlarged.
@@ -20,6 +22,8 @@ CODECS: dict[str, tuple[str, dict[str, str]]] = {
     "mp4": ("libx264", {"crf": "14", "preset": "medium"}),
     "webm": ("libvpx-vp9", {"crf": "16", "b": "0", "deadline": "good", "cpu-used": "3"}),
 }
+#: What they are called, and their encoders' longest side, in pixels.
+LIMITS = {"mp4": ("H.264", 16384), "webm": ("VP9", 65536)}
 #: ITU-T H.273 code points: the matrix and primaries of BT.709, the transfer curve of sRGB.
 BT709, SRGB_CURVE = 1, 13
 
@@ -50,14 +54,22 @@ def _write(
     from av.video.reformatter import ColorRange, Colorspace
 
     framing = Framing(
-        look, film.shapes, film.pixelated, SIDE, even=True, opacity=container == "webm"
-    )
+        look, in_time(film.shapes, film.times), film.pixelated, SIDE, even=True,
+        opacity=container == "webm",
+    )  # fmt: skip
+    words, most = LIMITS[container]
+    check_size(framing.size, most, words)
     pixels = "yuva420p" if framing.clear else "yuv420p"
     codec, settings = CODECS[container]
-    rate = film.motion.rate
+    played = film.played()
+    lengths = [seconds for _, seconds in played]
+    rate = film.motion.rate_for(lengths)
     # Without the encoder's version and a random number: the same film gives the same bytes.
     options = options | {"fflags": "+bitexact"}
-    with av.open(str(file), "w", format=container, options=options) as movie:
+    with (
+        encoding(words, av.error.FFmpegError),
+        av.open(str(file), "w", format=container, options=options) as movie,
+    ):
         movie.metadata["comment"] = as_text(film.parameters)
         stream: Any = movie.add_stream(codec, rate=rate, options=settings)
         stream.width, stream.height = framing.size
@@ -72,15 +84,19 @@ def _write(
         context.color_trc = SRGB_CURVE
         mode = "rgba" if framing.clear else "rgb24"
         number = 0
-        for index, seconds in tracked(film.played(), report):
+        lasting = whole_units(lengths, rate)
+        shown = [(index, repeats) for (index, _), repeats in zip(played, lasting, strict=True)]
+        for index, repeats in tracked(shown, report):
             picture: Any = np.asarray(framing(film.picture(index)))
             image = av.VideoFrame.from_ndarray(picture, mode).reformat(
                 format=pixels, dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG,
                 interpolation="LANCZOS",
             )  # fmt: skip
             # A picture that rests is a frame that is repeated.
-            for _ in range(max(1, round(seconds * rate))):
+            for _ in range(repeats):
                 image.pts, image.time_base = number, Fraction(1) / rate
                 movie.mux(stream.encode(image))
                 number += 1
-        movie.mux(stream.encode(None))
+            if number == sum(lasting):
+                # Before the last report: what the encoder has looked ahead at is still to come.
+                movie.mux(stream.encode(None))

@@ -1,0 +1,52 @@
+"""What changes from one frame of an animation to the next."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+#: Left, top, right, bottom, in pixels; the last two are one beyond.
+Box = tuple[int, int, int, int]
+
+
+def box_of(where: NDArray[np.bool_]) -> Box:
+    """Return the least box around what is marked; one pixel if nothing is, for no file has less.
+
+    Parameters
+    ----------
+    where : (H, W) array of bool
+    """
+    rows, columns = np.flatnonzero(where.any(axis=1)), np.flatnonzero(where.any(axis=0))
+    if len(rows) == 0:
+        return 0, 0, 1, 1
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
+def changed(before: "Image | None", after: "Image") -> Box:
+    """Return the box outside which two pictures of one size and mode are the same.
+
+    Parameters
+    ----------
+    before : Image or None
+        None for the first frame, of which all is new.
+    after : Image
+    """
+    if before is None:
+        return 0, 0, after.width, after.height
+    differs = np.asarray(before) != np.asarray(after)
+    return box_of(differs if differs.ndim == 2 else differs.any(axis=2))
+
+
+def pieces(units: int, most: int) -> list[int]:
+    """Return a duration as a sum of such as a file can hold.
+
+    Parameters
+    ----------
+    units, most : int
+        At least 1.
+    """
+    whole, rest = divmod(units, most)
+    return [most] * whole + [rest] * (rest > 0)
