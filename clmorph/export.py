@@ -52,7 +52,8 @@ class Format:
     heeds : tuple of str
         Which options about looks and motion make a difference to it.
     fastest : float
-        Frames a second that it can hold, at most.
+        Frames a second that it can hold, at most; a GIF's briefer frames are taken for long ones
+        by browsers.
     """
 
     endings: tuple[str, ...]

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.errors import InputError
 from clmorph.film import Film
 from clmorph.formats.deltas import box_of, changed, pieces
 from clmorph.formats.embedding import as_text
@@ -29,8 +28,6 @@ LEAST = 16
 OPAQUE = 128
 #: Pixels from which the palette is taken.
 SAMPLES = 250_000
-#: Browsers take a shorter frame for a long one.
-SHORTEST = 0.02
 #: A frame's duration has 16 bits; this is in hundredths of a second.
 LONGEST = 65_000
 #: The longest side, in pixels: it has 16 bits.
@@ -41,11 +38,6 @@ MOST = 65535
 def write(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write an animated GIF; opacity is rounded to all or nothing."""
     seconds = [seconds for _, seconds in film.played()]
-    if min(seconds) < SHORTEST - 1e-9:
-        raise InputError(
-            f"fps={film.motion.fps:.4g} is too fast for a GIF: expected at most "
-            f"{1 / SHORTEST:.0f}; lower it, or write .webp, .apng or a video"
-        )
     framing = Framing(look, in_time(film.shapes, film.times), film.pixelated, SIDE)
     check_size(framing.size, MOST, "GIF")
     palette = _palette(film, framing)
