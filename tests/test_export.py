@@ -1,6 +1,7 @@
 """Files that people open: each is read by a library that did not write it, or by ffprobe."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -564,6 +565,37 @@ def test_the_same_film_gives_the_same_bytes(tmp_path, growing, written_before, n
     path = tmp_path / f"out{(FORMATS[name].endings or ('',))[0]}"
     save(growing, path, format=name)
     assert contents(path) == written_before[name]
+
+
+#: Writes a film of noise in large squares, some of which change.
+SQUARES = """
+import sys
+import numpy as np
+from clmorph.export import Output
+from clmorph.film import Film
+from clmorph.framing import Look
+from clmorph.motion import Motion
+
+squares = np.random.default_rng(0).integers(0, 255, (8, 17, 22, 3), np.uint8)
+frames = list(np.kron(squares, np.ones((1, 16, 16, 1), np.uint8)))
+film = Film(frames, [frames[0].shape] * 8, np.linspace(0, 1, 8), np.ones(8, bool), Motion(20, 0.1))
+Output(sys.argv[1]).write(film, Look("source"))
+"""
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in FORMATS if FORMATS[name].endings and not FORMATS[name].keep]
+)
+def test_bytes_do_not_depend_on_what_was_in_memory(tmp_path, name):
+    """glibc fills memory that is taken with what it is told."""
+    found = []
+    for filling in ("1", "77"):
+        (tmp_path / filling).mkdir()
+        path = tmp_path / filling / f"out{FORMATS[name].endings[0]}"
+        environment = os.environ | {"MALLOC_PERTURB_": filling}
+        subprocess.run([sys.executable, "-c", SQUARES, path], check=True, env=environment)
+        found.append(contents(path))
+    assert found[0] == found[1]
 
 
 @pytest.fixture(scope="module", params=[0, 1, 2])
