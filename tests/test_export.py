@@ -571,7 +571,7 @@ def test_the_same_film_gives_the_same_bytes(tmp_path, growing, written_before, n
 SQUARES = """
 import sys
 import numpy as np
-from clmorph.export import Output
+from clmorph.export import Output, write_all
 from clmorph.film import Film
 from clmorph.framing import Look
 from clmorph.motion import Motion
@@ -579,7 +579,7 @@ from clmorph.motion import Motion
 squares = np.random.default_rng(0).integers(0, 255, (8, 17, 22, 3), np.uint8)
 frames = list(np.kron(squares, np.ones((1, 16, 16, 1), np.uint8)))
 film = Film(frames, [frames[0].shape] * 8, np.linspace(0, 1, 8), np.ones(8, bool), Motion(20, 0.1))
-Output(sys.argv[1]).write(film, Look("source"))
+write_all([Output(sys.argv[1])], film, Look("source"))
 """
 
 
