@@ -751,7 +751,7 @@ print(peaks[1] - peaks[0])
 
 @pytest.mark.parametrize("name", [".gif", ".webp", ".apng", ".tif", "", ".mp4", ".webm"])
 def test_memory_does_not_grow_with_the_number_of_frames(tmp_path, name):
-    """By the system's account, for what image libraries take is not Python's."""
+    """By the system's account, for what image libraries take is not Python's; files are buffered."""
     if not Path("/proc/self/status").exists():
         pytest.skip("memory is told elsewhere on this system")
     # Encoders of videos look ahead by some dozens of frames.
@@ -759,7 +759,7 @@ def test_memory_does_not_grow_with_the_number_of_frames(tmp_path, name):
     run = [sys.executable, "-c", GROWTH, name, tmp_path, str(side), str(some), str(many)]
     told = subprocess.run(run, capture_output=True, check=True, text=True).stdout
     one = side**2 * 3 / 1e6
-    assert float(told) < 0.2 * one * (many - some)
+    assert float(told) < 0.5 * one * (many - some)
 
 
 @pytest.mark.parametrize("name", list(FORMATS))
