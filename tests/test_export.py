@@ -751,7 +751,7 @@ print(peaks[1] - peaks[0])
 
 @pytest.mark.parametrize("name", [".gif", ".webp", ".apng", ".tif", "", ".mp4", ".webm"])
 def test_memory_does_not_grow_with_the_number_of_frames(tmp_path, name):
-    """By the system's account, for what image libraries take is not Python's; files are buffered."""
+    """By the system's account: what image libraries take is not Python's."""
     if not Path("/proc/self/status").exists():
         pytest.skip("memory is told elsewhere on this system")
     # Encoders of videos look ahead by some dozens of frames.
