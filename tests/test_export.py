@@ -759,7 +759,8 @@ def test_memory_does_not_grow_with_the_number_of_frames(tmp_path, name):
     run = [sys.executable, "-c", GROWTH, name, tmp_path, str(side), str(some), str(many)]
     told = subprocess.run(run, capture_output=True, check=True, text=True).stdout
     one = side**2 * 3 / 1e6
-    assert float(told) < 0.5 * one * (many - some)
+    held = 0.5 if name in (".mp4", ".webm") else 0.1  # of a frame
+    assert float(told) < held * one * (many - some)
 
 
 @pytest.mark.parametrize("name", list(FORMATS))
@@ -888,7 +889,6 @@ def test_what_encoders_raise_is_told_in_one_line(tmp_path, monkeypatch, growing,
 
     monkeypatch.setattr("PIL.Image.Image.paste", broken)
     monkeypatch.setattr("PIL.Image.Image.save", broken)
-    monkeypatch.setattr("PIL.GifImagePlugin.getdata", broken)
     monkeypatch.setattr("tifffile.TiffWriter.write", broken)
     if name in ("out.mp4", "out.webm"):
         monkeypatch.setitem(CODECS, name[4:], (CODECS[name[4:]][0], {"crf": "nothing"}))

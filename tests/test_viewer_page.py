@@ -732,6 +732,14 @@ def test_a_saved_morph(rng, show, tmp_path):
         assert np.array_equal(pixels(opened)[..., :3], to_bytes(result.frames[place]))
 
 
+def test_a_named_canvas_is_the_pictures_own(rng, show, tmp_path):
+    """Of the source as given, also where it is shown last."""
+    result = morph(rng.random((10, 12, 3)), rng.random((16, 14, 3)), 3)
+    result.save(tmp_path / "out.html", canvas="source", reverse=True)
+    opened = show((tmp_path / "out.html").read_text("ascii"))
+    assert pixels(opened).shape == (10, 12, 4)
+
+
 def test_a_saved_chain_backwards(rng, show, tmp_path):
     """Times run from 0 on, frames from the last picture's; a canvas may be asked for."""
     images = rng.random((3, 8, 8, 3))

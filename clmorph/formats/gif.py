@@ -1,6 +1,8 @@
 """GIF: one palette over all frames, so that nothing flickers."""
 
+import struct
 from collections.abc import Iterable
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -60,25 +62,33 @@ def _write_frames(
 
     Pillow's own writer of animations keeps all until the last is there.
     """
-    from PIL.GifImagePlugin import getdata, getheader
-
     before: Image | None = None
     for picture, units in frames:
-        options: dict[str, Any] = {}
-        if before is None:
-            stream.writelines(getheader(picture, info=head | {"duration": 1})[0])
         box = changed(before, picture)
-        if clear:
-            # What was drawn before must not show through.
-            options = {"transparency": COLORS, "disposal": 2}
-            if before is not None:
-                box = box_of(np.asarray(picture) != COLORS)
+        # What was drawn before must not show through.
+        options: dict[str, Any] = {"transparency": COLORS, "disposal": 2} if clear else {}
+        if clear and before is not None:
+            box = box_of(np.asarray(picture) != COLORS)
         part = picture.crop(box)
         # One that stays longer than a frame can is drawn again.
-        for piece in pieces(units, LONGEST):
-            stream.writelines(getdata(part, box[:2], duration=10 * piece, **options))
+        for number, piece in enumerate(pieces(units, LONGEST)):
+            if before is None and number == 0:
+                stream.write(_still(part, 10 * piece, options | head)[:-1])
+            else:
+                whole = _still(part, 10 * piece, options)
+                block = bytearray(whole[13 + (6 << (whole[10] & 7)) : -1])
+                # Where it is drawn: after the block of 8 bytes that tells the duration, and a mark.
+                struct.pack_into("<HH", block, 9, *box[:2])
+                stream.write(block)
         before = picture
     stream.write(b";")
+
+
+def _still(picture: "Image", duration: int, options: dict[str, Any]) -> bytes:
+    """Return a GIF of one frame: 13 bytes, the palette, that frame, a semicolon."""
+    stream = BytesIO()
+    picture.save(stream, format="GIF", optimize=False, interlace=0, duration=duration, **options)
+    return stream.getvalue()
 
 
 def _palette(film: Film, framing: Framing) -> "Image":

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.film import Film
-from clmorph.framing import Framing, Look
+from clmorph.framing import Framing, Look, in_time
 from clmorph.progress import Report, Share
 from clmorph.viewer import Curve, Field, Scene, write_page
 from clmorph.viewer.summary import arrow_field, known_parameters, morph_curves
@@ -43,7 +43,7 @@ class _Frames(Sequence[NDArray[np.uint8]]):
 
     def __init__(self, film: Film, look: Look, report: Report) -> None:
         self._film, self._report = film, report
-        self._framing = Framing(look, film.shapes, film.pixelated)
+        self._framing = Framing(look, in_time(film.shapes, film.times), film.pixelated)
         self._scaled = look.canvas != "dynamic"
 
     def __len__(self) -> int:
