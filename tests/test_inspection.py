@@ -395,7 +395,7 @@ class TestMemory:
         assert affordable(0.99 * mean, *shapes, 1e8, backend=device)["sample"] < 4
         low = need(sample=1)
         assert affordable(low, *shapes, pairs, backend=device) == {"sample": 1}
-        with pytest.raises(InputError, match=r"expected at least .* MB"):
+        with pytest.raises(InputError, match=r"expected at least .* GB"):
             affordable(0.99 * low, *shapes, pairs, backend=device)
 
     @pytest.mark.parametrize("shape", [(0, 4), (4,), (2.5, 3), ("a", 3)])
