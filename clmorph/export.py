@@ -37,8 +37,6 @@ class Format:
     ----------
     endings : tuple of str
         The first is the usual one.
-    words : str
-        What it is, for people.
     write : callable
         Called with a film, a look, a new path and what to report to.
     animated : bool
@@ -57,7 +55,6 @@ class Format:
     """
 
     endings: tuple[str, ...]
-    words: str
     write: Callable[[Film, Look, Path, Report], None]
     animated: bool = False
     exact: bool = False
@@ -69,26 +66,20 @@ class Format:
 
 #: Every kind of file by its name; those without an ending of their own need to be named.
 FORMATS: dict[str, Format] = {
-    "gif": Format((".gif",), "a looping GIF", gif.write, animated=True, fastest=50.0),
+    "gif": Format((".gif",), gif.write, animated=True, fastest=50.0),
     "webp": Format(
-        (".webp",), "an animated WebP", animation.write_webp, animated=True,
-        heeds=(*SIZES, *PACE, "lossless"),
+        (".webp",), animation.write_webp, animated=True, heeds=(*SIZES, *PACE, "lossless")
     ),
-    "apng": Format((".apng",), "an animated PNG", animation.write_apng, animated=True),
-    "mp4": Format((".mp4",), "a video, H.264", video.write_mp4, True, check=video.check_video),
-    "webm": Format((".webm",), "a video, VP9", video.write_webm, True, check=video.check_video),
-    "html": Format((".html", ".htm"), "a page to play with", page.write, keep=True),
-    "sheet": Format((".png",), "a contact sheet", sheet.write, heeds=SIZES),
-    "npz": Format(
-        (".npz",), "NumPy arrays: frames, times, plan", archive.write, exact=True, keep=True,
-        heeds=(),
-    ),
-    "tiff": Format(
-        (".tif", ".tiff"), "a TIFF with a page for each frame", stills.write_tiff, heeds=SIZES
-    ),
-    "png-folder": Format(("",), "a folder of PNG frames", stills.write_png_folder, heeds=SIZES),
-    "tiff-folder": Format((), "a folder of TIFF frames", stills.write_tiff_folder, heeds=SIZES),
-}  # fmt: skip
+    "apng": Format((".apng",), animation.write_apng, animated=True),
+    "mp4": Format((".mp4",), video.write_mp4, True, check=video.check_video),
+    "webm": Format((".webm",), video.write_webm, True, check=video.check_video),
+    "html": Format((".html", ".htm"), page.write, keep=True),
+    "sheet": Format((".png",), sheet.write, heeds=SIZES),
+    "npz": Format((".npz",), archive.write, exact=True, keep=True, heeds=()),
+    "tiff": Format((".tif", ".tiff"), stills.write_tiff, heeds=SIZES),
+    "png-folder": Format(("",), stills.write_png_folder, heeds=SIZES),
+    "tiff-folder": Format((), stills.write_tiff_folder, heeds=SIZES),
+}
 #: Formats whose result is a folder.
 FOLDERS = ("png-folder", "tiff-folder")
 

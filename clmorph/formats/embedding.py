@@ -1,7 +1,6 @@
 """The parameters of a run inside the files that it leaves, and out of them again."""
 
 import json
-import re
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -116,12 +115,9 @@ def _from_archive(path: Path) -> str:
 
 
 def _from_page(path: Path) -> str:
-    script = re.search(
-        r'<script type="application/json" id="clmorph-parameters">(.*?)</script>',
-        path.read_text("utf-8"),
-        re.DOTALL,
-    )
-    return script[1] if script else ""
+    from clmorph.viewer import read_parameters as read_page
+
+    return json.dumps(read_page(path))
 
 
 def _from_json(path: Path) -> str:

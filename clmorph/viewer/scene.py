@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph import defaults
 from clmorph.checks import check_choice, check_number
 from clmorph.errors import InputError
 from clmorph.measures import EXTENTS
@@ -128,8 +129,8 @@ class Scene:
 
     frames: Sequence[NDArray[np.uint8]]
     times: NDArray[np.float64]
-    fps: float = 20.0
-    hold: float = 0.7
+    fps: float = defaults.FPS
+    hold: float = defaults.HOLD
     loop: str = "ping-pong"
     title: str = "Morph"
     pixelated: bool = False

@@ -1,11 +1,12 @@
 """From a morph to what a page shows of it: frames, curves, arrows and parameters."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, cast, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph import defaults
 from clmorph.images import to_bytes
 from clmorph.plan import Plan
 from clmorph.result import Morph
@@ -17,8 +18,6 @@ Array = NDArray[np.float64]
 ARROWS = 24
 #: Mass under which a place has no arrow, as a share of the fullest place's.
 FAINTEST = 1e-3
-#: Colors up to which an image is a sprite, whose pixels are enlarged as squares.
-SPRITE_COLORS = 64
 
 
 class RenderedFrames(Sequence[NDArray[np.uint8]]):
@@ -52,8 +51,8 @@ def scene_of(
     frames: Sequence[NDArray[Any]] | None = None,
     *,
     times: NDArray[np.float64] | None = None,
-    fps: float = 20.0,
-    hold: float = 0.7,
+    fps: float = defaults.FPS,
+    hold: float = defaults.HOLD,
     loop: str = "ping-pong",
     title: str = "Morph",
     pixelated: bool | None = None,
@@ -72,7 +71,7 @@ def scene_of(
     fps, hold, loop, title
         See `Scene`.
     pixelated : bool, optional
-        None: if one of the images is a sprite, of at most 64 colors.
+        None: if both images are pixel art, as everywhere.
     parameters : mapping, optional
         In place of those that the morph itself knows, or beside them.
     notes : sequence of str
@@ -90,7 +89,7 @@ def scene_of(
     pictures: Sequence[NDArray[Any]]
     pictures = RenderedFrames(morph, chosen) if frames is None else _EightBits(frames)
     if pixelated is None:
-        pixelated = _is_sprite(morph.source.colors) or _is_sprite(morph.target.colors)
+        pixelated = morph.pixelated
     return Scene(
         frames=pictures,
         times=chosen,
@@ -229,9 +228,3 @@ def known_parameters(morph: Morph) -> dict[str, Any]:
 def _short(value: float) -> float | None:
     """Round to six significant digits; what is not finite is None, as JSON has no word for it."""
     return float(f"{value:.6g}") if np.isfinite(value) else None
-
-
-def _is_sprite(colors: Array) -> bool:
-    bytes_ = cast(NDArray[np.uint32], to_bytes(colors).astype(np.uint32))
-    packed = (bytes_[:, 0] << 16) | (bytes_[:, 1] << 8) | bytes_[:, 2]
-    return len(np.unique(packed)) <= min(SPRITE_COLORS, len(packed) // 4)
