@@ -303,8 +303,9 @@ void fill_plan_rows(
     const __global float* restrict row_thresholds,    // (row_stride,)
     const __global float* restrict column_thresholds, // (column_stride,)
     const __global uint* restrict starts,             // (n_rows,) first slot of each row
-    __global int* restrict columns,                   // (kept pairs of this launch,)
-    __global float* restrict log2_masses)             // (kept pairs of this launch,)
+    const uint step,                                  // from one slot of a row to the next
+    __global int* restrict columns,                   // (slots of this launch,)
+    __global float* restrict log2_masses)             // (slots of this launch,)
 {
     __local staged_real staged[STAGED_SIZE];
     const uint local_row = get_global_id(0) * WIDTH;
@@ -338,7 +339,7 @@ void fill_plan_rows(
                     if (keep_lane[lane]) {
                         columns[slot[lane]] = q * TILE + j;
                         log2_masses[slot[lane]] = log2_pi_lane[lane];
-                        ++slot[lane];
+                        slot[lane] += step;
                     }
                 }
             }

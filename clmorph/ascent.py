@@ -240,7 +240,8 @@ class Ascent:
             best = min(best, residual)
             self._tell(self._done + self._level_share * share_done(first, best, tol))
             stalled = since_best >= STALLED and residual <= rounding
-            if residual <= tol or stalled or self.n_iter >= limit:
+            ended = stalled or self.n_iter >= limit or problem.is_astray(f, epsilon)
+            if residual <= tol or ended:
                 self.status = "max_iter"
                 if residual <= tol:
                     self.status = "converged"

@@ -145,7 +145,7 @@ def sinkhorn_divergence(
     parts: list[Potentials] = []
     for number, measure in enumerate(pair):
         truncation = choose_truncation("auto", float(tol), len(measure) ** 2 >= MANY_PAIRS)
-        problem = Problem(operations, measure, measure, given.rho, truncation)
+        problem = Problem.between(operations, measure, measure, given.rho, truncation)
         parts.append(_self_transport(problem, given, float(tol), int(max_iter), precision))
         report(0.15 * (number + 1))
     if _are_equal(*pair):

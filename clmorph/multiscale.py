@@ -15,14 +15,14 @@ solutions to boundary-value problems" (1977), for the correction (his full appro
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.ascent import ROUNDING_MARGIN, TOP, Ascent, State, needs_more, share_done
 from clmorph.cells import Cells, make_cells
-from clmorph.operations import Operations
+from clmorph.corrections import CorrectedProblem, Grid, StoredProblem, stored_grid
 from clmorph.points import AnyMeasure
 from clmorph.problem import Problem
 from clmorph.softmins import LEAST_RESERVE, Softmin
@@ -42,65 +42,17 @@ LEVEL_TOLERANCE, FIRST_TOLERANCE = 0.2, 1e-2
 LEVEL_TRUNCATION, LEVEL_RESERVE = 1e-2, 1e-6
 #: Residual to reach over the cells: this share of that over the points, and of the tolerance.
 CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
-#: Cells serve as long as a cycle leaves at most this share of the residual.
-PROGRESS = 0.5
+#: Cells serve, and stored pairs, as long as a cycle leaves at most this share of the residual;
+#: after so many that left more nothing is left but iterations over the points.
+PROGRESS, FAILURES = 0.5, 12
+#: Stored pairs serve also while the points' residual is at most so many times theirs.
+AGREEMENT = 2.0
+#: Pairs to store at most, for every point.
+STORED_PER_POINT = 128
 #: Better exponents than float32 are taken below so many times its rounding, where needed at all.
 SWITCH = 300.0
 #: Problems with at least so many pairs are solved through coarser ones, if not told otherwise.
 MANY_PAIRS = 1 << 27
-
-
-class CorrectedProblem(Problem):
-    """A problem whose softmins are off by a known correction.
-
-    f = Delta (T(g) + tau) is what maximizes the dual over f when the mass that is asked for is
-    a exp(tau / epsilon) while the softmins keep a; so with masses and softmins replaced in this
-    way every formula of `Problem` holds as it stands, its dual included.
-    """
-
-    def __init__(
-        self,
-        operations: Operations,
-        source: AnyMeasure,
-        target: AnyMeasure,
-        rho: tuple[float, float],
-        truncation: float | None = None,
-    ) -> None:
-        super().__init__(operations, source, target, rho, truncation)
-        self._own = self.a, self.b
-        self._corrections: tuple[Array | float, Array | float] = (0.0, 0.0)
-
-    def softmin_rows(self, g: Array, epsilon: float, precise: bool) -> Array:
-        """T(g), corrected."""
-        return super().softmin_rows(g, epsilon, precise) + self._corrections[0]
-
-    def softmin_columns(self, f: Array, epsilon: float, precise: bool) -> Array:
-        """T(f), corrected."""
-        return super().softmin_columns(f, epsilon, precise) + self._corrections[1]
-
-    def correct(self, rows: Array, columns: Array, epsilon: float) -> None:
-        """Set the corrections tau of T(g), (N,), and of T(f), (M,)."""
-        if not any(self.inverse_rho):
-            # Balanced: the masses asked for must stay equal.
-            total = float((self._own[0] * np.exp(rows / epsilon)).sum())
-            total /= float((self._own[1] * np.exp(columns / epsilon)).sum())
-            columns = columns + epsilon * np.log(total)
-        self._corrections = rows, columns
-        self.a = self._own[0] * np.exp(rows / epsilon)
-        self.b = self._own[1] * np.exp(columns / epsilon)
-        with np.errstate(divide="ignore"):
-            self.log_a, self.log_b = np.log(self.a), np.log(self.b)
-        self.masses = float(self.a.sum()), float(self.b.sum())
-
-
-class Grid(NamedTuple):
-    """The problem of the cells at the last blur."""
-
-    problem: CorrectedProblem
-    source: Cells
-    target: Cells
-    to_target: Softmin  #: from the cells of the source to the points of the target
-    to_source: Softmin  #: and the reverse
 
 
 class Multiscale:
@@ -142,35 +94,37 @@ class Multiscale:
 
     def run(self, start: Array | None) -> None:
         """Solve from potentials g, or from the top of the annealing."""
-        sides = [side * self._blur for side in SIDES]
-        pairs = len(self.problem.a) * len(self.problem.b)
-        grid: Grid | None = None
-        for side, enough in zip(sides, ENOUGH, strict=True):
-            cells = [make_cells(measure, side) for measure in self._pair]
-            if len(cells[0].measure) * len(cells[1].measure) <= enough * pairs:
-                grid = self._make_grid(cells[0], cells[1])
-                break
+        cells = self._choose_cells()
+        grid = None if cells is None else self._cells_grid(*cells)
         finest = self.problem if grid is None else grid.problem
         g = start
         if g is None:
-            coarse = self._pair if grid is None else (grid.source.measure, grid.target.measure)
+            coarse = self._pair if cells is None else (cells[0].measure, cells[1].measure)
             g = self._anneal(coarse, finest)
             self._tell(0.2)
-            if grid is not None:
-                g = self._first(grid, g)
+            if cells is not None and grid is not None:
+                g = self._first(grid, cells, g)
                 self._tell(0.3)
         if grid is None:
-            self._ascend(g)
-        else:
-            self._cycle(grid, g)
+            _prepare(self.problem, LEAST_RESERVE)
+        self._cycle(grid, g)
         self._tell(1.0)
 
-    def _make_grid(self, source: Cells, target: Cells) -> Grid:
+    def _choose_cells(self) -> list[Cells] | None:
+        """Return cells for the last blur; None if they would save too little."""
+        pairs = len(self.problem.a) * len(self.problem.b)
+        for side, enough in zip(SIDES, ENOUGH, strict=True):
+            cells = [make_cells(measure, side * self._blur) for measure in self._pair]
+            if len(cells[0].measure) * len(cells[1].measure) <= enough * pairs:
+                return cells
+        return None
+
+    def _cells_grid(self, source: Cells, target: Cells) -> Grid:
         points = self.problem
         operations, rho, truncation = points.operations, points.rho, points.truncation
         cells = source.measure, target.measure
         few = len(cells[0]) * len(cells[1]) < MANY_PAIRS
-        problem = CorrectedProblem(operations, *cells, rho, None if few else truncation)
+        problem = CorrectedProblem.between(operations, *cells, rho, None if few else truncation)
         extensions = [
             Softmin(operations, rows, columns, weights, truncation)
             for rows, columns, weights in (
@@ -179,6 +133,12 @@ class Multiscale:
             )
         ]
         return Grid(problem, source, target, *extensions)
+
+    def _stored_grid(self) -> Grid | None:
+        """Return the problem of the pairs that matter now; None if they are too many."""
+        f, g, t_rows, t_columns, _ = self.state
+        most = STORED_PER_POINT * max(len(f), len(g))
+        return stored_grid(self.problem, f, g, (t_rows, t_columns), self._blur**2, most)
 
     def _anneal(self, pair: tuple[AnyMeasure, AnyMeasure], finest: Problem) -> Array:
         """Return potentials g for the finest problem, from larger blurs over larger cells."""
@@ -208,7 +168,7 @@ class Multiscale:
 
     def _cells_problem(self, source: AnyMeasure, target: AnyMeasure) -> Problem:
         truncation = self._level_truncation(len(source), len(target))
-        problem = Problem(self.problem.operations, source, target, self.problem.rho, truncation)
+        problem = Problem.between(self.problem.operations, source, target, self.problem.rho, truncation)
         return _prepare(problem, LEVEL_RESERVE)
 
     def _extended(
@@ -235,19 +195,21 @@ class Multiscale:
         fine.to_columns.guess = carried
         return self.problem.damping(blur**2)[1] * carried
 
-    def _first(self, grid: Grid, g: Array) -> Array:
+    def _first(self, grid: Grid, cells: list[Cells], g: Array) -> Array:
         """Return potentials g from the cells' problem alone, begun at potentials of its own."""
         epsilon = self._blur**2
-        state = self._solve_cells(grid, g, FIRST_TOLERANCE)
-        grid.to_target.guess = state.t_columns[grid.target.labels]
-        grid.to_source.guess = state.t_rows[grid.source.labels]
+        state = self._solve_grid(grid, g, FIRST_TOLERANCE)
+        grid.to_target.guess = state.t_columns[cells[1].labels]
+        grid.to_source.guess = state.t_rows[cells[0].labels]
         self.problem.to_rows.guess = grid.to_source(state.g, epsilon)
         self.problem.to_columns.guess = grid.to_target(state.f, epsilon)
         return self.problem.damping(epsilon)[1] * self.problem.to_columns.guess
 
-    def _solve_cells(self, grid: Grid, g: Array, tol: float) -> State:
+    def _solve_grid(self, grid: Grid, g: Array, tol: float) -> State:
         done = -(-grid.problem.n_softmin // 2)
-        precise = needs_more(grid.problem, self.precision, self._blur**2, tol)
+        # Exponents of stored pairs are small.
+        stored = isinstance(grid.problem, StoredProblem)
+        precise = not stored and needs_more(grid.problem, self.precision, self._blur**2, tol)
         ascent = Ascent(
             grid.problem, self._blur, tol, done + self._max_iter,
             "auto" if precise else "float32", _ignore,
@@ -268,10 +230,10 @@ class Multiscale:
         self.rounding = ascent.rounding
         self.residuals += ascent.residuals
 
-    def _cycle(self, grid: Grid, g: Array) -> None:
-        """Iterate over the points, the cells' problem solved in between."""
+    def _cycle(self, grid: Grid | None, g: Array) -> None:
+        """Iterate over the points, a smaller problem solved in between."""
         problem, epsilon = self.problem, self._blur**2
-        before = np.inf
+        before, reached, failures = np.inf, 0.0, 0
         while True:
             # Known better once there are lists of near pairs, which leave out large exponents.
             self.precise = needs_more(problem, self.precision, epsilon, self.tol)
@@ -293,26 +255,38 @@ class Multiscale:
                 return
             image, _, _ = problem.update_g(f, t_columns, epsilon)
             if residual > PROGRESS * before:
+                failures += 1
+            if grid is not None and residual > max(PROGRESS * before, AGREEMENT * reached):
+                # Cells serve no longer, or other pairs than the stored ones have come to matter.
+                grid = None
+            if grid is None and failures <= FAILURES:
+                grid = self._stored_grid()
+            if grid is None:
                 self._ascend(image)
                 return
-            g = self._correct(grid, image)
+            g, reached = self._correct(grid, image)
             before = residual
 
-    def _correct(self, grid: Grid, image: Array) -> Array:
-        """Return better potentials g than the image of the last iteration."""
-        epsilon, cells = self._blur**2, grid.problem
+    def _correct(self, grid: Grid, image: Array) -> tuple[Array, float]:
+        """Return better potentials g than the image of the last iteration.
+
+        And the residual that they leave in the smaller problem.
+        """
+        epsilon, smaller = self._blur**2, grid.problem
         f, g, t_rows, t_columns, residual = self.state
         own_f = grid.source.mean(f, self.problem.a)
+        smaller.begin(own_f)
         own_g = grid.target.mean(g, self.problem.b)
-        cells.correct(
-            grid.source.mean(t_rows, self.problem.a) - cells.to_rows(own_g, epsilon),
-            grid.target.mean(t_columns, self.problem.b) - cells.to_columns(own_f, epsilon),
+        smaller.correct(
+            grid.source.mean(t_rows, self.problem.a) - smaller.to_rows(own_g, epsilon),
+            grid.target.mean(t_columns, self.problem.b) - smaller.to_columns(own_f, epsilon),
             epsilon,
         )
         tol = max(CYCLE_SHARE * residual, CYCLE_FLOOR * self.tol)
-        new_f = self._solve_cells(grid, grid.target.mean(image, self.problem.b), tol).f
+        solved = self._solve_grid(grid, grid.target.mean(image, self.problem.b), tol)
+        new_f = smaller.nearer(solved.f, epsilon)
         change = grid.to_target(new_f, epsilon) - grid.to_target(own_f, epsilon)
-        return self.problem.damping(epsilon)[1] * (t_columns + change)
+        return self.problem.damping(epsilon)[1] * (t_columns + change), solved.residual
 
     def _tell(self, share: float) -> None:
         self._told = max(self._told, share)

@@ -57,6 +57,13 @@ class NearPairs(NamedTuple):
     largest: float  #: largest cost among them, cost units
 
 
+class StoredPairs(NamedTuple):
+    """Pairs of a plan that a backend keeps, see `Operations.store_pairs`."""
+
+    pairs: Any  #: the backend's own
+    n_pairs: int
+
+
 class Operations(Protocol):
     """What a backend does. Clouds, particles and splats are the backend's own handles."""
 
@@ -192,6 +199,48 @@ class Operations(Protocol):
             As in `softmin`.
         counts : (N,) array, optional
             What `count_plan_rows` returned for the same arguments; saves counting again.
+        """
+
+    def store_pairs(
+        self,
+        rows: Any,
+        columns: Any,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        max_pairs: int,
+        near: tuple[NearPairs | None, NearPairs | None] = (None, None),
+    ) -> StoredPairs | None:
+        """Keep log pi_ij of pairs in the device's memory, for `sum_stored`.
+
+        Parameters
+        ----------
+        rows, columns, f, g, epsilon, row_thresholds, column_thresholds
+            As in `plan_rows`.
+        max_pairs : int
+            Pairs to keep at most; with more None is returned.
+        near : (of the rows, of the columns), optional
+            Look at no other pairs than those near one or the other.
+        """
+
+    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
+        """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row.
+
+        That is what the rows' sums become when g_j grows by epsilon changes_j.
+
+        Parameters
+        ----------
+        stored : StoredPairs
+        changes : (M,) array, in nats
+        by_column : bool
+            Sum over the rows instead: `changes` are (N,), and there is a sum for each column.
+
+        Returns
+        -------
+        (N,) array, or (M,), in nats
+            -inf where no pair is stored.
         """
 
     def plan_moments(

@@ -4,7 +4,7 @@ Source of the formulas: the paper, 2.1 and 3.1; Chizat, Peyré, Schmitzer, Viala
 algorithms for unbalanced optimal transport problems" (2018).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,38 +53,86 @@ class Problem:
 
     Parameters
     ----------
-    operations : Operations
-    source, target : Measure or WeightedPoints
+    to_rows, to_columns : Softmin
+        What takes T(g) and T(f).
+    weights : (a, b)
+        Masses of both measures.
     rho : (rho_source, rho_target)
         Cost units; infinite is balanced.
-    truncation : float, optional
-        See `clmorph.softmins.Softmin`.
+    largest_cost : float
+        A bound of the cost.
     """
 
     def __init__(
         self,
+        to_rows: Softmin,
+        to_columns: Softmin,
+        weights: tuple[Array, Array],
+        rho: tuple[float, float],
+        largest_cost: float,
+    ) -> None:
+        self.to_rows, self.to_columns = to_rows, to_columns
+        self.a, self.b = weights
+        with np.errstate(divide="ignore"):
+            self.log_a, self.log_b = np.log(self.a), np.log(self.b)
+        self.rho, self.largest_cost = rho, largest_cost
+        #: 1 / rho, 0 if balanced: with it one infinite rho is harmless.
+        self.inverse_rho = tuple(0.0 if np.isinf(value) else 1.0 / value for value in rho)
+        self.masses = float(self.a.sum()), float(self.b.sum())
+        self.n_softmin = 0
+
+    @classmethod
+    def between(
+        cls,
         operations: Operations,
         source: AnyMeasure,
         target: AnyMeasure,
         rho: tuple[float, float],
         truncation: float | None = None,
-    ) -> None:
-        self.operations = operations
-        self.rows = operations.upload(source.points, source.weights, source.offsets)
-        self.columns = self.rows
+    ) -> Self:
+        """Return the problem of two measures.
+
+        Parameters
+        ----------
+        operations : Operations
+        source, target : Measure or WeightedPoints
+        rho : (rho_source, rho_target)
+        truncation : float, optional
+            See `clmorph.softmins.Softmin`.
+        """
+        rows = columns = operations.upload(source.points, source.weights, source.offsets)
         if target is not source:
-            self.columns = operations.upload(target.points, target.weights, target.offsets)
-        self.a, self.b = source.weights, target.weights
-        self.to_rows = Softmin(operations, self.rows, self.columns, (self.a, self.b), truncation)
-        self.to_columns = Softmin(operations, self.columns, self.rows, (self.b, self.a), truncation)
-        with np.errstate(divide="ignore"):
-            self.log_a, self.log_b = np.log(self.a), np.log(self.b)
-        self.rho, self.truncation = rho, truncation
-        #: 1 / rho, 0 if balanced: with it one infinite rho is harmless.
-        self.inverse_rho = tuple(0.0 if np.isinf(value) else 1.0 / value for value in rho)
-        self.masses = float(self.a.sum()), float(self.b.sum())
-        self.largest_cost = largest_cost(source.points, target.points)
-        self.n_softmin = 0
+            columns = operations.upload(target.points, target.weights, target.offsets)
+        a, b = source.weights, target.weights
+        return cls(
+            Softmin(operations, rows, columns, (a, b), truncation),
+            Softmin(operations, columns, rows, (b, a), truncation),
+            (a, b), rho, largest_cost(source.points, target.points),
+        )  # fmt: skip
+
+    @property
+    def operations(self) -> Operations:
+        """The backend."""
+        return self.to_rows.operations
+
+    @property
+    def rows(self) -> Any:
+        """The source's cloud."""
+        return self.to_rows.rows
+
+    @property
+    def columns(self) -> Any:
+        """The target's cloud."""
+        return self.to_rows.columns
+
+    @property
+    def truncation(self) -> float | None:
+        """By how many nats a log-sum-exp may be too small."""
+        return self.to_rows.truncation
+
+    def is_astray(self, f: Array, epsilon: float) -> bool:
+        """Whether potentials have left where this problem stands for another one."""
+        return False
 
     def damping(self, epsilon: float) -> tuple[float, float]:
         """Delta = rho / (rho + epsilon), the proximal step of the KL penalty; of both sides."""

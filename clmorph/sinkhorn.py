@@ -126,7 +126,7 @@ def sinkhorn(
     check_problem(*pair, given, operations, precision)
     many = len(pair[0]) * len(pair[1]) >= MANY_PAIRS
     limit = choose_truncation(truncation, float(tol), many)
-    problem = Problem(operations, *pair, given.rho, None if method == "geomloss" else limit)
+    problem = Problem.between(operations, *pair, given.rho, None if method == "geomloss" else limit)
     report = progress or (lambda share: None)
     if method == "geomloss":
         return _geomloss(problem, given, float(scaling), float(tol), precision, report)

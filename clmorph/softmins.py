@@ -40,6 +40,7 @@ class Softmin:
 
     Attributes
     ----------
+    truncation : float or None
     guess : (N,) array or None
         About what the next softmin will be; the last one unless set.
     error : float
@@ -59,7 +60,8 @@ class Softmin:
         truncation: float | None = None,
     ) -> None:
         self.operations, self.rows, self.columns = operations, rows, columns
-        self._truncation = truncation
+        self.truncation = truncation
+        self.weights = weights
         self._massive = weights[1] > 0
         self._pairs = len(weights[0]) * len(weights[1])
         self.reserve = RESERVE
@@ -71,12 +73,12 @@ class Softmin:
 
     def __call__(self, potential: Array, epsilon: float, precise: bool = False) -> Array:
         """Return T(potential), (N,) for (M,)."""
-        if self._truncation is None:
+        if self.truncation is None:
             return self._over(None, potential, epsilon, precise)
         if self._near is not None and self._chosen_for[0] == epsilon:
             softmin = self._over(self._near, potential, epsilon, precise)
             self.error = self._bound(potential, softmin, epsilon)
-            if self.error <= self._truncation:
+            if self.error <= self.truncation:
                 return softmin
             self.reserve = max(LEAST_RESERVE, SCARCER * self.reserve)
         if self.guess is None:
@@ -95,24 +97,24 @@ class Softmin:
 
     def release(self) -> None:
         """Sum over all pairs from now on."""
-        self._truncation = self._near = None
+        self.truncation = self._near = None
 
     def _choose(self, potential: Array, epsilon: float) -> NearPairs | None:
         """Choose pairs; None if they leave out too much, as after a bad guess."""
         assert self.guess is not None
-        assert self._truncation is not None
+        assert self.truncation is not None
         near = self.operations.near_pairs(
             self.rows,
             self.columns,
             potential,
             self.guess,
             epsilon,
-            self.reserve * self._truncation,
+            self.reserve * self.truncation,
         )
         _finite(near.softmin)
         missed = float(np.abs(near.softmin - self.guess).mean()) / epsilon
         self.guess = near.softmin
-        if float(near.skipped.max()) > self._truncation:
+        if float(near.skipped.max()) > self.truncation:
             return None
         # After a bad guess more is kept than need be: good for once.
         self._near = near if missed <= GOOD_GUESS else None

@@ -72,7 +72,7 @@ def test_a_corrected_problem_is_a_transport_problem(rng, rho):
     source, target = (WeightedPoints(points, np.full(len(points), 1 / len(points)))
                       for points in (x, y))  # fmt: skip
     epsilon = 0.05
-    problem = CorrectedProblem(clmorph.get_backend("numpy"), source, target, rho)
+    problem = CorrectedProblem.between(clmorph.get_backend("numpy"), source, target, rho)
     problem.correct(
         0.3 * epsilon * rng.normal(size=20), 0.3 * epsilon * rng.normal(size=25), epsilon
     )
@@ -98,9 +98,9 @@ def test_the_correction_makes_the_cells_problem_agree(rng):
     """At the potentials that it was computed for, softmins are those of the points."""
     source, target = pictures(20)
     epsilon, backend = 0.01, clmorph.get_backend("numpy")
-    points = Problem(backend, source, target, (0.1, 0.1))
+    points = Problem.between(backend, source, target, (0.1, 0.1))
     cells = [make_cells(measure, 0.1) for measure in (source, target)]
-    coarse = CorrectedProblem(backend, cells[0].measure, cells[1].measure, (0.1, 0.1))
+    coarse = CorrectedProblem.between(backend, cells[0].measure, cells[1].measure, (0.1, 0.1))
     f, g = 0.1 * rng.random(400), 0.1 * rng.random(400)
     own_f, own_g = cells[0].mean(f, source.weights), cells[1].mean(g, target.weights)
     want = [cells[0].mean(points.to_rows(g, epsilon), source.weights),
@@ -142,7 +142,7 @@ def test_few_iterations_over_the_points(device):
 def test_the_residual_is_that_of_the_points(rng):
     source, target = pictures(24)
     got = sinkhorn(source, target, 0.1, 0.3, 1e-2, backend="numpy", multiscale=True)
-    problem = Problem(clmorph.get_backend("numpy"), source, target, (got.rho, got.rho))
+    problem = Problem.between(clmorph.get_backend("numpy"), source, target, (got.rho, got.rho))
     softmins = problem.to_rows(got.g, got.epsilon), problem.to_columns(got.f, got.epsilon)
     residual = problem.residual(got.f, got.g, *softmins, got.epsilon)
     assert residual == pytest.approx(got.residual, rel=1e-6)

@@ -199,7 +199,7 @@ def dual(problem_data, f, g, epsilon, rho):
 def test_half_steps_maximize_the_dual_over_translations_too(rng, rho):
     source, target = random_pair(rng, 20, 25)
     epsilon = 0.05
-    problem = Problem(clmorph.get_backend("numpy"), source, target, rho)
+    problem = Problem.between(clmorph.get_backend("numpy"), source, target, rho)
     data = source, target, reference.transport.cost_matrix(source, target)
 
     def best(f, g, arguments):
@@ -222,7 +222,7 @@ def test_residual_looks_at_both_sides_and_at_mass_only(rng):
     source, target = random_pair(rng, 5, 6)
     a, b = source.weights.copy(), target.weights.copy()
     a[2], b[3] = 0, 0
-    problem = Problem(
+    problem = Problem.between(
         clmorph.get_backend("numpy"), measure(source.points, a), measure(target.points, b),
         (np.inf, np.inf),
     )  # fmt: skip

@@ -53,7 +53,7 @@ def exact_residual(pair, got):
     """Residual, row masses and the problem over all pairs, in float64."""
     given = strengths(got.blur, got.reach)
     measures = clmorph.points.as_pair(*pair)
-    problem = Problem(clmorph.get_backend("numpy"), *measures, given.rho)
+    problem = Problem.between(clmorph.get_backend("numpy"), *measures, given.rho)
     softmins = problem.to_rows(got.g, given.epsilon), problem.to_columns(got.f, given.epsilon)
     residual = problem.residual(got.f, got.g, *softmins, given.epsilon)
     return residual, problem.certificate(got.f, got.g, *softmins, given.epsilon), problem
@@ -81,7 +81,7 @@ def test_everything_said_holds_over_all_pairs(backend, multiscale, seed, kind, b
         0.0
         if backend == "numpy"
         else 20
-        * Problem(
+        * Problem.between(
             clmorph.get_backend(backend), *clmorph.points.as_pair(*pair), problem.rho
         ).rounding(got.epsilon, got.precise)
     )

@@ -68,7 +68,7 @@ def pairs() -> dict[str, tuple[Measure, Measure]]:
 def plain_iterations(pair: tuple[Measure, Measure], device: str, blur: float, reach) -> str:
     """Count iterations of f = Delta T(g), g = Delta T(f) from zero."""
     rho = np.inf if reach is None else reach**2
-    problem, epsilon = Problem(get_backend(device), *pair, (rho, rho)), blur**2
+    problem, epsilon = Problem.between(get_backend(device), *pair, (rho, rho)), blur**2
     source, target = problem.damping(epsilon)
     g, f, most = np.zeros(len(problem.b)), None, 1500
     for number in range(most):

@@ -190,7 +190,7 @@ def in_own_process(name: str, tol: float, n: int, truth, pair) -> dict:
         record = json.loads(done.stdout.strip().splitlines()[-1])
         potentials = np.load(file)
     f, g = potentials["f"], potentials["g"]
-    solved = Problem(get_backend("auto"), *pair, (RHO, RHO))
+    solved = Problem.between(get_backend("auto"), *pair, (RHO, RHO))
     t_rows, t_columns = (
         solved.softmin_rows(g, EPSILON, True),
         solved.softmin_columns(f, EPSILON, True),

@@ -1,5 +1,6 @@
 """Build-time constants of the kernels, chosen by the kind of device."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,8 @@ LARGEST_SHARE = 110
 MOMENT_CHUNK = 1024
 #: Columns taken together where exponents fill two registers each.
 PRECISE_UNROLL = 4
+#: Stored pairs of a row taken together.
+STORED_UNROLL = 4
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,11 @@ class Knobs:
     tile_group: int
     slices_per_unit: int
 
+    @property
+    def stored_slice(self) -> int:
+        """Rows of a slice of stored pairs: a multiple of `width` that divides `tile`."""
+        return math.gcd(self.tile, 16)
+
     def rows_constants(
         self, dimension: int, precise: bool = False, listed: bool = False
     ) -> dict[str, int | float]:
@@ -74,6 +82,16 @@ class Knobs:
             "SENTINEL": SENTINEL,
             "TILE": self.tile,
             "UNROLL": min(self.unroll, PRECISE_UNROLL) if precise else self.unroll,
+            "WIDTH": self.width,
+        }
+
+    def stored_constants(self) -> dict[str, int | float]:
+        """Return the macros of ``stored.cl``."""
+        return {
+            "EXP2_BUILTIN": self.exp2_builtin,
+            "SENTINEL": SENTINEL,
+            "SLICE": self.stored_slice,
+            "UNROLL": STORED_UNROLL,
             "WIDTH": self.width,
         }
 

@@ -227,6 +227,16 @@ def possible_pairs(
             first, count, lengths, tiles = section.stop, 0, [], []
 
 
+def joined_pairs(rows: Cloud, columns: Cloud, one: TilePairs, other: TilePairs) -> TilePairs:
+    """Return the pairs of tiles in a list of the rows, or in one of the columns."""
+    own = np.repeat(np.arange(len(rows.centers)), np.diff(one.starts)) * len(columns.centers)
+    others = np.repeat(np.arange(len(columns.centers)), np.diff(other.starts))
+    keys = np.union1d(own + one.tiles, other.tiles * np.int64(len(columns.centers)) + others)
+    lengths = np.bincount(keys // len(columns.centers), minlength=len(rows.centers))
+    tiles = (keys % len(columns.centers)).astype(np.uint32)
+    return _tile_pairs(rows, columns, range(len(rows.centers)), lengths, tiles)
+
+
 def _tile_pairs(
     rows: Cloud,
     columns: Cloud,

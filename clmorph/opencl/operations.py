@@ -14,10 +14,10 @@ from clmorph.opencl.clouds import Cloud
 from clmorph.opencl.knobs import Knobs
 from clmorph.opencl.launches import Workspace
 from clmorph.opencl.particles import ParticleSet, Splats
-from clmorph.opencl.plan_reductions import PlanReductions
 from clmorph.opencl.splatting import Splatting
+from clmorph.opencl.stored import StoredReductions
 from clmorph.opencl.tuning import tuned_knobs
-from clmorph.operations import Bins, Float32, Float64, NearPairs, PlanRows
+from clmorph.operations import Bins, Float32, Float64, NearPairs, PlanRows, StoredPairs
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -77,7 +77,7 @@ class OpenCLOperations:
                 "choose another device with --device or CLMORPH_DEVICE"
             ) from error
         self.work = Workspace(self.context, self.queue)
-        self.reductions = PlanReductions(self.work, self.knobs)
+        self.reductions = StoredReductions(self.work, self.knobs)
 
     @functools.cached_property
     def splatting(self) -> Splatting:
@@ -166,6 +166,29 @@ class OpenCLOperations:
         return self.reductions.plan_rows(
             rows, columns, f, g, epsilon, row_thresholds, column_thresholds, precise, counts
         )
+
+    @_operation
+    def store_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        max_pairs: int,
+        near: tuple[NearPairs | None, NearPairs | None] = (None, None),
+    ) -> StoredPairs | None:
+        """Keep log pi_ij of pairs, for `sum_stored`."""
+        return self.reductions.store_pairs(
+            rows, columns, f, g, epsilon, row_thresholds, column_thresholds, max_pairs, near
+        )
+
+    @_operation
+    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
+        """Return log sum_j pi_ij exp(changes_j) over the pairs of every row, or column."""
+        return self.reductions.sum_stored(stored, changes, by_column)
 
     @_operation
     def plan_moments(

@@ -33,12 +33,13 @@ class PlanReductions(NearReductions):
         row_thresholds: Float64,
         column_thresholds: Float64,
         precise: bool = False,
+        looked_at: TilePairs | None = None,
     ) -> NDArray[np.int64]:
-        """Return how many pairs of each row `plan_rows` keeps."""
+        """Return how many pairs of each row `plan_rows` keeps, of those that are looked at."""
         arguments = rows, columns, f, g, epsilon, row_thresholds, column_thresholds
         counts = np.empty(rows.stride, np.int32)
         tile = self._knobs.tile
-        for within, pairs in self._plan_pairs(*arguments):
+        for within, pairs in self._plan_pairs(*arguments, looked_at):
             levels = self._plan_levels(rows, columns, f, g, epsilon, within, pairs)
             shared = self._plan_buffers(rows, columns, levels, row_thresholds, column_thresholds)
             kernel = self._row_kernels(rows, precise, pairs is not None)["count_plan_rows"]
@@ -82,8 +83,8 @@ class PlanReductions(NearReductions):
                 column_buffer, mass_buffer = self._work.empty(4 * kept), self._work.empty(4 * kept)
                 self._launch_rows(
                     kernel, rows, columns, *levels[:4], part, *shared,
-                    self._work.buffer(ends - in_part, np.uint32), column_buffer, mass_buffer,
-                    precise=precise, pairs=pairs,
+                    self._work.buffer(ends - in_part, np.uint32), np.uint32(1), column_buffer,
+                    mass_buffer, precise=precise, pairs=pairs,
                 )  # fmt: skip
                 found = np.empty(kept, np.int32)
                 log2_masses = np.empty(kept, np.float32)
@@ -195,11 +196,15 @@ class PlanReductions(NearReductions):
         epsilon: float,
         row_thresholds: Float64,
         column_thresholds: Float64,
+        looked_at: TilePairs | None = None,
     ) -> Iterator[tuple[range, TilePairs | None]]:
         """Yield parts of the row tiles, and the pairs of tiles that can hold a kept pair there.
 
         What bounds exclude holds no pair above a threshold, so nothing is lost.
         """
+        if looked_at is not None:
+            yield range(len(rows.centers)), looked_at
+            return
         thresholds = _log2_threshold(row_thresholds), _log2_threshold(column_thresholds)
         everything = min(float(values.min()) for values in thresholds) <= 0.2 * SENTINEL
         if rows.stride * columns.stride < LISTED_FROM or everything:

@@ -27,6 +27,7 @@ class Reductions:
         self._work, self._knobs = work, knobs
         self._budget = LaunchBudget()
         self._kernels: dict[tuple[int, bool, bool], dict[str, cl.Kernel]] = {}
+        self._sum_stored: cl.Kernel | None = None
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
         """Take a weighted cloud."""

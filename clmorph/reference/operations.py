@@ -15,6 +15,7 @@ from clmorph.operations import (
     Float64,
     NearPairs,
     PlanRows,
+    StoredPairs,
     bin_grid,
 )
 
@@ -164,6 +165,35 @@ class NumPyOperations:
             mass.append(np.exp(log_plan[keep]))
         indptr = np.cumsum(np.concatenate(lengths))
         return PlanRows(indptr, np.concatenate(indices), np.concatenate(mass))
+
+    def store_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        max_pairs: int,
+        near: tuple[NearPairs | None, NearPairs | None] = (None, None),
+    ) -> StoredPairs | None:
+        """Keep log pi_ij of pairs, as a whole matrix with -inf elsewhere."""
+        whole = np.full((len(rows.points), len(columns.points)), -np.inf)
+        blocks = _plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
+        for block, log_plan, keep in blocks:
+            whole[block] = np.where(keep, log_plan, -np.inf)
+        if near[0] is not None and near[1] is not None:
+            whole[~(near[0].pairs | near[1].pairs.T)] = -np.inf
+        n_pairs = int(np.isfinite(whole).sum())
+        return StoredPairs(whole, n_pairs) if n_pairs <= max_pairs else None
+
+    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
+        """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row, or column."""
+        exponents = (stored.pairs.T if by_column else stored.pairs) + changes
+        largest = np.maximum(exponents.max(axis=1), np.finfo(float).min)
+        with np.errstate(divide="ignore"):
+            return largest + np.log(np.exp(exponents - largest[:, None]).sum(axis=1))
 
     def plan_moments(
         self,

@@ -1,0 +1,145 @@
+"""Pairs of a plan kept in the device's memory, and sums over them."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clmorph.opencl import program
+from clmorph.opencl.clouds import Cloud, pad, unsort
+from clmorph.opencl.knobs import SENTINEL, STORED_UNROLL
+from clmorph.opencl.near import joined_pairs
+from clmorph.opencl.plan_reductions import PlanReductions
+from clmorph.opencl.reductions import LOG2_E
+from clmorph.opencl.tile_pairs import TilePairs
+from clmorph.operations import Float64, NearPairs, StoredPairs
+
+#: Changes of potentials are cut here, in powers of 2: far beyond where a sum is worth anything.
+LARGEST_CHANGE = 1e4
+
+
+class _Part(NamedTuple):
+    """Pairs of some row tiles, as ``stored.cl`` wants them."""
+
+    rows: slice  #: of the sorted ones
+    starts: cl.Buffer
+    columns: cl.Buffer
+    log2_masses: cl.MemoryObject
+
+
+class _Side(NamedTuple):
+    """Pairs by row."""
+
+    rows: Cloud
+    columns: Cloud
+    parts: list[_Part]
+
+
+class StoredReductions(PlanReductions):
+    """What keeps pairs."""
+
+    def store_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        max_pairs: int,
+        near: tuple[NearPairs | None, NearPairs | None] = (None, None),
+    ) -> StoredPairs | None:
+        """Keep the pairs of a plan above a threshold: once by row, once by column."""
+        sides = []
+        n_pairs = 0
+        for arguments, (own, other) in (
+            ((rows, columns, f, g, epsilon, row_thresholds, column_thresholds), near),
+            ((columns, rows, g, f, epsilon, column_thresholds, row_thresholds), near[::-1]),
+        ):
+            looked_at = None
+            if own is not None and other is not None:
+                looked_at = joined_pairs(arguments[0], arguments[1], own.pairs, other.pairs)
+            counts = self.count_plan_rows(*arguments, looked_at=looked_at)
+            n_pairs = int(counts.sum())
+            if n_pairs > max_pairs:
+                return None
+            sides.append(self._stored(*arguments, counts, looked_at))
+        return StoredPairs((sides[0], sides[1]), n_pairs)
+
+    def _stored(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        counts: NDArray[np.int64],
+        looked_at: TilePairs | None,
+    ) -> _Side:
+        tile, side = self._knobs.tile, self._knobs.stored_slice
+        ordered = np.zeros(rows.stride, np.int64)
+        ordered[: len(rows)] = counts[rows.order]
+        places = ordered.reshape(-1, side).max(axis=1)
+        places = -(-places // STORED_UNROLL) * STORED_UNROLL
+        of_rows = np.repeat(places, side)
+        thresholds = row_thresholds, column_thresholds
+        parts = []
+        for within, pairs in self._plan_pairs(
+            rows, columns, f, g, epsilon, *thresholds, looked_at
+        ):
+            levels = self._plan_levels(rows, columns, f, g, epsilon, within, pairs)
+            shared = self._plan_buffers(rows, columns, levels, *thresholds)
+            kernel = self._row_kernels(rows, False, pairs is not None)["fill_plan_rows"]
+            for part in self._row_parts(rows, columns, of_rows, pairs, within):
+                section = slice(part.start * tile, part.stop * tile)
+                own = side * places[section.start // side : section.stop // side]
+                starts = np.concatenate(([0], np.cumsum(own)))
+                first = (starts[:-1, None] + np.arange(side)).ravel()
+                size = max(1, int(starts[-1]))
+                column_buffer = self._work.filled(size, np.int32(0))
+                mass_buffer = self._work.filled(size, np.float32(SENTINEL))
+                self._launch_rows(
+                    kernel, rows, columns, *levels[:4], part, *shared,
+                    self._work.buffer(first, np.uint32), np.uint32(side), column_buffer,
+                    mass_buffer, pairs=pairs,
+                )  # fmt: skip
+                starts_buffer = self._work.buffer(starts, np.uint32)
+                parts.append(_Part(section, starts_buffer, column_buffer, mass_buffer))
+        return _Side(rows, columns, parts)
+
+    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
+        """Return log sum_j pi_ij exp(changes_j) over the pairs of every row, or column."""
+        side: _Side = stored.pairs[by_column]
+        rows, columns = side.rows, side.columns
+        ordered = np.clip(changes[columns.order] * LOG2_E, -LARGEST_CHANGE, LARGEST_CHANGE)
+        # In the middle, so that float32 rounds the least.
+        middle = 0.5 * float(ordered.min() + ordered.max())
+        change_buffer = self._work.buffer(pad(ordered - middle, columns.stride, 0.0))
+        kernel = self._stored_kernel()
+        found = np.empty((2, rows.stride), np.float32)
+        for part in side.parts:
+            n_rows = part.rows.stop - part.rows.start
+            out = self._work.empty(4 * n_rows), self._work.empty(4 * n_rows)
+            self._work.launch(
+                kernel, (n_rows // self._knobs.width,), None, part.starts, part.columns,
+                part.log2_masses, change_buffer, *out,
+            )  # fmt: skip
+            for values, buffer in zip(found, out, strict=True):
+                cl.enqueue_copy(self._work.queue, values[part.rows], buffer)
+        maxima, sums = found[:, : len(rows)].astype(float)
+        with np.errstate(divide="ignore"):
+            logarithms = np.where(
+                maxima > 0.4 * SENTINEL, (maxima + np.log2(sums) + middle) / LOG2_E, -np.inf
+            )
+        return unsort(rows, logarithms)
+
+    def _stored_kernel(self) -> cl.Kernel:
+        if self._sum_stored is None:
+            constants = self._knobs.stored_constants()
+            built = program.build(self._work.context, "stored.cl", constants)
+            self._sum_stored = cl.Kernel(built, "sum_stored")
+        return self._sum_stored
