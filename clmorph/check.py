@@ -159,6 +159,7 @@ def check(operations: Operations) -> Iterator[Finding]:
             yield Finding(f"{kind}, blur {blur:g}", error, tolerance, "nats")
         yield _check_near(operations, ours, pair, g, exact.softmin(*theirs, g, epsilon), blur)
     yield _check_plan(operations, exact, ours, theirs, pair)
+    yield from _check_stored(operations, exact, ours, theirs, pair)
     yield from _check_rows(operations, exact, pair)
     yield from _check_splats(operations, exact)
     yield from _check_own_widths(operations, exact)
@@ -206,6 +207,32 @@ def _check_plan(
     error = float(np.max(np.abs(plans[0] - plans[1]) / np.exp(largest)[:, None]))
     tolerance = share + 2 * log_sum_exp_tolerance(operations, *pair, epsilon)
     return Finding("plan_rows", error, tolerance, "of a row's largest")
+
+
+def _check_stored(
+    operations: Operations,
+    exact: Operations,
+    ours: tuple[Any, Any],
+    theirs: tuple[Any, Any],
+    pair: tuple[Cloud, Cloud],
+) -> Iterator[Finding]:
+    """Check sums over stored pairs, all of them, at potentials that have changed."""
+    rng, epsilon = np.random.default_rng(3), 0.0025
+    sizes = len(pair[0][1]), len(pair[1][1])
+    f = exact.softmin(*theirs, np.zeros(sizes[1]), epsilon)
+    thresholds = [np.full(size, -1e3) for size in sizes]
+    tolerance = 2 * log_sum_exp_tolerance(operations, *pair, epsilon)
+    changes = rng.normal(size=sizes[1]), rng.normal(size=sizes[0])
+    for by_column, name in enumerate(("rows", "columns")):
+        sums = []
+        for backend, clouds in ((operations, ours), (exact, theirs)):
+            stored = backend.store_pairs(
+                *clouds, f, np.zeros(sizes[1]), epsilon, *thresholds, sizes[0] * sizes[1]
+            )
+            assert stored is not None
+            sums.append(backend.sum_stored(stored, changes[by_column], bool(by_column)))
+        error = float(np.abs(sums[0] - sums[1]).max())
+        yield Finding(f"sum_stored, {name}", error, tolerance, "nats")
 
 
 def _check_rows(

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 #: Pairs are stored from this share of their row's or column's sum on. One that is left out can
 #: grow by a factor exp(2 TRUST) before the potentials have moved by TRUST epsilons: then it is
 #: still small enough for a correction to make up for it.
-STORED_SHARE, TRUST = 1e-18, 16.0
+STORED_SHARE, TRUST = 1e-26, 25.0
 
 
 class CorrectedProblem(Problem):

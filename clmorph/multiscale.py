@@ -25,7 +25,7 @@ from clmorph.cells import Cells, make_cells
 from clmorph.corrections import CorrectedProblem, Grid, StoredProblem, stored_grid
 from clmorph.points import AnyMeasure
 from clmorph.problem import Problem
-from clmorph.softmins import LEAST_RESERVE, Softmin
+from clmorph.softmins import Softmin
 
 Array = NDArray[np.float64]
 
@@ -37,9 +37,10 @@ ANNEALING_SIDE = 1.0
 #: Annealing begins where no more pairs of cells than this are left.
 FEW_PAIRS = 1 << 20
 #: Residuals to reach at larger blurs, and over the cells before the points are looked at.
-LEVEL_TOLERANCE, FIRST_TOLERANCE = 0.2, 1e-2
-#: Truncation at larger blurs; for what share of it pairs are chosen where guesses are rough.
-LEVEL_TRUNCATION, LEVEL_RESERVE = 1e-2, 1e-6
+LEVEL_TOLERANCE, FIRST_TOLERANCE = 0.05, 1e-2
+#: Truncation at larger blurs; for what share of it pairs are chosen there, and where potentials
+#: will move farther.
+LEVEL_TRUNCATION, LEVEL_RESERVE, FAR_RESERVE = 1e-2, 1e-20, 1e-24
 #: Residual to reach over the cells: this share of that over the points, and of the tolerance.
 CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
 #: Cells serve, and stored pairs, as long as a cycle leaves at most this share of the residual;
@@ -106,7 +107,7 @@ class Multiscale:
                 g = self._first(grid, cells, g)
                 self._tell(0.3)
         if grid is None:
-            _prepare(self.problem, LEAST_RESERVE)
+            _prepare(self.problem, FAR_RESERVE)
         self._cycle(grid, g)
         self._tell(1.0)
 
@@ -151,13 +152,27 @@ class Multiscale:
             levels.append((blur, cells))
             pair = cells[0].measure, cells[1].measure
         g: Array | None = None
+        carried: list[Array] | None = None
         problems = [finest]
         problems += [self._cells_problem(one.measure, other.measure) for _, (one, other) in levels]
         for (level, cells), problem in reversed(list(zip(levels, problems[1:], strict=True))):
             ascent = Ascent(problem, level, LEVEL_TOLERANCE, self._max_iter, "float32", _ignore)
             ascent.run(g)
+            state = ascent.state
             problems.pop()
-            g = self._extended(problem, ascent.state, cells, problems[-1], level)
+            # Potentials are close to linear in epsilon, of which three quarters go each time: go
+            # on along the line.
+            drifts = [np.zeros(1)] * 2
+            if carried is not None:
+                drifts = [0.25 * (state.t_rows - carried[0]), 0.25 * (state.t_columns - carried[1])]
+            fine = problems[-1]
+            carried = self._extended(problem, state, cells, fine, level)
+            guesses = [
+                values + (drift[own.labels] if len(drift) > 1 else 0.0)
+                for values, drift, own in zip(carried, drifts, cells, strict=True)
+            ]
+            fine.to_rows.guess, fine.to_columns.guess = guesses
+            g = self.problem.damping(level**2)[1] * guesses[1]
         return np.zeros(len(finest.b)) if g is None else g
 
     def _level_truncation(self, rows: int, columns: int) -> float | None:
@@ -173,27 +188,22 @@ class Multiscale:
 
     def _extended(
         self, coarse: Problem, state: State, cells: list[Cells], fine: Problem, blur: float
-    ) -> Array:
-        """Carry potentials on to the columns of a finer problem, at the blur they are for.
-
-        Where the finer problem's softmins need guesses, they are what is carried on.
-        """
+    ) -> list[Array]:
+        """Take the softmins of potentials at the points of a finer problem, rows and columns."""
 
         def softmin(rows: Any, columns: Any, weights: tuple[Array, Array], guess: Array) -> Softmin:
             truncation = self._level_truncation(len(weights[0]), len(weights[1]))
             result = Softmin(self.problem.operations, rows, columns, weights, truncation)
-            result.guess, result.reserve = guess, LEVEL_RESERVE
+            result.guess, result.proven = guess, False
             return result
 
-        if fine.truncation is not None:
-            fine.to_rows.guess = softmin(
-                fine.rows, coarse.columns, (fine.a, coarse.b), state.t_rows[cells[0].labels]
-            )(state.g, blur**2)
-        carried = softmin(
+        to_rows = softmin(
+            fine.rows, coarse.columns, (fine.a, coarse.b), state.t_rows[cells[0].labels]
+        )
+        to_columns = softmin(
             fine.columns, coarse.rows, (fine.b, coarse.a), state.t_columns[cells[1].labels]
-        )(state.f, blur**2)
-        fine.to_columns.guess = carried
-        return self.problem.damping(blur**2)[1] * carried
+        )
+        return [to_rows(state.g, blur**2), to_columns(state.f, blur**2)]
 
     def _first(self, grid: Grid, cells: list[Cells], g: Array) -> Array:
         """Return potentials g from the cells' problem alone, begun at potentials of its own."""
@@ -220,7 +230,7 @@ class Multiscale:
     def _ascend(self, g: Array) -> None:
         """Go on over the points alone."""
         told = self._told
-        _prepare(self.problem, LEAST_RESERVE)
+        _prepare(self.problem, FAR_RESERVE)
         ascent = Ascent(
             self.problem, self._blur, self.tol, self._max_iter, self.precision,
             lambda share: self._tell(told + (1 - told) * share),

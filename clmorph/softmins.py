@@ -13,9 +13,6 @@ Array = NDArray[np.float64]
 #: Pairs are chosen for less than the truncation, so that they serve while potentials move: at
 #: first for this share, for less each time that they moved too far, and at last for this little.
 RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-24
-#: A choice of pairs is made again with what it found out, if its guess was off by more nats on
-#: average: it keeps more than need be.
-GOOD_GUESS = 0.5
 #: Choices in a row after which nothing is left out instead.
 ATTEMPTS = 3
 
@@ -47,6 +44,8 @@ class Softmin:
         By how many nats the logarithms of the last softmin's sums can be too small: a bound.
     near : NearPairs or None
         What the last one summed; None: all pairs.
+    proven : bool
+        Whether what is left out must be within the truncation, or just ought to.
     reserve : float
         Pairs are chosen for this share of the truncation; the less, the longer they serve.
     """
@@ -65,6 +64,7 @@ class Softmin:
         self._massive = weights[1] > 0
         self._pairs = len(weights[0]) * len(weights[1])
         self.reserve = RESERVE
+        self.proven = True
         self._near: NearPairs | None = None
         self._chosen_for: tuple[float, Array] = (0.0, np.zeros(0))
         self.guess: Array | None = None
@@ -112,13 +112,10 @@ class Softmin:
             self.reserve * self.truncation,
         )
         _finite(near.softmin)
-        missed = float(np.abs(near.softmin - self.guess).mean()) / epsilon
         self.guess = near.softmin
-        if float(near.skipped.max()) > self.truncation:
+        if self.proven and float(near.skipped.max()) > self.truncation:
             return None
-        # After a bad guess more is kept than need be: good for once.
-        self._near = near if missed <= GOOD_GUESS else None
-        self._chosen_for = epsilon, potential
+        self._near, self._chosen_for = near, (epsilon, potential)
         return near
 
     def _over(

@@ -7,6 +7,9 @@ of the transport kernel, and bound what a whole tile can contribute.
 import numpy as np
 from numpy.typing import NDArray
 
+#: Bits of a sorting key: where in its segment a point lies, and which point it is.
+PLACE_BITS, POINT_BITS = 20, 24
+
 
 def tile_order(points: NDArray[np.float64], size: int) -> NDArray[np.intp]:
     """Sort points so that each run of `size` consecutive ones is compact.
@@ -17,6 +20,7 @@ def tile_order(points: NDArray[np.float64], size: int) -> NDArray[np.intp]:
     Parameters
     ----------
     points : (N, D) array
+        Of at most 2^24 points.
     size : int
         Points of one tile.
 
@@ -25,20 +29,29 @@ def tile_order(points: NDArray[np.float64], size: int) -> NDArray[np.intp]:
     (N,) array of int
         Permutation; ties keep their order, so equal input gives equal output.
     """
-    order = np.arange(len(points), dtype=np.intp)
-    bounds = np.array([0, len(points)])
+    count = len(points)
+    order, columns = np.arange(count), points.T.copy()
+    bounds = np.array([0, count])
     while True:
         counts = np.diff(bounds)
         tiles = -(-counts // size)
         if tiles.max(initial=0) <= 1:
-            return order
+            return order.astype(np.intp)
         starts = bounds[:-1]
-        sorted_points = points[order]
-        low = np.minimum.reduceat(sorted_points, starts, axis=0)
-        high = np.maximum.reduceat(sorted_points, starts, axis=0)
-        axis = np.argmax(high - low, axis=1)
-        segment = np.repeat(np.arange(len(counts)), counts)
-        key = sorted_points[np.arange(len(points)), axis[segment]]
-        order = order[np.lexsort((key, segment))]
+        low = np.minimum.reduceat(columns, starts, axis=1)
+        sides = np.maximum.reduceat(columns, starts, axis=1) - low
+        axis = np.argmax(sides, axis=0)
+        number = np.arange(len(counts))
+        segment = np.repeat(number, counts)
+        # One integer to sort by: segment, place in it, and the point itself, so that none tie.
+        scale = np.divide(
+            2**PLACE_BITS - 1, sides[axis, number], out=np.zeros(len(counts)),
+            where=sides[axis, number] > 1e-290,
+        )  # fmt: skip
+        places = columns[axis[segment], np.arange(count)] - low[axis, number][segment]
+        keys = (segment << PLACE_BITS) + (places * scale[segment]).astype(np.int64)
+        keys = np.sort((keys << POINT_BITS) + np.arange(count))
+        moved = keys & (2**POINT_BITS - 1)
+        order, columns = order[moved], columns[:, moved]
         middle = starts + size * ((tiles + 1) // 2)
         bounds = np.unique(np.concatenate((bounds, middle[tiles > 1])))

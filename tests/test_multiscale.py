@@ -4,18 +4,21 @@ import numpy as np
 import pytest
 
 import clmorph
-from clmorph import multiscale, reference, sinkhorn
+from clmorph import corrections, multiscale, reference, sinkhorn
 from clmorph.cells import make_cells
-from clmorph.multiscale import CorrectedProblem
+from clmorph.corrections import CorrectedProblem, stored_grid
 from clmorph.points import WeightedPoints
 from clmorph.problem import Problem
 
 
-def pictures(side):
+def pictures(side, noise=0.0, color_weight=1.0):
+    rng = np.random.default_rng(0)
     y, x = np.mgrid[:side, :side] / side
     one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
     two = np.stack([(x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.1, y, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
-    return [clmorph.lift(image, 1.0) for image in (one, two)]
+    return [clmorph.lift(np.clip(image + noise * rng.normal(size=(side, side, 3)), 0, 1),
+                         color_weight)
+            for image in (one, two)]  # fmt: skip
 
 
 def same_up_to_a_constant(got, want, tolerance):
@@ -146,6 +149,105 @@ def test_the_residual_is_that_of_the_points(rng):
     softmins = problem.to_rows(got.g, got.epsilon), problem.to_columns(got.f, got.epsilon)
     residual = problem.residual(got.f, got.g, *softmins, got.epsilon)
     assert residual == pytest.approx(got.residual, rel=1e-6)
+
+
+# --- stored pairs -----------------------------------------------------------------------
+
+
+def sharp(side):
+    """Two pictures with noise, whose colors hold most pixels apart."""
+    return pictures(side, 0.15, 2.0)
+
+
+def stored_near(device, side, blur, rho):
+    """A problem, its state after an iteration, and the grid of its pairs that matter."""
+    source, target = sharp(side)
+    problem, epsilon = Problem.between(clmorph.get_backend(device), source, target, rho), blur**2
+    g = sinkhorn(source, target, blur, rho[0] ** 0.5, 0.3, backend=device).g
+    f, g, t_rows = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
+    t_columns = problem.softmin_columns(f, epsilon, True)
+    grid = stored_grid(problem, f, g, (t_rows, t_columns), epsilon, 10**8)
+    return problem, f, g, t_rows, t_columns, grid
+
+
+def test_stored_pairs_stand_for_the_points(device, rng):
+    """At their potentials, and as long as these move no farther than is allowed."""
+    blur, rho = 0.05, (0.09, 0.09)
+    epsilon = blur**2
+    problem, f, g, t_rows, t_columns, grid = stored_near(device, 32, blur, rho)
+    near = grid.problem
+    assert near.to_rows.error == 0
+    pairs = near.to_rows._stored.n_pairs
+    assert pairs < 0.9 * len(f) * len(g)
+    rounding = 20 * problem.rounding(epsilon, True) + near.rounding(epsilon, False) + 1e-5
+    if device != "numpy":
+        rounding += 4 * problem.rounding(epsilon, False)
+    assert np.abs(near.to_rows(g, epsilon) - t_rows).max() <= rounding * epsilon
+    assert np.abs(near.to_columns(f, epsilon) - t_columns).max() <= rounding * epsilon
+    near.begin(f)
+    changes = [corrections.TRUST * epsilon * rng.uniform(-1, 1, len(x)) for x in (f, g)]
+    assert not near.is_astray(f + 7.0, epsilon)  # all alike is no move
+    assert near.is_astray(f + 3 * changes[0], epsilon)
+    held = near.nearer(f + 7.0 + 3 * changes[0], epsilon)
+    assert np.abs(held - 7.0 - f).max() <= 1.5 * corrections.TRUST * epsilon
+    # Each pair that is left out has grown by exp(2 TRUST) at most.
+    left_out = max(len(f), len(g)) * corrections.STORED_SHARE * np.exp(2 * corrections.TRUST)
+    got = near.to_rows(g + changes[1], epsilon)
+    want = problem.to_rows(g + changes[1], epsilon, True)
+    assert np.abs(got - want).max() <= (left_out + rounding) * epsilon
+
+
+@pytest.mark.parametrize("reach", [0.05, 0.3, 1.0, None, (0.3, None)], ids=str)
+def test_small_blurs_are_solved_over_stored_pairs(device, monkeypatch, reach):
+    solved = []
+    original = corrections.stored_grid
+
+    def seen(*arguments):
+        solved.append(original(*arguments))
+        return solved[-1]
+
+    monkeypatch.setattr(multiscale, "stored_grid", seen)
+    source, target = sharp(40)
+    got = sinkhorn(source, target, 0.03, reach, 1e-4, backend=device, multiscale=True)
+    want = sinkhorn(source, target, 0.03, reach, 1e-4, backend=device, multiscale=False)
+    assert got.converged
+    assert solved
+    assert all(solved)
+    assert got.n_iter < want.n_iter / 2 or got.n_iter <= 6
+    rounding = 2e-5 * got.epsilon * got.transported_mass
+    assert got.dual - rounding <= want.primal + want.marginal_error
+    assert want.dual - rounding <= got.primal + got.marginal_error
+    if reach == 0.3:
+        same_up_to_a_constant(got, want, 0.02)
+
+
+def test_without_memory_for_pairs_points_are_iterated_over(device, monkeypatch):
+    monkeypatch.setattr(multiscale, "STORED_PER_POINT", 1)
+    source, target = sharp(24)
+    got = sinkhorn(source, target, 0.03, 0.3, backend=device, multiscale=True)
+    assert got.converged
+    assert got.n_iter > 10
+
+
+def test_pairs_that_mislead_are_left(monkeypatch):
+    """With far too few pairs cycles do not converge; the solve does."""
+    monkeypatch.setattr(corrections, "STORED_SHARE", 0.3)
+    source, target = sharp(24)
+    got = sinkhorn(source, target, 0.04, 0.3, backend="numpy", multiscale=True)
+    assert got.converged
+    want = sinkhorn(source, target, 0.04, 0.3, 1e-5, backend="numpy", multiscale=False)
+    same_up_to_a_constant(got, want, 0.1)
+
+
+def test_points_without_mass_over_stored_pairs(device, rng):
+    source, target = sharp(24)
+    weights = [measure.weights * (rng.random(576) > 0.3) for measure in (source, target)]
+    pair = [(w, measure.points) for w, measure in zip(weights, (source, target), strict=True)]
+    got = sinkhorn(*pair, 0.03, 0.3, 1e-4, backend=device, multiscale=True)
+    want = sinkhorn(*pair, 0.03, 0.3, 1e-5, backend=device, multiscale=False)
+    assert got.converged
+    assert np.all(np.isfinite(got.f))
+    same_up_to_a_constant(got, want, 0.05)
 
 
 def test_without_cells_that_save_anything(rng):

@@ -31,7 +31,7 @@ def _potential(rng, n, epsilon):
 def test_twins_have_the_protocols_signatures():
     names = [name for name in vars(Operations) if not name.startswith("_")]
     operations = [name for name in names if callable(getattr(Operations, name, None))]
-    assert len(operations) == 16
+    assert len(operations) == 18
     for name in operations:
         wanted = list(inspect.signature(getattr(Operations, name)).parameters)
         for backend in (NumPyOperations, OpenCLOperations):
@@ -153,6 +153,30 @@ def test_near_pairs_leave_out_most_of_far_clusters(variant, rng):
     assert near.n_columns <= 256
 
 
+@pytest.mark.parametrize("blur", [0.1, 0.02])
+def test_groups_of_tiles_are_bounded_first(variant, monkeypatch, rng, blur):
+    """Nothing else is left out than without groups, but for what the budget allows."""
+    middles = rng.random((40, 1, 3))
+    x, y = ((middles + 0.05 * rng.random((40, 90, 3))).reshape(-1, 3) for _ in range(2))
+    clouds = [variant.upload(points, np.full(3600, 1 / 3600)) for points in (x, y)]
+    epsilon, g = blur**2, blur**2 * rng.normal(size=3600)
+    whole = REFERENCE.softmin(*_upload(REFERENCE, [(x, np.full(3600, 1 / 3600)),
+                                                   (y, np.full(3600, 1 / 3600))]), g, epsilon)  # fmt: skip
+    thresholds = [np.log(1e-5) + np.full(3600, -np.log(3600)), np.full(3600, np.inf)]
+    kept, counts = [], []
+    for limit in (1 << 60, 0):
+        monkeypatch.setattr("clmorph.opencl.near.WIDE_FROM", limit)
+        monkeypatch.setattr("clmorph.opencl.plan_reductions.LISTED_FROM", 0)
+        near = variant.near_pairs(*clouds, g, whole, epsilon, 1e-5)
+        missing = (near.softmin - whole) / epsilon
+        assert near.skipped.max() <= 1.5e-5
+        assert missing.max() <= near.skipped.max() + 1e-3
+        kept.append(near.n_pairs)
+        counts.append(variant.count_plan_rows(*clouds, whole, g, epsilon, *thresholds))
+    assert kept[1] == pytest.approx(kept[0], rel=0.1)
+    assert np.array_equal(*counts)
+
+
 def test_a_hopeless_guess_is_told(variant, rng):
     """Far too small a sum guessed for: everything looks large, and nothing is left out."""
     pair = PAIRS["random"](rng)
@@ -209,6 +233,95 @@ def test_moments_and_draws_over_near_pairs(variant, rng, name, blur):
     assert np.all(pair[1][1][draws] > 0)
     want = variant.sample_plan_rows(*clouds, g, softmin, epsilon, thresholds, True)
     assert np.mean(draws != want) <= 0.01
+
+
+def _solved(pair, epsilon, rng):
+    """Potentials about a solution, and thresholds by row and by column."""
+    clouds = _upload(REFERENCE, pair)
+    f = _potential(rng, len(pair[0][0]), epsilon)
+    g = REFERENCE.softmin(clouds[1], clouds[0], f, epsilon)
+    f = REFERENCE.softmin(*clouds, g, epsilon)
+    columns = REFERENCE.softmin(clouds[1], clouds[0], f, epsilon)
+    row_thresholds = clouds[0].log_weights + np.log(1e-6)
+    column_thresholds = (g - columns) / epsilon + clouds[1].log_weights + np.log(1e-8)
+    thresholds = [np.where(np.isneginf(x), np.inf, x) for x in (row_thresholds, column_thresholds)]
+    return f, g, thresholds
+
+
+@pytest.mark.parametrize("by_near", [False, True])
+@pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("name", PAIRS)
+def test_sums_over_stored_pairs(variant, rng, name, blur, by_near):
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    f, g, thresholds = _solved(pair, epsilon, rng)
+    sums = []
+    changes = 3 * rng.normal(size=len(g)), 3 * rng.normal(size=len(f))
+    for backend in (variant, REFERENCE):
+        rows, columns = _upload(backend, pair)
+        near = None, None
+        if by_near:
+            near = (
+                backend.near_pairs(
+                    rows, columns, g, backend.softmin(rows, columns, g, epsilon), epsilon, 1e-9
+                ),
+                backend.near_pairs(
+                    columns, rows, f, backend.softmin(columns, rows, f, epsilon), epsilon, 1e-9
+                ),
+            )
+        stored = backend.store_pairs(rows, columns, f, g, epsilon, *thresholds, 10**9, near)
+        assert 0 < stored.n_pairs <= len(f) * len(g)
+        sums.append([backend.sum_stored(stored, changes[i], bool(i)) for i in range(2)])
+        assert (
+            backend.store_pairs(
+                rows, columns, f, g, epsilon, *thresholds, stored.n_pairs - 1, near
+            )
+            is None
+        )
+    tolerance = log_sum_exp_tolerance(variant, *pair, epsilon)
+    for got, want, (_, weights) in zip(*sums, pair, strict=True):
+        assert np.array_equal(np.isneginf(got), weights == 0)
+        assert np.array_equal(np.isneginf(want), weights == 0)
+        # A pair on the threshold may be stored by one only, and changes by up to e^15.
+        difference = np.abs(got[weights > 0] - want[weights > 0])
+        assert difference.max() <= 2 * tolerance + 0.1
+        assert np.quantile(difference, 0.9) <= 2 * tolerance + 1e-4
+
+
+def test_stored_sums_are_those_of_changed_potentials(variant, rng):
+    """With next to nothing left out, a softmin at other potentials."""
+    pair, epsilon = PAIRS["random"](rng), 0.01
+    f, g, _ = _solved(pair, epsilon, rng)
+    clouds = _upload(variant, pair)
+    thresholds = [np.full(len(x), -1e4) for x in (f, g)]
+    stored = variant.store_pairs(*clouds, f, g, epsilon, *thresholds, 10**9)
+    assert stored.n_pairs == len(f) * len(g)
+    changes = rng.normal(size=len(g)) + 100.0
+    got = variant.sum_stored(stored, changes, False)
+    softmin = REFERENCE.softmin(*_upload(REFERENCE, pair), g + epsilon * changes, epsilon)
+    want = (f - softmin) / epsilon + np.log(pair[0][1])
+    tolerance = log_sum_exp_tolerance(variant, *pair, epsilon) + 100 * 2.0**-23
+    assert np.abs(got - want).max() <= tolerance
+    # Far beyond what float32 could multiply.
+    changes[::2] -= 900.0
+    got = variant.sum_stored(stored, changes, False)
+    softmin = REFERENCE.softmin(*_upload(REFERENCE, pair), g + epsilon * changes, epsilon)
+    want = (f - softmin) / epsilon + np.log(pair[0][1])
+    assert np.abs(got - want).max() <= tolerance + 900 * 2.0**-23
+
+
+def test_stored_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rng):
+    pair, epsilon = [(rng.random((n, 5)), np.full(n, 1 / n)) for n in (700, 900)], 0.01
+    f, g, thresholds = _solved(pair, epsilon, rng)
+    results = []
+    for most in (1 << 24, 5000):
+        monkeypatch.setattr("clmorph.opencl.reductions.FILL_PAIRS", most)
+        clouds = _upload(variant, pair)
+        stored = variant.store_pairs(*clouds, f, g, epsilon, *thresholds, 10**9)
+        results.append([variant.sum_stored(stored, x, by) for x, by in ((g, False), (f, True))])
+        parts = len(stored.pairs[0].parts)
+    assert parts > 3
+    assert all(np.array_equal(*both) for both in zip(*results, strict=True))
 
 
 @pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])

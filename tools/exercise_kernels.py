@@ -71,6 +71,18 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         results.append(kept.mass)
         softmin = operations.softmin(rows, columns, g, 0.01, precise)
         results += operations.plan_moments(rows, columns, g, softmin, 0.01, precise)
+    for thresholds, near in (((-9.0, np.inf), None), ((-12.0, -14.0), 1e-9)):
+        lists: list[Any] = [None, None]
+        if near is not None:
+            lists = [
+                operations.near_pairs(*clouds, x, operations.softmin(*clouds, x, 0.01), 0.01, near)
+                for clouds, x in (((rows, columns), g), ((columns, rows), f))
+            ]
+        limits = [np.full(size, x) for size, x in zip((n, m), thresholds, strict=True)]
+        stored = operations.store_pairs(rows, columns, f, g, 0.01, *limits, n * m, tuple(lists))
+        for change, by_column in ((g, False), (f, True)):
+            sums = operations.sum_stored(stored, 10 * change, by_column)
+            results.append(np.maximum(np.round(sums, 2), -99.0) + 0.0)
     thresholds = np.tile([0.1, 0.4, 0.9], (n, 1))
     draws = operations.sample_plan_rows(rows, columns, g, softmin, 0.01, thresholds)
     results.append(np.array([float(draws.max() < m)]))

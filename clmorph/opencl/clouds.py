@@ -1,7 +1,8 @@
 """Clouds on the device: sorted into tiles, split into what float32 holds and the rest."""
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pyopencl as cl
@@ -12,6 +13,29 @@ from clmorph.opencl.knobs import SENTINEL
 from clmorph.opencl.launches import Workspace
 from clmorph.operations import MAX_POINTS, Float64
 from clmorph.tiles import tile_order
+
+
+#: Consecutive tiles that are bounded together: compact as well, as tiles are leaves of a tree.
+WIDTH_OF_GROUPS = 8
+
+
+class Tiles(Protocol):
+    """Points in tiles."""
+
+    @property
+    def centers(self) -> Float64:
+        """(tiles, D), exact in float32."""
+
+    @property
+    def shifts(self) -> NDArray[np.float32]:
+        """(tiles, tile, D) points less their tile's center."""
+
+
+class Wide(NamedTuple):
+    """Tiles of several tiles each."""
+
+    centers: Float64
+    shifts: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -51,6 +75,18 @@ class Cloud:
 
     def __len__(self) -> int:
         return len(self.order)
+
+    @cached_property
+    def wide(self) -> Wide:
+        """The same points in groups of tiles."""
+        tiles, tile, dimension = self.shifts.shape
+        missing = -tiles % WIDTH_OF_GROUPS
+        points = (self.centers[:, None] + self.shifts).reshape(-1, dimension)
+        points = np.pad(points, ((0, missing * tile), (0, 0)), mode="edge")
+        points = points.reshape(-1, WIDTH_OF_GROUPS * tile, dimension)
+        centers = 0.5 * (points.min(axis=1) + points.max(axis=1))
+        centers = centers.astype(np.float32).astype(float)
+        return Wide(centers, (points - centers[:, None]).astype(np.float32))
 
 
 def make_cloud(

@@ -8,13 +8,14 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.opencl.clouds import Cloud, unsort
+from clmorph.opencl.clouds import WIDTH_OF_GROUPS, Cloud, Tiles, unsort
 from clmorph.opencl.knobs import LARGEST_SHARE, SENTINEL
 from clmorph.opencl.reductions import LOG2_E, Reductions
 from clmorph.opencl.tile_pairs import (
     TileBounds,
     TilePairs,
     column_bounds,
+    half_sides,
     row_bounds,
     tile_bounds,
 )
@@ -22,6 +23,8 @@ from clmorph.operations import Float64, NearPairs
 
 #: Entries of a block of bounds: small enough for a core's cache.
 BLOCK_BOUNDS = 1 << 17
+#: Bounds of pairs of tiles from which on groups of tiles are bounded first.
+WIDE_FROM = 1 << 24
 #: Pairs of tiles that are measured at once.
 CHUNK_PAIRS = 1 << 20
 #: Shares at which a list may be cut, as parts of the budget.
@@ -60,14 +63,11 @@ class NearReductions(Reductions):
         k, tile, n = LOG2_E / epsilon, self._knobs.tile, len(rows)
         values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
         guess = -k * (softmin[rows.order] - rows.offsets)
-        of_rows = row_bounds(rows, guess, k)
-        of_columns = column_bounds(columns, np.maximum(values, SENTINEL), k)
+        values = np.maximum(values, SENTINEL)
         heights, tops = self._column_heights(columns, potential, k)
         found, skipped = np.empty(rows.stride), np.empty(len(rows.centers))
         kept: list[TilePairs] = []
-        for part, pairs, unseen in candidates(
-            rows, columns, of_rows, of_columns, k, UNSEEN * budget
-        ):
+        for part, pairs, unseen in candidates(rows, columns, guess, values, k, UNSEEN * budget):
             section = slice(part.start * tile, part.stop * tile)
             sums, shares = self._measured(rows, columns, heights, tops, k, guess, pairs, part)
             found[section] = sums
@@ -95,7 +95,7 @@ class NearReductions(Reductions):
             unsort(rows, np.repeat(skipped, tile)[:n]),
             len(tiles) * tile**2,
             int(lengths.max()) * tile,
-            _largest_cost(of_rows, of_columns, lengths, tiles, distances),
+            _largest_cost(rows, columns, lengths, tiles, distances),
         )
 
     def _measured(
@@ -147,8 +147,8 @@ class NearReductions(Reductions):
 def candidates(
     rows: Cloud,
     columns: Cloud,
-    of_rows: TileBounds,
-    of_columns: TileBounds,
+    of_rows: Float64,
+    of_columns: Float64,
     k: float,
     budget: float,
 ) -> Iterator[_Candidates]:
@@ -157,27 +157,33 @@ def candidates(
     Parameters
     ----------
     rows, columns : Cloud
-    of_rows, of_columns : TileBounds
+    of_rows, of_columns : arrays
+        Values of the sorted points, as `row_bounds` and `column_bounds` take them.
     k : float
     budget : float
         What those may hold that are left out, as a share of any row.
     """
     n_rows, n_columns = len(rows.centers), len(columns.centers)
-    step = max(1, BLOCK_BOUNDS // n_columns)
-    # All tiles under this together stay within half of the budget, whatever their number.
-    hopeless = np.float32(np.log2(0.5 * budget / n_columns))
+    sides = row_bounds(rows, of_rows, k), column_bounds(columns, of_columns, k)
+    wide = None
+    if n_rows * n_columns >= WIDE_FROM:
+        wide = row_bounds(rows.wide, of_rows, k), column_bounds(columns.wide, of_columns, k)
+    # All tiles under this together stay within a quarter of the budget, whatever their number;
+    # so do all groups of tiles.
+    hopeless = np.float32(np.log2(0.25 * budget / n_columns))
     first, count = 0, 0
     lengths: list[NDArray[np.int64]] = []
     tiles: list[NDArray[np.uint32]] = []
     shares: list[NDArray[np.float32]] = []
-    for begin in range(0, n_rows, step):
-        section = slice(begin, min(begin + step, n_rows))
-        bounds = tile_bounds(of_rows, section, of_columns, k)
+    wides = [] if wide is None else [wide]
+    limit = float(hopeless) + np.log2(n_columns / -(-n_columns // WIDTH_OF_GROUPS))
+    for section, numbers in _blocks(n_rows, n_columns, wides, k, limit):
+        bounds = tile_bounds(sides[0], section, sides[1], k, numbers)
         # No row is without: its best tile has its largest bound.
         above = bounds >= np.minimum(bounds.max(axis=1), hopeless)[:, None]
         places = np.flatnonzero(above)
         lengths.append(np.count_nonzero(above, axis=1))
-        tiles.append((places % n_columns).astype(np.uint32))
+        tiles.append(_numbered(places, above.shape[1], numbers))
         shares.append(np.exp2(np.minimum(bounds.ravel()[places], np.float32(60.0))))
         count += len(places)
         if count >= CHUNK_PAIRS or section.stop == n_rows:
@@ -193,7 +199,7 @@ def candidates(
 def possible_pairs(
     rows: Cloud,
     columns: Cloud,
-    sides: list[tuple[TileBounds, TileBounds]],
+    values: list[tuple[Float64, Float64]],
     k: float,
 ) -> Iterator[tuple[range, TilePairs]]:
     """Yield pairs of tiles that any of some bounds leaves above 0, in parts of the row tiles.
@@ -201,22 +207,27 @@ def possible_pairs(
     Parameters
     ----------
     rows, columns : Cloud
-    sides : list of (rows', columns') TileBounds
+    values : list of (rows', columns') arrays
+        As `row_bounds` and `column_bounds` (of the largest term) take them.
     k : float
     """
+
+    def bounds_of(one: Tiles, other: Tiles) -> list[tuple[TileBounds, TileBounds]]:
+        return [(row_bounds(one, r, k), column_bounds(other, c, k, True)) for r, c in values]
+
     n_rows, n_columns = len(rows.centers), len(columns.centers)
-    step = max(1, BLOCK_BOUNDS // n_columns)
+    sides = bounds_of(rows, columns)
+    wides = bounds_of(rows.wide, columns.wide) if n_rows * n_columns >= WIDE_FROM else []
     first, count = 0, 0
     lengths: list[NDArray[np.int64]] = []
     tiles: list[NDArray[np.uint32]] = []
-    for begin in range(0, n_rows, step):
-        section = slice(begin, min(begin + step, n_rows))
-        bounds = [tile_bounds(one, section, other, k) for one, other in sides]
+    for section, numbers in _blocks(n_rows, n_columns, wides, k, 0.0):
+        bounds = [tile_bounds(one, section, other, k, numbers) for one, other in sides]
         highest = functools.reduce(np.maximum, bounds)
         # Reductions want at least one column tile for each row tile.
         above = highest >= np.minimum(highest.max(axis=1), 0.0)[:, None]
         lengths.append(np.count_nonzero(above, axis=1))
-        tiles.append((np.flatnonzero(above) % n_columns).astype(np.uint32))
+        tiles.append(_numbered(np.flatnonzero(above), above.shape[1], numbers))
         count += len(tiles[-1])
         if count >= CHUNK_PAIRS or section.stop == n_rows:
             part = range(first, section.stop)
@@ -225,6 +236,47 @@ def possible_pairs(
                 _tile_pairs(rows, columns, part, np.concatenate(lengths), np.concatenate(tiles)),
             )
             first, count, lengths, tiles = section.stop, 0, [], []
+
+
+def _blocks(
+    n_rows: int,
+    n_columns: int,
+    wides: list[tuple[TileBounds, TileBounds]],
+    k: float,
+    limit: float,
+) -> Iterator[tuple[slice, NDArray[np.int64] | None]]:
+    """Yield row tiles, and the numbers of the column tiles to bound there; None for all.
+
+    With bounds of groups of tiles those groups are left out that stay under a limit.
+    """
+    if not wides:
+        step = max(1, BLOCK_BOUNDS // n_columns)
+        for begin in range(0, n_rows, step):
+            yield slice(begin, min(begin + step, n_rows)), None
+        return
+    members = np.arange(WIDTH_OF_GROUPS)
+    n_groups = len(wides[0][0].centers)
+    step = max(1, BLOCK_BOUNDS // len(wides[0][1].centers))
+    for begin in range(0, n_groups, step):
+        section = slice(begin, min(begin + step, n_groups))
+        bounds = [tile_bounds(one, section, other, k) for one, other in wides]
+        highest = functools.reduce(np.maximum, bounds)
+        above = highest >= np.minimum(highest.max(axis=1), np.float32(limit))[:, None]
+        for group, kept in enumerate(above, begin):
+            numbers = (WIDTH_OF_GROUPS * np.flatnonzero(kept)[:, None] + members).ravel()
+            first = WIDTH_OF_GROUPS * group
+            yield (
+                slice(first, min(first + WIDTH_OF_GROUPS, n_rows)),
+                numbers[: np.searchsorted(numbers, n_columns)],
+            )
+
+
+def _numbered(
+    places: NDArray[np.int64], width: int, numbers: NDArray[np.int64] | None
+) -> NDArray[np.uint32]:
+    """Return the column tiles at places of a block of bounds."""
+    tiles = places % width
+    return (tiles if numbers is None else numbers[tiles]).astype(np.uint32)
 
 
 def joined_pairs(rows: Cloud, columns: Cloud, one: TilePairs, other: TilePairs) -> TilePairs:
@@ -286,13 +338,15 @@ def _keep(
 
 
 def _largest_cost(
-    rows: TileBounds,
-    columns: TileBounds,
+    rows: Cloud,
+    columns: Cloud,
     lengths: NDArray[np.int64],
     tiles: NDArray[np.uint32],
     distances: Float64,
 ) -> float:
     """Return a bound of the cost of all pairs of points in pairs of tiles."""
-    radii = [np.sqrt(np.sum(side.sides.astype(float) ** 2, axis=1)) for side in (rows, columns)]
+    radii = [
+        np.sqrt(np.sum(half_sides(tiles).astype(float) ** 2, axis=1)) for tiles in (rows, columns)
+    ]
     farthest = np.sqrt(2 * distances) + np.repeat(radii[0], lengths) + radii[1][tiles]
     return 0.5 * float(farthest.max()) ** 2

@@ -11,7 +11,7 @@ from clmorph.opencl.clouds import Cloud, pad, split, unsort
 from clmorph.opencl.knobs import SENTINEL
 from clmorph.opencl.near import NearReductions, possible_pairs
 from clmorph.opencl.reductions import LOG2_E
-from clmorph.opencl.tile_pairs import TilePairs, column_bounds, row_bounds
+from clmorph.opencl.tile_pairs import TilePairs
 from clmorph.operations import Float64, NearPairs, PlanRows
 
 #: Thresholds of draws stay below row sums that rounding made a little less than 1.
@@ -218,10 +218,9 @@ class PlanReductions(NearReductions):
         by_column = values - thresholds[1][columns.order]
         # log2 pi_ij is above the threshold of its row, or above that of its column.
         sides = [
-            (row_bounds(rows, np.minimum(over, -SENTINEL), k),
-             column_bounds(columns, np.maximum(under, SENTINEL), k, largest=True))
+            (np.minimum(over, -SENTINEL), np.maximum(under, SENTINEL))
             for over, under in ((by_row, values), (-bases, by_column))
-        ]  # fmt: skip
+        ]
         yield from possible_pairs(rows, columns, sides, k)
 
     def _plan_levels(

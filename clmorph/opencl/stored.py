@@ -15,6 +15,10 @@ from clmorph.opencl.reductions import LOG2_E
 from clmorph.opencl.tile_pairs import TilePairs
 from clmorph.operations import Float64, NearPairs, StoredPairs
 
+#: What a pair takes, on both sides together.
+BYTES_PER_PAIR = 18
+#: Rows that are brought into order of their length together.
+WINDOW = 1024
 #: Changes of potentials are cut here, in powers of 2: far beyond where a sum is worth anything.
 LARGEST_CHANGE = 1e4
 
@@ -22,7 +26,7 @@ LARGEST_CHANGE = 1e4
 class _Part(NamedTuple):
     """Pairs of some row tiles, as ``stored.cl`` wants them."""
 
-    rows: slice  #: of the sorted ones
+    rows: NDArray[np.int64]  #: numbers of the sorted rows, in the slices' order
     starts: cl.Buffer
     columns: cl.Buffer
     log2_masses: cl.MemoryObject
@@ -63,7 +67,7 @@ class StoredReductions(PlanReductions):
                 looked_at = joined_pairs(arguments[0], arguments[1], own.pairs, other.pairs)
             counts = self.count_plan_rows(*arguments, looked_at=looked_at)
             n_pairs = int(counts.sum())
-            if n_pairs > max_pairs:
+            if n_pairs > max_pairs or BYTES_PER_PAIR * n_pairs > self._work.context.devices[0].global_mem_size // 4:
                 return None
             sides.append(self._stored(*arguments, counts, looked_at))
         return StoredPairs((sides[0], sides[1]), n_pairs)
@@ -83,9 +87,6 @@ class StoredReductions(PlanReductions):
         tile, side = self._knobs.tile, self._knobs.stored_slice
         ordered = np.zeros(rows.stride, np.int64)
         ordered[: len(rows)] = counts[rows.order]
-        places = ordered.reshape(-1, side).max(axis=1)
-        places = -(-places // STORED_UNROLL) * STORED_UNROLL
-        of_rows = np.repeat(places, side)
         thresholds = row_thresholds, column_thresholds
         parts = []
         for within, pairs in self._plan_pairs(
@@ -94,11 +95,14 @@ class StoredReductions(PlanReductions):
             levels = self._plan_levels(rows, columns, f, g, epsilon, within, pairs)
             shared = self._plan_buffers(rows, columns, levels, *thresholds)
             kernel = self._row_kernels(rows, False, pairs is not None)["fill_plan_rows"]
-            for part in self._row_parts(rows, columns, of_rows, pairs, within):
+            for part in self._row_parts(rows, columns, ordered, pairs, within):
                 section = slice(part.start * tile, part.stop * tile)
-                own = side * places[section.start // side : section.stop // side]
-                starts = np.concatenate(([0], np.cumsum(own)))
-                first = (starts[:-1, None] + np.arange(side)).ravel()
+                order = _by_length(ordered[section])
+                longest = ordered[section][order].reshape(-1, side).max(axis=1)
+                places = -(-longest // STORED_UNROLL) * STORED_UNROLL
+                starts = np.concatenate(([0], np.cumsum(side * places)))
+                first = np.empty(len(order), np.int64)
+                first[order] = (starts[:-1, None] + np.arange(side)).ravel()
                 size = max(1, int(starts[-1]))
                 column_buffer = self._work.filled(size, np.int32(0))
                 mass_buffer = self._work.filled(size, np.float32(SENTINEL))
@@ -108,7 +112,9 @@ class StoredReductions(PlanReductions):
                     mass_buffer, pairs=pairs,
                 )  # fmt: skip
                 starts_buffer = self._work.buffer(starts, np.uint32)
-                parts.append(_Part(section, starts_buffer, column_buffer, mass_buffer))
+                parts.append(
+                    _Part(section.start + order, starts_buffer, column_buffer, mass_buffer)
+                )
         return _Side(rows, columns, parts)
 
     def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
@@ -122,14 +128,16 @@ class StoredReductions(PlanReductions):
         kernel = self._stored_kernel()
         found = np.empty((2, rows.stride), np.float32)
         for part in side.parts:
-            n_rows = part.rows.stop - part.rows.start
+            n_rows = len(part.rows)
             out = self._work.empty(4 * n_rows), self._work.empty(4 * n_rows)
             self._work.launch(
                 kernel, (n_rows // self._knobs.width,), None, part.starts, part.columns,
                 part.log2_masses, change_buffer, *out,
             )  # fmt: skip
+            own = np.empty(n_rows, np.float32)
             for values, buffer in zip(found, out, strict=True):
-                cl.enqueue_copy(self._work.queue, values[part.rows], buffer)
+                cl.enqueue_copy(self._work.queue, own, buffer)
+                values[part.rows] = own
         maxima, sums = found[:, : len(rows)].astype(float)
         with np.errstate(divide="ignore"):
             logarithms = np.where(
@@ -143,3 +151,8 @@ class StoredReductions(PlanReductions):
             built = program.build(self._work.context, "stored.cl", constants)
             self._sum_stored = cl.Kernel(built, "sum_stored")
         return self._sum_stored
+
+
+def _by_length(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Order rows so that slices hold rows of like length, but near ones still."""
+    return np.lexsort((counts, np.arange(len(counts)) // WINDOW))

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.opencl.clouds import Cloud
+from clmorph.opencl.clouds import Tiles
 from clmorph.opencl.knobs import SENTINEL
 from clmorph.operations import Float64
 
@@ -59,12 +59,12 @@ class TileBounds(NamedTuple):
     heights: NDArray[np.float32]  #: (tiles,): -r or A + k |a|^2 / 2
 
 
-def column_bounds(cloud: Cloud, values: Float64, k: float, largest: bool = False) -> TileBounds:
+def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False) -> TileBounds:
     """Return the columns' side.
 
     Parameters
     ----------
-    cloud : Cloud
+    cloud : Cloud or Tiles
     values : (N,) array
         c_j of the sorted points; SENTINEL where there is no mass.
     k : float
@@ -83,12 +83,12 @@ def column_bounds(cloud: Cloud, values: Float64, k: float, largest: bool = False
     return _bounds(cloud, slopes, np.maximum(heights, SENTINEL))
 
 
-def row_bounds(cloud: Cloud, values: Float64, k: float) -> TileBounds:
+def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
     """Return the rows' side.
 
     Parameters
     ----------
-    cloud : Cloud
+    cloud : Cloud or Tiles
     values : (N,) array
         R_i of the sorted points; -SENTINEL where nothing needs to be seen.
     k : float
@@ -103,10 +103,16 @@ def row_bounds(cloud: Cloud, values: Float64, k: float) -> TileBounds:
 
 
 def tile_bounds(
-    rows: TileBounds, section: slice, columns: TileBounds, k: float
+    rows: TileBounds,
+    section: slice,
+    columns: TileBounds,
+    k: float,
+    numbers: NDArray[np.int64] | None = None,
 ) -> NDArray[np.float32]:
-    """Return B for some row tiles and all column tiles, float32, rounded up."""
+    """Return B for some row tiles and all or some column tiles, float32, rounded up."""
     scale = np.float32(k)
+    if numbers is not None:
+        columns = TileBounds(*(values[numbers] for values in columns))
     result = rows.heights[section, None] + columns.heights
     finite = [np.abs(side.heights[side.heights > SENTINEL]) for side in (rows, columns)]
     result += np.float32(ROUNDOFF * (1 + sum(values.max(initial=0.0) for values in finite)))
@@ -126,7 +132,7 @@ def tile_bounds(
     return result
 
 
-def _padded(values: Float64, cloud: Cloud) -> Float64:
+def _padded(values: Float64, cloud: Tiles) -> Float64:
     tiles, size, _ = cloud.shifts.shape
     # What pads is a copy of the last point, and of its value; columns' copies only add.
     return np.pad(values, (0, tiles * size - len(values)), mode="edge").reshape(tiles, size)
@@ -147,9 +153,13 @@ def _slopes(shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bo
     return slopes.astype(np.float32).astype(float)  # as the bounds have them
 
 
-def _bounds(cloud: Cloud, slopes: Float64, heights: Float64) -> TileBounds:
-    sides = np.abs(cloud.shifts).max(axis=1) * np.float32(1 + 1e-6)
+def half_sides(cloud: Tiles) -> NDArray[np.float32]:
+    """Half sides of the tiles' boxes, (tiles, D), rounded up."""
+    return np.abs(cloud.shifts).max(axis=1) * np.float32(1 + 1e-6)
+
+
+def _bounds(cloud: Tiles, slopes: Float64, heights: Float64) -> TileBounds:
     return TileBounds(
-        cloud.centers.astype(np.float32), sides, slopes.astype(np.float32),
+        cloud.centers.astype(np.float32), half_sides(cloud), slopes.astype(np.float32),
         heights.astype(np.float32),
     )  # fmt: skip
