@@ -192,6 +192,62 @@ void log_sum_exp(
 #ifndef LARGEST_SHARE
 #error "LARGEST_SHARE (log2 of the largest share that measure_tiles tells apart) must be given"
 #endif
+// Largest of the WIDTH * GROUP lanes of a work-group, for the first work-item.
+static inline float largest_lane(const vreal values, __local float* of_items)
+{
+    float lanes[WIDTH];
+    VSTORE(values, 0, lanes);
+    float largest = lanes[0];
+    for (int lane = 1; lane < WIDTH; ++lane)
+        largest = max(largest, lanes[lane]);
+#if GROUP > 1
+    of_items[get_local_id(0)] = largest;
+    GROUP_BARRIER();
+    if (get_local_id(0) == 0)
+        for (int item = 1; item < GROUP; ++item)
+            largest = max(largest, of_items[item]);
+#endif
+    return largest;
+}
+
+// Log2 of the largest share that a column of each listed tile has in the sum of a row, as far as
+// these are known: 2^(-base_i) is about the sum of row i. A third of the work of measure_tiles.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void largest_shares(
+    CLOUD_ARGUMENTS,
+    const __global float* restrict row_bases,   // (n_rows,) of this launch
+    __global float* restrict log2_shares)       // (work-groups of a row tile, n_listed)
+{
+    __local staged_real staged[STAGED_SIZE];
+    __local float of_items[GROUP];
+    const uint local_row = get_global_id(0) * WIDTH;
+    const uint row = first_row + local_row;
+    const uint row_tile = row / TILE;
+    const uint part = (row - row_tile * TILE) / (GROUP * WIDTH);
+    const __global float* own_levels = OWN_LEVELS;
+
+    ereal u[DIM];
+    load_rows(row_offsets, row_stride, row, u);
+    const vreal base = VLOAD(local_row, row_bases);
+    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+        const uint q = TILE_AT(n);
+        stage_columns(q, row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),
+                      row_centers, column_offsets, column_centers, column_potentials,
+                      own_levels + n, staged);
+        GROUP_BARRIER();
+        vreal m = (vreal)(SENTINEL);
+        for (uint j = 0; j < TILE; j += UNROLL) {
+#pragma unroll
+            for (int c = 0; c < UNROLL; ++c)
+                m = max(m, e_nearest(exponent(u, staged, j + c)));
+        }
+        const float largest = largest_lane(m + base, of_items);
+        if (get_local_id(0) == 0)
+            log2_shares[(size_t)part * n_listed + n] = largest;
+        GROUP_BARRIER();
+    }
+}
+
 // The same, and the largest share that each listed tile has in the sum of a row, as far as
 // these are known: 2^(-base_i) is about the sum of row i.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
@@ -203,14 +259,12 @@ void measure_tiles(
     __global float* restrict shares)            // (work-groups of a row tile, n_listed)
 {
     __local staged_real staged[STAGED_SIZE];
+    __local float of_items[GROUP];
     const uint local_row = get_global_id(0) * WIDTH;
     const uint row = first_row + local_row;
     const uint row_tile = row / TILE;
     const uint part = (row - row_tile * TILE) / (GROUP * WIDTH);
     const __global float* own_levels = OWN_LEVELS;
-#if GROUP > 1
-    __local float of_rows[GROUP];
-#endif
 
     ereal u[DIM];
     load_rows(row_offsets, row_stride, row, u);
@@ -227,22 +281,9 @@ void measure_tiles(
         s += s_tile;
         // Above LARGEST_SHARE the host keeps the tile; its product with a sum is still finite.
         const vreal share = s_tile * exp2_nonpositive(min(m + base, (vreal)((float)LARGEST_SHARE)));
-        float lanes[WIDTH];
-        VSTORE(share, 0, lanes);
-        float largest = lanes[0];
-        for (int lane = 1; lane < WIDTH; ++lane)
-            largest = max(largest, lanes[lane]);
-#if GROUP > 1
-        of_rows[get_local_id(0)] = largest;
-        GROUP_BARRIER();
-        if (get_local_id(0) == 0) {
-            for (int item = 1; item < GROUP; ++item)
-                largest = max(largest, of_rows[item]);
+        const float largest = largest_lane(share, of_items);
+        if (get_local_id(0) == 0)
             shares[(size_t)part * n_listed + n] = largest;
-        }
-#else
-        shares[(size_t)part * n_listed + n] = largest;
-#endif
         GROUP_BARRIER();
     }
     VSTORE(m, local_row, maxima);

@@ -36,8 +36,9 @@ class Anderson:
         self._weights: Array | None = None
         self._image: Array | None = None
         self._residual: Array | None = None
-        # Differences of one iterate to the next, and the inner products of the residuals'.
-        self._images: list[Array] = []
+        # Differences of one iterate to the next: of the images with their share of the residuals,
+        # of the residuals, and the inner products of these.
+        self._ahead: list[Array] = []
         self._residuals: list[Array] = []
         self._products = np.zeros((0, 0))
 
@@ -79,17 +80,15 @@ class Anderson:
         normal = self._products / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
         coefficients = np.linalg.solve(normal, right / scale) / scale
         step = (MIXING - 1) * residual
-        for c, of_image, of_residual in zip(
-            coefficients, self._images, self._residuals, strict=True
-        ):
-            step -= c * (of_image + (MIXING - 1) * of_residual)
+        for c, ahead in zip(coefficients, self._ahead, strict=True):
+            step -= c * ahead
         longest = self._trust * _norm(residual, weights)
         length = _norm(step, weights)
         self._was_cut = length > longest
         return image + (longest / length if self._was_cut else 1.0) * step
 
     def _remember(self, of_image: Array, of_residual: Array, weights: Array) -> None:
-        self._images.append(of_image)
+        self._ahead.append(of_image + (MIXING - 1) * of_residual)
         self._residuals.append(of_residual)
         weighted = of_residual * weights
         row = np.array([inner(weighted, other) for other in self._residuals])
@@ -98,7 +97,7 @@ class Anderson:
         products[:-1, :-1] = self._products
         products[-1], products[:, -1] = row, row
         if size > MEMORY:
-            del self._images[0], self._residuals[0]
+            del self._ahead[0], self._residuals[0]
             products = products[1:, 1:]
         self._products = products
 

@@ -11,10 +11,10 @@ from clmorph.softmins import Softmin
 
 Array = NDArray[np.float64]
 
-#: Pairs are stored from this share of their row's or column's sum on. One that is left out can
-#: grow by a factor exp(2 TRUST) before the potentials have moved by TRUST epsilons: then it is
-#: still small enough for a correction to make up for it.
-STORED_SHARE, TRUST = 1e-26, 25.0
+#: Pairs are stored from this share of their row's or column's sum on, and serve until potentials
+#: have moved by so many epsilons. A pair that is left out grows by as much as both its potentials
+#: rise, mostly far less; whether one has come to matter the points' residual tells.
+STORED_SHARE, TRUST = 1e-26, 50.0
 
 
 class CorrectedProblem(Problem):

@@ -80,7 +80,9 @@ def estimate(
 
     A model of what is held at the peak, O(points + kept pairs), with constants measured on CPU
     runtimes for images from 64 x 64 on; within a factor of two there. Frames are drawn one by
-    one: those that are kept come on top.
+    one: those that are kept come on top. So do, while potentials are sought at blurs of a few
+    pixels, the pairs that the solver stores (`clmorph.corrections`): up to 128 for each point,
+    18 bytes each, but never more than a quarter of the device's memory.
 
     Parameters
     ----------

@@ -1,25 +1,27 @@
-r"""Time the solver from thousands of points to a million.
+r"""Time whole morphs from thousands of points to a million.
 
-    pip install -e ".[cpu,bench]"
-    python tools/bench_scale.py --sides 128 256 512 1024 --plan
-    python tools/bench_scale.py --sides 128 256 --geomloss
+    pip install -e ".[cpu,bench]" pykeops
+    python tools/bench_scale.py --sides 128 256 512 1024 --odd --geomloss
 
 Two photographs, enlarged where need be, reach 0.3, residual 10^-3 epsilon; blur 0.05 at color
-weights 2 and 0.5, and a blur of 2 pixels at color weight 2. Every solve has a process of its own,
-which builds its kernels in a small solve before. "Pairs" is the share of all pairs of points that
-each of the last softmins summed, "work" all pairs that were summed in the whole solve, in units
-of N M: one iteration without truncation takes 2. "Draws" is the time of `clmorph.sample_plan`
-with one draw a pixel. GeomLoss (online, KeOps, scaling 0.9) is timed where it has fewer points
-than `--patience`, and is else extrapolated as N^2, marked "~".
+weights 2 and 0.5, and a blur of 2 pixels at color weight 2. Every morph has a process of its own,
+which builds its kernels in a small one before. "Solve" is the transport alone. "Pairs" is the
+share of all pairs of points that each of the last softmins summed, "work" all pairs that were
+summed in the whole solve, in units of N M: one iteration without truncation takes 2. "Plan" is
+what frames are made of: all kept pairs where they fit into memory, else draws or means; and the
+time that this takes. A frame is that at t = 0.5, after another one; memory is the largest over
+all of this. GeomLoss (online, KeOps, scaling 0.9) is timed where it has fewer points than
+`--patience`, and is else extrapolated as N^2, marked "~". `--verify` takes the residual over all
+pairs too, which takes two sums over N M.
 """
 
 import argparse
 import contextlib
 import json
-import re
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,8 @@ import pyopencl as cl
 
 import clmorph
 from clmorph.opencl.operations import OpenCLOperations
+from clmorph.problem import Problem
+from clmorph.sampling import Barycentric
 
 REACH = 0.3
 #: Blur (a length, or in pixels) and color weight.
@@ -36,16 +40,13 @@ SETTINGS = {"0.05": (0.05, 2.0), "0.05, photo": (0.05, 0.5), "2 px": ("2", 2.0)}
 ODD_SHAPES = ((191, 256), (314, 500))
 
 
-def photographs(shape: tuple[int, int], color_weight: float) -> list[Any]:
-    """Return two photographs as measures."""
+def photographs(shape: tuple[int, int]) -> list[Any]:
+    """Return two photographs."""
     from skimage import data
     from skimage.transform import resize
 
     images = data.astronaut()[50:450, 50:450], data.chelsea()[:, 75:375]
-    return [
-        clmorph.lift(resize(image / 255, shape, anti_aliasing=True), color_weight)
-        for image in images
-    ]
+    return [resize(image / 255, shape, anti_aliasing=True) for image in images]
 
 
 def resident_bytes(which: str) -> int:
@@ -92,44 +93,60 @@ class CountedBuffer(cl.Buffer):
         CountedBuffer.now -= self.size
 
 
-def solve(device: str, setting: str, shape: tuple[int, int], plan: bool) -> None:
-    """Solve once and print what it took, as JSON."""
+def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> None:
+    """Morph once and print what it took, as JSON."""
     cl.Buffer = CountedBuffer  # type: ignore[misc]
     operations = clmorph.get_backend(device)
     assert isinstance(operations, OpenCLOperations)
     blur, color_weight = SETTINGS[setting]
     length = float(blur) / max(shape) if isinstance(blur, str) else blur
+    small = [clmorph.lift(image, color_weight) for image in photographs((40, 40))]
     for precision in ("float32", "float64"):  # kernels are built
         clmorph.sinkhorn(
-            *photographs((40, 40), color_weight), 0.05, REACH, backend=operations,
-            truncation=1e-4, precision=precision,
+            *small, 0.05, REACH, backend=operations, truncation=1e-4, precision=precision,
+            multiscale=True,
         )  # fmt: skip
-    source, target = photographs(shape, color_weight)
+    images = photographs(shape)
     counter = Counter(operations)
     Path("/proc/self/clear_refs").write_text("5")  # the largest size so far is forgotten
     before = resident_bytes("VmRSS")
-    began = time.perf_counter()
-    potentials = clmorph.sinkhorn(source, target, length, REACH, backend=operations)
-    seconds = time.perf_counter() - began
+    marks: dict[str, tuple[float, int]] = {}
+
+    def mark(stage: str, share: float) -> None:
+        marks.setdefault(f"{stage} {share:g}", (time.perf_counter(), counter.pairs))
+
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always", clmorph.MemoryWarning)
+        result = clmorph.morph(
+            *images, 3, length, REACH, color_weight, backend=operations, splatting="local",
+            sigma_start="auto", sigma_end="auto", progress=mark,
+        )  # fmt: skip
+    result.frame(0.4)
+    frame = time.perf_counter()
+    result.frame(0.5)
+    frame = time.perf_counter() - frame
+    found, n = result.potentials, len(result.source)
+    (begun, _), (solved, pairs), (planned, _) = (
+        marks[name] for name in ("transport 0", "plan 0", "plan 1")
+    )
+    kind = "means" if isinstance(result.plan, Barycentric) else "draws" if warned else "pairs"
     record = {
-        "points": len(source), "seconds": seconds, "iterations": potentials.n_iter,
-        "residual": potentials.residual, "status": potentials.status,
-        "visited": potentials.visited, "truncation_error": potentials.truncation_error,
-        "work": counter.pairs / len(source) / len(target),
-        "longest": max(counter.launches), "median": float(np.median(counter.launches)),
+        "points": n, "seconds": solved - begun,
+        "iterations": found.n_iter, "residual": found.residual, "status": found.status,
+        "visited": found.visited, "truncation_error": found.truncation_error,
+        "work": pairs / n**2, "longest": max(counter.launches),
         "host": resident_bytes("VmHWM") - before, "device": counter.most_bytes,
+        "plan": f"{len(result.plan) / 1e6:.2g} M {kind}",
+        "planned": planned - solved, "frame": frame,
     }  # fmt: skip
-    began = time.perf_counter()
-    clmorph.sample_plan(source, target, potentials, 1, backend=operations)
-    record["draws"] = time.perf_counter() - began
-    if plan:
-        try:
-            kept = len(
-                clmorph.transport_plan(source, target, potentials, max_bytes=1, backend=operations)
-            )
-        except clmorph.InputError as refusal:  # which tells the number of pairs
-            kept = int(re.findall(r"keep (\d+) pairs", str(refusal))[0])
-        record["kept"] = kept
+    if verify:
+        problem = Problem.between(operations, result.source, result.target, (REACH**2,) * 2)
+        epsilon = found.epsilon
+        softmins = [
+            softmin(potential, epsilon, True)
+            for softmin, potential in ((problem.to_rows, found.g), (problem.to_columns, found.f))
+        ]
+        record["verified"] = problem.residual(found.f, found.g, *softmins, epsilon)
     print(json.dumps(record))
 
 
@@ -147,7 +164,7 @@ def geomloss(setting: str, shape: tuple[int, int]) -> None:
     for size in ((16, 16), shape):  # the first compiles
         arrays = [
             torch.tensor(array, dtype=torch.float32)
-            for measure in photographs(size, color_weight)
+            for measure in (clmorph.lift(image, color_weight) for image in photographs(size))
             for array in (measure.weights, measure.points)
         ]
         began = time.perf_counter()
@@ -185,7 +202,7 @@ def main() -> int:
     parser.add_argument("--odd", action="store_true", help="48,896 and 157,000 points too")
     parser.add_argument("--settings", nargs="*", default=list(SETTINGS), choices=SETTINGS)
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--plan", action="store_true", help="count the plan's pairs too")
+    parser.add_argument("--verify", action="store_true", help="residual over all pairs too")
     parser.add_argument("--geomloss", action="store_true", help="time GeomLoss beside")
     parser.add_argument("--patience", type=int, default=17_000, help="most points for GeomLoss")
     parser.add_argument("--one", nargs=4, help=argparse.SUPPRESS)
@@ -195,15 +212,16 @@ def main() -> int:
         if kind == "geomloss":
             geomloss(setting, (int(height), int(width)))
         else:
-            solve(kind, setting, (int(height), int(width)), options.plan)
+            morph(kind, setting, (int(height), int(width)), options.verify)
         return 0
     shapes = [(side, side) for side in options.sides]
     shapes += ODD_SHAPES if options.odd else ()
     heads = [
-        "blur", "points", "s", "iterations", "residual, eps", "pairs", "work, N M",
-        "truncation error", "plan, pairs", "draws, s", "host, MB", "device, MB",
+        "blur", "points", "solve, s", "iterations", "residual, eps", "pairs", "work, N M",
+        "truncation error", "plan", "plan, s", "frame, s", "host, MB", "device, MB",
         "longest launch, ms",
     ]  # fmt: skip
+    heads += ["residual over all pairs"] if options.verify else []
     heads += ["GeomLoss online, s"] if options.geomloss else []
     print(line(*heads))
     print(line(*["---"] * len(heads)))
@@ -212,7 +230,7 @@ def main() -> int:
         peer: tuple[int, float] | None = None
         for shape in sorted(shapes, key=lambda shape: shape[0] * shape[1]):
             case = [setting, str(shape[0]), str(shape[1])]
-            flags = ["--plan"] if options.plan else []
+            flags = ["--verify"] if options.verify else []
             record = in_own_process("--one", options.device, *case, *flags)
             if record is None:
                 continue
@@ -220,11 +238,13 @@ def main() -> int:
             cells = [
                 setting, record["points"], f"{record['seconds']:.3g}", record["iterations"],
                 f"{record['residual']:.1e}", f"{100 * record['visited']:.2g} %",
-                f"{record['work']:.3g}", f"{record['truncation_error']:.0e}",
-                f"{record['kept']:.3g}" if "kept" in record else "", f"{record['draws']:.3g}",
+                f"{record['work']:.3g}", f"{record['truncation_error']:.0e}", record["plan"],
+                f"{record['planned']:.2g}", f"{record['frame']:.2g}",
                 f"{record['host'] / 1e6:.0f}", f"{record['device'] / 1e6:.0f}",
                 f"{1e3 * record['longest']:.0f}",
             ]  # fmt: skip
+            if options.verify:
+                cells.append(f"{record['verified']:.1e}")
             if options.geomloss:
                 if record["points"] <= options.patience:
                     timed = in_own_process("--one", "geomloss", *case)

@@ -31,6 +31,8 @@ CHUNK_PAIRS = 1 << 20
 CUTS = 8.0 ** -np.arange(7)
 #: Half of the budget is for what is never looked at.
 UNSEEN = 0.5
+#: Tiles with small terms only are looked for first as long as no more than this share is left.
+WORTHWHILE = 0.5
 #: What float32 may take off a measured share, as a factor.
 MARGIN = 1.05
 
@@ -67,9 +69,18 @@ class NearReductions(Reductions):
         heights, tops = self._column_heights(columns, potential, k)
         found, skipped = np.empty(rows.stride), np.empty(len(rows.centers))
         kept: list[TilePairs] = []
-        for part, pairs, unseen in candidates(rows, columns, guess, values, k, UNSEEN * budget):
+        clouds = rows, columns, heights, tops, k, guess
+        worthwhile = True
+        for part, pairs, unseen in candidates(
+            rows, columns, guess, values, k, 0.5 * UNSEEN * budget
+        ):
+            if worthwhile:
+                before = len(pairs.tiles)
+                pairs, more = self._without_small(*clouds, pairs, part, 0.5 * UNSEEN * budget)
+                unseen = unseen + more
+                worthwhile = len(pairs.tiles) <= WORTHWHILE * before
             section = slice(part.start * tile, part.stop * tile)
-            sums, shares = self._measured(rows, columns, heights, tops, k, guess, pairs, part)
+            sums, shares = self._measured(*clouds, pairs, part)
             found[section] = sums
             # By how much the guess was above the sum, in the worst row of each tile.
             off = np.full((2, len(sums)), [[-np.inf], [np.inf]])
@@ -111,27 +122,18 @@ class NearReductions(Reductions):
     ) -> tuple[Float64, Float64]:
         """Log2 of the sums of a part's rows, and each pair's largest share, by the guess."""
         kernel = self._row_kernels(rows, False, True)["measure_tiles"]
-        tile, n = self._knobs.tile, len(rows)
-        groups = tile // (self._knobs.group * self._knobs.width)
+        tile, groups = self._knobs.tile, self._groups_of_a_tile
         tops_of_rows = np.zeros(len(rows.centers))
         sums, shares = np.empty(len(part) * tile), np.empty(len(pairs.tiles))
         for launch in self._row_parts(rows, columns, pairs=pairs, within=part):
-            starts, _, levels = pairs.levels(launch, tops, k)
-            tops_of_rows[launch.start : launch.stop] = np.maximum.reduceat(levels, starts[:-1])
-            section = slice(launch.start * tile, min(n, launch.stop * tile))
-            constants = np.repeat(tops_of_rows[launch.start : launch.stop], tile)
-            constants[: section.stop - section.start] -= k * (
-                rows.own_costs[section] - rows.offsets[section]
-            )
-            bases = np.full(len(constants), SENTINEL)
-            bases[: section.stop - section.start] = -guess[section]
-            bases = np.maximum(bases + constants, SENTINEL)
+            constants, bases = self._bases(rows, tops, tops_of_rows, k, guess, pairs, launch)
+            first, last = pairs.starts[launch.start], pairs.starts[launch.stop]
             out = [np.empty(len(constants), np.float32) for _ in range(2)]
-            out.append(np.empty(groups * len(levels), np.float32))
+            out.append(np.empty(groups * int(last - first), np.float32))
             buffers = [self._work.empty(values.nbytes) for values in out]
             self._launch_rows(
-                kernel, rows, columns, heights, tops, tops_of_rows, k, launch,
-                self._work.buffer(bases), *buffers, pairs=pairs,
+                kernel, rows, columns, heights, tops, tops_of_rows, k, launch, bases, *buffers,
+                pairs=pairs,
             )  # fmt: skip
             for values, buffer in zip(out, buffers, strict=True):
                 cl.enqueue_copy(self._work.queue, values, buffer)
@@ -139,9 +141,71 @@ class NearReductions(Reductions):
             with np.errstate(divide="ignore"):
                 logarithms = out[0] + np.log2(out[1].astype(float))
             sums[own : own + len(constants)] = logarithms + constants
-            first = pairs.starts[launch.start]
-            shares[first : first + len(levels)] = out[2].reshape(groups, -1).max(axis=0)
+            shares[first:last] = out[2].reshape(groups, -1).max(axis=0)
         return sums, shares
+
+    def _without_small(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        heights: cl.Buffer,
+        tops: Float64,
+        k: float,
+        guess: Float64,
+        pairs: TilePairs,
+        part: range,
+        budget: float,
+    ) -> tuple[TilePairs, Float64]:
+        """Leave out tiles with small terms only; return the others and the share of these."""
+        kernel = self._row_kernels(rows, False, True)["largest_shares"]
+        tile, groups = self._knobs.tile, self._groups_of_a_tile
+        tops_of_rows = np.zeros(len(rows.centers))
+        shares = np.empty(len(pairs.tiles))
+        for launch in self._row_parts(rows, columns, pairs=pairs, within=part):
+            _, bases = self._bases(rows, tops, tops_of_rows, k, guess, pairs, launch)
+            first, last = pairs.starts[launch.start], pairs.starts[launch.stop]
+            out = np.empty((groups, int(last - first)), np.float32)
+            buffer = self._work.empty(out.nbytes)
+            self._launch_rows(
+                kernel, rows, columns, heights, tops, tops_of_rows, k, launch, bases, buffer,
+                pairs=pairs,
+            )  # fmt: skip
+            cl.enqueue_copy(self._work.queue, out, buffer)
+            shares[first:last] = out.max(axis=0)
+        shares = MARGIN * tile * np.exp2(np.minimum(shares, LARGEST_SHARE))
+        starts = pairs.starts[part.start : part.stop + 1]
+        keep, left = _keep(starts, shares, budget)
+        lengths = np.zeros(len(rows.centers), np.int64)
+        lengths[part.start : part.stop] = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
+        starts = np.concatenate(([0], np.cumsum(lengths)))
+        return TilePairs(starts, pairs.tiles[keep], pairs.distances[keep]), left
+
+    @property
+    def _groups_of_a_tile(self) -> int:
+        return self._knobs.tile // (self._knobs.group * self._knobs.width)
+
+    def _bases(
+        self,
+        rows: Cloud,
+        tops: Float64,
+        tops_of_rows: Float64,
+        k: float,
+        guess: Float64,
+        pairs: TilePairs,
+        launch: range,
+    ) -> tuple[Float64, cl.Buffer]:
+        """Set the tops of some row tiles; return constants of their rows, and bases of shares."""
+        tile, n = self._knobs.tile, len(rows)
+        starts, _, levels = pairs.levels(launch, tops, k)
+        tops_of_rows[launch.start : launch.stop] = np.maximum.reduceat(levels, starts[:-1])
+        section = slice(launch.start * tile, min(n, launch.stop * tile))
+        constants = np.repeat(tops_of_rows[launch.start : launch.stop], tile)
+        constants[: section.stop - section.start] -= k * (
+            rows.own_costs[section] - rows.offsets[section]
+        )
+        bases = np.full(len(constants), SENTINEL)
+        bases[: section.stop - section.start] = -guess[section]
+        return constants, self._work.buffer(np.maximum(bases + constants, SENTINEL))
 
 
 def candidates(

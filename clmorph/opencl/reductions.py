@@ -232,7 +232,7 @@ class Reductions:
                 "sample_plan_rows",
             ]  # fmt: skip
             if listed:
-                names.append("measure_tiles")
+                names += ["largest_shares", "measure_tiles"]
             self._kernels[key] = {name: cl.Kernel(built, name) for name in names}
         return self._kernels[key]
 
