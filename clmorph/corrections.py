@@ -129,7 +129,9 @@ class StoredSoftmin(Softmin):
         changes = (potential - self._potential) / epsilon
         logarithms = self.operations.sum_stored(self._stored, changes, self._by_column)
         alone = np.isneginf(logarithms)
-        return np.where(alone, self._softmin, self._start - epsilon * np.where(alone, 0, logarithms))
+        return np.where(
+            alone, self._softmin, self._start - epsilon * np.where(alone, 0, logarithms)
+        )
 
     def rounding(self, n_columns: int, largest_cost: float, epsilon: float, precise: bool) -> float:
         """By how many nats rounding may change a softmin: exponents are small here."""
@@ -183,7 +185,13 @@ def stored_grid(
     # No row without mass has pairs.
     thresholds = [np.where(np.isneginf(values), np.inf, values) for values in thresholds]
     stored = problem.operations.store_pairs(
-        problem.rows, problem.columns, f, g, epsilon, *thresholds, most,
+        problem.rows,
+        problem.columns,
+        f,
+        g,
+        epsilon,
+        *thresholds,
+        most,
         (problem.to_rows.near, problem.to_columns.near),
     )
     if stored is None:

@@ -50,8 +50,6 @@ PROGRESS, FAILURES = 0.5, 12
 AGREEMENT = 2.0
 #: Pairs to store at most, for every point.
 STORED_PER_POINT = 128
-#: What near pairs leave out is proven below so many times the tolerance.
-PROVEN_BELOW = 100.0
 #: Better exponents than float32 are taken below so many times its rounding, where needed at all.
 SWITCH = 300.0
 #: Problems with at least so many pairs are solved through coarser ones, if not told otherwise.
@@ -185,8 +183,10 @@ class Multiscale:
 
     def _cells_problem(self, source: AnyMeasure, target: AnyMeasure) -> Problem:
         truncation = self._level_truncation(len(source), len(target))
-        problem = Problem.between(self.problem.operations, source, target, self.problem.rho, truncation)
-        return _prepare(problem, LEVEL_RESERVE, proven=False)
+        problem = Problem.between(
+            self.problem.operations, source, target, self.problem.rho, truncation
+        )
+        return _prepare(problem, LEVEL_RESERVE)
 
     def _extended(
         self, coarse: Problem, state: State, cells: list[Cells], fine: Problem, blur: float
@@ -196,7 +196,8 @@ class Multiscale:
         def softmin(rows: Any, columns: Any, weights: tuple[Array, Array], guess: Array) -> Softmin:
             truncation = self._level_truncation(len(weights[0]), len(weights[1]))
             result = Softmin(self.problem.operations, rows, columns, weights, truncation)
-            result.guess, result.proven = guess, False
+            # For once, and by a rough guess: what is left out is little all the same.
+            result.guess, result.proven, result.reserve = guess, False, FAR_RESERVE
             return result
 
         to_rows = softmin(
@@ -251,9 +252,6 @@ class Multiscale:
             self.precise = needs_more(problem, self.precision, epsilon, self.tol)
             coarse = problem.rounding(epsilon, precise=False)
             precise = self.precise and before <= SWITCH * coarse
-            proven = before <= PROVEN_BELOW * self.tol or problem.truncation is None
-            proven = proven or self.n_iter + 1 >= self._max_iter
-            problem.to_rows.proven = problem.to_columns.proven = proven
             f, g, t_rows = problem.update_f(g, problem.softmin_rows(g, epsilon, precise), epsilon)
             t_columns = problem.softmin_columns(f, epsilon, precise)
             residual = problem.residual(f, g, t_rows, t_columns, epsilon)
@@ -262,14 +260,13 @@ class Multiscale:
             self._tell(0.3 + 0.7 * share_done(self.residuals[0], residual, self.tol))
             rounding = problem.rounding(epsilon, precise)
             self.rounding = ROUNDING_MARGIN * rounding
-            done = residual <= self.tol - (0.0 if precise else rounding)
-            if proven and (done or self.n_iter >= self._max_iter):
-                self.status = "converged" if done else "max_iter"
+            if residual <= self.tol - (0.0 if precise else rounding):
+                self.status = "converged"
+                return
+            if self.n_iter >= self._max_iter:
+                self.status = "max_iter"
                 return
             image, _, _ = problem.update_g(f, t_columns, epsilon)
-            if done:  # but for the proof
-                g, before = image, residual
-                continue
             if residual > PROGRESS * before:
                 failures += 1
             if grid is not None and residual > max(PROGRESS * before, AGREEMENT * reached):
@@ -309,10 +306,10 @@ class Multiscale:
         self._report(self._told)
 
 
-def _prepare(problem: Problem, reserve: float, proven: bool = True) -> Problem:
+def _prepare(problem: Problem, reserve: float) -> Problem:
     """Let near pairs be chosen that serve although potentials will move far."""
     for softmin in (problem.to_rows, problem.to_columns):
-        softmin.reserve, softmin.proven = reserve, proven
+        softmin.reserve = reserve
     return problem
 
 

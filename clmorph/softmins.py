@@ -13,9 +13,6 @@ Array = NDArray[np.float64]
 #: Pairs are chosen for less than the truncation, so that they serve while potentials move: at
 #: first for this share, for less each time that they moved too far, and at last for this little.
 RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-24
-#: A bound up to which pairs serve on where nothing needs to be proven: it is far from what is
-#: really left out where few potentials have moved far.
-UNPROVEN = 1e20
 #: Choices in a row after which nothing is left out instead.
 ATTEMPTS = 3
 
@@ -48,8 +45,7 @@ class Softmin:
     near : NearPairs or None
         What the last one summed; None: all pairs.
     proven : bool
-        Whether what is left out must be within the truncation, or just ought to; `error` is 0
-        then.
+        Whether what is left out must be within the truncation, or just ought to.
     reserve : float
         Pairs are chosen for this share of the truncation; the less, the longer they serve.
     """
@@ -82,8 +78,6 @@ class Softmin:
         if self._near is not None and self._chosen_for[0] == epsilon:
             softmin = self._over(self._near, potential, epsilon, precise)
             self.error = self._bound(potential, softmin, epsilon)
-            if not self.proven and self.error <= UNPROVEN:
-                self.error = 0.0
             if self.error <= self.truncation:
                 return softmin
             self.reserve = max(LEAST_RESERVE, SCARCER * self.reserve)
@@ -95,8 +89,7 @@ class Softmin:
                 softmin = near.softmin
                 if precise:
                     softmin = self._over(near, potential, epsilon, True)
-                self.near = near
-                self.error = float(near.skipped.max()) if self.proven else 0.0
+                self.near, self.error = near, float(near.skipped.max())
                 return softmin
         # What is left out cannot be bounded: leave out nothing.
         self._near, self.error = None, 0.0

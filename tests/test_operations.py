@@ -273,9 +273,7 @@ def test_sums_over_stored_pairs(variant, rng, name, blur, by_near):
         assert 0 < stored.n_pairs <= len(f) * len(g)
         sums.append([backend.sum_stored(stored, changes[i], bool(i)) for i in range(2)])
         assert (
-            backend.store_pairs(
-                rows, columns, f, g, epsilon, *thresholds, stored.n_pairs - 1, near
-            )
+            backend.store_pairs(rows, columns, f, g, epsilon, *thresholds, stored.n_pairs - 1, near)
             is None
         )
     tolerance = log_sum_exp_tolerance(variant, *pair, epsilon)

@@ -67,7 +67,10 @@ class StoredReductions(PlanReductions):
                 looked_at = joined_pairs(arguments[0], arguments[1], own.pairs, other.pairs)
             counts = self.count_plan_rows(*arguments, looked_at=looked_at)
             n_pairs = int(counts.sum())
-            if n_pairs > max_pairs or BYTES_PER_PAIR * n_pairs > self._work.context.devices[0].global_mem_size // 4:
+            if (
+                n_pairs > max_pairs
+                or BYTES_PER_PAIR * n_pairs > self._work.context.devices[0].global_mem_size // 4
+            ):
                 return None
             sides.append(self._stored(*arguments, counts, looked_at))
         return StoredPairs((sides[0], sides[1]), n_pairs)
@@ -89,9 +92,7 @@ class StoredReductions(PlanReductions):
         ordered[: len(rows)] = counts[rows.order]
         thresholds = row_thresholds, column_thresholds
         parts = []
-        for within, pairs in self._plan_pairs(
-            rows, columns, f, g, epsilon, *thresholds, looked_at
-        ):
+        for within, pairs in self._plan_pairs(rows, columns, f, g, epsilon, *thresholds, looked_at):
             levels = self._plan_levels(rows, columns, f, g, epsilon, within, pairs)
             shared = self._plan_buffers(rows, columns, levels, *thresholds)
             kernel = self._row_kernels(rows, False, pairs is not None)["fill_plan_rows"]
