@@ -220,14 +220,14 @@ def _check_stored(
     rng, epsilon = np.random.default_rng(3), 0.0025
     sizes = len(pair[0][1]), len(pair[1][1])
     f = exact.softmin(*theirs, np.zeros(sizes[1]), epsilon)
-    thresholds = [np.full(size, -1e3) for size in sizes]
+    lowest = np.full(sizes[0], -1e3), np.full(sizes[1], -1e3)
     tolerance = 2 * log_sum_exp_tolerance(operations, *pair, epsilon)
     changes = rng.normal(size=sizes[1]), rng.normal(size=sizes[0])
     for by_column, name in enumerate(("rows", "columns")):
         sums = []
         for backend, clouds in ((operations, ours), (exact, theirs)):
             stored = backend.store_pairs(
-                *clouds, f, np.zeros(sizes[1]), epsilon, *thresholds, sizes[0] * sizes[1]
+                *clouds, f, np.zeros(sizes[1]), epsilon, *lowest, sizes[0] * sizes[1]
             )
             assert stored is not None
             sums.append(backend.sum_stored(stored, changes[by_column], bool(by_column)))

@@ -176,30 +176,28 @@ def stored_grid(
     most : int
         Pairs to store at most.
     """
-    thresholds = [
-        (potential - softmin) / epsilon + log_weights + np.log(STORED_SHARE)
+    by_row, by_column = (
+        _threshold(potential, softmin, log_weights, epsilon)
         for potential, softmin, log_weights in (
             (f, softmins[0], problem.log_a), (g, softmins[1], problem.log_b)
         )
-    ]  # fmt: skip
-    # No row without mass has pairs.
-    thresholds = [np.where(np.isneginf(values), np.inf, values) for values in thresholds]
+    )  # fmt: skip
+    near = problem.to_rows.near, problem.to_columns.near
     stored = problem.operations.store_pairs(
-        problem.rows,
-        problem.columns,
-        f,
-        g,
-        epsilon,
-        *thresholds,
-        most,
-        (problem.to_rows.near, problem.to_columns.near),
+        problem.rows, problem.columns, f, g, epsilon, by_row, by_column, most, near
     )
     if stored is None:
         return None
     starts = f + epsilon * problem.log_a, g + epsilon * problem.log_b
     to_rows = StoredSoftmin(problem.to_rows, stored, False, g, softmins[0], starts[0])
     to_columns = StoredSoftmin(problem.to_columns, stored, True, f, softmins[1], starts[1])
-    near = StoredProblem(
+    smaller = StoredProblem(
         to_rows, to_columns, (problem.a, problem.b), problem.rho, problem.largest_cost
     )
-    return Grid(near, Alone(), Alone(), to_columns, to_rows)
+    return Grid(smaller, Alone(), Alone(), to_columns, to_rows)
+
+
+def _threshold(potential: Array, softmin: Array, log_weights: Array, epsilon: float) -> Array:
+    """Log pi_ij from which on pairs of a row are stored; rows without mass have none."""
+    thresholds = (potential - softmin) / epsilon + log_weights + np.log(STORED_SHARE)
+    return np.where(np.isneginf(thresholds), np.inf, thresholds)

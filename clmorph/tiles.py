@@ -30,7 +30,8 @@ def tile_order(points: NDArray[np.float64], size: int) -> NDArray[np.intp]:
         Permutation; ties keep their order, so equal input gives equal output.
     """
     count = len(points)
-    order, columns = np.arange(count), points.T.copy()
+    everyone = np.arange(count)
+    order, columns = everyone, points.T.copy()
     bounds = np.array([0, count])
     while True:
         counts = np.diff(bounds)
@@ -42,16 +43,19 @@ def tile_order(points: NDArray[np.float64], size: int) -> NDArray[np.intp]:
         sides = np.maximum.reduceat(columns, starts, axis=1) - low
         axis = np.argmax(sides, axis=0)
         number = np.arange(len(counts))
-        segment = np.repeat(number, counts)
+        side = sides[axis, number]
+        scale = np.zeros(len(counts))
+        np.divide(2**PLACE_BITS - 1, side, out=scale, where=side > 1e-290)
+        places = columns.ravel().take(np.repeat(axis * count, counts) + everyone)
+        places -= np.repeat(low[axis, number], counts)
+        places *= np.repeat(scale, counts)
         # One integer to sort by: segment, place in it, and the point itself, so that none tie.
-        scale = np.divide(
-            2**PLACE_BITS - 1, sides[axis, number], out=np.zeros(len(counts)),
-            where=sides[axis, number] > 1e-290,
-        )  # fmt: skip
-        places = columns[axis[segment], np.arange(count)] - low[axis, number][segment]
-        keys = (segment << PLACE_BITS) + (places * scale[segment]).astype(np.int64)
-        keys = np.sort((keys << POINT_BITS) + np.arange(count))
-        moved = keys & (2**POINT_BITS - 1)
-        order, columns = order[moved], columns[:, moved]
+        keys = np.repeat(number << PLACE_BITS, counts)
+        keys += places.astype(np.int64)
+        keys <<= POINT_BITS
+        keys += everyone
+        keys.sort()
+        keys &= 2**POINT_BITS - 1
+        order, columns = order[keys], columns.take(keys, axis=1)
         middle = starts + size * ((tiles + 1) // 2)
         bounds = np.unique(np.concatenate((bounds, middle[tiles > 1])))

@@ -158,10 +158,10 @@ def test_groups_of_tiles_are_bounded_first(variant, monkeypatch, rng, blur):
     """Nothing else is left out than without groups, but for what the budget allows."""
     middles = rng.random((40, 1, 3))
     x, y = ((middles + 0.05 * rng.random((40, 90, 3))).reshape(-1, 3) for _ in range(2))
-    clouds = [variant.upload(points, np.full(3600, 1 / 3600)) for points in (x, y)]
     epsilon, g = blur**2, blur**2 * rng.normal(size=3600)
-    whole = REFERENCE.softmin(*_upload(REFERENCE, [(x, np.full(3600, 1 / 3600)),
-                                                   (y, np.full(3600, 1 / 3600))]), g, epsilon)  # fmt: skip
+    pair = [(points, np.full(3600, 1 / 3600)) for points in (x, y)]
+    clouds = _upload(variant, pair)
+    whole = REFERENCE.softmin(*_upload(REFERENCE, pair), g, epsilon)
     thresholds = [np.log(1e-5) + np.full(3600, -np.log(3600)), np.full(3600, np.inf)]
     kept, counts = [], []
     for limit in (1 << 60, 0):

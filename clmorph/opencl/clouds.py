@@ -14,7 +14,6 @@ from clmorph.opencl.launches import Workspace
 from clmorph.operations import MAX_POINTS, Float64
 from clmorph.tiles import tile_order
 
-
 #: Consecutive tiles that are bounded together: compact as well, as tiles are leaves of a tree.
 WIDTH_OF_GROUPS = 8
 
@@ -81,9 +80,9 @@ class Cloud:
         """The same points in groups of tiles."""
         tiles, tile, dimension = self.shifts.shape
         missing = -tiles % WIDTH_OF_GROUPS
-        points = (self.centers[:, None] + self.shifts).reshape(-1, dimension)
-        points = np.pad(points, ((0, missing * tile), (0, 0)), mode="edge")
-        points = points.reshape(-1, WIDTH_OF_GROUPS * tile, dimension)
+        listed = (self.centers[:, None] + self.shifts).reshape(-1, dimension)
+        listed = np.pad(listed, ((0, missing * tile), (0, 0)), mode="edge")
+        points = listed.reshape(-1, WIDTH_OF_GROUPS * tile, dimension)
         centers = 0.5 * (points.min(axis=1) + points.max(axis=1))
         centers = centers.astype(np.float32).astype(float)
         return Wide(centers, (points - centers[:, None]).astype(np.float32))
