@@ -7,7 +7,8 @@ of the points themselves is solved in cycles (a two-grid method): one iteration 
 tells by how much the softmins of the cells are off; the problem of the cells is solved with this
 correction; and what changes there is carried back. Each cycle leaves a few percent of the
 residual, so two to four iterations over the points are enough, and their residual, over the
-points, decides when it is small.
+points, decides when it is small. Where the blur is so small that cells save nothing, the problem
+of the pairs that matter takes their place (`clmorph.corrections`).
 
 Sources of the ideas: Schmitzer, "Stabilized sparse scaling algorithms for entropy regularized
 transport problems" (2019), for annealing with refinement; Brandt, "Multi-level adaptive
@@ -41,7 +42,7 @@ LEVEL_TOLERANCE, FIRST_TOLERANCE = 0.05, 1e-2
 #: Truncation at larger blurs; for what share of it pairs are chosen there, and where potentials
 #: will move farther.
 LEVEL_TRUNCATION, LEVEL_RESERVE, FAR_RESERVE = 1e-2, 1e-20, 1e-24
-#: Residual to reach over the cells: this share of that over the points, and of the tolerance.
+#: Residual to reach in the smaller problem: this share of that over the points, and of `tol`.
 CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
 #: Cells serve, and stored pairs, as long as a cycle leaves at most this share of the residual;
 #: after so many that left more nothing is left but iterations over the points.

@@ -165,7 +165,7 @@ def test_groups_of_tiles_are_bounded_first(variant, monkeypatch, rng, blur):
     thresholds = [np.log(1e-5) + np.full(3600, -np.log(3600)), np.full(3600, np.inf)]
     kept, counts = [], []
     for limit in (1 << 60, 0):
-        monkeypatch.setattr("clmorph.opencl.near.WIDE_FROM", limit)
+        monkeypatch.setattr("clmorph.opencl.candidates.WIDE_FROM", limit)
         monkeypatch.setattr("clmorph.opencl.plan_reductions.LISTED_FROM", 0)
         near = variant.near_pairs(*clouds, g, whole, epsilon, 1e-5)
         missing = (near.softmin - whole) / epsilon

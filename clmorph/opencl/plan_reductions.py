@@ -7,9 +7,10 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clmorph.opencl.candidates import possible_pairs
 from clmorph.opencl.clouds import Cloud, pad, split, unsort
 from clmorph.opencl.knobs import SENTINEL
-from clmorph.opencl.near import NearReductions, possible_pairs
+from clmorph.opencl.near import NearReductions
 from clmorph.opencl.reductions import LOG2_E
 from clmorph.opencl.tile_pairs import TilePairs
 from clmorph.operations import Float64, NearPairs, PlanRows

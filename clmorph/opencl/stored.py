@@ -7,9 +7,9 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.opencl import program
+from clmorph.opencl.candidates import joined_pairs
 from clmorph.opencl.clouds import Cloud, pad, unsort
 from clmorph.opencl.knobs import SENTINEL, STORED_UNROLL
-from clmorph.opencl.near import joined_pairs
 from clmorph.opencl.plan_reductions import PlanReductions
 from clmorph.opencl.reductions import LOG2_E
 from clmorph.opencl.tile_pairs import TilePairs
