@@ -8,8 +8,8 @@ weights 2 and 0.5, and a blur of 2 pixels at color weight 2. Every morph has a p
 which builds its kernels in a small one before. "Solve" is the transport alone. "Pairs" is the
 share of all pairs of points that each of the last softmins summed, "work" all pairs that were
 summed in the whole solve, in units of N M: one iteration without truncation takes 2. "Plan" is
-what frames are made of: all kept pairs where they fit into memory, else draws or means; and the
-time that this takes. A frame is that at t = 0.5, after another one; memory is the largest over
+what frames are made of: all kept pairs if they are few, else about 1.5 million draws, at least
+one a pixel (the command line's default); and the time that this takes. A frame is that at t = 0.5, after another one; memory is the largest over
 all of this. GeomLoss (online, KeOps, scaling 0.9) is timed where it has fewer points than
 `--patience`, and is else extrapolated as N^2, marked "~". `--verify` takes the residual over all
 pairs too, which takes two sums over N M.
@@ -29,13 +29,16 @@ import numpy as np
 import pyopencl as cl
 
 import clmorph
+from clmorph.opencl.launches import LaunchBudget
 from clmorph.opencl.operations import OpenCLOperations
+from clmorph.plan import Plan
 from clmorph.problem import Problem
-from clmorph.sampling import Barycentric
 
 REACH = 0.3
 #: Blur (a length, or in pixels) and color weight.
 SETTINGS = {"0.05": (0.05, 2.0), "0.05, photo": (0.05, 0.5), "2 px": ("2", 2.0)}
+#: As many as the command line draws at most, but for one a pixel.
+PARTICLES = 1_500_000
 #: Sizes that divide nothing evenly, beside the squares: 48,896 and 157,000 points.
 ODD_SHAPES = ((191, 256), (314, 500))
 
@@ -60,24 +63,25 @@ class Counter:
 
     def __init__(self, operations: OpenCLOperations) -> None:
         self.pairs, self.most_bytes = 0, 0
-        self.launches: list[float] = []
-        work, budget = operations.work, operations.reductions._budget
-        measure, launch = budget.measure, work.launch
+        self.launches: list[tuple[float, str]] = []
+        work = operations.work
+        measure, launch = LaunchBudget.measure, work.launch
 
         @contextlib.contextmanager
-        def counted(pairs: int) -> Any:
+        def counted(budget: LaunchBudget, pairs: int) -> Any:
             self.pairs += pairs
-            with measure(pairs):
+            with measure(budget, pairs):
                 yield
 
         def timed(*arguments: Any) -> None:
             began = time.perf_counter()
             launch(*arguments)
-            self.launches.append(time.perf_counter() - began)
+            self.launches.append((time.perf_counter() - began, arguments[0].function_name))
             held = CountedBuffer.now + work._pool.managed_bytes
             self.most_bytes = max(self.most_bytes, held)
 
-        budget.measure, work.launch = counted, timed  # type: ignore[method-assign]
+        LaunchBudget.measure = counted  # type: ignore[method-assign]
+        work.launch = timed  # type: ignore[method-assign]
 
 
 class CountedBuffer(cl.Buffer):
@@ -115,12 +119,11 @@ def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> No
     def mark(stage: str, share: float) -> None:
         marks.setdefault(f"{stage} {share:g}", (time.perf_counter(), counter.pairs))
 
-    with warnings.catch_warnings(record=True) as warned:
-        warnings.simplefilter("always", clmorph.MemoryWarning)
-        result = clmorph.morph(
-            *images, 3, length, REACH, color_weight, backend=operations, splatting="local",
-            sigma_start="auto", sigma_end="auto", progress=mark,
-        )  # fmt: skip
+    warnings.simplefilter("ignore", clmorph.MemoryWarning)  # the table tells
+    result = clmorph.morph(
+        *images, 3, length, REACH, color_weight, backend=operations, splatting="local",
+        sigma_start="auto", sigma_end="auto", progress=mark, max_particles=PARTICLES,
+    )  # fmt: skip
     result.frame(0.4)
     frame = time.perf_counter()
     result.frame(0.5)
@@ -129,7 +132,11 @@ def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> No
     (begun, _), (solved, pairs), (planned, _) = (
         marks[name] for name in ("transport 0", "plan 0", "plan 1")
     )
-    kind = "means" if isinstance(result.plan, Barycentric) else "draws" if warned else "pairs"
+    kind = "means"
+    if isinstance(result.plan, Plan):
+        # Draws from a row all have the same mass, and each row as many.
+        first = result.plan.mass[: result.plan.indptr[1]]
+        kind = "pairs" if np.ptp(first) > 0 or len(result.plan) % n else "draws"
     record = {
         "points": n, "seconds": solved - begun,
         "iterations": found.n_iter, "residual": found.residual, "status": found.status,
@@ -216,6 +223,7 @@ def main() -> int:
         return 0
     shapes = [(side, side) for side in options.sides]
     shapes += ODD_SHAPES if options.odd else ()
+    print(f"{clmorph.get_backend(options.device).description}\n")
     heads = [
         "blur", "points", "solve, s", "iterations", "residual, eps", "pairs", "work, N M",
         "truncation error", "plan", "plan, s", "frame, s", "host, MB", "device, MB",
@@ -241,7 +249,7 @@ def main() -> int:
                 f"{record['work']:.3g}", f"{record['truncation_error']:.0e}", record["plan"],
                 f"{record['planned']:.2g}", f"{record['frame']:.2g}",
                 f"{record['host'] / 1e6:.0f}", f"{record['device'] / 1e6:.0f}",
-                f"{1e3 * record['longest']:.0f}",
+                f"{1e3 * record['longest'][0]:.0f} ({record['longest'][1]})",
             ]  # fmt: skip
             if options.verify:
                 cells.append(f"{record['verified']:.1e}")

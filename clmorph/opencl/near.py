@@ -1,6 +1,5 @@
 """Find the pairs of tiles that matter, and leave out the rest with a proof of what it holds."""
 
-
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
@@ -100,7 +99,7 @@ class NearReductions(Reductions):
         tile, groups = self._knobs.tile, self._groups_of_a_tile
         tops_of_rows = np.zeros(len(rows.centers))
         sums, shares = np.empty(len(part) * tile), np.empty(len(pairs.tiles))
-        for launch in self._row_parts(rows, columns, pairs=pairs, within=part):
+        for launch in self._row_parts(kernel, rows, columns, pairs=pairs, within=part):
             constants, bases = self._bases(rows, tops, tops_of_rows, k, guess, pairs, launch)
             first, last = pairs.starts[launch.start], pairs.starts[launch.stop]
             out = [np.empty(len(constants), np.float32) for _ in range(2)]
@@ -136,7 +135,7 @@ class NearReductions(Reductions):
         tile, groups = self._knobs.tile, self._groups_of_a_tile
         tops_of_rows = np.zeros(len(rows.centers))
         shares = np.empty(len(pairs.tiles))
-        for launch in self._row_parts(rows, columns, pairs=pairs, within=part):
+        for launch in self._row_parts(kernel, rows, columns, pairs=pairs, within=part):
             _, bases = self._bases(rows, tops, tops_of_rows, k, guess, pairs, launch)
             first, last = pairs.starts[launch.start], pairs.starts[launch.stop]
             out = np.empty((groups, int(last - first)), np.float32)

@@ -44,7 +44,7 @@ class PlanReductions(NearReductions):
             levels = self._plan_levels(rows, columns, f, g, epsilon, within, pairs)
             shared = self._plan_buffers(rows, columns, levels, row_thresholds, column_thresholds)
             kernel = self._row_kernels(rows, precise, pairs is not None)["count_plan_rows"]
-            for part in self._row_parts(rows, columns, pairs=pairs, within=within):
+            for part in self._row_parts(kernel, rows, columns, pairs=pairs, within=within):
                 out = self._work.empty(len(part) * tile * 4)
                 self._launch_rows(
                     kernel, rows, columns, *levels[:4], part, *shared, out,
@@ -77,7 +77,7 @@ class PlanReductions(NearReductions):
             levels = self._plan_levels(rows, columns, f, g, epsilon, within, pairs)
             shared = self._plan_buffers(rows, columns, levels, row_thresholds, column_thresholds)
             kernel = self._row_kernels(rows, precise, pairs is not None)["fill_plan_rows"]
-            for part in self._row_parts(rows, columns, sorted_counts, pairs, within):
+            for part in self._row_parts(kernel, rows, columns, sorted_counts, pairs, within):
                 in_part = sorted_counts[part.start * tile : part.stop * tile]
                 ends = np.cumsum(in_part)
                 kept = int(ends[-1])
@@ -110,15 +110,16 @@ class PlanReductions(NearReductions):
     ) -> tuple[Float64, Float64]:
         """Return mean and covariance of each row's destinations."""
         pairs = None if near is None else near.pairs
-        kernels, tile = self._row_kernels(rows, precise, pairs is not None), self._knobs.tile
+        kernel = self._row_kernels(rows, precise, pairs is not None)["plan_moments"]
+        tile = self._knobs.tile
         *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon, pairs)
         dimension, n = rows.centers.shape[1], len(rows)
         moments = np.empty((1 + dimension + dimension * (dimension + 1) // 2, rows.stride))
-        for part in self._row_parts(rows, columns, pairs=pairs):
+        for part in self._row_parts(kernel, rows, columns, pairs=pairs):
             out = np.empty((len(moments), len(part) * tile), np.float32)
             buffer = self._work.empty(out.nbytes)
             self._launch_rows(
-                kernels["plan_moments"], rows, columns, *levels, part, np.uint32(out.shape[1]),
+                kernel, rows, columns, *levels, part, np.uint32(out.shape[1]),
                 base, buffer, precise=precise, pairs=pairs,
             )  # fmt: skip
             cl.enqueue_copy(self._work.queue, out, buffer)
@@ -149,18 +150,19 @@ class PlanReductions(NearReductions):
     ) -> NDArray[np.int32]:
         """Return columns drawn from each plan row."""
         pairs = None if near is None else near.pairs
-        kernels, tile = self._row_kernels(rows, precise, pairs is not None), self._knobs.tile
+        kernel = self._row_kernels(rows, precise, pairs is not None)["sample_plan_rows"]
+        tile = self._knobs.tile
         *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon, pairs)
         n, n_draws = thresholds.shape
         ordered = np.zeros((rows.stride, n_draws), np.float32)
         ordered[:n] = np.minimum(thresholds[rows.order], LARGEST_THRESHOLD)
         draws = np.empty((rows.stride, n_draws), np.int32)
-        for part in self._row_parts(rows, columns, pairs=pairs):
+        for part in self._row_parts(kernel, rows, columns, pairs=pairs):
             section = slice(part.start * tile, part.stop * tile)
             draws[section] = -1
             buffer = self._work.buffer(draws[section], np.int32)
             self._launch_rows(
-                kernels["sample_plan_rows"], rows, columns, *levels, part, np.uint32(n_draws),
+                kernel, rows, columns, *levels, part, np.uint32(n_draws),
                 base, self._work.buffer(ordered[section]), buffer, precise=precise, pairs=pairs,
             )  # fmt: skip
             cl.enqueue_copy(self._work.queue, draws[section], buffer)

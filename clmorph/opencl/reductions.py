@@ -25,7 +25,7 @@ class Reductions:
 
     def __init__(self, work: Workspace, knobs: Knobs) -> None:
         self._work, self._knobs = work, knobs
-        self._budget = LaunchBudget()
+        self._budgets: dict[int, LaunchBudget] = {}
         self._kernels: dict[tuple[int, bool, bool], dict[str, cl.Kernel]] = {}
         self._sum_stored: cl.Kernel | None = None
 
@@ -78,7 +78,7 @@ class Reductions:
         shares = self._column_shares(rows, columns)
         tile = self._knobs.tile
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
-        for part in self._row_parts(rows, columns, pairs=pairs):
+        for part in self._row_parts(kernel, rows, columns, pairs=pairs):
             n_rows = len(part) * tile
             out = np.empty((2, shares, n_rows), np.float32)
             buffers = self._work.empty(out.nbytes // 2), self._work.empty(out.nbytes // 2)
@@ -146,8 +146,13 @@ class Reductions:
         wanted = -(-8 * self._work.context.devices[0].max_compute_units // groups)
         return max(1, min(wanted, len(columns.centers), 64))
 
+    def _budget(self, kernel: cl.Kernel) -> LaunchBudget:
+        """Return how much a launch of this kernel may do: some take many times as long a pair."""
+        return self._budgets.setdefault(kernel.int_ptr, LaunchBudget())
+
     def _row_parts(
         self,
+        kernel: cl.Kernel,
         rows: Cloud,
         columns: Cloud,
         counts: NDArray[np.int64] | None = None,
@@ -161,7 +166,7 @@ class Reductions:
         if counts is not None:
             kept = counts.reshape(n_tiles, -1).sum(axis=1, dtype=np.int64).cumsum()
         while first < end:
-            budget = self._budget.pairs()
+            budget = self._budget(kernel).pairs()
             if pairs is None:
                 stop = first + max(1, int(budget // (tile * columns.stride)))
             else:
@@ -210,7 +215,7 @@ class Reductions:
         planes: NDArray[Any] = levels
         if precise:
             planes = split(levels) if lists else np.swapaxes(split(levels), 0, 1)
-        with self._budget.measure(work):
+        with self._budget(kernel).measure(work):
             self._work.launch(
                 kernel, (n_rows // self._knobs.width, shares), (self._knobs.group, 1),
                 np.uint32(part.start * self._knobs.tile), np.uint32(rows.stride),

@@ -96,7 +96,7 @@ class StoredReductions(PlanReductions):
             levels = self._plan_levels(rows, columns, f, g, epsilon, within, pairs)
             shared = self._plan_buffers(rows, columns, levels, *thresholds)
             kernel = self._row_kernels(rows, False, pairs is not None)["fill_plan_rows"]
-            for part in self._row_parts(rows, columns, ordered, pairs, within):
+            for part in self._row_parts(kernel, rows, columns, ordered, pairs, within):
                 section = slice(part.start * tile, part.stop * tile)
                 order = _by_length(ordered[section])
                 longest = ordered[section][order].reshape(-1, side).max(axis=1)
