@@ -82,7 +82,7 @@ def estimate(
     runtimes for images from 64 x 64 on; within a factor of two there. Frames are drawn one by
     one: those that are kept come on top. So do, while potentials are sought at blurs of a few
     pixels, the pairs that the solver stores (`clmorph.corrections`): up to 128 for each point,
-    18 bytes each, but never more than a quarter of the device's memory.
+    or 2^24 of few points, 18 bytes each, but never more than a quarter of the device's memory.
 
     Parameters
     ----------

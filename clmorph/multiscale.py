@@ -49,8 +49,8 @@ CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
 PROGRESS, FAILURES = 0.5, 12
 #: Stored pairs serve also while the points' residual is at most so many times theirs.
 AGREEMENT = 2.0
-#: Pairs to store at most, for every point.
-STORED_PER_POINT = 128
+#: Pairs to store at most, for every point, and whatever their number.
+STORED_PER_POINT, STORED = 128, 1 << 24
 #: Better exponents than float32 are taken below so many times its rounding, where needed at all.
 SWITCH = 300.0
 #: Problems with at least so many pairs are solved through coarser ones, if not told otherwise.
@@ -139,7 +139,7 @@ class Multiscale:
     def _stored_grid(self) -> Grid | None:
         """Return the problem of the pairs that matter now; None if they are too many."""
         f, g, t_rows, t_columns, _ = self.state
-        most = STORED_PER_POINT * max(len(f), len(g))
+        most = max(STORED, STORED_PER_POINT * max(len(f), len(g)))
         return stored_grid(self.problem, f, g, (t_rows, t_columns), self._blur**2, most)
 
     def _anneal(self, pair: tuple[AnyMeasure, AnyMeasure], finest: Problem) -> Array:

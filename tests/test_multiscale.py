@@ -223,6 +223,7 @@ def test_small_blurs_are_solved_over_stored_pairs(device, monkeypatch, reach):
 
 def test_without_memory_for_pairs_points_are_iterated_over(device, monkeypatch):
     monkeypatch.setattr(multiscale, "STORED_PER_POINT", 1)
+    monkeypatch.setattr(multiscale, "STORED", 1)
     source, target = sharp(24)
     got = sinkhorn(source, target, 0.03, 0.3, backend=device, multiscale=True)
     assert got.converged

@@ -9,8 +9,9 @@ which builds its kernels in a small one before. "Solve" is the transport alone. 
 share of all pairs of points that each of the last softmins summed, "work" all pairs that were
 summed in the whole solve, in units of N M: one iteration without truncation takes 2. "Plan" is
 what frames are made of: all kept pairs if they are few, else about 1.5 million draws, at least
-one a pixel (the command line's default); and the time that this takes. A frame is that at t = 0.5, after another one; memory is the largest over
-all of this. GeomLoss (online, KeOps, scaling 0.9) is timed where it has fewer points than
+one a pixel (the command line's default); and the time that this takes. A frame is that at
+t = 0.5, after another one; memory is the largest over all of this. GeomLoss (online, KeOps,
+scaling 0.9) is timed where it has fewer points than
 `--patience`, and is else extrapolated as N^2, marked "~". `--verify` takes the residual over all
 pairs too, which takes two sums over N M.
 """
@@ -134,9 +135,10 @@ def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> No
     )
     kind = "means"
     if isinstance(result.plan, Plan):
-        # Draws from a row all have the same mass, and each row as many.
+        # Masses drawn from a row are multiples of one.
         first = result.plan.mass[: result.plan.indptr[1]]
-        kind = "pairs" if np.ptp(first) > 0 or len(result.plan) % n else "draws"
+        shares = first / first.min()
+        kind = "draws" if np.allclose(shares, np.round(shares)) else "pairs"
     record = {
         "points": n, "seconds": solved - begun,
         "iterations": found.n_iter, "residual": found.residual, "status": found.status,
