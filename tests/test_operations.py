@@ -737,3 +737,31 @@ def test_widths_by_their_definition(variant):
             inside = (np.abs(x) <= 4.5 * width) & (np.abs(y) <= 4.5 * width)
             assert np.allclose(sums, np.where(inside, want, 0), rtol=1e-4, atol=1e-9)
         assert backend.rungs(splats).tolist() == [BASE_RUNG]
+
+
+def test_a_canvas_of_4096_pixels_a_side(device):
+    """Everywhere on it a frame is what it is on a small canvas around the place."""
+    rng = np.random.default_rng(0)
+    places = np.round(64 * rng.uniform(-20, 4116, (60_000, 2))) / 64  # exact when moved
+    colors, weights = rng.random((2, 60_000, 3))[0], rng.random(60_000)
+    whole = device.splat(
+        device.upload_splats(*(x.astype(np.float32) for x in (places, colors, weights))),
+        (4096, 4096), 1.5, 7.0,
+    )  # fmt: skip
+    for corner in ((0, 0), (2048, 3000), (4032, 4032)):
+        moved = places - corner
+        near = np.all((moved > -16) & (moved < 80), axis=1)
+        part = device.splat(
+            device.upload_splats(
+                *(x[near].astype(np.float32) for x in (moved, colors, weights))
+            ),
+            (64, 64), 1.5, 7.0,
+        )  # fmt: skip
+        assert near.sum() > 20
+        for large, small in zip(whole, part, strict=True):
+            assert np.abs(small).max() > 0.1
+            section = large[corner[0] : corner[0] + 64, corner[1] : corner[1] + 64]
+            # The cut may lie a kernel width farther out in one of both.
+            assert np.abs(section - small).max() <= 10 * (
+                KERNEL_ERROR + np.exp(-0.5 * (7 / 1.5) ** 2)
+            )
