@@ -26,7 +26,7 @@ from clmorph.cells import Cells, make_cells
 from clmorph.corrections import CorrectedProblem, Grid, StoredProblem, stored_grid
 from clmorph.points import AnyMeasure
 from clmorph.problem import Problem
-from clmorph.softmins import LEAST_RESERVE, Softmin
+from clmorph.softmins import Softmin
 
 Array = NDArray[np.float64]
 
@@ -39,8 +39,9 @@ ANNEALING_SIDE = 1.0
 FEW_PAIRS = 1 << 20
 #: Residuals to reach at larger blurs, and over the cells before the points are looked at.
 LEVEL_TOLERANCE, FIRST_TOLERANCE = 0.05, 1e-2
-#: Truncation at larger blurs.
-LEVEL_TRUNCATION = 1e-2
+#: Truncation at larger blurs; for what share of it pairs are chosen there, and where potentials
+#: will move farther.
+LEVEL_TRUNCATION, LEVEL_RESERVE, FAR_RESERVE = 1e-2, 1e-20, 1e-24
 #: Residual to reach in the smaller problem: this share of that over the points, and of `tol`.
 CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
 #: Cells serve, and stored pairs, as long as a cycle leaves at most this share of the residual;
@@ -107,7 +108,7 @@ class Multiscale:
                 g = self._first(grid, cells, g)
                 self._tell(0.3)
         if grid is None:
-            _prepare(self.problem)
+            _prepare(self.problem, FAR_RESERVE)
         self._cycle(grid, g)
         self._tell(1.0)
 
@@ -186,7 +187,7 @@ class Multiscale:
         problem = Problem.between(
             self.problem.operations, source, target, self.problem.rho, truncation
         )
-        return _prepare(problem)
+        return _prepare(problem, LEVEL_RESERVE)
 
     def _extended(
         self, coarse: Problem, state: State, cells: list[Cells], fine: Problem, blur: float
@@ -197,7 +198,7 @@ class Multiscale:
             truncation = self._level_truncation(len(weights[0]), len(weights[1]))
             result = Softmin(self.problem.operations, rows, columns, weights, truncation)
             # For once, and by a rough guess: what is left out is little all the same.
-            result.guess, result.proven, result.reserve = guess, False, LEAST_RESERVE
+            result.guess, result.proven, result.reserve = guess, False, FAR_RESERVE
             return result
 
         to_rows = softmin(
@@ -233,7 +234,7 @@ class Multiscale:
     def _ascend(self, g: Array) -> None:
         """Go on over the points alone."""
         told = self._told
-        _prepare(self.problem)
+        _prepare(self.problem, FAR_RESERVE)
         ascent = Ascent(
             self.problem, self._blur, self.tol, self._max_iter, self.precision,
             lambda share: self._tell(told + (1 - told) * share),
@@ -306,10 +307,10 @@ class Multiscale:
         self._report(self._told)
 
 
-def _prepare(problem: Problem) -> Problem:
+def _prepare(problem: Problem, reserve: float) -> Problem:
     """Let near pairs be chosen that serve although potentials will move far."""
     for softmin in (problem.to_rows, problem.to_columns):
-        softmin.reserve = LEAST_RESERVE
+        softmin.reserve = reserve
     return problem
 
 

@@ -310,7 +310,7 @@ def test_stored_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rn
     pair, epsilon = [(rng.random((n, 5)), np.full(n, 1 / n)) for n in (700, 900)], 0.01
     f, g, thresholds = _solved(pair, epsilon, rng)
     results = []
-    for most in (1 << 24, 5000):
+    for most in (1 << 22, 5000):
         monkeypatch.setattr("clmorph.opencl.reductions.FILL_PAIRS", most)
         clouds = _upload(variant, pair)
         stored = variant.store_pairs(*clouds, f, g, epsilon, *thresholds, 10**9)

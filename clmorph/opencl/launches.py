@@ -92,7 +92,7 @@ class Workspace:
         """Return a buffer of so many times this value."""
         n_bytes = count * value.itemsize
         result = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, n_bytes)
-        cl.enqueue_fill_buffer(self.queue, result, value, 0, n_bytes)
+        cl.enqueue_fill_buffer(self.queue, result, value, 0, n_bytes).wait()
         return result
 
     def launch(

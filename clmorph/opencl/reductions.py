@@ -16,8 +16,9 @@ from clmorph.operations import Float64, NearPairs
 
 LOG2_E = float(np.log2(np.e))
 
-#: Kept pairs that one launch may write (12 bytes each on the device).
-FILL_PAIRS = 1 << 24
+#: Kept pairs that one launch may write (12 bytes each on the device): a first touch of memory
+#: takes longer than what is written there.
+FILL_PAIRS = 1 << 22
 
 
 class Reductions:
