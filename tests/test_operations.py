@@ -749,7 +749,7 @@ def test_a_canvas_of_4096_pixels_a_side(device):
         (4096, 4096), 1.5, 7.0,
     )  # fmt: skip
     for corner in ((0, 0), (2048, 3000), (4032, 4032)):
-        moved = places - corner
+        moved = places - corner[::-1]  # places are (x, y)
         near = np.all((moved > -16) & (moved < 80), axis=1)
         part = device.splat(
             device.upload_splats(
