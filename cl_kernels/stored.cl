@@ -52,3 +52,12 @@ __kernel void sum_stored(
     VSTORE(m, row, maxima);
     VSTORE(s, row, sums);
 }
+
+// Leave every place over; a kernel of its own, as some runtimes' commands that fill buffers leave
+// it open whether memory is written.
+__kernel void clear_stored(__global int* restrict columns, __global float* restrict log2_masses)
+{
+    const uint place = get_global_id(0);
+    columns[place] = 0;
+    log2_masses[place] = SENTINEL;
+}

@@ -88,13 +88,6 @@ class Workspace:
             self._pool.free_held()
         return self._pool.allocate(max(4, n_bytes))
 
-    def filled(self, count: int, value: np.generic) -> cl.Buffer:
-        """Return a buffer of so many times this value."""
-        n_bytes = count * value.itemsize
-        result = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, n_bytes)
-        cl.enqueue_fill_buffer(self.queue, result, value, 0, n_bytes).wait()
-        return result
-
     def launch(
         self,
         kernel: cl.Kernel,

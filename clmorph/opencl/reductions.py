@@ -28,7 +28,7 @@ class Reductions:
         self._work, self._knobs = work, knobs
         self._budgets: dict[int, LaunchBudget] = {}
         self._kernels: dict[tuple[int, bool, bool], dict[str, cl.Kernel]] = {}
-        self._sum_stored: cl.Kernel | None = None
+        self._stored_kernels: dict[str, cl.Kernel] = {}
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
         """Take a weighted cloud."""

@@ -28,7 +28,7 @@ class _Part(NamedTuple):
 
     rows: NDArray[np.int64]  #: numbers of the sorted rows, in the slices' order
     starts: cl.Buffer
-    columns: cl.Buffer
+    columns: cl.MemoryObject
     log2_masses: cl.MemoryObject
 
 
@@ -105,8 +105,10 @@ class StoredReductions(PlanReductions):
                 first = np.empty(len(order), np.int64)
                 first[order] = (starts[:-1, None] + np.arange(side)).ravel()
                 size = max(1, int(starts[-1]))
-                column_buffer = self._work.filled(size, np.int32(0))
-                mass_buffer = self._work.filled(size, np.float32(SENTINEL))
+                column_buffer, mass_buffer = self._work.empty(4 * size), self._work.empty(4 * size)
+                self._work.launch(
+                    self._stored_kernel("clear_stored"), (size,), None, column_buffer, mass_buffer
+                )
                 self._launch_rows(
                     kernel, rows, columns, *levels[:4], part, *shared,
                     self._work.buffer(first, np.uint32), np.uint32(side), column_buffer,
@@ -126,7 +128,7 @@ class StoredReductions(PlanReductions):
         # In the middle, so that float32 rounds the least.
         middle = 0.5 * float(ordered.min() + ordered.max())
         change_buffer = self._work.buffer(pad(ordered - middle, columns.stride, 0.0))
-        kernel = self._stored_kernel()
+        kernel = self._stored_kernel("sum_stored")
         found = np.empty((2, rows.stride), np.float32)
         for part in side.parts:
             n_rows = len(part.rows)
@@ -146,12 +148,14 @@ class StoredReductions(PlanReductions):
             )
         return unsort(rows, logarithms)
 
-    def _stored_kernel(self) -> cl.Kernel:
-        if self._sum_stored is None:
+    def _stored_kernel(self, name: str) -> cl.Kernel:
+        if not self._stored_kernels:
             constants = self._knobs.stored_constants()
             built = program.build(self._work.context, "stored.cl", constants)
-            self._sum_stored = cl.Kernel(built, "sum_stored")
-        return self._sum_stored
+            self._stored_kernels = {
+                name: cl.Kernel(built, name) for name in ("clear_stored", "sum_stored")
+            }
+        return self._stored_kernels[name]
 
 
 def _by_length(counts: NDArray[np.int64]) -> NDArray[np.int64]:
