@@ -211,7 +211,7 @@ static inline float largest_lane(const vreal values, __local float* of_items)
 }
 
 // Log2 of the largest share that a column of each listed tile has in the sum of a row, as far as
-// these are known: 2^(-base_i) is about the sum of row i. A third of the work of measure_tiles.
+// these are known: 2^(-base_i) is about the sum of row i. Without exponentials, unlike measure_tiles.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void largest_shares(
     CLOUD_ARGUMENTS,
@@ -248,8 +248,7 @@ void largest_shares(
     }
 }
 
-// The same, and the largest share that each listed tile has in the sum of a row, as far as
-// these are known: 2^(-base_i) is about the sum of row i.
+// The sums of log_sum_exp, and the largest share that each listed tile as a whole has in one.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void measure_tiles(
     CLOUD_ARGUMENTS,

@@ -6,7 +6,7 @@ blur and its finer cells by a softmin, evaluated at the new points. At the last 
 of the points themselves is solved in cycles (a two-grid method): one iteration over the points
 tells by how much the softmins of the cells are off; the problem of the cells is solved with this
 correction; and what changes there is carried back. Each cycle leaves a few percent of the
-residual, so two to four iterations over the points are enough, and their residual, over the
+residual, so a few iterations over the points are enough, and their residual, over the
 points, decides when it is small. Where the blur is so small that cells save nothing, the problem
 of the pairs that matter takes their place (`clmorph.corrections`).
 
@@ -26,7 +26,7 @@ from clmorph.cells import Cells, make_cells
 from clmorph.corrections import CorrectedProblem, Grid, StoredProblem, stored_grid
 from clmorph.points import AnyMeasure
 from clmorph.problem import Problem
-from clmorph.softmins import Softmin
+from clmorph.softmins import LEAST_RESERVE, Softmin
 
 Array = NDArray[np.float64]
 
@@ -39,9 +39,8 @@ ANNEALING_SIDE = 1.0
 FEW_PAIRS = 1 << 20
 #: Residuals to reach at larger blurs, and over the cells before the points are looked at.
 LEVEL_TOLERANCE, FIRST_TOLERANCE = 0.05, 1e-2
-#: Truncation at larger blurs; for what share of it pairs are chosen there, and where potentials
-#: will move farther.
-LEVEL_TRUNCATION, LEVEL_RESERVE, FAR_RESERVE = 1e-2, 1e-20, 1e-24
+#: Truncation at larger blurs, and for what share of it pairs are chosen there.
+LEVEL_TRUNCATION, LEVEL_RESERVE = 1e-2, 1e-20
 #: Residual to reach in the smaller problem: this share of that over the points, and of `tol`.
 CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
 #: Cells serve, and stored pairs, as long as a cycle leaves at most this share of the residual;
@@ -108,7 +107,7 @@ class Multiscale:
                 g = self._first(grid, cells, g)
                 self._tell(0.3)
         if grid is None:
-            _prepare(self.problem, FAR_RESERVE)
+            _prepare(self.problem, LEAST_RESERVE)
         self._cycle(grid, g)
         self._tell(1.0)
 
@@ -163,14 +162,13 @@ class Multiscale:
             problems.pop()
             # Potentials are close to linear in epsilon, of which three quarters go each time: go
             # on along the line.
-            drifts = [np.zeros(1)] * 2
-            if carried is not None:
-                drifts = [0.25 * (state.t_rows - carried[0]), 0.25 * (state.t_columns - carried[1])]
+            reached = [state.t_rows, state.t_columns]
+            begun = reached if carried is None else carried
             fine = problems[-1]
             carried = self._extended(problem, state, cells, fine, level)
             guesses = [
-                values + (drift[own.labels] if len(drift) > 1 else 0.0)
-                for values, drift, own in zip(carried, drifts, cells, strict=True)
+                there + 0.25 * (now - before)[own.labels]
+                for there, now, before, own in zip(carried, reached, begun, cells, strict=True)
             ]
             fine.to_rows.guess, fine.to_columns.guess = guesses
             g = self.problem.damping(level**2)[1] * guesses[1]
@@ -198,7 +196,7 @@ class Multiscale:
             truncation = self._level_truncation(len(weights[0]), len(weights[1]))
             result = Softmin(self.problem.operations, rows, columns, weights, truncation)
             # For once, and by a rough guess: what is left out is little all the same.
-            result.guess, result.proven, result.reserve = guess, False, FAR_RESERVE
+            result.guess, result.proven, result.reserve = guess, False, LEAST_RESERVE
             return result
 
         to_rows = softmin(
@@ -234,7 +232,7 @@ class Multiscale:
     def _ascend(self, g: Array) -> None:
         """Go on over the points alone."""
         told = self._told
-        _prepare(self.problem, FAR_RESERVE)
+        _prepare(self.problem, LEAST_RESERVE)
         ascent = Ascent(
             self.problem, self._blur, self.tol, self._max_iter, self.precision,
             lambda share: self._tell(told + (1 - told) * share),

@@ -394,8 +394,9 @@ def test_progress_is_shown_to_people_only(pictures):
         assert words in shown
     assert re.search(r"residual \de-0\d of 1e-03", shown)
     quiet = run(*arguments)
-    assert quiet.stderr.splitlines() == [quiet.stderr.strip()]
-    assert quiet.stderr.startswith("device: ")
+    device, memory = quiet.stderr.splitlines()
+    assert device.startswith("device: ")
+    assert re.fullmatch(r"memory: about 0\.\d+ GB", memory)
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

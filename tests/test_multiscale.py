@@ -185,15 +185,17 @@ def test_stored_pairs_stand_for_the_points(device, rng):
     assert np.abs(near.to_rows(g, epsilon) - t_rows).max() <= rounding * epsilon
     assert np.abs(near.to_columns(f, epsilon) - t_columns).max() <= rounding * epsilon
     near.begin(f)
-    changes = [corrections.TRUST * epsilon * rng.uniform(-1, 1, len(x)) for x in (f, g)]
+    move = corrections.TRUST * epsilon * rng.uniform(-1, 1, len(f))
     assert not near.is_astray(f + 7.0, epsilon)  # all alike is no move
-    assert near.is_astray(f + 3 * changes[0], epsilon)
-    held = near.nearer(f + 7.0 + 3 * changes[0], epsilon)
+    assert near.is_astray(f + 3 * move, epsilon)
+    held = near.nearer(f + 7.0 + 3 * move, epsilon)
     assert np.abs(held - 7.0 - f).max() <= 1.5 * corrections.TRUST * epsilon
-    # Each pair that is left out has grown by exp(2 TRUST) at most.
-    left_out = max(len(f), len(g)) * corrections.STORED_SHARE * np.exp(2 * corrections.TRUST)
-    got = near.to_rows(g + changes[1], epsilon)
-    want = problem.to_rows(g + changes[1], epsilon, True)
+    # Each pair that is left out has grown by exp(40) at most against those that are not.
+    change = 20 * epsilon * rng.uniform(-1, 1, len(g))
+    left_out = len(g) * corrections.STORED_SHARE * np.exp(40)
+    assert left_out < 1e-4
+    got = near.to_rows(g + change, epsilon)
+    want = problem.to_rows(g + change, epsilon, True)
     assert np.abs(got - want).max() <= (left_out + rounding) * epsilon
 
 
@@ -213,7 +215,7 @@ def test_small_blurs_are_solved_over_stored_pairs(device, monkeypatch, reach):
     assert got.converged
     assert solved
     assert all(solved)
-    assert got.n_iter < want.n_iter / 2 or got.n_iter <= 6
+    assert got.n_iter <= 8 < want.n_iter
     rounding = 2e-5 * got.epsilon * got.transported_mass
     assert got.dual - rounding <= want.primal + want.marginal_error
     assert want.dual - rounding <= got.primal + got.marginal_error

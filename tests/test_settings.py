@@ -37,7 +37,9 @@ def told(capfd, *arguments):
     assert main(["morph", *arguments]) == 2
     out, err = capfd.readouterr()
     assert out == ""
-    lines = [line for line in err.splitlines() if not line.startswith(("device:", "note:"))]
+    lines = [
+        line for line in err.splitlines() if not line.startswith(("device:", "memory:", "note:"))
+    ]
     assert len(lines) == 1
     return lines[0]
 

@@ -25,6 +25,7 @@ from clmorph.errors import (
     MemoryWarning,
     OutputError,
 )
+from clmorph.estimates import estimate
 from clmorph.export import PACE, SIZES, Output, write_all
 from clmorph.files import check_place
 from clmorph.film import Film, recorded
@@ -81,6 +82,24 @@ class _Run:
             )
         return Motion.lasting(duration, resting(len(self.images), self.n_frames), **given)
 
+    def memory(self, pictures: Sequence[NDArray[np.float64]], operations: Operations) -> str:
+        """Say what the largest of the morphs will take, frames that are kept apart."""
+        way = {name: self.options.get(name) for name in ("sample", "barycentric")}
+        most = self.options.get("max_particles")
+        needs = [
+            estimate(
+                one.shape[:2], other.shape[:2],
+                # No fewer are drawn than one a pixel.
+                most and max(most, one.shape[0] * one.shape[1]),
+                sample=way["sample"], barycentric=bool(way["barycentric"]), backend=operations,
+                alpha=max(one.shape[2], other.shape[2]) == 4,
+            )
+            for one, other in itertools.pairwise(pictures)
+        ]  # fmt: skip
+        known = most or any(way.values())
+        size = max(max(need.ram, need.device) for need in needs) / 1e9
+        return f"memory: {'about' if known else 'at least'} {size:.2g} GB"
+
     def morphs(
         self, pictures: Sequence[NDArray[np.float64]], operations: Operations, stages: Stages
     ) -> Iterator[Morph]:
@@ -135,6 +154,7 @@ def run_morph(
     run = _Run(images, settings, places)
     pictures = [_read(path, settings) for path in images]
     operations = open_backend(device, backend)
+    NOTES.print(run.memory(pictures, operations))
     told = files.recipe(settings, images, operations.description)
     notes: list[str] = []
     with Stages() as stages, warnings.catch_warnings():

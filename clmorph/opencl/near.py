@@ -1,5 +1,8 @@
 """Find the pairs of tiles that matter, and leave out the rest with a proof of what it holds."""
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
@@ -17,6 +20,17 @@ UNSEEN = 0.5
 WORTHWHILE = 0.5
 #: What float32 may take off a measured share, as a factor.
 MARGIN = 1.05
+
+
+class _Clouds(NamedTuple):
+    """What is looked at: clouds, the columns' heights and tops, k, and log2 of the rows' sums."""
+
+    rows: Cloud
+    columns: Cloud
+    heights: cl.Buffer
+    tops: Float64
+    k: float
+    guess: Float64
 
 
 class NearReductions(Reductions):
@@ -43,18 +57,18 @@ class NearReductions(Reductions):
         heights, tops = self._column_heights(columns, potential, k)
         found, skipped = np.empty(rows.stride), np.empty(len(rows.centers))
         kept: list[TilePairs] = []
-        clouds = rows, columns, heights, tops, k, guess
+        clouds = _Clouds(rows, columns, heights, tops, k, guess)
         worthwhile = True
         for part, pairs, unseen in candidates(
             rows, columns, guess, values, k, 0.5 * UNSEEN * budget
         ):
             if worthwhile:
                 before = len(pairs.tiles)
-                pairs, more = self._without_small(*clouds, pairs, part, 0.5 * UNSEEN * budget)
+                pairs, more = self._without_small(clouds, pairs, part, 0.5 * UNSEEN * budget)
                 unseen = unseen + more
                 worthwhile = len(pairs.tiles) <= WORTHWHILE * before
             section = slice(part.start * tile, part.stop * tile)
-            sums, shares = self._measured(*clouds, pairs, part)
+            sums, shares = self._measured(clouds, pairs, part)
             found[section] = sums
             # By how much the guess was above the sum, in the worst row of each tile.
             off = np.full((2, len(sums)), [[-np.inf], [np.inf]])
@@ -83,103 +97,68 @@ class NearReductions(Reductions):
             _largest_cost(rows, columns, lengths, tiles, distances),
         )
 
-    def _measured(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        heights: cl.Buffer,
-        tops: Float64,
-        k: float,
-        guess: Float64,
-        pairs: TilePairs,
-        part: range,
-    ) -> tuple[Float64, Float64]:
+    def _measured(self, clouds: _Clouds, pairs: TilePairs, part: range) -> tuple[Float64, Float64]:
         """Log2 of the sums of a part's rows, and each pair's largest share, by the guess."""
-        kernel = self._row_kernels(rows, False, True)["measure_tiles"]
-        tile, groups = self._knobs.tile, self._groups_of_a_tile
-        tops_of_rows = np.zeros(len(rows.centers))
-        sums, shares = np.empty(len(part) * tile), np.empty(len(pairs.tiles))
-        for launch in self._row_parts(kernel, rows, columns, pairs=pairs, within=part):
-            constants, bases = self._bases(rows, tops, tops_of_rows, k, guess, pairs, launch)
-            first, last = pairs.starts[launch.start], pairs.starts[launch.stop]
-            out = [np.empty(len(constants), np.float32) for _ in range(2)]
-            out.append(np.empty(groups * int(last - first), np.float32))
-            buffers = [self._work.empty(values.nbytes) for values in out]
-            self._launch_rows(
-                kernel, rows, columns, heights, tops, tops_of_rows, k, launch, bases, *buffers,
-                pairs=pairs,
-            )  # fmt: skip
-            for values, buffer in zip(out, buffers, strict=True):
-                cl.enqueue_copy(self._work.queue, values, buffer)
-            own = (launch.start - part.start) * tile
+        sums, shares = np.empty(len(part) * self._knobs.tile), np.empty(len(pairs.tiles))
+        for own, section, constants, out in self._looks("measure_tiles", 2, clouds, pairs, part):
             with np.errstate(divide="ignore"):
-                logarithms = out[0] + np.log2(out[1].astype(float))
-            sums[own : own + len(constants)] = logarithms + constants
-            shares[first:last] = out[2].reshape(groups, -1).max(axis=0)
+                sums[own] = out[0] + np.log2(out[1].astype(float)) + constants
+            shares[section] = out[2]
         return sums, shares
 
     def _without_small(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        heights: cl.Buffer,
-        tops: Float64,
-        k: float,
-        guess: Float64,
-        pairs: TilePairs,
-        part: range,
-        budget: float,
+        self, clouds: _Clouds, pairs: TilePairs, part: range, budget: float
     ) -> tuple[TilePairs, Float64]:
         """Leave out tiles with small terms only; return the others and the share of these."""
-        kernel = self._row_kernels(rows, False, True)["largest_shares"]
-        tile, groups = self._knobs.tile, self._groups_of_a_tile
-        tops_of_rows = np.zeros(len(rows.centers))
-        shares = np.empty(len(pairs.tiles))
-        for launch in self._row_parts(kernel, rows, columns, pairs=pairs, within=part):
-            _, bases = self._bases(rows, tops, tops_of_rows, k, guess, pairs, launch)
-            first, last = pairs.starts[launch.start], pairs.starts[launch.stop]
-            out = np.empty((groups, int(last - first)), np.float32)
-            buffer = self._work.empty(out.nbytes)
-            self._launch_rows(
-                kernel, rows, columns, heights, tops, tops_of_rows, k, launch, bases, buffer,
-                pairs=pairs,
-            )  # fmt: skip
-            cl.enqueue_copy(self._work.queue, out, buffer)
-            shares[first:last] = out.max(axis=0)
-        shares = MARGIN * tile * np.exp2(np.minimum(shares, LARGEST_SHARE))
+        largest = np.empty(len(pairs.tiles))
+        for _, section, _, out in self._looks("largest_shares", 0, clouds, pairs, part):
+            largest[section] = out[0]
+        shares = MARGIN * self._knobs.tile * np.exp2(np.minimum(largest, LARGEST_SHARE))
         starts = pairs.starts[part.start : part.stop + 1]
         keep, left = kept_shares(starts, shares, budget)
-        lengths = np.zeros(len(rows.centers), np.int64)
+        lengths = np.zeros(len(pairs.starts) - 1, np.int64)
         lengths[part.start : part.stop] = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
         starts = np.concatenate(([0], np.cumsum(lengths)))
         return TilePairs(starts, pairs.tiles[keep], pairs.distances[keep]), left
 
-    @property
-    def _groups_of_a_tile(self) -> int:
-        return self._knobs.tile // (self._knobs.group * self._knobs.width)
+    def _looks(
+        self, name: str, of_rows: int, clouds: _Clouds, pairs: TilePairs, part: range
+    ) -> Iterator[tuple[slice, slice, Float64, list[NDArray[np.float32]]]]:
+        """Run a kernel over the pairs of a part's rows.
 
-    def _bases(
-        self,
-        rows: Cloud,
-        tops: Float64,
-        tops_of_rows: Float64,
-        k: float,
-        guess: Float64,
-        pairs: TilePairs,
-        launch: range,
-    ) -> tuple[Float64, cl.Buffer]:
-        """Set the tops of some row tiles; return constants of their rows, and bases of shares."""
-        tile, n = self._knobs.tile, len(rows)
-        starts, _, levels = pairs.levels(launch, tops, k)
-        tops_of_rows[launch.start : launch.stop] = np.maximum.reduceat(levels, starts[:-1])
-        section = slice(launch.start * tile, min(n, launch.stop * tile))
-        constants = np.repeat(tops_of_rows[launch.start : launch.stop], tile)
-        constants[: section.stop - section.start] -= k * (
-            rows.own_costs[section] - rows.offsets[section]
-        )
-        bases = np.full(len(constants), SENTINEL)
-        bases[: section.stop - section.start] = -guess[section]
-        return constants, self._work.buffer(np.maximum(bases + constants, SENTINEL))
+        Yields of every launch its rows in the part, its pairs, the constants of its rows, and what
+        the kernel found: so many numbers for each row, then one for each pair.
+        """
+        rows, columns, heights, tops, k, guess = clouds
+        kernel, tile, n = self._row_kernels(rows, False, True)[name], self._knobs.tile, len(rows)
+        groups = tile // (self._knobs.group * self._knobs.width)
+        tops_of_rows = np.zeros(len(rows.centers))
+        for launch in self._row_parts(kernel, rows, columns, pairs=pairs, within=part):
+            starts, _, levels = pairs.levels(launch, tops, k)
+            tops_of_rows[launch.start : launch.stop] = np.maximum.reduceat(levels, starts[:-1])
+            section = slice(launch.start * tile, min(n, launch.stop * tile))
+            constants = np.repeat(tops_of_rows[launch.start : launch.stop], tile)
+            constants[: section.stop - section.start] -= k * (
+                rows.own_costs[section] - rows.offsets[section]
+            )
+            bases = np.full(len(constants), SENTINEL)
+            bases[: section.stop - section.start] = -guess[section]
+            base_buffer = self._work.buffer(np.maximum(bases + constants, SENTINEL))
+            out = [np.empty(len(constants), np.float32) for _ in range(of_rows)]
+            out.append(np.empty((groups, len(levels)), np.float32))
+            buffers = [self._work.empty(values.nbytes) for values in out]
+            self._launch_rows(
+                kernel, rows, columns, heights, tops, tops_of_rows, k, launch, base_buffer,
+                *buffers, pairs=pairs,
+            )  # fmt: skip
+            for values, buffer in zip(out, buffers, strict=True):
+                cl.enqueue_copy(self._work.queue, values, buffer)
+            out[-1] = out[-1].max(axis=0)
+            own = (launch.start - part.start) * tile
+            first = int(pairs.starts[launch.start])
+            yield (
+                slice(own, own + len(constants)), slice(first, first + len(levels)), constants, out
+            )  # fmt: skip
 
 
 def _largest_cost(
