@@ -1,7 +1,13 @@
-"""Every usable OpenCL device of this machine is a test parameter; none is a failure."""
+"""Which devices and how much is tested; fixtures that many tests share.
+
+``pytest`` tests every usable device in the build that is chosen for it, with a share of each grid
+of parameters; ``pytest --full`` runs everything; ``--device NAME`` tests one device.
+"""
 
 import os
+from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,23 +20,59 @@ from clmorph.opencl.operations import OpenCLOperations
 
 DEVICES = find_devices()
 USABLE = [device for device in DEVICES if device.usable]
-#: Comma-separated parts of names that CI requires among the usable devices; names of programs
+#: The devices to test: all usable ones, or those that `--device` names.
+TESTED = list(USABLE)
+#: Comma-separated parts of names that CI requires among the tested devices; names of programs
 #: are for the tests that need them.
 REQUIRED = set(os.environ.get("CLMORPH_TEST_REQUIRE", "").split(",")) - {"", *PROGRAMS}
+#: Parameters that name a device; grids are thinned for each device by itself.
+OF_DEVICES = ("variant", "device", "any_backend")
 
 
-def pytest_report_header() -> list[str]:
-    lines = [f"OpenCL device {device}" for device in DEVICES]
-    return lines or ["OpenCL devices: none"]
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("clmorph")
+    group.addoption(
+        "--full",
+        action="store_true",
+        help="run everything: tests marked as full, whole grids of parameters, and each device "
+        "also in the build of the other kind of device",
+    )
+    group.addoption(
+        "--device",
+        metavar="NAME",
+        help="test one device only: its index, or a part of its or its platform's name",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "full: a long test, run with --full only")
+    name = config.getoption("--device")
+    if name is None:
+        return
+    TESTED[:] = [device for device in USABLE if device.matches(name)][:1]
+    if not TESTED:
+        listed = "; ".join(map(str, DEVICES)) or "none"
+        raise pytest.UsageError(f"no usable OpenCL device matches --device {name}: {listed}")
+    # What "auto" means in the tests and in the programs that they start.
+    os.environ["CLMORPH_DEVICE"] = TESTED[0].index
+
+
+def pytest_report_header(config: pytest.Config) -> list[str]:
+    lines = [
+        f"OpenCL device {device}{'' if device in TESTED or not device.usable else ', not tested'}"
+        for device in DEVICES
+    ]
+    lines.append(f"tests: {'all' if config.getoption('--full') else 'a share; --full runs all'}")
+    return lines
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    if not USABLE:
+    if not TESTED:
         raise pytest.UsageError(
             "no usable OpenCL device: install one, for example with pip install '.[cpu,test]'"
         )
     for name in REQUIRED:
-        if not any(device.matches(name) for device in USABLE):
+        if not any(device.matches(name) for device in TESTED):
             raise pytest.UsageError(f"no usable OpenCL device matches the required {name!r}")
 
 
@@ -38,16 +80,93 @@ def _label(device: Device) -> str:
     return f"{device.platform} {device.driver}".replace(" ", "-")
 
 
-#: Each device with its own build-time constants, and with the other kind's: a CPU runs what
-#: a GPU without float64 would (scalars, work-groups, barriers, shares of the columns, pairs of
-#: float32), and the reverse.
-VARIANTS = [pytest.param((device, False), id=_label(device)) for device in USABLE]
-VARIANTS += [pytest.param((device, True), id=_label(device) + "-swapped") for device in USABLE]
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Let each device be a parameter.
+
+    With --full `variant` is each device with its own build constants and with those of the other
+    kind: a CPU runs what a GPU without float64 would (scalars, work-groups, barriers, shares of
+    the columns, pairs of float32), and the reverse.
+    """
+    labels = [_label(device) for device in TESTED]
+    if "variant" in metafunc.fixturenames:
+        variants = [(device, False) for device in TESTED]
+        ids = labels
+        if metafunc.config.getoption("--full"):
+            variants += [(device, True) for device in TESTED]
+            ids = labels + [f"{label}-swapped" for label in labels]
+        metafunc.parametrize("variant", variants, ids=ids, indirect=True, scope="session")
+    if "device" in metafunc.fixturenames:
+        metafunc.parametrize("device", TESTED, ids=labels, indirect=True, scope="session")
+    if "any_backend" in metafunc.fixturenames:
+        names = ["numpy", *(device.index for device in TESTED)]
+        metafunc.parametrize("any_backend", names, ids=["numpy", *labels], scope="session")
 
 
-@pytest.fixture(scope="session", params=VARIANTS)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Without --full, leave out long tests and most of each grid of parameters.
+
+    Of a grid so many combinations are left as its longest axis has values, and each value of every
+    axis is among them; devices see different combinations.
+    """
+    if config.getoption("--full"):
+        return
+    functions: dict[str, list[pytest.Item]] = defaultdict(list)
+    for item in items:
+        functions[item.nodeid.partition("[")[0]].append(item)
+    chosen: set[pytest.Item] = set()
+    for own in functions.values():
+        if own[0].get_closest_marker("full") is None:
+            chosen.update(_share(own))
+    config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
+    items[:] = [item for item in items if item in chosen]
+
+
+def _share(items: list[pytest.Item]) -> list[pytest.Item]:
+    """Return those items of one test function that stand for its grid of parameters."""
+    devices, *axes = _axes([getattr(item, "callspec", None) for item in items])
+    if len(axes) < 2:
+        return items
+    *shorter, longest = sorted(axes, key=max)
+    return [
+        item
+        for number, item in enumerate(items)
+        if all(
+            axis[number] == (longest[number] + devices[number]) % (max(axis) + 1)
+            for axis in shorter
+        )
+    ]
+
+
+def _axes(callspecs: list[Any]) -> list[list[int]]:
+    """Number the devices, and the values along each axis of a grid: an index for each item.
+
+    Parameters of which not all combinations occur, as those that one decorator sets, are one axis.
+    """
+    devices = [0] * len(callspecs)
+    axes: list[list[int]] = []
+    for name in callspecs[0].params if callspecs[0] else ():
+        # The values are the objects of the decorator's list.
+        axis = _numbered([id(callspec.params[name]) for callspec in callspecs])
+        if name in OF_DEVICES:
+            devices = axis
+            continue
+        for other in list(axes):
+            if len(set(zip(axis, other, strict=True))) < (max(axis) + 1) * (max(other) + 1):
+                axes.remove(other)
+                axis = _numbered(list(zip(axis, other, strict=True)))
+        axes.append(axis)
+    return [devices, *axes]
+
+
+def _numbered(keys: list[Any]) -> list[int]:
+    """Return the place of each key among the different ones."""
+    places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
+    return [places[key] for key in keys]
+
+
+@pytest.fixture(scope="session")
 def variant(request: pytest.FixtureRequest) -> OpenCLOperations:
-    """Operations on each usable device, built in both ways."""
+    """Operations on a device, built with its own constants or with those of the other kind."""
     device, swapped = request.param
     if not swapped:
         return OpenCLOperations(device.handle)
@@ -55,9 +174,9 @@ def variant(request: pytest.FixtureRequest) -> OpenCLOperations:
     return OpenCLOperations(device.handle, apply_quirks(knobs, frozenset({"no_float64"})))
 
 
-@pytest.fixture(scope="session", params=USABLE, ids=_label)
+@pytest.fixture(scope="session")
 def device(request: pytest.FixtureRequest) -> OpenCLOperations:
-    """Operations on each usable device in turn."""
+    """Operations on each tested device in turn."""
     operations = clmorph.get_backend(request.param.index)
     assert isinstance(operations, OpenCLOperations)
     return operations

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import USABLE
+from conftest import TESTED, USABLE
 
 from clmorph import InputError
 from clmorph.check import Finding, check
@@ -70,13 +70,13 @@ def test_report(tmp_path, capfd):
 
 
 def test_check_of_one_device(capfd):
-    assert main(["check", "--device", USABLE[0].index]) == 0
-    assert capfd.readouterr().out.startswith(f"[{USABLE[0].index}] ")
+    assert main(["check", "--device", TESTED[0].index]) == 0
+    assert capfd.readouterr().out.startswith(f"[{TESTED[0].index}] ")
 
 
 def test_a_failed_check_ends_with_1(monkeypatch, capfd):
     monkeypatch.setattr("clmorph.check.check", lambda operations: [Finding("x", 2.0, 1.0, "u")])
-    assert main(["check", "--device", USABLE[0].index]) == 1
+    assert main(["check", "--device", TESTED[0].index]) == 1
     assert "FAIL" in capfd.readouterr().out
 
 
@@ -86,7 +86,7 @@ def test_a_failing_driver_is_told_in_one_line(monkeypatch, capfd):
         yield
 
     monkeypatch.setattr("clmorph.check.check", fail)
-    assert main(["check", "--device", USABLE[0].index]) == 2
+    assert main(["check", "--device", TESTED[0].index]) == 2
     err = capfd.readouterr().err
     assert err.count("\n") == 1
     assert "out of resources" in err
@@ -110,7 +110,7 @@ def test_devices_table(capfd):
 def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path):
     """What pip's PoCL is on processors it does not know: listed, with its reason, not chosen."""
     monkeypatch.setattr("clmorph.opencl.storage.cache_folder", lambda: tmp_path)
-    broken, real = USABLE[0].index, devices.run_probe
+    broken, real = TESTED[0].index, devices.run_probe
     crashed = {"usable": False, "reason": "crashed (signal 6)", "pairs_per_second": 0.0}
     monkeypatch.setattr(
         devices, "run_probe", lambda index: crashed if index == broken else real(index)
@@ -171,6 +171,7 @@ def test_without_devices_advice_is_printed():
 # --- quirks -------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("quirk", QUIRKS)
 def test_each_quirk_can_be_forced(device, monkeypatch, quirk):
     plain = find_quirks(device.device)
@@ -196,6 +197,7 @@ def test_quirks_change_the_build():
             assert made.tile % made.unroll == 0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("quirk", ["small_groups", "inexact_exp2", "small_local_memory"])
 def test_quirks_on_a_gpus_build(device, quirk):
     knobs = apply_quirks(gpu_knobs(256), frozenset({quirk}))

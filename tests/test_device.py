@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pyopencl as cl
 import pytest
-from conftest import USABLE
+from conftest import TESTED, USABLE
 
 import clmorph
 from clmorph import DeviceError, InputError, backends
@@ -105,7 +105,7 @@ def test_environment_variables(device, monkeypatch):
 
 
 def test_the_probe_finds_a_working_device():
-    verdict = run_probe(USABLE[0].index)
+    verdict = run_probe(TESTED[0].index)
     assert verdict["usable"], verdict
     assert verdict["pairs_per_second"] > 1e6
 
@@ -229,6 +229,7 @@ def empty_cache(monkeypatch, tmp_path):
     return tmp_path / "kernels"
 
 
+@pytest.mark.full
 def test_builds_are_kept_and_damage_is_survived(device, empty_cache, monkeypatch):
     constants = device.knobs.rows_constants(5)
     program.build(device.context, "rows.cl", constants)
@@ -252,6 +253,7 @@ def test_builds_are_kept_and_damage_is_survived(device, empty_cache, monkeypatch
     assert len(list(empty_cache.iterdir())) == 2
 
 
+@pytest.mark.full
 def test_two_processes_build_at_once(device, tmp_path):
     index = next(d.index for d in USABLE if d.handle == device.device)
     code = (

@@ -5,18 +5,12 @@ from pathlib import Path
 import numpy as np
 import ot
 import pytest
-from conftest import USABLE
 
 import clmorph
 from clmorph import geomloss_schedule, reference, sinkhorn
 from clmorph.reference.transport import cost_matrix
 
 GEOMLOSS = np.load(Path(__file__).parent / "data" / "geomloss.npz")
-
-
-@pytest.fixture(params=["numpy", *(device.index for device in USABLE)])
-def backend(request):
-    return request.param
 
 
 # --- unbalanced Gaussians: Janati, Muzellec, Peyré, Cuturi (2020) ------------------------
@@ -70,12 +64,12 @@ def on_grid(mass, mean, variance, side, low=-1.5, high=1.5):
 
 @pytest.mark.parametrize(("dimension", "side"), [(1, 400), (2, 36)])
 @pytest.mark.parametrize(("blur", "reach"), [(0.3, 0.5), (0.2, 2.0), (0.5, 0.3)])
-def test_unbalanced_gaussians(backend, dimension, side, blur, reach):
+def test_unbalanced_gaussians(any_backend, dimension, side, blur, reach):
     masses = 0.7, 1.6
     means = np.array([-0.2, 0.1])[:dimension], np.array([0.25, -0.05])[:dimension]
     variances = np.array([0.02, 0.04])[:dimension], np.array([0.05, 0.025])[:dimension]
     pair = [on_grid(*measure, side) for measure in zip(masses, means, variances, strict=True)]
-    got = sinkhorn(*pair, blur, reach, 1e-5, backend=backend)
+    got = sinkhorn(*pair, blur, reach, 1e-5, backend=any_backend)
     epsilon, rho = blur**2, reach**2
     exact = gaussian_potentials(masses, means, variances, epsilon, rho)
     values = []
@@ -99,12 +93,12 @@ def test_unbalanced_gaussians(backend, dimension, side, blur, reach):
 
 @pytest.mark.parametrize("squared", [True, False])
 @pytest.mark.parametrize("reach", [0.2, 0.5, (0.2, 0.7)], ids=str)
-def test_pot(backend, rng, reach, squared):
+def test_pot(any_backend, rng, reach, squared):
     """With POT's usual cost |x - y|^2 its reg is 2 epsilon and its reg_m 2 rho."""
     a, b = rng.random(40), 2 * rng.random(50)
     x, y = rng.random((40, 3)), rng.random((50, 3))
-    got = sinkhorn((a, x), (b, y), 0.2, reach, 1e-5, backend=backend)
-    plan = clmorph.transport_plan((a, x), (b, y), got, relative=1e-12, backend=backend)
+    got = sinkhorn((a, x), (b, y), 0.2, reach, 1e-5, backend=any_backend)
+    plan = clmorph.transport_plan((a, x), (b, y), got, relative=1e-12, backend=any_backend)
     factor = 2.0 if squared else 1.0
     cost = factor * cost_matrix(*clmorph.points.as_pair((a, x), (b, y)))
     rho = np.broadcast_to(got.rho, 2)
@@ -116,10 +110,10 @@ def test_pot(backend, rng, reach, squared):
     assert got.transported_mass == pytest.approx(theirs.sum(), rel=1e-5)
 
 
-def test_pot_balanced(backend, rng):
+def test_pot_balanced(any_backend, rng):
     x, y = rng.random((40, 3)), rng.random((50, 3))
     a, b = np.full(40, 1 / 40), np.full(50, 1 / 50)
-    got = sinkhorn((a, x), (b, y), 0.2, None, 1e-6, backend=backend)
+    got = sinkhorn((a, x), (b, y), 0.2, None, 1e-6, backend=any_backend)
     cost = cost_matrix(*clmorph.points.as_pair((a, x), (b, y)))
     theirs = ot.sinkhorn(a, b, cost, got.epsilon, numItermax=20_000, stopThr=1e-12)
     ours = reference.transport_plan((a, x), (b, y), got)
@@ -131,10 +125,10 @@ def test_pot_balanced(backend, rng):
 
 @pytest.mark.parametrize("scaling", [0.9, 0.5])
 @pytest.mark.parametrize("reach", [None, 0.01, 0.05, 0.1, 0.3, 0.5])
-def test_geomloss(backend, reach, scaling):
+def test_geomloss(any_backend, reach, scaling):
     """Its own results in float64, written by ``tools/geomloss_reference.py``."""
     pair = (GEOMLOSS["a"], GEOMLOSS["x"]), (GEOMLOSS["b"], GEOMLOSS["y"])
-    got = sinkhorn(*pair, 0.05, reach, method="geomloss", scaling=scaling, backend=backend)
+    got = sinkhorn(*pair, 0.05, reach, method="geomloss", scaling=scaling, backend=any_backend)
     for ours, name in ((got.f, "f"), (got.g, "g")):
         theirs = GEOMLOSS[f"{name} reach {reach} scaling {scaling}"]
         assert np.abs(ours - theirs).max() < 1e-3 * got.epsilon

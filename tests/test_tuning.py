@@ -40,6 +40,7 @@ def test_every_variant_can_be_built(knobs):
             assert other.tile % other.unroll == 0
 
 
+@pytest.mark.full
 def test_variants_compute_the_same(device, rng):
     """A sample of them: constants change speed only."""
     points = rng.random((300, 5)), rng.random((200, 5))
