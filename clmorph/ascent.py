@@ -31,8 +31,9 @@ ANNEALING_SHARE = 0.5
 #: With fewer iterations than this there is neither annealing nor extrapolation: what they
 #: cost would not be won back.
 SHORT = 20
-#: Iterations without a new best residual after which rounding is held to be the reason.
-STALLED = 10
+#: Iterations without a new best residual after which rounding is held to be the reason. Balanced
+#: problems have fallen by less than a tenth in twelve, and gone on.
+STALLED = 25
 #: A residual of so many times the bound on the rounding of one softmin can be due to it.
 ROUNDING_MARGIN = 8.0
 #: Float32 is left for better exponents at so many times its rounding as measured.

@@ -112,11 +112,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         return
     functions: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in items:
-        functions[item.nodeid.partition("[")[0]].append(item)
-    chosen: set[pytest.Item] = set()
-    for own in functions.values():
-        if own[0].get_closest_marker("full") is None:
-            chosen.update(_share(own))
+        if item.get_closest_marker("full") is None:
+            functions[item.nodeid.partition("[")[0]].append(item)
+    chosen = {item for own in functions.values() for item in _share(own)}
     config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
     items[:] = [item for item in items if item in chosen]
 

@@ -322,10 +322,10 @@ class TestMemory:
         ("side", "blur", "way", "channels"),
         [
             (64, 0.03, {}, 3),
-            (64, 0.015, {}, 3),
-            (96, 0.012, {}, 3),
-            (96, 0.03, {"sample": 16}, 3),
-            (96, 0.03, {"barycentric": True}, 3),
+            pytest.param(64, 0.015, {}, 3, marks=pytest.mark.full),
+            pytest.param(96, 0.012, {}, 3, marks=pytest.mark.full),
+            pytest.param(96, 0.03, {"sample": 16}, 3, marks=pytest.mark.full),
+            pytest.param(96, 0.03, {"barycentric": True}, 3, marks=pytest.mark.full),
             (64, 0.015, {}, 4),
         ],
     )

@@ -34,6 +34,7 @@ def expected(photographs):
     return result, frames
 
 
+@pytest.mark.full
 def test_paper_parameters_agree_with_the_reference(device, photographs, expected):
     want, frames = expected
     got = morph(*photographs, n_frames=5, endpoints="paper", backend=device)

@@ -199,7 +199,11 @@ def test_stored_pairs_stand_for_the_points(device, rng):
     assert np.abs(got - want).max() <= (left_out + rounding) * epsilon
 
 
-@pytest.mark.parametrize("reach", [0.05, 0.3, 1.0, None, (0.3, None)], ids=str)
+@pytest.mark.parametrize(
+    "reach",
+    [0.05, 0.3, 1.0, pytest.param(None, marks=pytest.mark.full), (0.3, None)],
+    ids=str,
+)
 def test_small_blurs_are_solved_over_stored_pairs(device, monkeypatch, reach):
     solved = []
     original = corrections.stored_grid

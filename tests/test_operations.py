@@ -739,6 +739,7 @@ def test_widths_by_their_definition(variant):
         assert backend.rungs(splats).tolist() == [BASE_RUNG]
 
 
+@pytest.mark.full
 def test_a_canvas_of_4096_pixels_a_side(device):
     """Everywhere on it a frame is what it is on a small canvas around the place."""
     rng = np.random.default_rng(0)

@@ -128,7 +128,7 @@ def test_frames_converge(made):
             assert values[-1] < 0.7 * values[0]
 
 
-@pytest.mark.parametrize("size", [20, 48])
+@pytest.mark.parametrize("size", [20, pytest.param(48, marks=pytest.mark.full)])
 def test_displacements_are_geomlosss(paper, device, tmp_path, size):
     """Its own results in float64, written by ``tools/geomloss_displacements.py``."""
     from paper.geomloss import stored

@@ -1,7 +1,5 @@
 """Constants found by trying: kept, used, forgotten, and never trusted blindly."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -60,7 +58,10 @@ def test_tuning_is_kept_and_used(device, fast_tile):
     lines = []
     start = choose_knobs(device.device)
     best, before, after = tune(device.device, lines.append)
-    assert best == replace(start, tile=128)
+    # Where vectors are narrow, other constants than the tile alone can lead to that tile.
+    assert best.tile == 128
+    assert best.exp2_builtin == start.exp2_builtin
+    assert best in fast_tile
     assert (before, after) == (1e9, 2e9)
     assert len(lines) <= len(fast_tile)
     assert tuned_knobs(device.device) == best
