@@ -51,6 +51,7 @@ def paper(monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
 
 
+@pytest.mark.full
 def test_every_file_is_there(made):
     wanted = {f"{name}.{ending}" for name in NAMES for ending in ("png", "csv")}
     wanted |= {"report.html", "source.png", "target.png"}
@@ -64,6 +65,7 @@ def test_every_file_is_there(made):
             assert None not in row.values()
 
 
+@pytest.mark.full
 def test_the_page_stands_alone(made):
     page = (made / "report.html").read_text(encoding="utf-8")
     assert page.count('src="data:image/png;base64,') == len(NAMES) + 2
@@ -75,6 +77,7 @@ def test_the_page_stands_alone(made):
     assert not re.search(r"\bnan\b|\binf\b|\{|None", text.split("code { overflow-wrap")[-1])
 
 
+@pytest.mark.full
 def test_table_1(made):
     table = {row["reach"]: row for row in rows(made, "table-1")}
     assert list(table) == ["balanced", "0.5", "0.3", "0.1", "0.05", "0.01"]
@@ -94,6 +97,7 @@ def test_table_1(made):
     assert float(table["0.3"]["mean px (published)"]) == 9.55
 
 
+@pytest.mark.full
 def test_table_2(made):
     table = rows(made, "table-2")
     assert {row["rule"] for row in table} == {
@@ -116,6 +120,7 @@ def test_table_2(made):
         assert value["particles", "optimal", t] <= min(others)
 
 
+@pytest.mark.full
 def test_frames_converge(made):
     table = rows(made, "convergence")
     for reference in ("frame", "particles"):

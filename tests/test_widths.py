@@ -51,6 +51,7 @@ def pair():
     ]
 
 
+@pytest.mark.full
 def test_optimal_widths_are_nearest_to_the_particles(device, pair):
     result = morph(*pair, n_frames=3, sigma="optimal", endpoints="paper", backend=device)
     _, widths = result.kernel_width.curve
