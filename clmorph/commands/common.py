@@ -1,11 +1,15 @@
 """What several commands begin with: reading pictures, opening a device."""
 
+import logging
 import warnings
 from pathlib import Path
 from typing import Any
 
-from clmorph.errors import FileError, InputError
+from clmorph.errors import FileError, ImageWarning, InputError
 from clmorph.terminal import NOTES
+
+#: Keeps Python from printing what is logged and nobody handles.
+SILENT = logging.NullHandler()
 
 
 def read_picture(path: Path, max_pixels: int) -> Any:
@@ -20,16 +24,28 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     Returns
     -------
     (H, W, 3) or (H, W, 4) array
+
+    Raises
+    ------
+    FileError
+        If it cannot be read.
     """
     from clmorph.images import read_image
 
-    with warnings.catch_warnings(record=True) as notes:
-        warnings.simplefilter("always")
+    # What libraries remark on odd metadata is not for who morphs: the pixels are judged by
+    # themselves, and tifffile's log has no other reader.
+    log = logging.getLogger("tifffile")
+    log.addHandler(SILENT)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", ImageWarning)
         try:
             pixels = read_image(path, max_pixels=max_pixels)
         except InputError as error:
             raise FileError(str(error)) from None
-    for note in notes:
+        finally:
+            log.removeHandler(SILENT)
+    for note in found:
         NOTES.print(f"note: {note.message}", markup=False)
     return pixels
 
