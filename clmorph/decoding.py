@@ -46,7 +46,8 @@ def name_of(file: Path) -> str:
 
 def reason_of(error: BaseException) -> str:
     """Return what an error of a library says, in one short line."""
-    text = " ".join(str(error).split()) or type(error).__name__
+    told = getattr(error, "strerror", None) or error
+    text = " ".join(str(told).split()) or type(error).__name__
     return printable(text, _REASON_LENGTH)
 
 
@@ -188,8 +189,12 @@ def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
         samples, turned = tiff.read_samples(file, page, layout), layout.orientation
     else:
         stream.seek(0)
-        with TiffImageFile(stream, str(file)) as picture:
-            picture.seek(page)
+        try:
+            opened = TiffImageFile(stream, str(file))
+            opened.seek(page)
+        except SyntaxError as error:
+            raise tiff.not_read(name, layout) from error
+        with opened as picture:
             if picture.size not in ((layout.width, layout.height), (layout.height, layout.width)):
                 raise ValueError("its tags contradict each other")
             if layout.bits <= 8:
@@ -207,10 +212,7 @@ def _compressed_samples(file: Path, picture: Any, page: int, layout: tiff.Layout
         samples = np.asarray(picture)
         samples = samples / 4095.0 if layout.bits == 12 else samples
     if samples is None:
-        raise FileError(
-            f"{name_of(file)} has samples of {layout.bits} bits that are stored in a way that is "
-            "not read; save it uncompressed or with Deflate, in 8 or 16 bits"
-        )
+        raise tiff.not_read(name_of(file), layout)
     return samples.reshape(*samples.shape[:2], -1)
 
 

@@ -49,7 +49,7 @@ def as_pixels(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
         raise InputError(f"{name} has shape {np.shape(image)}: {expected}")
     if array.dtype == np.bool_:
         pixels = array.astype(float)
-    elif array.dtype in (np.uint8, np.uint16):
+    elif array.dtype.kind == "u" and array.dtype.itemsize <= 2:  # in any byte order
         pixels = array / float(np.iinfo(array.dtype).max)
     elif np.issubdtype(array.dtype, np.floating):
         pixels = _checked_floats(array.astype(float), name)

@@ -214,6 +214,15 @@ def _check_pieces(stream: Any, page: Any, layout: Layout) -> None:
                 raise ValueError("a part of it holds more than its tags say")
 
 
+def not_read(file: str, layout: Layout) -> FileError:
+    """Return the error of a picture whose samples are of a kind that is not read."""
+    return FileError(
+        f"{file} stores its colors in a way that is not read (photometric {layout.photometric}, "
+        f"compression {layout.compression}, {layout.samples} samples of {layout.bits} bits); "
+        "save it as RGB of 8 or 16 bits, uncompressed or with Deflate"
+    )
+
+
 def interpret(
     file: str, samples: NDArray[Any], layout: Layout
 ) -> tuple[NDArray[Any], NDArray[Any] | None]:
@@ -240,12 +249,11 @@ def interpret(
     """
     if samples.dtype.kind == "u" and samples.dtype.itemsize > 2:
         samples = samples / float(np.iinfo(samples.dtype).max)
+    elif samples.dtype == np.float16:  # too short to be subtracted from 1
+        samples = samples.astype(np.float32)
     count = _COLORS.get(layout.photometric, 0)
     if not count or samples.shape[2] < count:
-        raise FileError(
-            f"{file} stores its colors in a way that is not read (photometric "
-            f"{layout.photometric}, {layout.samples} samples of {layout.bits} bits); save it as RGB"
-        )
+        raise not_read(file, layout)
     largest = 1 if samples.dtype.kind == "f" else np.iinfo(samples.dtype).max
     colors, alpha = samples[..., :count], None
     for index, meaning in enumerate(layout.extra, start=count):
