@@ -5,6 +5,7 @@ the check of size in `PIL.Image.open` that depends on a variable of the module, 
 checked here, before anything is decoded. Metadata are read by `clmorph.tags`, which does not warn.
 """
 
+import io
 import re
 import struct
 import sys
@@ -32,9 +33,24 @@ TGA_ENDINGS = (".tga", ".icb", ".vda", ".vst")
 _NAME_LENGTH, _REASON_LENGTH = 200, 120
 #: Scans of a progressive JPEG, each of which is work for all its pixels; encoders write about ten.
 MAX_SCANS = 64
+#: Pixels of all scans together.
+MAX_SCANNED = 1 << 30
 _XMP_ORIENTATION = re.compile(rb"tiff:Orientation(?:=\"|>)([1-8])")
 #: 16 bits of each sample, of which Pillow keeps the upper 8: most significant first, or last.
 _DEEP = re.compile(r"(RGBX?|RGBA|RGBa|CMYK);16([BLN])")
+
+class _Reader(io.BufferedReader):
+    """A file that is never asked for more than it has: decoders ask for what its sizes say."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__(io.FileIO(file))
+        self._end = self.seek(0, 2)
+        self.seek(0)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        left = max(0, self._end - self.tell())
+        return super().read(left if size is None or size < 0 else min(size, left))
+
 
 Decoded = tuple[NDArray[Any], list[str]]
 
@@ -74,7 +90,7 @@ def decode(file: Path, max_pixels: int) -> Decoded:
     Exception
         Of any kind, if it is damaged: whatever its decoder raises.
     """
-    with file.open("rb") as stream:
+    with _Reader(file) as stream:
         if stream.read(4) in tiff.SIGNATURES:
             return _decode_tiff(file, stream, max_pixels)
         picture = _open(file, stream, max_pixels)
@@ -115,10 +131,10 @@ def _open(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
             if name == "ICO":
                 picture = _open_icon(file, stream, max_pixels)
             else:
-                if name == "JPEG":
-                    _check_scans(stream)
                 picture = factory(stream, str(file))
             check_size(file, picture.size, max_pixels)
+            if name == "JPEG":
+                _check_scans(stream, picture.size[0] * picture.size[1])
             return picture
     raise FileError(f"{name_of(file)} is not an image that can be read; {fault}")
 
@@ -148,12 +164,16 @@ def _open_icon(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
     return icon.frame(0)
 
 
-def _check_scans(stream: IO[bytes]) -> None:
-    """Raise ValueError if a JPEG has more scans than any encoder writes."""
-    scans = sum(marker == 0xDA for marker in _markers(stream))
+def _check_scans(stream: IO[bytes], pixels: int) -> None:
+    """Raise ValueError if a JPEG has more scans than encoders write, or than can be waited for."""
+    place = stream.tell()
     stream.seek(0)
-    if scans > MAX_SCANS:
-        raise ValueError(f"it has more than {MAX_SCANS} scans")
+    scans = sum(marker == 0xDA for marker in _markers(stream))
+    stream.seek(place)
+    if scans > MAX_SCANS or (scans > 1 and scans * pixels > MAX_SCANNED):
+        raise ValueError(
+            f"it has {scans} scans: expected at most {MAX_SCANS}, fewer if it is large"
+        )
 
 
 def _markers(stream: IO[bytes]) -> Iterator[int]:
@@ -250,7 +270,7 @@ def _deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16]
         return None
     upper = tiles[0][-1]
     upper = {"little": "L", "big": "B"}[sys.byteorder] if upper == "N" else upper
-    with file.open("rb") as stream, type(picture)(stream, str(file)) as again:
+    with _Reader(file) as stream, type(picture)(stream, str(file)) as again:
         again.seek(page)
         halves = []
         for opened, letter in ((picture, upper), (again, "L" if upper == "B" else "B")):
@@ -310,7 +330,7 @@ def _decode_picture(
 
 
 def _in_icon(file: Path) -> bool:
-    with file.open("rb") as stream:
+    with _Reader(file) as stream:
         return stream.read(4) == b"\0\0\1\0"
 
 

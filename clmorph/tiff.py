@@ -41,10 +41,10 @@ class Layout(NamedTuple):
     kind : str
         "u", "i" or "f".
     samples : int
-    photometric, compression, orientation : int
+    photometric, compression, orientation, predictor : int
         As in the file.
-    planar : bool
-        Whether samples of one kind lie together.
+    planar, subsampled : bool
+        Whether samples of one kind lie together; whether there are fewer of color than of light.
     extra : tuple of int
         What the samples after the colors are.
     piece : tuple of int
@@ -64,6 +64,7 @@ class Layout(NamedTuple):
     extra: tuple[int, ...]
     piece: tuple[int, int]
     subsampled: bool
+    predictor: int
     profile: bytes | None
 
     @property
@@ -109,6 +110,7 @@ def read_layout(directory: Directory) -> Layout:
         width, height, bits[0], kind, samples, photometric, compression,
         directory.number(tags.ORIENTATION, 1), directory.number(tags.PLANAR, 1) == 2,
         extra, piece, directory.numbers(tags.SUBSAMPLING)[:2] != (1, 1),
+        directory.number(tags.PREDICTOR, 1),
         profile if isinstance(profile, bytes) else None,
     )  # fmt: skip
 
@@ -157,6 +159,7 @@ def by_tifffile(layout: Layout) -> bool:
     return (
         layout.compression in (UNCOMPRESSED, *DEFLATE)
         and layout.photometric in _COLORS
+        and layout.predictor in (1, 2)  # 3, for floats, takes imagecodecs
         and layout.bits in ((16, 32, 64) if layout.kind == "f" else (8, 16, 32, 64))
     )
 
