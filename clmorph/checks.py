@@ -85,13 +85,3 @@ def check_color_weight(value: Any) -> float:
 def check_sigma(name: str, value: Any) -> float:
     """Return a kernel width in pixels: from a thousandth on."""
     return check_number(name, value, 1e-3, 1e4)
-
-
-def printable(text: str, length: int = 60) -> str:
-    """Return a text as one line of printable characters, shortened in its middle."""
-    if len(text) > length:
-        half = (length - 1) // 2
-        text = f"{text[:half]}…{text[-half:]}"
-    return "".join(
-        char if char.isprintable() else char.encode("unicode_escape").decode() for char in text
-    )

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph import tags, tiff
-from clmorph.checks import printable
 from clmorph.errors import FileError
+from clmorph.printable import printable
 from clmorph.profiles import from_gamma, is_srgb, to_srgb
 
 #: Formats of Pillow that are read, the unmistakable ones first. Left out are those that run other
@@ -29,8 +29,8 @@ FORMATS = (
 )  # fmt: skip
 #: A format without a signature: only names tell.
 TGA_ENDINGS = (".tga", ".icb", ".vda", ".vst")
-#: What a name, and what a library says, may take in a message.
-_NAME_LENGTH, _REASON_LENGTH = 200, 120
+#: Characters that what a library says may take in a message.
+_REASON_LENGTH = 120
 #: Scans of a progressive JPEG, each of which is work for all its pixels; encoders write about ten.
 MAX_SCANS = 64
 #: Pixels of all scans together.
@@ -38,6 +38,7 @@ MAX_SCANNED = 1 << 30
 _XMP_ORIENTATION = re.compile(rb"tiff:Orientation(?:=\"|>)([1-8])")
 #: 16 bits of each sample, of which Pillow keeps the upper 8: most significant first, or last.
 _DEEP = re.compile(r"(RGBX?|RGBA|RGBa|CMYK);16([BLN])")
+
 
 class _Reader(io.BufferedReader):
     """A file that is never asked for more than it has: decoders ask for what its sizes say."""
@@ -57,7 +58,7 @@ Decoded = tuple[NDArray[Any], list[str]]
 
 def name_of(file: Path) -> str:
     """Return a file's name as messages show it."""
-    return printable(str(file), _NAME_LENGTH)
+    return printable(file)
 
 
 def reason_of(error: BaseException) -> str:

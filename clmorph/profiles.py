@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.checks import printable
 from clmorph.colors import encode
+from clmorph.printable import printable
 
 #: What ICC calls the colors of a profile, and which of Pillow's modes hold such.
 _SPACES = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab": "LAB"}
@@ -81,7 +81,7 @@ def _name(profile: bytes) -> str:
         name = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(BytesIO(profile)))
     except (ImageCms.PyCMSError, ImportError, OSError, ValueError, TypeError):
         return "(unreadable)"
-    return repr(printable(" ".join(name.split())))
+    return repr(printable(" ".join(name.split()), 60))
 
 
 def is_srgb(profile: bytes) -> bool:

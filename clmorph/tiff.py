@@ -205,6 +205,8 @@ def _check_pieces(stream: Any, page: Any, layout: Layout) -> None:
     """Raise ValueError if a strip or a tile is not all there, or inflates to more than it is."""
     if len(page.dataoffsets) > MAX_PIECES:
         raise ValueError("it has too many strips or tiles")
+    if len(page.dataoffsets) != len(page.databytecounts):
+        raise ValueError("its tags contradict each other")
     # Strips of planar files are of one sample each; a limit has not to be exact.
     most = layout.piece[0] * layout.piece[1] * layout.samples * layout.dtype.itemsize
     for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):

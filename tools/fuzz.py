@@ -29,7 +29,7 @@ import numpy as np
 
 TARGETS = ("images", "configs", "api")
 #: Seconds that one case may take before its process is ended.
-PATIENCE = 60.0
+PATIENCE = 60
 #: Seconds in which a process must have made what it needs.
 START = 180.0
 #: Bytes that a process may take beyond what it has when it begins.
@@ -44,6 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--keep", type=Path, help="a folder for the inputs that offend")
     parser.add_argument("--only", type=int, help="run this one case, here")
+    parser.add_argument("--patience", type=float, default=PATIENCE, metavar="SECONDS",
+                        help=f"of the clock for one case [default: {PATIENCE}]")  # fmt: skip
     parser.add_argument("--work", nargs=2, type=int, metavar=("FIRST", "STEP"),
                         help=argparse.SUPPRESS)  # fmt: skip
     given = parser.parse_args(arguments)
@@ -53,7 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
         return work(given.target, given.seed, given.count, *given.work)
     if given.only is not None:
         return repeat(given.target, given.seed, given.only, given.keep)
-    return supervise(given.target, given.seed, given.count, given.jobs, given.keep)
+    return supervise(given.target, given.seed, given.count, given.jobs, given.keep, given.patience)
 
 
 def make_target(target: str, folder: Path) -> Any:
@@ -71,16 +73,20 @@ def repeat(target: str, seed: int, number: int, keep: Path | None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         here = Path.cwd()
         name, data, run = make_target(target, Path(folder)).case(rng_of(seed, number))
-        print(f"{target} {number}: {name}, {len(data)} bytes")
+        print(f"{target} {number}: {name}, {len(data)} bytes", flush=True)
+        if keep is not None:
+            _keep(here / keep, target, seed, number, data)
         limit_memory()
         found = run()
         os.chdir(here)
-    if keep is not None:
-        keep.mkdir(parents=True, exist_ok=True)
-        (keep / f"{target}-{seed}-{number}").write_bytes(data)
     for finding in found:
         print(finding)
     return int(bool(found))
+
+
+def _keep(folder: Path, target: str, seed: int, number: int, data: bytes) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{target}-{seed}-{number}").write_bytes(data)
 
 
 def limit_memory() -> None:
@@ -136,15 +142,18 @@ class Share:
     ----------
     target : str
     seed, count, first, step : int
+    patience : float
+        Seconds that one case may take.
     report : callable
         Called with the number of a case, its seconds, its findings and its input.
     """
 
     def __init__(
-        self, target: str, seed: int, count: int, first: int, step: int, report: Any
-    ) -> None:
+        self, target: str, seed: int, count: int, first: int, step: int, patience: float,
+        report: Any,
+    ) -> None:  # fmt: skip
         self.target, self.seed, self.count, self.step = target, seed, count, step
-        self.next, self.report, self.failed = first, report, ""
+        self.next, self.patience, self.report, self.failed = first, patience, report, ""
 
     def run(self) -> None:
         """Run all."""
@@ -164,10 +173,10 @@ class Share:
             ended = ""
             while not ended:
                 try:
-                    line = lines.get(timeout=START if running is None else PATIENCE)
+                    line = lines.get(timeout=START if running is None else self.patience)
                 except queue.Empty:
                     process.kill()
-                    ended = f"no end after {PATIENCE:g} s"
+                    ended = f"no end after {self.patience:g} s"
                     break
                 told = json.loads(line) if line else {"gone": True}
                 if "failed" in told:
@@ -187,7 +196,7 @@ class Share:
             if running is None or running < self.next:
                 self.failed = f"no process could be started: {ended}"
                 return
-            self.report(running, PATIENCE, [ended], "")
+            self.report(running, 0.0, [ended], "")
             self.next = running + self.step
 
     @staticmethod
@@ -197,7 +206,9 @@ class Share:
         lines.put("")
 
 
-def supervise(target: str, seed: int, count: int, jobs: int, keep: Path | None) -> int:
+def supervise(
+    target: str, seed: int, count: int, jobs: int, keep: Path | None, patience: float
+) -> int:
     """Run all cases in processes, print what is found, and sum it up."""
     lock, findings, seconds, began = threading.Lock(), Counter(), [], time.monotonic()
 
@@ -210,11 +221,10 @@ def supervise(target: str, seed: int, count: int, jobs: int, keep: Path | None) 
                 print(
                     f"    python tools/fuzz.py {target} --seed {seed} --only {number}", flush=True
                 )
-            if found and keep is not None:
-                keep.mkdir(parents=True, exist_ok=True)
-                (keep / f"{target}-{seed}-{number}").write_bytes(bytes.fromhex(data))
+            if data and keep is not None:
+                _keep(keep, target, seed, number, bytes.fromhex(data))
 
-    shares = [Share(target, seed, count, first, jobs, report) for first in range(jobs)]
+    shares = [Share(target, seed, count, first, jobs, patience, report) for first in range(jobs)]
     threads = [threading.Thread(target=share.run) for share in shares]
     for thread in threads:
         thread.start()
