@@ -12,19 +12,38 @@ def png_chunk(name: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
+#: First row and column of each pass of an interlaced PNG, and its steps.
+ADAM7 = (
+    (0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1),
+)  # fmt: skip
+
+
+def _rows(samples: np.ndarray, bits: int) -> bytes:
+    """Pack rows as PNG stores them, each behind the number of its filter."""
+    rows = samples.reshape(samples.shape[0], -1)
+    if bits < 8:
+        planes = (rows[..., None] >> np.arange(bits)[::-1]) & 1
+        packed = np.packbits(planes.reshape(rows.shape[0], -1).astype(np.uint8), axis=1)
+    else:
+        packed = rows.astype({8: "u1", 16: ">u2"}[bits])
+    return b"".join(b"\0" + row.tobytes() for row in packed)
+
+
 def png(
-    samples: np.ndarray, color: int, bits: int = 8, chunks: tuple[tuple[bytes, bytes], ...] = ()
+    samples: np.ndarray,
+    color: int,
+    bits: int = 8,
+    chunks: tuple[tuple[bytes, bytes], ...] = (),
+    interlaced: bool = False,
 ) -> bytes:
     """A PNG of samples (H, W) or (H, W, n); `color` is the type in its header."""
     height, width = samples.shape[:2]
-    rows = samples.reshape(height, -1)
-    if bits < 8:
-        planes = (rows[..., None] >> np.arange(bits)[::-1]) & 1
-        packed = np.packbits(planes.reshape(height, -1).astype(np.uint8), axis=1)
-    else:
-        packed = rows.astype({8: "u1", 16: ">u2"}[bits])
-    data = b"".join(b"\0" + row.tobytes() for row in packed)
-    parts = [(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, color, 0, 0, 0)), *chunks]
+    passes = (
+        [samples[y::down, x::across] for y, x, down, across in ADAM7] if interlaced else [samples]
+    )
+    data = b"".join(_rows(part, bits) for part in passes if part.size)
+    header = struct.pack(">IIBBBBB", width, height, bits, color, 0, 0, interlaced)
+    parts = [(b"IHDR", header), *chunks]
     parts += [(b"IDAT", zlib.compress(data)), (b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*part) for part in parts)
 

@@ -268,9 +268,10 @@ def test_reduced_first_pages_are_passed_over(tmp_path, rng):
 @pytest.mark.parametrize(("color", "samples"), [(0, 1), (2, 3), (4, 2), (6, 4)])
 def test_16_bits_of_pngs_are_kept(read, rng, color, samples):
     array = values(rng, samples, np.uint16)
-    got = read(png(array, color, 16))
     want = as_color(array if samples != 2 else array[..., (0, 0, 0, 1)])
-    assert np.abs(got - want).max() < 1e-9
+    for interlaced in (False, True):
+        got = read(png(array, color, 16, interlaced=interlaced))
+        assert np.abs(got - want).max() < 1e-9
 
 
 @pytest.mark.parametrize("bits", [1, 2, 4, 8, 16])
@@ -435,6 +436,19 @@ def test_names_alone_make_no_image(read):
             read(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", name)
 
 
+def test_16_bits_of_other_formats(read, tmp_path, rng):
+    """Gray keeps them; what is lost of colors is noted."""
+    gray = values(rng, 1, np.uint16)
+    head = f"{WIDTH} {HEIGHT}\n65535\n".encode()
+    assert np.abs(read(b"P5\n" + head + gray.astype(">u2").tobytes()) - as_color(gray)).max() < 1e-9
+    Image.fromarray(gray).save(tmp_path / "a.jp2")
+    assert np.abs(read_image(tmp_path / "a.jp2") - as_color(gray)).max() < 1e-9
+    colors = values(rng, 3, np.uint16)
+    with pytest.warns(ImageWarning, match="reduced to 8"):
+        got = read(b"P6\n" + head + colors.astype(">u2").tobytes())
+    assert np.abs(got - as_color(colors)).max() < 1 / 255
+
+
 @pytest.mark.parametrize("suffix", ["gif", "png", "webp", "avif"])
 def test_animations_are_noted_and_stills_are_not(tmp_path, suffix):
     frames = [Image.new("RGB", (8, 8), color) for color in ("red", "blue")]
@@ -579,3 +593,27 @@ def test_threads_leave_no_trace(tmp_path):
     watcher.join()
     assert not failed
     assert state() == before
+
+
+# The command line
+
+
+def test_the_command_prints_notes_and_no_remarks_of_libraries(tmp_path, capfd, monkeypatch):
+    """Our warnings are notes; what Pillow remarks on damaged metadata is not printed."""
+    from clmorph.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    frames = [Image.new("RGB", (5, 4), color) for color in ("red", "blue")]
+    frames[0].save("a.gif", save_all=True, append_images=frames[1:])
+    exif = tiff(b"", 1, 1, {274: 1})
+    frames[1].save("b.jpg", exif=b"Exif\0\0" + exif[:-9])  # cut off
+    monkeypatch.setattr(warnings, "filters", [("default", None, Warning, None, 0)])
+    options = ["--size", "4", "--frames", "3", "--backend", "numpy", "--max-iter", "20"]
+    assert main(["morph", "a.gif", "b.jpg", "-o", "out.png", *options]) == 0
+    lines = capfd.readouterr().err.splitlines()
+    assert "note: a.gif has several pictures: its first is taken" in lines
+    assert all(line.startswith(("device:", "memory:", "note:")) for line in lines), lines
+    tags = {258: 8, 262: 1, 277: (11,) * 300, 270: b"clmorph" * 3}
+    (tmp_path / "in.tif").write_bytes(tiff(bytes(1), 1, 1, tags)[:-9])
+    assert main(["morph", "--config", "in.tif", "-o", "out.png"]) == 2
+    assert len(capfd.readouterr().err.splitlines()) == 1

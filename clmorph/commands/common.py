@@ -2,6 +2,8 @@
 
 import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,31 @@ from clmorph.terminal import NOTES
 
 #: Keeps Python from printing what is logged and nobody handles.
 SILENT = logging.NullHandler()
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
+    """Keep to itself what Pillow and tifffile remark on odd metadata.
+
+    It is not for who morphs: pixels and recipes are judged by themselves. For the command alone,
+    whose process has no other threads.
+
+    Yields
+    ------
+    list of warnings.WarningMessage
+        Those of ours, which are to be printed.
+    """
+    logs = [logging.getLogger(name) for name in ("PIL", "tifffile")]
+    for log in logs:
+        log.addHandler(SILENT)
+    try:
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("always", ImageWarning)
+            yield found
+    finally:
+        for log in logs:
+            log.removeHandler(SILENT)
 
 
 def read_picture(path: Path, max_pixels: int) -> Any:
@@ -32,19 +59,11 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     """
     from clmorph.images import read_image
 
-    # What libraries remark on odd metadata is not for who morphs: the pixels are judged by
-    # themselves, and tifffile's log has no other reader.
-    log = logging.getLogger("tifffile")
-    log.addHandler(SILENT)
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("always", ImageWarning)
+    with quiet_libraries() as found:
         try:
             pixels = read_image(path, max_pixels=max_pixels)
         except InputError as error:
             raise FileError(str(error)) from None
-        finally:
-            log.removeHandler(SILENT)
     for note in found:
         NOTES.print(f"note: {note.message}", markup=False)
     return pixels
