@@ -155,7 +155,8 @@ def _open_icon(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
     icon = IcoFile(stream)
     if not icon.entry:
         raise ValueError("it holds no picture")
-    stream.seek(icon.entry[0].offset)
+    entry: Any = icon.entry[0]
+    stream.seek(entry["offset"] if isinstance(entry, dict) else entry.offset)
     start = stream.read(24)
     if start.startswith(b"\x89PNG"):
         check_size(file, struct.unpack(">II", start[16:24]), max_pixels)

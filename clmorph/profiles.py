@@ -11,6 +11,8 @@ from clmorph.printable import printable
 
 #: What ICC calls the colors of a profile, and which of Pillow's modes hold such.
 _SPACES = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab": "LAB"}
+#: Of Little CMS; Pillow names it by another name in each version.
+_BLACK_POINT_COMPENSATION: Any = 0x2000
 #: PNG's exponent of sRGB, and its primaries: white, red, green, blue.
 _SRGB_GAMMA = 0.45455
 _SRGB_CHROMATICITY = (0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
@@ -68,7 +70,7 @@ def _converted(picture: Any, source: Any) -> NDArray[np.uint8]:
     target = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB"))
     made = ImageCms.profileToProfile(
         picture, source, target, ImageCms.Intent.RELATIVE_COLORIMETRIC, "RGB",
-        flags=ImageCms.Flags.BLACKPOINTCOMPENSATION,
+        flags=_BLACK_POINT_COMPENSATION,
     )  # fmt: skip
     return np.asarray(made)
 

@@ -14,7 +14,8 @@ def png_chunk(name: bytes, data: bytes) -> bytes:
 
 #: First row and column of each pass of an interlaced PNG, and its steps.
 ADAM7 = (
-    (0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1),
+    (0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2),
+    (1, 0, 2, 1),
 )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ import warnings
 import zlib
 
 import numpy as np
+import PIL
 import pytest
 import tifffile
 from pictures import png, png_chunk, tiff
@@ -213,7 +214,10 @@ def test_lab_tiffs(read):
 
 def test_ycbcr_tiffs(tmp_path, read, rng):
     picture = Image.fromarray(values(rng, 3, np.uint8)).resize((32, 32), Image.Resampling.BICUBIC)
-    for options in ({"compression": "jpeg", "quality": 95}, {}):
+    ways: list[dict] = [{"compression": "jpeg", "quality": 95}]
+    if int(PIL.__version__.split(".")[0]) > 10:  # older ones do not read what they write
+        ways.append({})
+    for options in ways:
         picture.convert("YCbCr").save(tmp_path / "a.tif", **options)
         assert np.abs(read_image(tmp_path / "a.tif") - np.asarray(picture) / 255).max() < 0.15
     with pytest.raises(FileError, match="uncompressed YCbCr"):
@@ -453,6 +457,8 @@ def test_16_bits_of_other_formats(read, tmp_path, rng):
 def test_animations_are_noted_and_stills_are_not(tmp_path, suffix):
     frames = [Image.new("RGB", (8, 8), color) for color in ("red", "blue")]
     file = tmp_path / f"a.{suffix}"
+    if file.suffix not in Image.registered_extensions():
+        pytest.skip("this Pillow has no AVIF")
     frames[0].save(file)
     assert np.abs(read_image(file) - [1, 0, 0]).max() < 0.02
     frames[0].save(file, save_all=True, append_images=frames[1:])
