@@ -1,15 +1,10 @@
 """Decode image files: bytes from anywhere to arrays of sRGB, in bounded time and memory.
 
-Nothing global is changed, not for a moment: plugins of Pillow are opened by themselves, without
-the check of size in `PIL.Image.open` that depends on a variable of the module, and the size is
-checked here, before anything is decoded. Metadata are read by `clmorph.tags`, which does not warn.
+Whatever a file holds, nothing that the process shares is changed. Metadata are read by
+`clmorph.tags`, which does not warn, sizes are checked by `clmorph.opening`.
 """
 
-import io
 import re
-import struct
-import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -17,55 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph import tags, tiff
-from clmorph.errors import FileError
-from clmorph.printable import printable
+from clmorph.deep import GRAY_16, deep_samples, is_reduced, of_deep_png, raw_mode
+from clmorph.opening import Reader, check_size, name_of, open_picture
 from clmorph.profiles import from_gamma, is_srgb, to_srgb
 
-#: Formats of Pillow that are read, the unmistakable ones first. Left out are those that run other
-#: programs (EPS, WMF), that decode nothing (stubs), or that hold other pictures (ICNS).
-FORMATS = (
-    "PNG", "JPEG", "WEBP", "GIF", "TIFF", "AVIF", "JPEG2000", "ICO", "BMP", "QOI", "PSD", "DDS",
-    "SGI", "PPM", "DIB", "PCX",
-)  # fmt: skip
-#: A format without a signature: only names tell.
-TGA_ENDINGS = (".tga", ".icb", ".vda", ".vst")
-#: Characters that what a library says may take in a message.
-_REASON_LENGTH = 120
-#: Scans of a progressive JPEG, each of which is work for all its pixels; encoders write about ten.
-MAX_SCANS = 64
-#: Pixels of all scans together.
-MAX_SCANNED = 1 << 30
 _XMP_ORIENTATION = re.compile(rb"tiff:Orientation(?:=\"|>)([1-8])")
-#: 16 bits of each sample, of which Pillow keeps the upper 8: most significant first, or last.
-_DEEP = re.compile(r"(RGBX?|RGBA|RGBa|CMYK);16([BLN])")
-
-
-class _Reader(io.BufferedReader):
-    """A file that is never asked for more than it has: decoders ask for what its sizes say."""
-
-    def __init__(self, file: Path) -> None:
-        super().__init__(io.FileIO(file))
-        self._end = self.seek(0, 2)
-        self.seek(0)
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        left = max(0, self._end - self.tell())
-        return super().read(left if size is None or size < 0 else min(size, left))
 
 
 Decoded = tuple[NDArray[Any], list[str]]
-
-
-def name_of(file: Path) -> str:
-    """Return a file's name as messages show it."""
-    return printable(file)
-
-
-def reason_of(error: BaseException) -> str:
-    """Return what an error of a library says, in one short line."""
-    told = getattr(error, "strerror", None) or error
-    text = " ".join(str(told).split()) or type(error).__name__
-    return printable(text, _REASON_LENGTH)
 
 
 def decode(file: Path, max_pixels: int) -> Decoded:
@@ -91,112 +45,12 @@ def decode(file: Path, max_pixels: int) -> Decoded:
     Exception
         Of any kind, if it is damaged: whatever its decoder raises.
     """
-    with _Reader(file) as stream:
+    with Reader(file) as stream:
         if stream.read(4) in tiff.SIGNATURES:
             return _decode_tiff(file, stream, max_pixels)
-        picture = _open(file, stream, max_pixels)
+        picture = open_picture(file, stream, max_pixels)
         with picture:
             return _decode_picture(file, picture)
-
-
-def check_size(file: Path, size: tuple[int, int], max_pixels: int) -> None:
-    """Raise FileError if a picture has too many pixels, or none."""
-    width, height = size
-    if width < 1 or height < 1:
-        raise ValueError("it has no pixels")
-    if width * height > max_pixels:
-        raise FileError(
-            f"{name_of(file)} has {width} x {height} pixels: expected at most {max_pixels} in "
-            "all; reduce it, or raise the limit (--max-pixels, max_pixels)"
-        )
-
-
-def _open(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
-    """Return a Pillow image that is not decoded yet, its size checked."""
-    from PIL import Image
-
-    Image.init()
-    stream.seek(0)
-    start = stream.read(64)
-    formats = FORMATS + (("TGA",) if file.suffix.lower() in TGA_ENDINGS else ())
-    fault = "expected a PNG, JPEG or similar"
-    for name in formats:
-        factory, accept = Image.OPEN.get(name, (None, None))
-        if factory is None:
-            continue
-        accepted = accept is None or _accepts(accept, start)
-        if isinstance(accepted, str):  # this build of Pillow lacks it
-            fault = reason_of(ValueError(accepted))
-        elif accepted:
-            stream.seek(0)
-            if name == "ICO":
-                picture = _open_icon(file, stream, max_pixels)
-            else:
-                picture = factory(stream, str(file))
-            check_size(file, picture.size, max_pixels)
-            if name == "JPEG":
-                _check_scans(stream, picture.size[0] * picture.size[1])
-            return picture
-    raise FileError(f"{name_of(file)} is not an image that can be read; {fault}")
-
-
-def _accepts(accept: Callable[[bytes], bool | str], start: bytes) -> bool | str:
-    """Return what a plugin says to the first bytes of a file; too few can be a fault of its."""
-    try:
-        return accept(start)
-    except (IndexError, struct.error):
-        return False
-
-
-def _open_icon(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
-    """Open the largest picture of an icon, its size checked: Pillow decodes it at once."""
-    from PIL.IcoImagePlugin import IcoFile
-
-    icon = IcoFile(stream)
-    if not icon.entry:
-        raise ValueError("it holds no picture")
-    entry: Any = icon.entry[0]
-    stream.seek(entry["offset"] if isinstance(entry, dict) else entry.offset)
-    start = stream.read(24)
-    if start.startswith(b"\x89PNG"):
-        check_size(file, struct.unpack(">II", start[16:24]), max_pixels)
-    else:  # a bitmap, its mask below it
-        width, height = struct.unpack("<ii", start[4:12])
-        check_size(file, (width, abs(height) // 2), max_pixels)
-    return icon.frame(0)
-
-
-def _check_scans(stream: IO[bytes], pixels: int) -> None:
-    """Raise ValueError if a JPEG has more scans than encoders write, or than can be waited for."""
-    place = stream.tell()
-    stream.seek(0)
-    scans = sum(marker == 0xDA for marker in _markers(stream))
-    stream.seek(place)
-    if scans > MAX_SCANS or (scans > 1 and scans * pixels > MAX_SCANNED):
-        raise ValueError(
-            f"it has {scans} scans: expected at most {MAX_SCANS}, fewer if it is large"
-        )
-
-
-def _markers(stream: IO[bytes]) -> Iterator[int]:
-    """Yield the markers of a JPEG up to its end; few files have more than a hundred."""
-    data = stream.read()
-    place, scans = 2, 0
-    while scans <= MAX_SCANS:
-        place = data.find(b"\xff", place)
-        if place < 0 or place + 4 > len(data):
-            return
-        marker = data[place + 1]
-        if marker == 0xD9:
-            return
-        if marker == 0xFF:
-            place += 1
-        elif marker in (0x00, 0x01) or 0xD0 <= marker <= 0xD8:
-            place += 2
-        else:
-            yield marker
-            scans += marker == 0xDA
-            place += 2 + int.from_bytes(data[place + 2 : place + 4], "big")
 
 
 def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
@@ -229,8 +83,8 @@ def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
 
 def _compressed_samples(file: Path, picture: Any, page: int, layout: tiff.Layout) -> NDArray[Any]:
     """Decode a TIFF of more than 8 bits by Pillow: (H, W, samples) array."""
-    samples: NDArray[Any] | None = _deep_samples(picture, file, page)
-    if samples is None and picture.mode in (*_GRAY_16, "F"):
+    samples: NDArray[Any] | None = deep_samples(picture, file, page)
+    if samples is None and picture.mode in (*GRAY_16, "F"):
         samples = np.asarray(picture)
         samples = samples / 4095.0 if layout.bits == 12 else samples
     if samples is None:
@@ -244,60 +98,6 @@ def _rest_to_turn(picture: Any) -> int:
     return turned if turned in range(1, 9) else 1
 
 
-def _deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] | None:
-    """Decode 16 bits a sample, of which Pillow would keep 8; None if it would not.
-
-    It is told which byte of each to keep by the letter of the byte order: so it keeps the other
-    one if told the wrong order.
-
-    Parameters
-    ----------
-    picture : PIL.ImageFile.ImageFile
-        Not decoded yet.
-    file : Path
-        To be opened once more.
-    page : int
-        Which of its pictures it is.
-
-    Returns
-    -------
-    (H, W, 2 to 4) array or None
-    """
-    tiles = [_raw_mode(tile) for tile in picture.tile]
-    if tiles == ["LA;16B"]:  # four bytes a pixel, as RGBA has
-        picture.tile = [_with_raw_mode(tile, "RGBA") for tile in picture.tile]
-        bytes_ = np.asarray(picture).astype(np.uint16)
-        return np.asarray(bytes_[..., ::2] << 8 | bytes_[..., 1::2], np.uint16)
-    if not tiles or not all(_DEEP.fullmatch(tile) for tile in tiles):
-        return None
-    upper = tiles[0][-1]
-    upper = {"little": "L", "big": "B"}[sys.byteorder] if upper == "N" else upper
-    with _Reader(file) as stream, type(picture)(stream, str(file)) as again:
-        again.seek(page)
-        halves = []
-        for opened, letter in ((picture, upper), (again, "L" if upper == "B" else "B")):
-            # RGBa would be divided by its opacity, half by half.
-            opened.tile = [
-                _with_raw_mode(tile, f"{_raw_mode(tile)[:-1].upper()}{letter}")
-                for tile in opened.tile
-            ]
-            halves.append(np.asarray(opened).astype(np.uint16))
-    return np.asarray(halves[0] << 8 | halves[1], np.uint16)
-
-
-def _raw_mode(tile: Any) -> str:
-    """Return how a part of a file is stored, as Pillow tells its decoder."""
-    args = tile[3][0] if isinstance(tile[3], tuple) and tile[3] else tile[3]
-    return args if isinstance(args, str) else ""
-
-
-def _with_raw_mode(tile: Any, mode: str) -> Any:
-    """Return a part of a file, stored in another way."""
-    args = (mode, *tile[3][1:]) if isinstance(tile[3], tuple) else mode
-    changed = (*tile[:3], args)
-    return tile._make(changed) if hasattr(tile, "_make") else changed
-
-
 def _decode_picture(
     file: Path, picture: Any, profile: bytes | None = None, notes: list[str] | None = None
 ) -> Decoded:
@@ -305,11 +105,10 @@ def _decode_picture(
     notes = list(notes or [])
     kind = picture.format
     shown = picture.tile[0][1] if kind == "GIF" and picture.tile else None
-    reduced = _is_reduced(picture)
-    # The picture of an icon is a part of its file.
-    deep = _deep_samples(picture, file) if kind == "PNG" and not _in_icon(file) else None
+    reduced = is_reduced(picture)
+    deep = deep_samples(picture, file) if kind == "PNG" and not _in_icon(file) else None
     if deep is not None:
-        colors, alpha = _of_deep_png(deep, picture.info.get("transparency"))
+        colors, alpha = of_deep_png(deep, picture.info.get("transparency"))
     else:
         if reduced:
             notes.append("more than 8 bits a sample: they are reduced to 8")
@@ -332,22 +131,13 @@ def _decode_picture(
 
 
 def _in_icon(file: Path) -> bool:
-    with _Reader(file) as stream:
+    """Return whether a PNG is only a part of its file, which cannot be opened again as one."""
+    with Reader(file) as stream:
         return stream.read(4) == b"\0\0\1\0"
 
 
-_GRAY_16 = ("I;16", "I;16B", "I;16L", "I;16N")
 #: Of Pillow's formats, those that show one picture after the other.
 _ANIMATED = ("GIF", "PNG", "WEBP", "AVIF")
-
-
-def _is_reduced(picture: Any) -> bool:
-    """Return whether Pillow keeps 8 bits of more."""
-    for tile in picture.tile:
-        most = tile[3][-1] if tile[0] == "ppm" else 0
-        if ";16" in _raw_mode(tile) or tile[0] == "SGI16" or (isinstance(most, int) and most > 255):
-            return picture.mode not in (*_GRAY_16, "I", "F")
-    return False
 
 
 def _is_animated(picture: Any) -> bool:
@@ -357,28 +147,15 @@ def _is_animated(picture: Any) -> bool:
         return False
 
 
-def _of_deep_png(
-    samples: NDArray[np.uint16], transparent: Any
-) -> tuple[NDArray[np.uint16], NDArray[np.uint16] | None]:
-    """Return the colors and the opacity of a PNG of 16 bits, not gray alone."""
-    if samples.shape[2] == 2:
-        return samples[..., 0], samples[..., 1]
-    if samples.shape[2] == 4:
-        return samples[..., :3], samples[..., 3]
-    if isinstance(transparent, tuple):
-        return samples, np.any(samples != transparent, axis=2) * np.uint16(65535)
-    return samples, None
-
-
 def _split(picture: Any) -> tuple[Any, NDArray[Any] | None]:
     """Return colors, and opacity if there is any, of a Pillow image.
 
     Colors are an image of mode L, RGB, CMYK or LAB, or an array of 16-bit or float gray.
     """
-    tile = _raw_mode(picture.tile[0]) if picture.tile else ""
+    tile = raw_mode(picture.tile[0]) if picture.tile else ""
     picture.load()
     transparent = picture.info.get("transparency")
-    if picture.mode in (*_GRAY_16, "I"):
+    if picture.mode in (*GRAY_16, "I"):
         if picture.mode == "I" and picture.format not in ("PNG", "PPM"):
             raise ValueError("its samples are signed or of more than 16 bits")
         gray = np.clip(np.asarray(picture), 0, 65535).astype(np.uint16)

@@ -174,7 +174,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
     ----------
     path : path
         PNG, JPEG, WebP, AVIF, GIF, TIFF, BMP, JPEG 2000 or one of the others in
-        `clmorph.decoding.FORMATS`; the first picture of an animation or of several pages. It
+        `clmorph.opening.FORMATS`; the first picture of an animation or of several pages. It
         is turned as its Exif says. PNG and TIFF keep 16 bits, TIFF floats too.
     max_pixels : int
         A larger image is refused before it is decoded.
@@ -199,7 +199,8 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
     max_pixels = check_integer("max_pixels", max_pixels, 1, 1 << 40)
     if not isinstance(path, str | PathLike) or not str(path):
         raise InputError(f"{path!r} is not the path of an image")
-    from clmorph.decoding import decode, name_of, reason_of
+    from clmorph.decoding import decode
+    from clmorph.opening import name_of, reason_of
 
     file = Path(path)
     name = name_of(file)

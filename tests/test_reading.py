@@ -498,7 +498,7 @@ def test_whatever_a_decoder_raises_is_told_as_ours(tmp_path, monkeypatch):
         def fail(*arguments, error=error):
             raise error
 
-        monkeypatch.setattr("clmorph.decoding._open", fail)
+        monkeypatch.setattr("clmorph.decoding.open_picture", fail)
         with pytest.raises(FileError) as caught:
             read_image(file)
         assert caught.value.__cause__ is error
@@ -507,7 +507,7 @@ def test_whatever_a_decoder_raises_is_told_as_ours(tmp_path, monkeypatch):
     def interrupt(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("clmorph.decoding._open", interrupt)
+    monkeypatch.setattr("clmorph.decoding.open_picture", interrupt)
     with pytest.raises(KeyboardInterrupt):
         read_image(file)
 
@@ -619,6 +619,17 @@ def test_the_command_prints_notes_and_no_remarks_of_libraries(tmp_path, capfd, m
     lines = capfd.readouterr().err.splitlines()
     assert "note: a.gif has several pictures: its first is taken" in lines
     assert all(line.startswith(("device:", "memory:", "note:")) for line in lines), lines
+    frames[1].save("c.tif", compression="tiff_lzw")
+    data = (tmp_path / "c.tif").read_bytes()
+    (tmp_path / "c.tif").write_bytes(data[:9] + b"\xff" * 20 + data[29:])  # libtiff prints itself
+    assert main(["morph", "a.gif", "c.tif", "-o", "out.png", *options]) == 2
+    error = [
+        line
+        for line in capfd.readouterr().err.splitlines()
+        if not line.startswith(("device:", "memory:", "note:"))
+    ]
+    assert len(error) == 1
+    assert "c.tif cannot be decoded" in error[0]
     tags = {258: 8, 262: 1, 277: (11,) * 300, 270: b"clmorph" * 3}
     (tmp_path / "in.tif").write_bytes(tiff(bytes(1), 1, 1, tags)[:-9])
     assert main(["morph", "--config", "in.tif", "-o", "out.png"]) == 2

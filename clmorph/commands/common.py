@@ -1,6 +1,8 @@
 """What several commands begin with: reading pictures, opening a device."""
 
 import logging
+import os
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +18,7 @@ SILENT = logging.NullHandler()
 
 @contextmanager
 def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
-    """Keep to itself what Pillow and tifffile remark on odd metadata.
+    """Keep to themselves what Pillow, tifffile and libtiff remark on odd metadata.
 
     It is not for who morphs: pixels and recipes are judged by themselves. For the command alone,
     whose process has no other threads.
@@ -26,15 +28,25 @@ def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
     list of warnings.WarningMessage
         Those of ours, which are to be printed.
     """
+    # Below Python, libtiff prints by itself.
+    kept = os.dup(2) if sys.__stderr__ is not None else None
     logs = [logging.getLogger(name) for name in ("PIL", "tifffile")]
     for log in logs:
         log.addHandler(SILENT)
     try:
+        if kept is not None:
+            sys.stderr.flush()
+            nothing = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nothing, 2)
+            os.close(nothing)
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("ignore")
             warnings.simplefilter("always", ImageWarning)
             yield found
     finally:
+        if kept is not None:
+            os.dup2(kept, 2)
+            os.close(kept)
         for log in logs:
             log.removeHandler(SILENT)
 
