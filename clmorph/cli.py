@@ -70,8 +70,11 @@ def _settings_callback(context: click.Context, parameter: click.Parameter, path:
     """Read a file of settings before any other option is looked at."""
     if path is None:
         return None
+    from clmorph.commands.common import quiet_libraries
+
     settable = [other for other in context.command.params if other.name not in NOT_SETTINGS]
-    found = files.read_settings(path, settable)
+    with quiet_libraries():
+        found = files.read_settings(path, settable)
     context.default_map = {name: value for name, value in found.items() if name != files.IMAGES}
     return found[files.IMAGES]
 

@@ -84,10 +84,10 @@ def from_space(coordinates: ArrayLike, space: str) -> Array:
     check_choice("color space", space, COLOR_SPACES)
     values = np.asarray(coordinates, float) * _scale(space)
     if space == "linear":
-        values = _encode(values)
+        values = encode(values)
     elif space == "oklab":
         cones = (values @ np.linalg.inv(_TO_OPPONENTS).T) ** 3
-        values = _encode(cones @ np.linalg.inv(_TO_CONES).T)
+        values = encode(cones @ np.linalg.inv(_TO_CONES).T)
     elif space in ("lab", "luv"):
         from skimage import color
 
@@ -184,7 +184,7 @@ def _decode(srgb: Array) -> Array:
     return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0) + 0.055) / 1.055) ** 2.4)
 
 
-def _encode(light: Array) -> Array:
-    """SRGB values of linear light."""
+def encode(light: Array) -> Array:
+    """Return sRGB values of linear light."""
     positive = np.maximum(light, 0.0)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * positive ** (1 / 2.4) - 0.055)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph.checks import check_integer
-from clmorph.errors import ImageWarning, InputError
+from clmorph.errors import FileError, ImageWarning, InputError
 
 #: Pixels above which a file is refused before it is decoded, unless told otherwise.
 MAX_PIXELS = 64_000_000
@@ -49,14 +49,21 @@ def as_pixels(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
         raise InputError(f"{name} has shape {np.shape(image)}: {expected}")
     if array.dtype == np.bool_:
         pixels = array.astype(float)
-    elif array.dtype in (np.uint8, np.uint16):
+    elif array.dtype.kind == "u" and array.dtype.itemsize <= 2:  # in any byte order
         pixels = array / float(np.iinfo(array.dtype).max)
     elif np.issubdtype(array.dtype, np.floating):
-        pixels = array.astype(float)
+        pixels = _checked_floats(array.astype(float), name)
     else:
         raise InputError(
             f"{name} has dtype {array.dtype}: expected uint8, uint16, bool, or float in [0, 1]"
         )
+    if pixels.shape[2] == 4:
+        return np.ascontiguousarray(pixels if np.any(pixels[..., 3] < 1) else pixels[..., :3])
+    return np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
+
+
+def _checked_floats(pixels: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    """Return floats, clipped in place to [0, 1], if that changes them by rounding alone."""
     if not np.all(np.isfinite(pixels)):
         raise InputError(f"{name} holds NaN or infinity: expected finite values in [0, 1]")
     low, high = float(pixels.min()), float(pixels.max())
@@ -65,10 +72,7 @@ def as_pixels(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
             f"{name} holds values from {low:g} to {high:g}: expected [0, 1] for floats; "
             "divide by the largest possible value"
         )
-    pixels = np.clip(pixels, 0.0, 1.0)
-    if pixels.shape[2] == 4:
-        return np.ascontiguousarray(pixels if np.any(pixels[..., 3] < 1) else pixels[..., :3])
-    return np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
+    return np.clip(pixels, 0.0, 1.0, out=pixels)
 
 
 def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
@@ -169,130 +173,55 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
     Parameters
     ----------
     path : path
-        PNG, JPEG, WebP, GIF, BMP, TIFF or what else Pillow reads; the first picture of an
-        animation. EXIF orientation is applied, colors are taken as sRGB.
+        PNG, JPEG, WebP, AVIF, GIF, TIFF, BMP, JPEG 2000 or one of the others in
+        `clmorph.opening.FORMATS`; the first picture of an animation or of several pages. It
+        is turned as its Exif says. PNG and TIFF keep 16 bits, TIFF floats too.
     max_pixels : int
         A larger image is refused before it is decoded.
 
     Returns
     -------
     (H, W, 3) array, or (H, W, 4) if parts are transparent
-        sRGB in [0, 1], and opacity.
+        sRGB in [0, 1], and opacity. Colors with a profile are converted by it, those of a PNG
+        by its gamma; others are taken as sRGB.
 
     Raises
     ------
-    InputError
+    FileError
         If the file is missing, unreadable, too large or not an image.
 
     Warns
     -----
     ImageWarning
-        If the file has a color profile other than sRGB.
+        If only the first of several pictures is taken, a color profile cannot be used, or bits
+        are lost.
     """
-    from PIL import Image, UnidentifiedImageError
-
     max_pixels = check_integer("max_pixels", max_pixels, 1, 1 << 40)
     if not isinstance(path, str | PathLike) or not str(path):
         raise InputError(f"{path!r} is not the path of an image")
+    from clmorph.decoding import decode
+    from clmorph.opening import name_of, reason_of
+
     file = Path(path)
+    name = name_of(file)
     try:
         if not file.exists():
-            raise InputError(f"{file}: no such file; expected an image such as a PNG or a JPEG")
+            raise FileError(f"{name}: no such file; expected an image such as a PNG or a JPEG")
         if not file.is_file():
-            raise InputError(f"{file} is not a file; expected an image such as a PNG or a JPEG")
-        return as_pixels(_decode(file, max_pixels), str(file))
-    except UnidentifiedImageError:
-        raise InputError(
-            f"{file} is not an image that can be read; expected a PNG, JPEG or similar"
-        ) from None
-    except PermissionError:
-        raise InputError(f"{file} may not be read; change its permissions") from None
+            raise FileError(f"{name} is not a file; expected an image such as a PNG or a JPEG")
+        decoded, notes = decode(file, max_pixels)
+        pixels = as_pixels(decoded, name)
     except InputError:
         raise
-    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{file} cannot be decoded ({reason}); is it complete?") from None
-    except MemoryError:
-        raise InputError(f"{file} does not fit into memory; reduce it first") from None
-
-
-def _decode(file: Path, max_pixels: int) -> NDArray[Any]:
-    """Decode a file to an array that `as_pixels` takes."""
-    from PIL import Image, ImageOps
-
-    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # ours comes below
-    try:
-        with warnings.catch_warnings():
-            # Pillow's remarks on odd metadata; the pixels are judged by themselves.
-            warnings.simplefilter("ignore")
-            deep = _decode_deep_tiff(file, max_pixels)
-            if deep is not None:
-                return deep
-            with Image.open(file) as opened:
-                _check_size(file, opened.size, max_pixels)
-                profile = _foreign_profile(opened.info.get("icc_profile"))
-                pixels = _to_array(ImageOps.exif_transpose(opened))
-    finally:
-        Image.MAX_IMAGE_PIXELS = limit
-    if profile:
-        warnings.warn(
-            f"{file} has the color profile {profile!r}: its colors are taken as sRGB; "
-            "convert it first for exact ones",
-            ImageWarning,
-            stacklevel=3,
-        )
+    except PermissionError as error:
+        raise FileError(f"{name} may not be read; change its permissions") from error
+    except MemoryError as error:
+        raise FileError(f"{name} does not fit into memory; reduce it first") from error
+    except Exception as error:
+        # What decoders raise for a damaged file is without end: nothing but them is run here.
+        raise FileError(
+            f"{name} cannot be decoded ({reason_of(error)}); is it complete?"
+        ) from error
+    for note in notes:
+        warnings.warn(f"{name} has {note}", ImageWarning, stacklevel=2)
     return pixels
-
-
-def _foreign_profile(profile: bytes | None) -> str:
-    """Return the name of a color profile, '' if there is none or it is sRGB."""
-    if not profile:
-        return ""
-    from io import BytesIO
-
-    from PIL import ImageCms
-
-    try:
-        name = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(BytesIO(profile)))
-    except (ImageCms.PyCMSError, OSError):
-        return "unreadable"
-    return "" if "sRGB" in name else " ".join(name.split())
-
-
-def _check_size(file: Path, size: tuple[int, int], max_pixels: int) -> None:
-    width, height = size
-    if width * height > max_pixels:
-        raise InputError(
-            f"{file} has {width} x {height} pixels: expected at most {max_pixels} in all; "
-            "reduce it, or raise the limit (--max-pixels, max_pixels)"
-        )
-
-
-def _decode_deep_tiff(file: Path, max_pixels: int) -> NDArray[Any] | None:
-    """Decode the first page of a TIFF of more than 8 bits, which Pillow mostly cannot."""
-    with file.open("rb") as stream:
-        if stream.read(4) not in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-            return None
-    from tifffile import TiffFile, TiffFileError
-
-    try:
-        with TiffFile(file) as tiff:
-            page = tiff.pages[0]
-            if page.dtype not in (np.uint16, np.float16, np.float32, np.float64):
-                return None
-            _check_size(file, (page.shape[1], page.shape[0]), max_pixels)
-            return np.asarray(page.asarray())
-    except (TiffFileError, IndexError) as error:
-        raise ValueError(str(error)) from None
-
-
-def _to_array(picture: Any) -> NDArray[Any]:
-    """Turn a Pillow image into an array that `as_pixels` takes."""
-    if picture.mode.startswith("I;16"):
-        return np.asarray(picture).astype(np.uint16)
-    if picture.mode == "I":  # 16-bit gray PNGs in older versions of Pillow
-        return np.clip(np.asarray(picture), 0, 65535).astype(np.uint16)
-    if picture.mode == "F":
-        return np.asarray(picture)
-    transparent = "A" in picture.mode or "transparency" in picture.info
-    return np.asarray(picture.convert("RGBA" if transparent else "RGB"))

@@ -1,3 +1,5 @@
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 import tifffile
@@ -153,7 +155,11 @@ def test_formats_give_their_first_picture(tmp_path, rng, name):
     if name.endswith("gif"):
         picture = picture.quantize(256)
     picture.save(tmp_path / name, **options)
-    assert np.abs(read_image(tmp_path / name) - first / 255).max() < 0.01
+    expected = (
+        pytest.warns(ImageWarning, match="first is taken") if "moving" in name else nullcontext()
+    )
+    with expected:
+        assert np.abs(read_image(tmp_path / name) - first / 255).max() < 0.01
 
 
 @pytest.mark.parametrize(

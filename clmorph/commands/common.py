@@ -1,11 +1,54 @@
 """What several commands begin with: reading pictures, opening a device."""
 
+import logging
+import os
+import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from clmorph.errors import FileError, InputError
+from clmorph.errors import FileError, ImageWarning, InputError
 from clmorph.terminal import NOTES
+
+#: Keeps Python from printing what is logged and nobody handles.
+SILENT = logging.NullHandler()
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
+    """Keep to themselves what Pillow, tifffile and libtiff remark on odd metadata.
+
+    It is not for who morphs: pixels and recipes are judged by themselves. For the command alone,
+    whose process has no other threads.
+
+    Yields
+    ------
+    list of warnings.WarningMessage
+        Those of ours, which are to be printed.
+    """
+    # Below Python, libtiff prints by itself.
+    kept = os.dup(2) if sys.__stderr__ is not None else None
+    logs = [logging.getLogger(name) for name in ("PIL", "tifffile")]
+    for log in logs:
+        log.addHandler(SILENT)
+    try:
+        if kept is not None:
+            sys.stderr.flush()
+            nothing = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nothing, 2)
+            os.close(nothing)
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("always", ImageWarning)
+            yield found
+    finally:
+        if kept is not None:
+            os.dup2(kept, 2)
+            os.close(kept)
+        for log in logs:
+            log.removeHandler(SILENT)
 
 
 def read_picture(path: Path, max_pixels: int) -> Any:
@@ -20,16 +63,20 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     Returns
     -------
     (H, W, 3) or (H, W, 4) array
+
+    Raises
+    ------
+    FileError
+        If it cannot be read.
     """
     from clmorph.images import read_image
 
-    with warnings.catch_warnings(record=True) as notes:
-        warnings.simplefilter("always")
+    with quiet_libraries() as found:
         try:
             pixels = read_image(path, max_pixels=max_pixels)
         except InputError as error:
             raise FileError(str(error)) from None
-    for note in notes:
+    for note in found:
         NOTES.print(f"note: {note.message}", markup=False)
     return pixels
 

@@ -1,0 +1,155 @@
+"""Open image files by Pillow, to the point where the size is known and nothing is decoded.
+
+Nothing global is changed, not for a moment: plugins are opened by themselves, without the check
+of size in `PIL.Image.open` that depends on a variable of the module; the size is checked here.
+"""
+
+import io
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from clmorph.errors import FileError
+from clmorph.printable import printable
+
+#: Formats of Pillow that are read, the unmistakable ones first. Left out are those that run other
+#: programs (EPS, WMF), that decode nothing (stubs), or that hold other pictures (ICNS).
+FORMATS = (
+    "PNG", "JPEG", "WEBP", "GIF", "TIFF", "AVIF", "JPEG2000", "ICO", "BMP", "QOI", "PSD", "DDS",
+    "SGI", "PPM", "DIB", "PCX",
+)  # fmt: skip
+#: A format without a signature: only names tell.
+TGA_ENDINGS = (".tga", ".icb", ".vda", ".vst")
+#: Characters that what a library says may take in a message.
+_REASON_LENGTH = 120
+#: Scans of a progressive JPEG, each of which is work for all its pixels; encoders write about ten.
+MAX_SCANS = 64
+#: Pixels of all scans together.
+MAX_SCANNED = 1 << 30
+
+
+class Reader(io.BufferedReader):
+    """A file that is never asked for more than it has: decoders ask for what its sizes say."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__(io.FileIO(file))
+        self._end = self.seek(0, 2)
+        self.seek(0)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return up to so many bytes, all that are left by default."""
+        left = max(0, self._end - self.tell())
+        return super().read(left if size is None or size < 0 else min(size, left))
+
+
+def name_of(file: Path) -> str:
+    """Return a file's name as messages show it."""
+    return printable(file)
+
+
+def reason_of(error: BaseException) -> str:
+    """Return what an error of a library says, in one short line."""
+    told = getattr(error, "strerror", None) or error
+    text = " ".join(str(told).split()) or type(error).__name__
+    return printable(text, _REASON_LENGTH)
+
+
+def check_size(file: Path, size: tuple[int, int], max_pixels: int) -> None:
+    """Raise FileError if a picture has too many pixels, or none."""
+    width, height = size
+    if width < 1 or height < 1:
+        raise ValueError("it has no pixels")
+    if width * height > max_pixels:
+        raise FileError(
+            f"{name_of(file)} has {width} x {height} pixels: expected at most {max_pixels} in "
+            "all; reduce it, or raise the limit (--max-pixels, max_pixels)"
+        )
+
+
+def open_picture(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
+    """Return a Pillow image that is not decoded yet, its size checked."""
+    from PIL import Image
+
+    Image.init()
+    stream.seek(0)
+    start = stream.read(64)
+    formats = FORMATS + (("TGA",) if file.suffix.lower() in TGA_ENDINGS else ())
+    fault = "expected a PNG, JPEG or similar"
+    for name in formats:
+        factory, accept = Image.OPEN.get(name, (None, None))
+        if factory is None:
+            continue
+        accepted = accept is None or _accepts(accept, start)
+        if isinstance(accepted, str):  # this build of Pillow lacks it
+            fault = reason_of(ValueError(accepted))
+        elif accepted:
+            stream.seek(0)
+            if name == "ICO":
+                picture = _open_icon(file, stream, max_pixels)
+            else:
+                picture = factory(stream, str(file))
+            check_size(file, picture.size, max_pixels)
+            if name == "JPEG":
+                _check_scans(stream, picture.size[0] * picture.size[1])
+            return picture
+    raise FileError(f"{name_of(file)} is not an image that can be read; {fault}")
+
+
+def _accepts(accept: Callable[[bytes], bool | str], start: bytes) -> bool | str:
+    """Return what a plugin says to the first bytes of a file; too few can be a fault of its."""
+    try:
+        return accept(start)
+    except (IndexError, struct.error):
+        return False
+
+
+def _open_icon(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
+    """Open the largest picture of an icon, its size checked: Pillow decodes it at once."""
+    from PIL.IcoImagePlugin import IcoFile
+
+    icon = IcoFile(stream)
+    if not icon.entry:
+        raise ValueError("it holds no picture")
+    entry: Any = icon.entry[0]
+    stream.seek(entry["offset"] if isinstance(entry, dict) else entry.offset)
+    start = stream.read(24)
+    if start.startswith(b"\x89PNG"):
+        check_size(file, struct.unpack(">II", start[16:24]), max_pixels)
+    else:  # a bitmap, its mask below it
+        width, height = struct.unpack("<ii", start[4:12])
+        check_size(file, (width, abs(height) // 2), max_pixels)
+    return icon.frame(0)
+
+
+def _check_scans(stream: IO[bytes], pixels: int) -> None:
+    """Raise ValueError if a JPEG has more scans than encoders write, or than can be waited for."""
+    place = stream.tell()
+    stream.seek(0)
+    scans = sum(marker == 0xDA for marker in _markers(stream))
+    stream.seek(place)
+    if scans > MAX_SCANS or (scans > 1 and scans * pixels > MAX_SCANNED):
+        raise ValueError(
+            f"it has {scans} scans: expected at most {MAX_SCANS}, fewer if it is large"
+        )
+
+
+def _markers(stream: IO[bytes]) -> Iterator[int]:
+    """Yield the markers of a JPEG up to its end; few files have more than a hundred."""
+    data = stream.read()
+    place, scans = 2, 0
+    while scans <= MAX_SCANS:
+        place = data.find(b"\xff", place)
+        if place < 0 or place + 4 > len(data):
+            return
+        marker = data[place + 1]
+        if marker == 0xD9:
+            return
+        if marker == 0xFF:
+            place += 1
+        elif marker in (0x00, 0x01) or 0xD0 <= marker <= 0xD8:
+            place += 2
+        else:
+            yield marker
+            scans += marker == 0xDA
+            place += 2 + int.from_bytes(data[place + 2 : place + 4], "big")

@@ -1,0 +1,186 @@
+"""Tags of a TIFF directory, which is also how Exif is written: read with every number checked.
+
+Pillow and tifffile read tags too, but warn or log about odd ones, each in its own way, and have
+to be asked for the pixels first. Here a directory is only looked at, and none of its numbers
+makes more work than the bytes that are there.
+"""
+
+import struct
+from io import BytesIO
+from typing import IO, NamedTuple
+
+#: Bytes and `struct` letters of the types of values; "" is read as bytes.
+_TYPES = {
+    1: (1, "B"), 2: (1, ""), 3: (2, "H"), 4: (4, "I"), 5: (8, ""), 6: (1, "b"), 7: (1, ""),
+    8: (2, "h"), 9: (4, "i"), 10: (8, ""), 11: (4, "f"), 12: (8, "d"), 13: (4, "I"),
+    16: (8, "Q"), 17: (8, "q"), 18: (8, "Q"),
+}  # fmt: skip
+#: Directories that are followed; the pixels of hardly any file are further back.
+MAX_DIRECTORIES = 16
+
+#: Numbers of a tag that are read; more are taken for damage.
+MAX_VALUES = 1 << 18
+
+NEW_SUBFILE_TYPE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
+STRIP_OFFSETS, ORIENTATION, SAMPLES, ROWS_PER_STRIP, PLANAR = 273, 274, 277, 278, 284
+PREDICTOR, TILE_WIDTH, TILE_HEIGHT, TILE_OFFSETS = 317, 322, 323, 324
+EXTRA_SAMPLES, SAMPLE_FORMAT, SUBSAMPLING, ICC_PROFILE = 338, 339, 530, 34675
+#: All that is looked at: a hostile directory has 65,536 tags that each name the whole file.
+_WANTED = frozenset(
+    (NEW_SUBFILE_TYPE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, STRIP_OFFSETS, ORIENTATION,
+     SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, TILE_WIDTH, TILE_HEIGHT, TILE_OFFSETS,
+     EXTRA_SAMPLES, SAMPLE_FORMAT, SUBSAMPLING, ICC_PROFILE)
+)  # fmt: skip
+
+Values = tuple[int | float, ...] | bytes
+
+
+class Directory(NamedTuple):
+    """Tags of one picture.
+
+    Attributes
+    ----------
+    order : str
+        "<" or ">".
+    big : bool
+        Whether it is a BigTIFF's.
+    tags : dict
+        Tuples of numbers, or bytes, of the tags named above; what cannot be read is left out.
+    next : int
+        Where the next directory begins, 0 if there is none.
+    """
+
+    order: str
+    big: bool
+    tags: dict[int, Values]
+    next: int
+
+    def number(self, tag: int, default: int) -> int:
+        """Return a tag's first number."""
+        values = self.tags.get(tag, ())
+        return int(values[0]) if isinstance(values, tuple) and values else default
+
+    def numbers(self, tag: int) -> tuple[int, ...]:
+        """Return a tag's numbers, none if it is not there."""
+        values = self.tags.get(tag, ())
+        return tuple(map(int, values)) if isinstance(values, tuple) else ()
+
+
+def read_directory(stream: IO[bytes], place: int = 0) -> Directory:
+    """Read a directory of a TIFF.
+
+    Parameters
+    ----------
+    stream : binary file
+        That begins with the header.
+    place : int
+        Where the directory begins; 0 for the first.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    size = stream.seek(0, 2)
+    stream.seek(0)
+    header = stream.read(16)
+    order = {b"II": "<", b"MM": ">"}.get(header[:2], "")
+    if not order or len(header) < 8:
+        raise ValueError("no TIFF header")
+    version = struct.unpack(order + "H", header[2:4])[0]
+    if version not in (42, 43) or (version == 43 and len(header) < 16):
+        raise ValueError("no TIFF header")
+    big = version == 43
+    offset = order + ("Q" if big else "I")
+    width = struct.calcsize(offset)
+    place = place or struct.unpack(offset, header[8:16] if big else header[4:8])[0]
+    if not 8 <= place < size:
+        raise ValueError("its directory lies outside of the file")
+    stream.seek(place)
+    counted = stream.read(8 if big else 2)
+    if len(counted) < (8 if big else 2):
+        raise ValueError("its directory is cut off")
+    count = struct.unpack(order + ("Q" if big else "H"), counted)[0]
+    step = 4 + 2 * width
+    # No directory has more tags than there are numbers for tags.
+    rows = stream.read(min(count, 1 << 16) * step)
+    after = stream.read(width)
+    tags: dict[int, Values] = {}
+    for start in range(0, len(rows) - step + 1, step):
+        tag, kind = struct.unpack_from(order + "HH", rows, start)
+        if tag not in _WANTED or tag in tags:
+            continue
+        values = _values(stream, size, order, kind, rows[start + 4 : start + step], width)
+        if values is not None:
+            tags[tag] = values
+    end = struct.unpack(offset, after)[0] if len(after) == width else 0
+    return Directory(order, big, tags, end)
+
+
+def _values(
+    stream: IO[bytes], size: int, order: str, kind: int, row: bytes, width: int
+) -> Values | None:
+    """Return the values of a row, None if they are not in the file."""
+    each, letter = _TYPES.get(kind, (0, ""))
+    offset = order + ("Q" if width == 8 else "I")
+    (count,) = struct.unpack_from(offset, row)
+    bytes_ = count * each
+    if not each or bytes_ > size or (letter and count > MAX_VALUES):
+        return None
+    data = row[width : width + bytes_]
+    if bytes_ > width:
+        (place,) = struct.unpack_from(offset, row, width)
+        if place + bytes_ > size:
+            return None
+        stream.seek(place)
+        data = stream.read(bytes_)
+    if not letter:
+        return data
+    return struct.unpack(f"{order}{count}{letter}", data)
+
+
+def first_full_page(stream: IO[bytes]) -> tuple[Directory, int, bool]:
+    """Return the first picture of a TIFF that is no reduced copy of another.
+
+    Parameters
+    ----------
+    stream : binary file
+
+    Returns
+    -------
+    Directory
+    int
+        Which one of the file's it is, from 0.
+    bool
+        Whether another full picture follows among the `MAX_DIRECTORIES` first.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    found: list[tuple[Directory, int]] = []
+    first = read_directory(stream)
+    directory, seen = first, {0}
+    for index in range(MAX_DIRECTORIES):
+        # Bit 0: a reduced copy; bit 2: where a picture is transparent.
+        if not directory.number(NEW_SUBFILE_TYPE, 0) & 0b101:
+            found.append((directory, index))
+        if len(found) == 2 or not directory.next or directory.next in seen:
+            break
+        seen.add(directory.next)
+        try:
+            directory = read_directory(stream, directory.next)
+        except ValueError:
+            break
+    return (*(found[0] if found else (first, 0)), len(found) == 2)
+
+
+def exif_orientation(exif: bytes) -> int:
+    """Return how a picture lies, as Exif tells: 1 to 8, 1 if it does not."""
+    exif = exif.removeprefix(b"Exif\0\0")
+    try:
+        turned = read_directory(BytesIO(exif)).number(ORIENTATION, 1)
+    except (ValueError, OverflowError):
+        return 1
+    return turned if 1 <= turned <= 8 else 1

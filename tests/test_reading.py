@@ -1,0 +1,636 @@
+"""Kinds of image files, each against what was written by hand or by another library."""
+
+import struct
+import threading
+import warnings
+import zlib
+
+import numpy as np
+import PIL
+import pytest
+import tifffile
+from pictures import png, png_chunk, tiff
+from PIL import Image, ImageCms
+
+from clmorph import ImageWarning, InputError, read_image
+from clmorph.errors import FileError
+
+WIDTH, HEIGHT = 7, 5
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Read bytes as a file."""
+
+    def read(data, name="image", **options):
+        (tmp_path / name).write_bytes(data)
+        return read_image(tmp_path / name, **options)
+
+    return read
+
+
+def values(rng, samples, dtype):
+    shape = (HEIGHT, WIDTH, samples) if samples > 1 else (HEIGHT, WIDTH)
+    if np.dtype(dtype).kind == "f":
+        return rng.random(shape).astype(dtype)
+    return rng.integers(0, np.iinfo(dtype).max, shape, endpoint=True, dtype=dtype)
+
+
+def as_float(array):
+    if array.dtype.kind == "f":
+        return array.astype(float)
+    return array / float(np.iinfo(array.dtype).max)
+
+
+def as_color(array):
+    array = as_float(array).reshape(HEIGHT, WIDTH, -1)
+    return np.broadcast_to(array, (HEIGHT, WIDTH, 3)) if array.shape[2] == 1 else array
+
+
+DTYPES = (np.uint8, np.uint16, np.uint32, np.float16, np.float32, np.float64)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("photometric", ["minisblack", "miniswhite", "rgb"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"byteorder": ">"},
+        {"bigtiff": True, "tile": (16, 16)},
+        {"compression": "zlib", "rowsperstrip": 2},
+        {"planarconfig": "separate"},
+    ],
+    ids=str,
+)
+def test_samples_of_tiffs(tmp_path, rng, dtype, photometric, options):
+    samples = 3 if photometric == "rgb" else 1
+    if samples == 1 and "planarconfig" in options:
+        options = {"compression": "zlib", "tile": (16, 16), "byteorder": ">"}
+    array = values(rng, samples, dtype)
+    stored = array
+    if options.get("planarconfig"):
+        stored = np.ascontiguousarray(np.moveaxis(array, -1, 0))
+    tifffile.imwrite(tmp_path / "a.tif", stored, photometric=photometric, metadata=None, **options)
+    want = as_color(array)
+    want = 1 - want if photometric == "miniswhite" else want
+    assert np.abs(read_image(tmp_path / "a.tif") - want).max() < 1e-7
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("samples", [2, 4])
+@pytest.mark.parametrize("kind", ["assocalpha", "unassalpha", "unspecified"])
+def test_opacity_of_tiffs(tmp_path, rng, dtype, samples, kind):
+    array = values(rng, samples, dtype)
+    array[0, 0] = 0
+    if kind == "assocalpha":
+        array[..., :-1] = np.minimum(array[..., :-1], array[..., -1:])
+    photometric = "rgb" if samples == 4 else "minisblack"
+    tifffile.imwrite(
+        tmp_path / "a.tif", array, photometric=photometric, extrasamples=[kind], metadata=None,
+        planarconfig="contig",
+    )  # fmt: skip
+    got = read_image(tmp_path / "a.tif")
+    stored = as_float(array)
+    color, alpha = as_color(array[..., :-1]), stored[..., -1:]
+    if kind == "unspecified":
+        assert np.abs(got - color).max() < 1e-7
+        return
+    if kind == "assocalpha":
+        color = np.divide(color, alpha, out=np.zeros_like(color), where=alpha > 0)
+    assert np.abs(got - np.dstack((color, alpha))).max() < 1e-6
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_ink_of_tiffs(tmp_path, rng, dtype):
+    array = values(rng, 4, dtype)
+    tifffile.imwrite(tmp_path / "a.tif", array, photometric="separated", metadata=None)
+    ink = as_float(array)
+    want = (1 - ink[..., :3]) * (1 - ink[..., 3:])
+    assert np.abs(read_image(tmp_path / "a.tif") - want).max() < 1e-7
+
+
+@pytest.mark.parametrize("compression", ["tiff_lzw", "packbits", "tiff_adobe_deflate"])
+@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA", "CMYK", "I;16", "F"])
+def test_compressed_tiffs(tmp_path, rng, mode, compression):
+    if mode in ("I;16", "F"):
+        array = values(rng, 1, {"I;16": np.uint16, "F": np.float32}[mode])
+        picture, want = Image.fromarray(array), as_color(array)
+    else:
+        picture = Image.fromarray(values(rng, 3, np.uint8)).convert(mode)
+        if "A" in mode:
+            picture.putalpha(Image.fromarray(values(rng, 1, np.uint8)))
+        want = np.asarray(picture.convert("RGBA" if "A" in mode else "RGB")) / 255
+    picture.save(tmp_path / "a.tif", compression=compression)
+    assert np.abs(read_image(tmp_path / "a.tif") - want).max() < 1e-2 * (mode == "CMYK") + 1e-7
+
+
+def lzw(data):
+    """TIFF's LZW without any compression: codes of 9 bits, cleared before they grow."""
+    codes = []
+    for start in range(0, len(data), 200):
+        codes += [256, *data[start : start + 200]]
+    bits = "".join(f"{code:09b}" for code in [*codes, 257])
+    return int(bits.ljust(-(-len(bits) // 8) * 8, "0"), 2).to_bytes(-(-len(bits) // 8), "big")
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize(("samples", "extra"), [(1, None), (3, None), (4, 1), (4, 2), (4, 0)])
+def test_16_bits_in_lzw_are_kept(read, rng, order, samples, extra):
+    array = values(rng, samples, np.uint16)
+    if extra == 1:
+        array[..., :3] = np.minimum(array[..., :3], array[..., 3:])
+    tags = {258: (16,) * samples, 259: 5, 262: 1 + (samples > 1), 277: samples, 338: extra}
+    packed = lzw(array.astype(f"{order}u2").tobytes())
+    got = read(tiff(packed, WIDTH, HEIGHT, tags | {279: len(packed)}, order))
+    want = as_color(array)
+    if extra == 0:
+        want = want[..., :3]
+    if extra == 1:
+        alpha = want[..., 3:]
+        want = np.dstack((want[..., :3] / np.maximum(alpha, 1e-9), alpha))
+    assert np.abs(got - want).max() < 1e-9
+
+
+def test_white_is_zero_in_16_bits_of_lzw(read, rng):
+    array = values(rng, 1, np.uint16)
+    packed = lzw(array.astype("<u2").tobytes())
+    got = read(tiff(packed, WIDTH, HEIGHT, {258: 16, 259: 5, 262: 0}))
+    assert np.abs(got - (1 - as_color(array))).max() < 1e-9
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4])
+@pytest.mark.parametrize("photometric", [0, 1])
+def test_few_bits(read, rng, bits, photometric):
+    array = rng.integers(0, 1 << bits, (HEIGHT, WIDTH))
+    planes = (array[..., None] >> np.arange(bits)[::-1]) & 1
+    data = np.packbits(planes.reshape(HEIGHT, -1).astype(np.uint8), axis=1).tobytes()
+    want = array / ((1 << bits) - 1)
+    got = read(tiff(data, WIDTH, HEIGHT, {258: bits, 262: photometric}))
+    assert np.allclose(got[..., 0], want if photometric else 1 - want, atol=1e-9)
+
+
+def test_12_bits(read, rng):
+    array = rng.integers(0, 4096, (HEIGHT, 8))
+    planes = (array[..., None] >> np.arange(12)[::-1]) & 1
+    data = np.packbits(planes.reshape(HEIGHT, -1).astype(np.uint8), axis=1).tobytes()
+    got = read(tiff(data, 8, HEIGHT, {258: 12, 262: 1}))
+    assert np.abs(got[..., 0] - array / 4095).max() < 1e-9
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+@pytest.mark.parametrize("dtype", [np.int8, np.int16, np.int32])
+def test_signed_samples_are_refused(tmp_path, dtype, samples):
+    array = np.zeros((HEIGHT, WIDTH, samples), dtype)
+    tifffile.imwrite(tmp_path / "a.tif", array, photometric="rgb" if samples == 3 else "minisblack")
+    with pytest.raises(FileError, match="signed samples"):
+        read_image(tmp_path / "a.tif")
+
+
+def test_floats_beyond_one_are_refused(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", np.full((4, 4), 2.0, np.float32))
+    with pytest.raises(InputError, match="values from 2 to 2"):
+        read_image(tmp_path / "a.tif")
+
+
+def test_palettes_of_tiffs(read, rng):
+    array = rng.integers(0, 256, (HEIGHT, WIDTH), np.uint8)
+    colors = rng.integers(0, 256, (3, 256))
+    tags = {258: 8, 262: 3, 320: tuple(int(value) * 257 for value in colors.ravel())}
+    got = read(tiff(array.tobytes(), WIDTH, HEIGHT, tags))
+    assert np.array_equal(got, np.moveaxis(colors, 0, -1)[array] / 255)
+
+
+def test_lab_tiffs(read):
+    """CIELAB of pure colors: L in 0 .. 255, a and b signed."""
+    lab = np.array([[(255, 0, 0), (0, 0, 0), (136, 81, 70), (224, -79, 81)]])
+    data = (lab % 256).astype(np.uint8).tobytes()
+    got = read(tiff(data, 4, 1, {258: (8, 8, 8), 262: 8, 277: 3}))
+    want = [(1, 1, 1), (0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    assert np.abs(got[0] - want).max() < 0.06
+    with pytest.raises(FileError, match="photometric 8"):
+        read(tiff(bytes(48), 4, 1, {258: (16,) * 3, 262: 8, 277: 3}))
+
+
+def test_ycbcr_tiffs(tmp_path, read, rng):
+    picture = Image.fromarray(values(rng, 3, np.uint8)).resize((32, 32), Image.Resampling.BICUBIC)
+    ways: list[dict] = [{"compression": "jpeg", "quality": 95}]
+    if int(PIL.__version__.split(".")[0]) > 10:  # older ones do not read what they write
+        ways.append({})
+    for options in ways:
+        picture.convert("YCbCr").save(tmp_path / "a.tif", **options)
+        assert np.abs(read_image(tmp_path / "a.tif") - np.asarray(picture) / 255).max() < 0.15
+    with pytest.raises(FileError, match="uncompressed YCbCr"):
+        read(tiff(bytes(96), 8, 8, {258: (8, 8, 8), 262: 6, 277: 3, 530: (2, 2)}))
+
+
+def oriented(array, orientation):
+    """What is seen of stored rows and columns, by the text of the standard."""
+    seen = np.empty((array.shape[::-1] if orientation > 4 else array.shape), array.dtype)
+    rows, columns = seen.shape
+    for y, x in np.ndindex(array.shape):
+        place = {
+            1: (y, x), 2: (y, columns - 1 - x), 3: (rows - 1 - y, columns - 1 - x),
+            4: (rows - 1 - y, x), 5: (x, y), 6: (x, columns - 1 - y),
+            7: (rows - 1 - x, columns - 1 - y), 8: (rows - 1 - x, y),
+        }[orientation]  # fmt: skip
+        seen[place] = array[y, x]
+    return seen
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientation(tmp_path, read, rng, orientation):
+    array = values(rng, 1, np.uint8)
+    want = as_float(oriented(array, orientation))
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    for name in ("a.png", "a.webp"):
+        Image.fromarray(array).save(tmp_path / name, exif=exif, lossless=True)
+        assert np.array_equal(read_image(tmp_path / name)[..., 0], want), name
+    tags = {262: 1, 274: orientation}
+    deep = array.astype("<u2") * 257
+    for data, more in (
+        (array.tobytes(), {258: 8}),
+        (lzw(array.tobytes()), {258: 8, 259: 5}),
+        (deep.tobytes(), {258: 16}),
+        (lzw(deep.tobytes()), {258: 16, 259: 5}),
+    ):
+        assert np.allclose(read(tiff(data, WIDTH, HEIGHT, tags | more))[..., 0], want, atol=1e-9)
+
+
+def test_reduced_first_pages_are_passed_over(tmp_path, rng):
+    array = values(rng, 3, np.uint8)
+    with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
+        writer.write(np.zeros((2, 2, 3), np.uint8), photometric="rgb", subfiletype=1)
+        writer.write(array, photometric="rgb")
+    assert np.array_equal(read_image(tmp_path / "a.tif"), as_float(array))
+
+
+# PNG
+
+
+@pytest.mark.parametrize(("color", "samples"), [(0, 1), (2, 3), (4, 2), (6, 4)])
+def test_16_bits_of_pngs_are_kept(read, rng, color, samples):
+    array = values(rng, samples, np.uint16)
+    want = as_color(array if samples != 2 else array[..., (0, 0, 0, 1)])
+    for interlaced in (False, True):
+        got = read(png(array, color, 16, interlaced=interlaced))
+        assert np.abs(got - want).max() < 1e-9
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4, 8, 16])
+@pytest.mark.parametrize("color", [0, 2])
+def test_transparent_colors_of_pngs(read, rng, bits, color):
+    if color == 2 and bits < 8:
+        bits = 8
+    array = rng.integers(0, 1 << bits, (HEIGHT, WIDTH, 3)[: 2 + color // 2])
+    key = array[2, 3]
+    got = read(png(array, color, bits, ((b"tRNS", np.asarray(key, ">u2").tobytes()),)))
+    same = array == key if color == 0 else np.all(array == key, axis=2)
+    assert np.array_equal(got[..., 3], 1.0 - same)
+    if color == 0:
+        array = np.stack((array,) * 3, axis=2)
+    assert np.abs(got[..., :3] - array / ((1 << bits) - 1)).max() < 1e-9
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.55556, 0.45455])
+def test_gamma_of_pngs(read, gamma):
+    array = np.arange(0, 256, dtype=np.uint8)[None]
+    got = read(png(array, 0, 8, ((b"gAMA", struct.pack(">I", round(gamma * 100000))),)))[0, :, 0]
+    light = (array[0] / 255) ** (1 / gamma)
+    want = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    if gamma == 0.45455:
+        want = array[0] / 255
+    assert np.abs(got - want).max() < 1e-4
+    chunks = ((b"sRGB", b"\0"), (b"gAMA", struct.pack(">I", 100000)))
+    assert np.array_equal(read(png(array, 0, 8, chunks))[0, :, 0], array[0] / 255)
+
+
+def test_other_primaries_are_noted(read):
+    primaries = np.array([31270, 32900, 68000, 32000, 26500, 69000, 15000, 6000])
+    data = png(np.zeros((2, 2, 3)), 2, 8, ((b"cHRM", primaries.astype(">u4").tobytes()),))
+    with pytest.warns(ImageWarning, match="primaries"):
+        read(data)
+
+
+# Profiles
+
+
+def matrix_profile(primaries, gamma, name):
+    """An ICC profile (version 2) of an RGB display with these primaries and the white D65."""
+
+    def xyz(x, y):
+        return np.array([x / y, 1, (1 - x - y) / y])
+
+    white = xyz(0.3127, 0.329)
+    columns = np.array([xyz(*primary) for primary in primaries]).T
+    columns = columns * np.linalg.solve(columns, white)
+    bradford = np.array(
+        [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+    )
+    d50 = np.array([0.9642, 1, 0.8249])
+    scale = np.diag(bradford @ d50 / (bradford @ white))
+    columns = np.linalg.inv(bradford) @ scale @ bradford @ columns
+
+    def fixed(numbers):
+        return b"".join(struct.pack(">i", round(float(n) * 65536)) for n in numbers)
+
+    text = name.encode() + b"\0"
+    description = b"desc" + bytes(4) + struct.pack(">I", len(text)) + text + bytes(78)
+    curve = b"curv" + bytes(4) + struct.pack(">IH", 1, round(gamma * 256))
+    tags = {
+        b"desc": description, b"cprt": b"text" + bytes(4) + b"none\0",
+        b"wtpt": b"XYZ " + bytes(4) + fixed(d50),
+    }  # fmt: skip
+    for letter, column in zip(b"rgb", columns.T, strict=True):
+        tags[bytes([letter]) + b"XYZ"] = b"XYZ " + bytes(4) + fixed(column)
+        tags[bytes([letter]) + b"TRC"] = curve
+    table, body = struct.pack(">I", len(tags)), b""
+    for tag, data in tags.items():
+        table += tag + struct.pack(">II", 132 + 12 * len(tags) + len(body), len(data))
+        body += data.ljust(-(-len(data) // 4) * 4, b"\0")
+    header = bytearray(128)
+    header[8:12], header[12:24], header[36:40] = b"\2\x20\0\0", b"mntrRGB XYZ ", b"acsp"
+    header[68:80] = fixed(d50)
+    whole = bytes(header) + table + body
+    return struct.pack(">I", len(whole)) + whole[4:], columns
+
+
+SRGB_PRIMARIES = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
+P3_PRIMARIES = ((0.68, 0.32), (0.265, 0.69), (0.15, 0.06))
+
+
+def converted(stored, columns, gamma):
+    _, srgb = matrix_profile(SRGB_PRIMARIES, 2.2, "")
+    light = np.clip(stored**gamma @ columns.T @ np.linalg.inv(srgb).T, 0, 1)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "lzw.tif"])
+def test_profiles_are_applied(tmp_path, rng, name):
+    profile, columns = matrix_profile(P3_PRIMARIES, 2.2, "Wide")
+    array = rng.integers(40, 256, (2, 2, 3), np.uint8).repeat(16, 0).repeat(16, 1)
+    options = {"compression": "tiff_lzw"} if name == "lzw.tif" else {}
+    options |= {"quality": 100, "subsampling": 0} if name == "a.jpg" else {}
+    Image.fromarray(array).save(tmp_path / name, icc_profile=profile, **options)
+    want = converted(array / 255, columns, 2.19921875)
+    assert np.abs(want - array / 255).max() > 0.02
+    assert np.abs(read_image(tmp_path / name) - want).max() < 0.02
+
+
+def test_profiles_keep_opacity_and_gray(tmp_path, rng):
+    profile, columns = matrix_profile(P3_PRIMARIES, 1.0, "Light")
+    array = rng.integers(0, 256, (8, 8, 4), np.uint8)
+    Image.fromarray(array).save(tmp_path / "a.png", icc_profile=profile)
+    got = read_image(tmp_path / "a.png")
+    assert np.array_equal(got[..., 3], array[..., 3] / 255)
+    assert np.abs(got[..., :3] - converted(array[..., :3] / 255, columns, 1)).max() < 0.02
+    Image.fromarray(array[..., 0]).save(tmp_path / "b.png", icc_profile=profile)
+    gray = np.broadcast_to(array[..., :1] / 255, (8, 8, 3))
+    assert np.abs(read_image(tmp_path / "b.png") - converted(gray, columns, 1)).max() < 0.02
+
+
+def test_16_bits_with_a_profile_are_converted_and_noted(tmp_path, read, rng):
+    profile, columns = matrix_profile(P3_PRIMARIES, 2.2, "Wide")
+    array = values(rng, 3, np.uint16)
+    data = png(array, 2, 16, ((b"iCCP", b"Wide\0\0" + zlib.compress(profile)),))
+    with pytest.warns(ImageWarning, match="8 bits"):
+        got = read(data)
+    assert np.abs(got - converted(as_float(array), columns, 2.19921875)).max() < 0.02
+
+
+def test_profiles_that_cannot_be_used_are_noted(tmp_path):
+    for profile in (b"nothing", ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes()):
+        Image.new("RGB", (4, 4), "red").save(tmp_path / "a.png", icc_profile=profile)
+        with pytest.warns(ImageWarning, match="taken as sRGB"):
+            assert read_image(tmp_path / "a.png")[0, 0].tolist() == [1, 0, 0]
+
+
+# Other formats
+
+
+def test_inverted_ink_of_jpegs(tmp_path):
+    ink = np.zeros((16, 16, 4), np.uint8)
+    ink[..., 1:3] = 255
+    Image.frombytes("CMYK", (16, 16), ink.tobytes()).save(tmp_path / "a.jpg", quality=100)
+    assert np.abs(read_image(tmp_path / "a.jpg") - [1, 0, 0]).max() < 0.02
+
+
+def test_around_the_first_picture_of_a_gif_is_nothing(read, tmp_path):
+    Image.new("P", (4, 4), 1).save(tmp_path / "a.gif")
+    data = bytearray((tmp_path / "a.gif").read_bytes())
+    assert data[6:10] == b"\4\0\4\0"
+    data[6:10] = b"\6\0\7\0"
+    place = data.index(b"\x2c\0\0\0\0\4\0\4\0")
+    data[place + 1 : place + 5] = b"\1\0\2\0"
+    alpha = np.zeros((7, 6))
+    alpha[2:6, 1:5] = 1
+    assert np.array_equal(read(bytes(data))[..., 3], alpha)
+
+
+def test_largest_picture_of_an_icon(tmp_path):
+    picture = Image.linear_gradient("L").convert("RGB")
+    picture.save(tmp_path / "a.ico", sizes=[(16, 16), (256, 256), (48, 48)])
+    assert np.array_equal(read_image(tmp_path / "a.ico"), np.asarray(picture) / 255)
+
+
+def test_names_alone_make_no_image(read):
+    for name in ("a.tga", "a.xpm", "a.eps"):
+        with pytest.raises(FileError, match=r"cannot be decoded|not an image"):
+            read(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", name)
+
+
+def test_16_bits_of_other_formats(read, tmp_path, rng):
+    """Gray keeps them; what is lost of colors is noted."""
+    gray = values(rng, 1, np.uint16)
+    head = f"{WIDTH} {HEIGHT}\n65535\n".encode()
+    assert np.abs(read(b"P5\n" + head + gray.astype(">u2").tobytes()) - as_color(gray)).max() < 1e-9
+    Image.fromarray(gray).save(tmp_path / "a.jp2")
+    assert np.abs(read_image(tmp_path / "a.jp2") - as_color(gray)).max() < 1e-9
+    colors = values(rng, 3, np.uint16)
+    with pytest.warns(ImageWarning, match="reduced to 8"):
+        got = read(b"P6\n" + head + colors.astype(">u2").tobytes())
+    assert np.abs(got - as_color(colors)).max() < 1 / 255
+
+
+@pytest.mark.parametrize("suffix", ["gif", "png", "webp", "avif"])
+def test_animations_are_noted_and_stills_are_not(tmp_path, suffix):
+    frames = [Image.new("RGB", (8, 8), color) for color in ("red", "blue")]
+    file = tmp_path / f"a.{suffix}"
+    if file.suffix not in Image.registered_extensions():
+        pytest.skip("this Pillow has no AVIF")
+    frames[0].save(file)
+    assert np.abs(read_image(file) - [1, 0, 0]).max() < 0.02
+    frames[0].save(file, save_all=True, append_images=frames[1:])
+    with pytest.warns(ImageWarning, match="several pictures: its first is taken"):
+        assert np.abs(read_image(file) - [1, 0, 0]).max() < 0.02
+
+
+def test_several_pages_are_noted(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((3, 8, 8, 3), np.uint8), photometric="rgb")
+    with pytest.warns(ImageWarning, match="several pages"):
+        read_image(tmp_path / "a.tif")
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((8, 8, 3), np.uint8), photometric="rgb")
+    read_image(tmp_path / "a.tif")
+
+
+# Damage
+
+
+def test_messages_are_one_printable_line(tmp_path):
+    file = tmp_path / ("a\n\x1b[31m\udcff" + "x" * 150 + ".png")
+    for data in (b"", b"\x89PNG\r\n\x1a\n", b"II*\0"):
+        file.write_bytes(data)
+        with pytest.raises(FileError) as caught:
+            read_image(file)
+        assert str(caught.value).isprintable()
+    with pytest.raises(FileError, match="too long") as caught:
+        read_image(tmp_path / ("\n" * 3000))
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 1000
+
+
+def test_whatever_a_decoder_raises_is_told_as_ours(tmp_path, monkeypatch):
+    file = tmp_path / "a.png"
+    Image.new("L", (4, 4)).save(file)
+    for error in (zlib.error("x\ny"), KeyError("a"), RecursionError(), struct.error(""), Warning()):
+
+        def fail(*arguments, error=error):
+            raise error
+
+        monkeypatch.setattr("clmorph.decoding.open_picture", fail)
+        with pytest.raises(FileError) as caught:
+            read_image(file)
+        assert caught.value.__cause__ is error
+        assert str(caught.value).isprintable()
+
+    def interrupt(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("clmorph.decoding.open_picture", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        read_image(file)
+
+
+def test_bombs_are_refused(read, tmp_path):
+    """Files of a few KB that say, or hold, much more than they are."""
+    million = zlib.compress(bytes(50_000_000), 9)
+    bombs = {
+        "samples": tiff(bytes(64), 100, 100, {258: 8, 262: 2, 277: 60000}),
+        "inflating": tiff(million, 64, 64, {258: 8, 259: 8, 262: 1}),
+        "missing": tiff(bytes(64), 7900, 7900, {258: (16,) * 3, 262: 2, 277: 3, 279: 375 << 20}),
+        "one tile": tiff(
+            bytes(64), 8, 8,
+            {258: 8, 262: 1, 273: None, 279: None, 278: None, 322: 65536, 323: 65536, 324: 8,
+             325: 64},
+        ),
+        "strips": tiff(bytes(64), 1, 600000, {258: 8, 262: 1, 278: 1, 273: (8,) * 600000}),
+        "text": png(np.zeros((2, 2)), 0, 8, ((b"zTXt", b"a\0\0" + million),)),
+        "profile": png(np.zeros((2, 2)), 0, 8, ((b"iCCP", b"a\0\0" + million),)),
+        "side": png(np.zeros((1, 1)), 0, 8)[:16] + struct.pack(">II", 1 << 30, 1 << 30),
+    }  # fmt: skip
+    inner = png(np.zeros((1, 1), int), 0, 1)
+    header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", 12000, 12000, 1, 0, 0, 0, 0))
+    inner = inner[:8] + header + inner[33:]
+    bombs["icon"] = (
+        struct.pack("<HHH", 0, 1, 1) + struct.pack("<BBBBHHII", 0, 0, 0, 0, 1, 32, len(inner), 22)
+        + inner
+    )  # fmt: skip
+    for name, data in bombs.items():
+        with pytest.raises(FileError) as caught:
+            read(data, name.replace(" ", "-"))
+        assert str(caught.value).isprintable()
+
+
+def test_many_scans_are_refused(tmp_path, read):
+    picture = Image.linear_gradient("L").convert("RGB")
+    picture.save(tmp_path / "a.jpg", progressive=True)
+    data = (tmp_path / "a.jpg").read_bytes()
+    assert read(data).shape == (256, 256, 3)
+    place = data.rindex(b"\xff\xda")
+    with pytest.raises(FileError, match="scans"):
+        read(data[:-2] + data[place:-2] * 100 + data[-2:])
+
+
+# Global state
+
+
+def test_threads_leave_no_trace(tmp_path):
+    """Many reads at once: filters of warnings and Pillow's guard are never other ones."""
+    files = []
+    for name in ("a.png", "a.jpg", "a.gif", "a.webp", "a.tif", "cut.png"):
+        Image.linear_gradient("L").convert("RGB").save(tmp_path / name)
+        files.append(tmp_path / name)
+    files[-1].write_bytes(files[-1].read_bytes()[:100])
+    read_image(files[0])
+
+    def state():
+        return (
+            Image.MAX_IMAGE_PIXELS, warnings.filters, list(warnings.filters),
+            warnings.showwarning, warnings._showwarning_orig,
+        )  # fmt: skip
+
+    before, failed, done = state(), [], threading.Event()
+
+    def work(start):
+        for index in range(24):
+            try:
+                read_image(files[(start + index) % len(files)])
+            except FileError:
+                continue
+            except BaseException as error:
+                failed.append(error)
+
+    def watch():
+        while not done.is_set():
+            now = state()
+            if now != before or now[1] is not before[1]:
+                failed.append(now)
+                return
+
+    watcher = threading.Thread(target=watch)
+    threads = [threading.Thread(target=work, args=(start,)) for start in range(8)]
+    watcher.start()
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    done.set()
+    watcher.join()
+    assert not failed
+    assert state() == before
+
+
+# The command line
+
+
+def test_the_command_prints_notes_and_no_remarks_of_libraries(tmp_path, capfd, monkeypatch):
+    """Our warnings are notes; what Pillow remarks on damaged metadata is not printed."""
+    from clmorph.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    frames = [Image.new("RGB", (5, 4), color) for color in ("red", "blue")]
+    frames[0].save("a.gif", save_all=True, append_images=frames[1:])
+    exif = tiff(b"", 1, 1, {274: 1})
+    frames[1].save("b.jpg", exif=b"Exif\0\0" + exif[:-9])  # cut off
+    monkeypatch.setattr(warnings, "filters", [("default", None, Warning, None, 0)])
+    options = ["--size", "4", "--frames", "3", "--backend", "numpy", "--max-iter", "20"]
+    assert main(["morph", "a.gif", "b.jpg", "-o", "out.png", *options]) == 0
+    lines = capfd.readouterr().err.splitlines()
+    assert "note: a.gif has several pictures: its first is taken" in lines
+    assert all(line.startswith(("device:", "memory:", "note:")) for line in lines), lines
+    frames[1].save("c.tif", compression="tiff_lzw")
+    data = (tmp_path / "c.tif").read_bytes()
+    (tmp_path / "c.tif").write_bytes(data[:9] + b"\xff" * 20 + data[29:])  # libtiff prints itself
+    assert main(["morph", "a.gif", "c.tif", "-o", "out.png", *options]) == 2
+    error = [
+        line
+        for line in capfd.readouterr().err.splitlines()
+        if not line.startswith(("device:", "memory:", "note:"))
+    ]
+    assert len(error) == 1
+    assert "c.tif cannot be decoded" in error[0]
+    tags = {258: 8, 262: 1, 277: (11,) * 300, 270: b"clmorph" * 3}
+    (tmp_path / "in.tif").write_bytes(tiff(bytes(1), 1, 1, tags)[:-9])
+    assert main(["morph", "--config", "in.tif", "-o", "out.png"]) == 2
+    assert len(capfd.readouterr().err.splitlines()) == 1

@@ -1,0 +1,44 @@
+"""Odd calls: those of ``tests/api_values.py``, and its judgement."""
+
+import os
+import runpy
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from clmorph import ConvergenceWarning
+
+SOURCE = Path(__file__).parents[2] / "tests" / "api_values.py"
+
+
+class Target:
+    """Cases of this kind.
+
+    Parameters
+    ----------
+    folder : Path
+        Where calls may leave files.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if not SOURCE.exists():
+            raise FileNotFoundError(f"{SOURCE} is not there: it holds the calls to try")
+        self.values = runpy.run_path(str(SOURCE))
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        os.chdir(folder)
+        self.values["furnish"]()
+
+    def case(self, rng: np.random.Generator) -> tuple[str, bytes, Callable[[], list[str]]]:
+        """Return what is tried, the offending input if it offends, and what tries it."""
+        description, call = next(self.values["calls"](rng))
+
+        def run() -> list[str]:
+            try:
+                self.values["check"](description, call)
+            except AssertionError as error:
+                return [" ".join(str(error).split())]
+            return []
+
+        return description, description.encode(), run
