@@ -130,9 +130,7 @@ def _digest(file: str, binary: bytes) -> bytes:
     return hashlib.sha256(file.encode() + binary).digest()
 
 
-def _from_binary(
-    context: cl.Context, file: str | None, options: list[str]
-) -> "cl._Program | None":
+def _from_binary(context: cl.Context, file: str | None, options: list[str]) -> "cl._Program | None":
     """Load a kept build; None if there is none, or it is damaged, or the driver refuses it."""
     content = read_cached(file) if file else b""
     digest, binary = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]

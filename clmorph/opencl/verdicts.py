@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clmorph.checks import check_number
-from clmorph.errors import InputError
 from clmorph.opencl.storage import forget_cached, load_record, save_record
 
 if TYPE_CHECKING:
