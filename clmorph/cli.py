@@ -239,7 +239,7 @@ def demo(device: str | None, backend: str | None) -> None:
 def devices(as_json: bool, again: bool) -> int:
     """List OpenCL devices: which work, why others do not, which one "auto" takes.
 
-    A device that is new is tried in a process of its own for at most 30 s, or for as long as
+    A device that is new is tried in a process of its own for at most 60 s, or for as long as
     CLMORPH_PROBE_SECONDS says (1 to 3600). What the trial says is remembered, but for a lack
     of time, after which the device is tried again the next time.
     """

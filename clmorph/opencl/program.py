@@ -3,11 +3,14 @@
 import functools
 import hashlib
 import os
+import pickle
 import re
+import sqlite3
 import warnings
 from importlib import resources
 from pathlib import Path
 
+import platformdirs
 import pyopencl as cl
 
 from clmorph.errors import DeviceError
@@ -67,6 +70,41 @@ def build(context: cl.Context, name: str, constants: dict[str, int | float]) -> 
         program = _from_source(context, name, options)
         _keep_binary(program, file)
     return cl.Program(program)
+
+
+def kernel(program: cl.Program, name: str) -> cl.Kernel:
+    """Return a kernel of a program, whatever the state of pyopencl's cache.
+
+    pyopencl generates some Python for each kernel and keeps it in a database of its own. It
+    fails where that cannot be written or is damaged, and there it has to do without.
+
+    Parameters
+    ----------
+    program : pyopencl.Program
+        Built.
+    name : str
+    """
+    _check_pyopencl_cache()
+    try:
+        return cl.Kernel(program, name)
+    except (OSError, ValueError, TypeError, EOFError, sqlite3.Error, pickle.UnpicklingError):
+        if cl._PYOPENCL_NO_CACHE:
+            raise
+        cl._PYOPENCL_NO_CACHE = True
+        return cl.Kernel(program, name)
+
+
+@functools.cache
+def _check_pyopencl_cache() -> None:
+    """Turn pyopencl's cache off if there is no folder for it: it fails with some noise."""
+    folder = Path(platformdirs.user_cache_dir("pytools", "pytools"))
+    try:
+        if folder.is_absolute():  # or it would be made wherever we happen to be
+            folder.mkdir(parents=True, exist_ok=True)
+            return
+    except OSError:
+        pass
+    cl._PYOPENCL_NO_CACHE = True
 
 
 def _from_source(context: cl.Context, name: str, options: list[str]) -> "cl._Program":

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pyopencl as cl
 
 #: Seconds that a device may take to build and run the probe, and the variable that says others.
-PROBE_SECONDS = 30.0
+PROBE_SECONDS = 60.0
 PROBE_SECONDS_VARIABLE = "CLMORPH_PROBE_SECONDS"
 #: What the probe prints when it is loaded and turns to the device.
 LOADED = "clmorph.opencl.probe: loaded"
