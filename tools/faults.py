@@ -168,7 +168,8 @@ class Runs:
         mine = ("errors", f"clmorph-{os.getuid()}", ".cache")
         left += [f"tmp/{path.name}" for path in (folder / "tmp").iterdir() if path.name not in mine]
         left += [f"process {name}" for name in _session(process.pid)]
-        return Ended(code, [line for line in told if line not in known], left, digest(output))
+        lines = [line for line in told if line.strip() and line not in known]
+        return Ended(code, lines, left, digest(output))
 
     def measure(self, format: str) -> None:
         """Run undisturbed."""

@@ -189,7 +189,7 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
     # Before it turns to the device, it is not the driver that fails.
     lasting = LOADED in lines
     if done.returncode < 0:
-        reason = f"its driver crashed (signal {-done.returncode}) on a kernel"
+        lasting, reason = True, f"its driver crashed (signal {-done.returncode}) on a kernel"
         outside = [getattr(signal, name, None) for name in _FROM_OUTSIDE]
         if -done.returncode in outside:
             lasting, reason = False, f"its probe was killed (signal {-done.returncode})"
