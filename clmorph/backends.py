@@ -2,9 +2,14 @@
 
 import os
 from functools import cache
+from typing import TYPE_CHECKING
 
 from clmorph.errors import InputError
+from clmorph.opencl.process import Once
 from clmorph.operations import Operations
+
+if TYPE_CHECKING:
+    import pyopencl as cl
 
 #: What `backend` may be: see `get_backend`.
 Backend = str | Operations
@@ -27,7 +32,8 @@ def get_backend(backend: Backend = "auto") -> Operations:
     InputError
         If `backend` is neither a text nor such an object.
     DeviceError
-        If there is no such device or it does not work.
+        If there is no such device or it does not work, or this process was forked from one
+        that has used OpenCL.
     """
     if not isinstance(backend, str):
         if hasattr(backend, "softmin"):
@@ -39,20 +45,32 @@ def get_backend(backend: Backend = "auto") -> Operations:
     name = backend.strip() or "auto"
     if name == "auto":
         name = os.environ.get("CLMORPH_DEVICE", "").strip() or "auto"
+    if name == "numpy":
+        return _numpy()
     return _named_backend(name, os.environ.get("PYOPENCL_CTX", ""))
 
 
+# Backends are imported where they are used, so that the package needs no driver.
+
+
 @cache
+def _numpy() -> Operations:
+    from clmorph.reference.operations import NumPyOperations
+
+    return NumPyOperations()
+
+
+@Once
 def _named_backend(name: str, pyopencl_ctx: str) -> Operations:
     # pyopencl_ctx is part of the cache's key: choose_device reads it for "auto".
-    # Backends are imported where they are used, so that the package needs no driver.
-    if name == "numpy":
-        from clmorph.reference.operations import NumPyOperations
-
-        return NumPyOperations()
     from clmorph.opencl.device import choose_device
 
-    device = choose_device(name)
+    return _opened(choose_device(name).handle)
+
+
+@Once
+def _opened(handle: "cl.Device") -> Operations:
+    """Return the operations on a device: the same ones, whatever name it was chosen by."""
     from clmorph.opencl.operations import OpenCLOperations
 
-    return OpenCLOperations(device.handle)
+    return OpenCLOperations(handle)

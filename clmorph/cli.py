@@ -240,7 +240,12 @@ def demo(device: str | None, backend: str | None) -> None:
 @click.option("--json", "as_json", is_flag=True, help="For programs.")
 @click.option("--again", is_flag=True, help="Try every device anew.")
 def devices(as_json: bool, again: bool) -> int:
-    """List OpenCL devices: which work, why others do not, which one "auto" takes."""
+    """List OpenCL devices: which work, why others do not, which one "auto" takes.
+
+    A device that is new is tried in a process of its own for at most 60 s, or for as long as
+    CLMORPH_PROBE_SECONDS says (1 to 3600). What the trial says is remembered, but for a lack
+    of time, after which the device is tried again the next time.
+    """
     from clmorph.device_commands import list_devices
 
     return list_devices(as_json, again)

@@ -5,7 +5,6 @@ space, so that two colors drawn evenly from the sRGB cube are, in the root mean 
 apart in each space as in sRGB: a color weight means the same in all of them.
 """
 
-import warnings
 from functools import cache
 
 import numpy as np
@@ -91,12 +90,23 @@ def from_space(coordinates: ArrayLike, space: str) -> Array:
     elif space in ("lab", "luv"):
         from skimage import color
 
-        # What lies outside the gamut is clipped, and need not be told.
-        with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
-            warnings.simplefilter("ignore", UserWarning)
+        if space == "lab":
+            values = _without_negative_light(values)
+        with np.errstate(invalid="ignore", divide="ignore"):
             shape = values.shape
             values = getattr(color, f"{space}2rgb")(values.reshape(-1, 1, 3)).reshape(shape)
     return np.clip(np.nan_to_num(values), 0.0, 1.0)
+
+
+def _without_negative_light(lab: Array) -> Array:
+    """Return colors of CIELAB with as much yellow at most as leaves no negative Z.
+
+    scikit-image clips Z too, but warns of it, and a filter of warnings is every thread's.
+    """
+    lightness, green_red, blue_yellow = np.moveaxis(lab, -1, 0)
+    # Z grows with (L + 16) / 116 - b / 200; a trace is left, so that rounding is no minus.
+    most = 200 * ((lightness + 16) / 116 - 1e-9)
+    return np.stack([lightness, green_red, np.minimum(blue_yellow, most)], axis=-1)
 
 
 def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:

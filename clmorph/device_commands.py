@@ -6,8 +6,10 @@ from typing import Any
 
 import click
 
-from clmorph.errors import ClmorphError, DeviceError
+from clmorph.errors import ClmorphError, DeviceError, OutputError
+from clmorph.files import atomic_path, check_place
 from clmorph.opencl.device import Device, choose_device, find_devices, forget_verdicts
+from clmorph.opencl.storage import cache_folder
 from clmorph.terminal import NOTES, RESULTS
 
 
@@ -29,6 +31,11 @@ def list_devices(as_json: bool, again: bool) -> int:
     if again:
         forget_verdicts()
     devices = _find()
+    if cache_folder() is None:
+        NOTES.print(
+            "note: what is learned of devices cannot be kept; set XDG_CACHE_HOME to a folder that "
+            "can be written to"
+        )
     auto = _auto_index()
     if as_json:
         records = [device.record() | {"auto": device.index == auto} for device in devices]
@@ -97,29 +104,21 @@ def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
 def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
     """Compare devices with NumPy, print the findings; 1 if any is out of tolerance."""
     devices = _choose(spec, every)
-    writer = _report_writer(report)
+    if report is not None:
+        _check_report(report)
     bundles = [_check_one(device) for device in devices]
     if report is not None:
-        writer(json.dumps(bundles[0] if len(bundles) == 1 else bundles, indent=1) + "\n")
+        text = json.dumps(bundles[0] if len(bundles) == 1 else bundles, indent=1) + "\n"
+        with atomic_path(report) as new:
+            new.write_text(text, "utf-8")
         click.echo(f"wrote {report}")
     return 0 if all(f["passed"] for bundle in bundles for f in bundle["findings"]) else 1
 
 
-def _report_writer(report: Path | None) -> Any:
-    """Return what writes the report, after checking that it can be written."""
-    from clmorph.errors import OutputError
-    from clmorph.opencl.storage import write_atomically
-
-    if report is not None and (report.is_dir() or not report.resolve().parent.is_dir()):
-        raise OutputError(f"{report}: expected a file name in an existing folder")
-
-    def write(text: str) -> None:
-        try:
-            write_atomically(report, text)  # type: ignore[arg-type]
-        except OSError as error:
-            raise OutputError(f"{report} cannot be written ({error.strerror})") from error
-
-    return write
+def _check_report(report: Path) -> None:
+    """Check that the report can be written, before the work for it begins."""
+    if check_place(report).is_dir():
+        raise OutputError(f"{report} is a folder; choose a file name")
 
 
 def _check_one(device: Device) -> dict[str, Any]:

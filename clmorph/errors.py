@@ -29,6 +29,10 @@ class PlanSizeError(InputError):
         super().__init__(message)
         self.pairs = pairs
 
+    def __reduce__(self) -> tuple[type["PlanSizeError"], tuple[str, int]]:
+        """Return how it is made again, which pools of processes need to pass it on."""
+        return type(self), (str(self), self.pairs)
+
 
 class DeviceError(ClmorphError, RuntimeError):
     """No OpenCL device fits the request, or the device failed."""

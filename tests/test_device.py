@@ -1,7 +1,5 @@
 """Finding, judging and choosing devices."""
 
-import hashlib
-import json
 import os
 import shutil
 import subprocess
@@ -15,7 +13,7 @@ from conftest import TESTED, USABLE
 import clmorph
 from clmorph import DeviceError, InputError, backends
 from clmorph.opencl import device as devices
-from clmorph.opencl import program, runtimes, storage
+from clmorph.opencl import program, runtimes, storage, verdicts
 from clmorph.opencl.device import Device, choose_device, find_devices, run_probe
 from clmorph.opencl.operations import OpenCLOperations
 from clmorph.reference import NumPyOperations
@@ -137,15 +135,16 @@ def test_verdicts_are_remembered(monkeypatch, tmp_path, asked):
     assert find_devices.__wrapped__() == first
     assert len(asked) == len(first)
     # A damaged record is as good as none.
-    (tmp_path / "devices.json").write_text("{")
+    records = sorted((tmp_path / "devices").iterdir())
+    for record in records:
+        record.write_text("{")
     find_devices.__wrapped__()
     assert len(asked) == 2 * len(first)
-    record = json.loads((tmp_path / "devices.json").read_text())
     # Another driver is another verdict.
-    monkeypatch.setattr(devices, "_cpu_identity", lambda: "another processor")
+    monkeypatch.setattr(verdicts, "cpu_identity", lambda: "another processor")
     find_devices.__wrapped__()
     assert len(asked) == 3 * len(first)
-    assert len(json.loads((tmp_path / "devices.json").read_text())) == 2 * len(record)
+    assert len(list((tmp_path / "devices").iterdir())) == 2 * len(records)
 
 
 def test_every_listed_device_has_a_verdict():
@@ -224,7 +223,7 @@ def test_too_many_points(device):
 
 @pytest.fixture
 def empty_cache(monkeypatch, tmp_path):
-    monkeypatch.setattr(program, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
     monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
     return tmp_path / "kernels"
 
@@ -243,14 +242,22 @@ def test_builds_are_kept_and_damage_is_survived(device, empty_cache, monkeypatch
     for damaged in (b"", whole[:20], whole[:-1], whole[:-1] + b"x", b"x" * 1000):
         file.write_bytes(damaged)
         program.build(device.context, "rows.cl", constants)
-        assert file.read_bytes()[:32] == hashlib.sha256(file.read_bytes()[32:]).digest()
+        kept = file.read_bytes()
+        assert kept[:32] == program._digest(f"kernels/{file.name}", kept[32:])
     # A driver that refuses the binary: whole by its digest, but no program.
-    file.write_bytes(hashlib.sha256(b"not a program").digest() + b"not a program")
+    name = f"kernels/{file.name}"
+    file.write_bytes(program._digest(name, b"not a program") + b"not a program")
     built = program.build(device.context, "rows.cl", constants)
     assert "log_sum_exp" in built.get_info(cl.program_info.KERNEL_NAMES)
     # Other constants, another file.
     program.build(device.context, "rows.cl", device.knobs.rows_constants(3))
     assert len(list(empty_cache.iterdir())) == 2
+    # One under the other's name is not taken for it.
+    (other,) = set(empty_cache.iterdir()) - {file}
+    shutil.copy(other, file)
+    built = program.build(device.context, "rows.cl", constants)
+    assert file.read_bytes() != other.read_bytes()
+    assert "log_sum_exp" in built.get_info(cl.program_info.KERNEL_NAMES)
 
 
 @pytest.mark.full
@@ -261,8 +268,7 @@ def test_two_processes_build_at_once(device, tmp_path):
         "c = o.upload(np.zeros((3, 5)), np.ones(3)); print(o.softmin(c, c, np.zeros(3), 1.0)[0])"
     )
     environment = dict(os.environ, XDG_CACHE_HOME=str(tmp_path))
-    (tmp_path / "clmorph").mkdir()
-    shutil.copy(storage.cache_folder() / "devices.json", tmp_path / "clmorph")
+    shutil.copytree(storage.cache_folder() / "devices", tmp_path / "clmorph" / "devices")
     running = [
         subprocess.Popen(
             [sys.executable, "-c", code % index], env=environment, stdout=subprocess.PIPE

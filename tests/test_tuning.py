@@ -87,10 +87,13 @@ def test_quirks_come_after_tuning(device, fast_tile, monkeypatch):
         {"unknown": 1},
         {"group": 256, "tile": 32},
         {"tile": []},
+        {"tile": 64.0},
+        {"width": True},
+        {},
     ],
 )
 def test_a_damaged_record_is_ignored(device, entry):
-    save_record("tuning.json", {tuning._key(device.device): entry})
+    save_record(tuning._record(device.device), entry)
     assert tuned_knobs(device.device) == choose_knobs(device.device)
 
 
@@ -108,13 +111,14 @@ def test_builds_that_fail_are_passed_over(device, monkeypatch):
     assert tune(device.device, lambda line: None)[0] == start
 
 
-def test_the_command(capsys, fast_tile, monkeypatch):
+def test_the_command(capsys, fast_tile, tmp_path):
     assert main(["tune"]) == 0
     assert "1.00 to 2.00·10⁹ pairs/s" in capsys.readouterr().out
-    assert len(load_record("tuning.json")) == 1
+    (record,) = (tmp_path / "tuning").iterdir()
+    assert load_record(f"tuning/{record.stem}")
     assert main(["tune", "--all"]) == 0
     assert main(["tune", "--all", "--reset"]) == 0
     assert "tuning forgotten" in capsys.readouterr().out
-    assert load_record("tuning.json") == {}
+    assert list((tmp_path / "tuning").iterdir()) == []
     assert main(["tune", "--device", "pocl", "--all"]) == 2
     assert "contradict" in capsys.readouterr().err

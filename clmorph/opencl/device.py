@@ -1,27 +1,24 @@
 """Find OpenCL devices, learn which of them work, and choose one."""
 
-import hashlib
-import json
 import os
-import platform
-import subprocess
-import sys
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clmorph.errors import DeviceError
 from clmorph.installation import advice
-from clmorph.opencl.runtimes import import_pyopencl, intel_runtime, register_pip_runtimes
-from clmorph.opencl.storage import load_record, save_record
+from clmorph.opencl.process import Once
+from clmorph.opencl.runtimes import intel_runtime, list_platforms
+from clmorph.opencl.verdicts import (
+    forget_all,
+    load_verdict,
+    probe_seconds,
+    run_probe,
+    save_verdict,
+    verdict_key,
+)
 
 if TYPE_CHECKING:
     import pyopencl as cl
-
-#: Seconds that a device may take to build and run the probe.
-PROBE_SECONDS = 30
-_VERDICTS = "devices.json"
 
 
 @dataclass(frozen=True)
@@ -83,20 +80,15 @@ class Device:
         return text.lower() in f"{self.name} {self.platform} {self.version}".lower()
 
 
-@cache
+@Once
 def raw_devices() -> tuple[tuple[str, "cl.Device"], ...]:
     """Enumerate (index, device) over all platforms; empty where OpenCL has none."""
     try:
-        import_pyopencl()
+        platforms = list_platforms()
     except ImportError:
         return ()
     import pyopencl as cl
 
-    with register_pip_runtimes():
-        try:
-            platforms = cl.get_platforms()
-        except cl.Error:
-            return ()
     found = []
     for p, entry in enumerate(platforms):
         try:
@@ -131,106 +123,34 @@ def _describe(index: str, device: "cl.Device", verdict: dict[str, Any]) -> Devic
     )
 
 
-@cache
-def _cpu_identity() -> str:
-    """Name of the processor: CPU runtimes that build on one can fail on another."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    wanted = ("vendor_id", "cpu family", "model", "stepping", "flags")
-    return "|".join(dict.fromkeys(line for line in lines if line.startswith(wanted)))
-
-
-@cache
-def _code_identity() -> str:
-    """Digest of the probe and of everything that it builds and runs."""
-    from importlib import resources
-
-    digest = hashlib.sha256()
-    for package, suffix in (("clmorph.cl_kernels", ".cl"), ("clmorph.opencl", ".py")):
-        for entry in sorted(resources.files(package).iterdir(), key=lambda item: item.name):
-            if entry.name.endswith(suffix):
-                digest.update(entry.read_bytes())
-    return digest.hexdigest()
-
-
-def verdict_key(device: "cl.Device") -> str:
-    """Digest of a device, its driver, the processor and our kernels."""
-    identity = (
-        device.name, device.driver_version, device.platform.name, device.platform.version,
-        _cpu_identity(), _code_identity(),
-    )  # fmt: skip
-    return hashlib.sha256("|".join(identity).encode()).hexdigest()[:32]
-
-
-def run_probe(index: str, seconds: float = PROBE_SECONDS) -> dict[str, Any]:
-    """Build and run the kernels on a device, in a process of its own.
-
-    A driver may abort or hang its process, so the trial is kept out of this one.
-
-    Parameters
-    ----------
-    index : str
-        The device, as counted by `raw_devices`.
-    seconds : float
-        Time limit.
-
-    Returns
-    -------
-    dict
-        usable (bool), reason (str), pairs_per_second (float).
-    """
-    environment = dict(os.environ)
-    root = str(Path(__file__).parents[2])
-    search_path = [root, environment.get("PYTHONPATH", "")]
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, search_path))
-    # -P: the current folder may hold another clmorph, such as a source tree.
-    command = [sys.executable, "-P", "-W", "ignore", "-m", "clmorph.opencl.probe", index]
-    failed = {"usable": False, "pairs_per_second": 0.0}
-    try:
-        done = subprocess.run(
-            command, env=environment, timeout=seconds, capture_output=True, text=True,
-            errors="replace", stdin=subprocess.DEVNULL, check=False,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        reason = f"did not build and run a small kernel within {seconds:g} s"
-        return failed | {"reason": reason}
-    lines = done.stdout.strip().splitlines()
-    if done.returncode == 0 and lines:
-        try:
-            return dict(json.loads(lines[-1]))
-        except ValueError:
-            pass
-    if done.returncode < 0:
-        return failed | {"reason": f"its driver crashed (signal {-done.returncode}) on a kernel"}
-    noise = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-    reason = noise[-1] if noise else "no output"
-    return failed | {"reason": f"its probe ended with status {done.returncode}: {reason}"}
-
-
-@cache
+@Once
 def find_devices() -> tuple[Device, ...]:
     """List every OpenCL device, usable or not.
 
     The verdict on each is remembered by driver, platform, processor and kernel sources;
-    a device seen for the first time takes some seconds.
+    a device seen for the first time takes some seconds. A trial that found no time or no
+    memory says nothing of the device, and is repeated by the next process.
+
+    Raises
+    ------
+    InputError
+        If ``CLMORPH_PROBE_SECONDS`` is no number from 1 to 3600.
     """
-    verdicts = load_record(_VERDICTS)
+    probe_seconds()  # a mistake is told at once, not when a device is new
     devices = []
     for index, handle in raw_devices():
         key = verdict_key(handle)
-        verdict = verdicts.get(key)
-        if not isinstance(verdict, dict) or {"usable", "reason", "pairs_per_second"} - set(verdict):
+        verdict = load_verdict(key)
+        if verdict is None:
             verdict = run_probe(index)
-            save_record(_VERDICTS, load_record(_VERDICTS) | {key: verdict})
+            save_verdict(key, verdict)
         devices.append(_describe(index, handle, verdict))
     return tuple(devices)
 
 
 def forget_verdicts() -> None:
     """Forget which devices worked, so that the next search tries them again."""
-    save_record(_VERDICTS, {})
+    forget_all()
     find_devices.cache_clear()
 
 
@@ -286,15 +206,27 @@ def _from_pyopencl_ctx(devices: tuple[Device, ...]) -> Device:
     value = os.environ["PYOPENCL_CTX"]
     try:
         handle = cl.create_some_context(interactive=False).devices[0]
+        named = [device for device in devices if device.handle == handle]
     except (cl.Error, RuntimeError, ValueError, IndexError) as error:
+        # Runtimes from pip are not in pyopencl's own list; they are named as by us.
+        named = [
+            device for device in devices
+            if device.index in (value, f"{value}:0")
+            or (not value[:1].isdigit() and device.matches(value))
+        ]  # fmt: skip
+        if not named:
+            raise DeviceError(
+                f"PYOPENCL_CTX={value!r} names no device ({error}); "
+                "unset it, or name a device with --device or CLMORPH_DEVICE"
+            ) from error
+    if not named:
         raise DeviceError(
-            f"PYOPENCL_CTX={value!r} names no device ({error}); "
-            "unset it, or name a device with --device or CLMORPH_DEVICE"
-        ) from error
-    device = next(device for device in devices if device.handle == handle)
-    if not device.usable:
-        raise DeviceError(f"PYOPENCL_CTX={value!r} names {device}; choose another device")
-    return device
+            f"PYOPENCL_CTX={value!r} names a device that cannot be listed; unset it, or name a "
+            "device with --device or CLMORPH_DEVICE"
+        )
+    if not named[0].usable:
+        raise DeviceError(f"PYOPENCL_CTX={value!r} names {named[0]}; choose another device")
+    return named[0]
 
 
 def _installation_hint(devices: tuple[Device, ...]) -> str:
@@ -303,7 +235,7 @@ def _installation_hint(devices: tuple[Device, ...]) -> str:
         return "update the drivers (clmorph devices --again), or use the backend 'numpy'"
     if intel_runtime() is not None:
         return (
-            "Intel's CPU runtime is installed but was not found: use clmorph before other "
-            "OpenCL code in the process, or unset OCL_ICD_VENDORS; or use the backend 'numpy'"
+            "Intel's CPU runtime is installed but was not found: unset OCL_ICD_VENDORS, if it is "
+            "set, or install the runtime again; or use the backend 'numpy'"
         )
     return f"{advice()[0]}; or use the backend 'numpy' (clmorph devices tells more)"

@@ -121,7 +121,7 @@ class Moments:
         self._group = int(knobs.moments_constants()["MOMENT_GROUP"])
         self._span = 1 if knobs.width == 1 else SPAN
         names = ("sum_moments", "sum_rows", "sum_columns")
-        self._kernels = {name: cl.Kernel(built, name) for name in names}
+        self._kernels = {name: program.kernel(built, name) for name in names}
         self._budgets = {name: LaunchBudget() for name in names}
 
     def add(

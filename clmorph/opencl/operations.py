@@ -1,7 +1,6 @@
 """The operations of `clmorph.operations.Operations` on an OpenCL device."""
 
 import functools
-import threading
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar, cast
 
@@ -14,6 +13,7 @@ from clmorph.opencl.clouds import Cloud
 from clmorph.opencl.knobs import Knobs
 from clmorph.opencl.launches import Workspace
 from clmorph.opencl.particles import ParticleSet, Splats
+from clmorph.opencl.process import claim_opencl, device_lock
 from clmorph.opencl.splatting import Splatting
 from clmorph.opencl.stored import StoredReductions
 from clmorph.opencl.tuning import tuned_knobs
@@ -33,6 +33,7 @@ def _operation(method: Callable[P, T]) -> Callable[P, T]:
     @functools.wraps(method)
     def run(*arguments: P.args, **options: P.kwargs) -> T:
         operations = cast("OpenCLOperations", arguments[0])
+        claim_opencl()
         with operations.lock:
             try:
                 return method(*arguments, **options)
@@ -57,8 +58,9 @@ class OpenCLOperations:
     """
 
     def __init__(self, device: cl.Device, knobs: Knobs | None = None) -> None:
+        claim_opencl()
         self.device = device
-        self.lock = threading.RLock()
+        self.lock = device_lock()
         self.knobs = knobs or tuned_knobs(device)
         self.bin_size = self.knobs.bin
         self.sum_roundoff = self.exponent_roundoff = 2.0**-24
@@ -68,16 +70,17 @@ class OpenCLOperations:
             f"{' '.join(device.name.split())} "
             f"({device.platform.name.strip()}, driver {device.driver_version.strip()})"
         )
-        try:
-            self.context = cl.Context([device])
-            self.queue = cl.CommandQueue(self.context)
-        except cl.Error as error:
-            raise DeviceError(
-                f"{self.description} cannot be opened: {error}; "
-                "choose another device with --device or CLMORPH_DEVICE"
-            ) from error
-        self.work = Workspace(self.context, self.queue)
-        self.reductions = StoredReductions(self.work, self.knobs)
+        with self.lock:
+            try:
+                self.context = cl.Context([device])
+                self.queue = cl.CommandQueue(self.context)
+            except cl.Error as error:
+                raise DeviceError(
+                    f"{self.description} cannot be opened: {error}; "
+                    "choose another device with --device or CLMORPH_DEVICE"
+                ) from error
+            self.work = Workspace(self.context, self.queue)
+            self.reductions = StoredReductions(self.work, self.knobs)
 
     @functools.cached_property
     def splatting(self) -> Splatting:

@@ -1,23 +1,35 @@
 """Try the kernels on one device; run as ``python -m clmorph.opencl.probe INDEX``.
 
-Prints one line of JSON: usable, reason, pairs_per_second.
+Prints one line of JSON: usable, reason, pairs_per_second, lasting.
 """
 
+import contextlib
 import json
+import os
 import sys
+import threading
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
 from clmorph.check import throughput
 from clmorph.errors import ClmorphError
 from clmorph.opencl.device import raw_devices
 from clmorph.opencl.operations import OpenCLOperations
+from clmorph.opencl.verdicts import LOADED
 from clmorph.operations import Operations
 from clmorph.reference.operations import NumPyOperations
 
 #: Points of the timed log-sum-exp; small enough for any device.
 TIMED_POINTS = 2048
+#: What a driver answers when it, or another user of the device, has taken all that there is.
+PASSING = (
+    cl.status_code.DEVICE_NOT_AVAILABLE,
+    cl.status_code.MEM_OBJECT_ALLOCATION_FAILURE,
+    cl.status_code.OUT_OF_HOST_MEMORY,
+    cl.status_code.OUT_OF_RESOURCES,
+)
 
 
 def _wrong_result(operations: OpenCLOperations) -> str:
@@ -44,21 +56,58 @@ def _wrong_result(operations: OpenCLOperations) -> str:
 
 
 def probe(index: str) -> dict[str, Any]:
-    """Return the verdict on the device of this index."""
-    device = dict(raw_devices())[index]
+    """Return the verdict on the device of this index: see `clmorph.opencl.verdicts.run_probe`."""
+    found = dict(raw_devices())
+    if index not in found:
+        return _failure("its probe did not find it", lasting=False)
     try:
-        operations = OpenCLOperations(device)
+        operations = OpenCLOperations(found[index])
         reason = _wrong_result(operations)
         speed = 0.0 if reason else throughput(operations, TIMED_POINTS)
-    except ClmorphError as error:
-        return {"usable": False, "reason": str(error).split(";")[0], "pairs_per_second": 0.0}
     except Exception as error:  # a driver's errors come in any class; the reason is shown
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-        return {"usable": False, "reason": reason, "pairs_per_second": 0.0}
-    return {"usable": not reason, "reason": reason, "pairs_per_second": speed}
+        if isinstance(error, ClmorphError):
+            reason = str(error).split(";")[0]
+        return _failure(reason, lasting=not _is_passing(error))
+    if reason:
+        return _failure(reason, lasting=True)
+    return {"usable": True, "reason": "", "pairs_per_second": speed, "lasting": True}
+
+
+def _failure(reason: str, lasting: bool) -> dict[str, Any]:
+    return {"usable": False, "reason": reason, "pairs_per_second": 0.0, "lasting": lasting}
+
+
+def _is_passing(error: BaseException | None) -> bool:
+    """Whether an error, or what it came from, speaks of the moment, not of the driver."""
+    if error is None:
+        return False
+    if isinstance(error, MemoryError | OSError):
+        return True
+    code = error.code if isinstance(error, cl.Error) else cl.status_code.SUCCESS
+    return code in PASSING or _is_passing(error.__cause__)
+
+
+def end_with_parent() -> None:
+    """End this process when its standard input does: its parent holds the other end.
+
+    Whatever kills the parent, no probe of a driver that hangs goes on.
+    """
+
+    def wait() -> None:
+        # Not sys.stdin: its lock would be held at exit.
+        with contextlib.suppress(OSError):
+            while os.read(0, 1):
+                pass
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 if __name__ == "__main__":
+    end_with_parent()
+    # The driver may crash from here on: whatever happens, this line is out.
+    print(LOADED, flush=True)
     verdict = probe(sys.argv[1])
     print()
     print(json.dumps(verdict), flush=True)

@@ -239,7 +239,7 @@ class Reductions:
             ]  # fmt: skip
             if listed:
                 names += ["largest_shares", "measure_tiles"]
-            self._kernels[key] = {name: cl.Kernel(built, name) for name in names}
+            self._kernels[key] = {name: program.kernel(built, name) for name in names}
         return self._kernels[key]
 
 

@@ -1,44 +1,25 @@
-"""Make OpenCL runtimes that were installed with pip visible to the OpenCL loader.
+"""OpenCL platforms: the loader's, and those of runtimes that were installed with pip.
 
-Intel's wheel leaves its registration file with a placeholder path, so no loader finds
-the runtime by itself. Which runtimes a process sees is settled at its first platform
-query; `register_pip_runtimes` must therefore run before that, and hides nothing that was
-visible without it.
+Intel's wheel leaves its registration file with a placeholder path, so no loader finds the
+runtime by itself. Loaders take more entries from environment variables only, which they read
+once in a process and which every thread and every child would see. The runtime is therefore
+asked for its platforms as a loader asks (extension cl_khr_icd): whatever loader there is
+passes calls on by a table in the objects themselves, and needs no list of them.
 """
 
-import contextlib
-import hashlib
+import ctypes
 import os
 import sys
-import tempfile
-from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import platformdirs
+if TYPE_CHECKING:
+    import pyopencl as cl
 
-from clmorph.opencl.storage import cache_folder, write_atomically
-
-#: Where a Linux loader looks by default.
-SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
-
-
-def import_pyopencl() -> None:
-    """Import pyopencl, without its caches where their folder cannot be written to.
-
-    Raises
-    ------
-    ImportError
-        If it is not installed or cannot be loaded.
-    """
-    if "pyopencl" not in sys.modules:
-        try:
-            Path(platformdirs.user_cache_dir("pytools", "pytools")).mkdir(
-                parents=True, exist_ok=True
-            )
-        except OSError:
-            os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
-    import pyopencl  # noqa: F401
+#: First entry of the table of a driver after cl_khr_icd 2.0: a loader of that kind must have
+#: met it, or its calls go astray.
+_MANAGED_BY_LOADER = 0x4F50454E434C3331
 
 
 def intel_runtime() -> Path | None:
@@ -63,64 +44,62 @@ def intel_runtime() -> Path | None:
     return None
 
 
-def _bundled_entries(pyopencl_folder: Path) -> dict[str, str]:
-    """Registration entries of pyopencl's own wheel, with absolute library paths."""
-    libraries = pyopencl_folder / ".libs"
-    entries = {}
-    for entry in sorted(libraries.glob("*.icd")):
-        library = libraries / entry.read_text().strip()
-        if library.exists():
-            entries[entry.name] = str(library)
-    return entries
+def list_platforms() -> list["cl.Platform"]:
+    """List the loader's platforms, and behind them those of pip's runtimes that it lacks.
 
+    Who has set ``OCL_ICD_VENDORS`` has chosen, and gets the loader's only.
 
-def _vendor_folder(entries: dict[str, str]) -> Path:
-    """Write the registration entries into a folder of their own and return its parent."""
-    digest = hashlib.sha256(repr(sorted(entries.items())).encode()).hexdigest()[:16]
-    try:
-        home = cache_folder() / "icd" / digest
-        (home / ".libs").mkdir(parents=True, exist_ok=True)
-        for name, library in entries.items():
-            write_atomically(home / ".libs" / name, library + "\n")
-    except OSError:
-        home = Path(tempfile.mkdtemp(prefix="clmorph-icd-"))
-        (home / ".libs").mkdir()
-        for name, library in entries.items():
-            (home / ".libs" / name).write_text(library + "\n")
-    return home
+    Returns
+    -------
+    list of pyopencl.Platform
+        Empty if there are none.
 
-
-@contextlib.contextmanager
-def register_pip_runtimes() -> Iterator[None]:
-    """Show pip's runtimes to the loader while the first platform query runs.
-
-    A value of ``OCL_ICD_VENDORS`` that the user has set is respected: nothing is added.
-    The wheels of pyopencl bring a loader that reads ``$PYOPENCL_HOME/.libs`` in addition
-    to the system's folder; with any other loader the system's entries are carried into a
-    folder that ``OCL_ICD_VENDORS`` then names.
+    Raises
+    ------
+    ImportError
+        If pyopencl is not installed or cannot be loaded.
     """
-    import pyopencl
+    import pyopencl as cl
 
-    library = intel_runtime() if sys.platform == "linux" else None
-    if library is None or "OCL_ICD_VENDORS" in os.environ:
-        yield
-        return
-    package = Path(pyopencl.__file__).parent
-    entries = {"intel-cpu.icd": str(library)} | _bundled_entries(package)
-    if any((package / ".libs").glob("libOpenCL*")):
-        variable = "PYOPENCL_HOME"
-        value = _vendor_folder(entries)
-    else:
-        variable = "OCL_ICD_VENDORS"
-        for entry in sorted(SYSTEM_VENDORS.glob("*.icd")):
-            entries.setdefault(entry.name, entry.read_text().strip())
-        value = _vendor_folder(entries) / ".libs"
-    before = os.environ.get(variable)
-    os.environ[variable] = str(value)
     try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[variable]
-        else:
-            os.environ[variable] = before
+        found = list(cl.get_platforms())
+    except cl.Error:  # some loaders call it an error that there is none
+        found = []
+    library = intel_runtime() if sys.platform == "linux" else None
+    if library is not None and "OCL_ICD_VENDORS" not in os.environ:
+        known = {platform.int_ptr for platform in found}
+        found += [
+            cl.Platform.from_int_ptr(pointer, False)
+            for pointer in _platforms_of(library)
+            if pointer not in known
+        ]
+    return found
+
+
+def _platforms_of(library: Path) -> list[int]:
+    """Return pointers to the platforms of a driver; none if it cannot be loaded."""
+    try:
+        driver = ctypes.CDLL(str(library))
+        find = driver.clGetExtensionFunctionAddress
+    except (OSError, AttributeError):
+        return []
+    find.restype, find.argtypes = ctypes.c_void_p, (ctypes.c_char_p,)
+    address = find(b"clIcdGetPlatformIDsKHR")
+    if not address:
+        return []
+    number = ctypes.c_uint32
+    ask = ctypes.CFUNCTYPE(
+        ctypes.c_int32, number, ctypes.POINTER(ctypes.c_void_p), ctypes.POINTER(number)
+    )(address)
+    count = number()
+    if ask(0, None, ctypes.byref(count)):
+        return []
+    pointers = (ctypes.c_void_p * count.value)()
+    if ask(count, pointers, None):
+        return []
+    return [pointer for pointer in pointers if pointer and not _needs_its_loader(pointer)]
+
+
+def _needs_its_loader(platform: int) -> bool:
+    table = ctypes.c_void_p.from_address(platform).value
+    return table is None or ctypes.c_size_t.from_address(table).value == _MANAGED_BY_LOADER

@@ -36,7 +36,7 @@ class Splatting:
         self._work, self._knobs = work, knobs
         built = program.build(work.context, "splat.cl", knobs.splat_constants())
         names = ("place", "weigh", "choose_rungs", "count_bins", "fill_bins", "splat")
-        self._kernels = {name: cl.Kernel(built, name) for name in names}
+        self._kernels = {name: program.kernel(built, name) for name in names}
         self._budget = LaunchBudget()
         self._block = knobs.width * knobs.tile_group  # pixels of a work-group, along a side
         #: How kernels reach pixels: "gather", "moments" where they serve, or the cheaper.

@@ -153,7 +153,7 @@ class StoredReductions(PlanReductions):
             constants = self._knobs.stored_constants()
             built = program.build(self._work.context, "stored.cl", constants)
             self._stored_kernels = {
-                name: cl.Kernel(built, name) for name in ("clear_stored", "sum_stored")
+                name: program.kernel(built, name) for name in ("clear_stored", "sum_stored")
             }
         return self._stored_kernels[name]
 

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
-from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -11,9 +10,9 @@ import pyopencl as cl
 from clmorph.errors import ClmorphError
 from clmorph.opencl.knobs import Knobs, apply_quirks, choose_knobs
 from clmorph.opencl.quirks import find_quirks
-from clmorph.opencl.storage import load_record, save_record
+from clmorph.opencl.storage import forget_cached, load_record, save_record
+from clmorph.opencl.verdicts import verdict_key
 
-_RECORD = "tuning.json"
 #: Constants that are tried, one after the other, and their values.
 CANDIDATES: dict[str, tuple[int, ...]] = {
     "width": (1, 2, 4, 8, 16),
@@ -85,33 +84,33 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[Knobs, float, 
     entry = {
         name: getattr(best, name) for name in names if getattr(best, name) != getattr(start, name)
     }
-    save_record(_RECORD, load_record(_RECORD) | {_key(device): entry})
+    save_record(_record(device), entry)
     return best, before, after
 
 
 def forget_tuning(device: cl.Device) -> None:
     """Go back to the constants chosen by the kind of device."""
-    record = load_record(_RECORD)
-    record.pop(_key(device), None)
-    save_record(_RECORD, record)
+    forget_cached(f"{_record(device)}.json")
 
 
 def tuned_knobs(device: cl.Device) -> Knobs:
     """Return the constants for a device: as tuned, else by its kind; quirks obeyed."""
     knobs = choose_knobs(device)
-    entry: Any = load_record(_RECORD).get(_key(device))
-    if not isinstance(entry, dict):
+    entry = load_record(_record(device))
+    if not entry:
         return knobs
-    valid = all(value in CANDIDATES.get(name, ()) for name, value in entry.items())
+    # True and 16.0 equal numbers among the candidates, but are other text to a compiler.
+    valid = all(
+        type(value) is int and value in CANDIDATES.get(name, ()) for name, value in entry.items()
+    )
     tuned = replace(knobs, **entry) if valid else knobs
     tuned = apply_quirks(tuned, find_quirks(device))
     return tuned if is_possible(tuned, int(device.max_work_group_size)) else knobs
 
 
-def _key(device: cl.Device) -> str:
-    from clmorph.opencl.device import verdict_key
-
-    return verdict_key(device)
+def _record(device: cl.Device) -> str:
+    """Return the name of a device's record in the cache."""
+    return f"tuning/{verdict_key(device)}"
 
 
 def _speed(device: cl.Device, knobs: Knobs) -> float:

@@ -1,0 +1,59 @@
+"""A small share of what ``tools/faults.py`` and ``tools/soak.py`` try."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import USABLE
+
+TOOLS = Path(__file__).parents[1] / "tools"
+
+
+@pytest.fixture(autouse=True)
+def tools(monkeypatch):
+    if not TOOLS.exists() or sys.platform == "win32":
+        pytest.skip("the tools need a checkout, and signals as POSIX has them")
+    monkeypatch.syspath_prepend(str(TOOLS))
+
+
+def test_runs_that_are_interrupted(capsys):
+    """Ctrl-C while frames are drawn and written, over an old file and without one."""
+    import faults
+
+    runs = faults.Runs("numpy", faults.Findings([]))
+    runs.measure("gif")
+    seconds = runs.references["gif"].seconds
+    for share, old in ((0.6, True), (0.8, False), (0.95, True)):
+        runs.kill("gif", "SIGINT", share * seconds, old)
+    assert runs.findings.end() == 0, capsys.readouterr().out
+
+
+def test_a_full_disk(capsys):
+    import faults
+
+    runs = faults.Runs("numpy", faults.Findings([]))
+    runs.measure("npz")
+    runs.fill("npz", 0)
+    assert runs.findings.end() == 0, capsys.readouterr().out
+
+
+def test_a_fault_is_found(capsys):
+    """A tool that finds nothing must be able to."""
+    import faults
+
+    runs = faults.Runs("numpy", faults.Findings(["--device", "numpy"]))
+    runs.references["gif"] = faults.Reference(1.0, "another output", frozenset())
+    ended = faults.Ended(1, ["Traceback (most recent call last):"], [".clmorph-x"], "")
+    runs._same("cache", "garbage:kernels", ended)
+    assert runs.findings.end() == 1
+    out = capsys.readouterr().out
+    assert "FINDING cache: garbage:kernels: exit code 1" in out
+    assert "--cache garbage:kernels --device numpy" in out
+
+
+def test_morphs_in_threads_are_those_in_a_row(capsys):
+    import soak
+
+    device = USABLE[0].index
+    given = ["--morphs", "20", "--sets", "6", "--threads", "4", "--processes", "0"]
+    assert soak.main([*given, "--device", device]) == 0, capsys.readouterr().out
