@@ -108,16 +108,15 @@ def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
 def _report_writer(report: Path | None) -> Any:
     """Return what writes the report, after checking that it can be written."""
     from clmorph.errors import OutputError
-    from clmorph.opencl.storage import write_atomically
+    from clmorph.files import atomic_path, check_place
 
-    if report is not None and (report.is_dir() or not report.resolve().parent.is_dir()):
-        raise OutputError(f"{report}: expected a file name in an existing folder")
+    if report is not None and check_place(report).is_dir():
+        raise OutputError(f"{report} is a folder; choose a file name")
 
     def write(text: str) -> None:
-        try:
-            write_atomically(report, text)  # type: ignore[arg-type]
-        except OSError as error:
-            raise OutputError(f"{report} cannot be written ({error.strerror})") from error
+        assert report is not None  # else nothing is written
+        with atomic_path(report) as new:
+            new.write_text(text, "utf-8")
 
     return write
 
