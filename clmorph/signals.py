@@ -6,10 +6,11 @@ any; `undisturbed` does nothing there.
 """
 
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
@@ -78,6 +79,15 @@ def _end(number: int) -> None:
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     raise Terminated(number)
+
+
+def farewell(ending: Ending, number: int) -> int:
+    """Say on standard error why the run ends, and return its exit code: 128 and the signal."""
+    what = "interrupted" if number == signal.SIGINT else "terminated"
+    left = "after the files were written" if ending.written else "nothing was written"
+    with suppress(OSError, ValueError):  # whoever hung up does not read on
+        print(f"clmorph: {what}, {left}", file=sys.stderr, flush=True)
+    return 128 + number
 
 
 _current: Ending | None = None
