@@ -8,6 +8,7 @@ import click
 
 from clmorph.errors import ClmorphError, DeviceError
 from clmorph.opencl.device import Device, choose_device, find_devices, forget_verdicts
+from clmorph.printable import printable
 from clmorph.terminal import NOTES, RESULTS
 
 
@@ -101,7 +102,7 @@ def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
     bundles = [_check_one(device) for device in devices]
     if report is not None:
         writer(json.dumps(bundles[0] if len(bundles) == 1 else bundles, indent=1) + "\n")
-        click.echo(f"wrote {report}")
+        click.echo(f"wrote {printable(report)}")
     return 0 if all(f["passed"] for bundle in bundles for f in bundle["findings"]) else 1
 
 

@@ -16,6 +16,7 @@ from clmorph.files import check_apart
 from clmorph.images import MAX_PIXELS, fit
 from clmorph.inspection import inspect
 from clmorph.plots import check_plotting, draw_inspection
+from clmorph.printable import printable
 from clmorph.terminal import Stages
 
 #: Settings of a preset that decide about the transport.
@@ -80,4 +81,4 @@ def run_inspect(
     for line in found.lines():
         click.echo(line)
     if output is not None:
-        click.echo(f"wrote {output}")
+        click.echo(f"wrote {printable(output)}")

@@ -2,7 +2,9 @@
 
 import json
 import struct
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +14,7 @@ from clmorph.formats.bounded import MAX_HEAD, MAX_TEXT, UNREADABLE, BoundedFile,
 
 if TYPE_CHECKING:
     from PIL.Image import Exif
+    from PIL.ImageFile import ImageFile
     from PIL.PngImagePlugin import PngInfo
 
 #: What a text says first, so that it is known for one of ours.
@@ -88,28 +91,34 @@ def read_parameters(path: Path) -> dict[str, Any]:
     return found
 
 
-def _from_picture(path: Path) -> str:
-    """Return what stands in the head of a GIF, PNG or TIFF."""
-    from PIL import Image, UnidentifiedImageError
+def _from_gif(path: Path) -> str:
+    from PIL.GifImagePlugin import GifImageFile
 
-    formats = ("GIF", "PNG", "TIFF")
-    try:
-        # Pillow warns of, or refuses, pictures of many pixels; these are not decoded.
-        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
-        try:
-            with (
-                BoundedFile(path, in_all=MAX_HEAD) as file,
-                Image.open(file, formats=formats) as picture,
-            ):
-                if picture.format == "GIF":
-                    return bytes(picture.info.get("comment", b"")).decode("ascii", "replace")
-                if picture.format == "PNG":
-                    return str(picture.info.get(MARK, ""))
-                return str(picture.getexif().get(IMAGE_DESCRIPTION, ""))
-        finally:
-            Image.MAX_IMAGE_PIXELS = limit
-    except UnidentifiedImageError:
-        raise ValueError("it is of no kind that clmorph writes, or damaged") from None
+    with _head(GifImageFile, path) as picture:
+        return bytes(picture.info.get("comment", b"")).decode("ascii", "replace")
+
+
+def _from_png(path: Path) -> str:
+    from PIL.PngImagePlugin import PngImageFile
+
+    with _head(PngImageFile, path) as picture:
+        return str(picture.info.get(MARK, ""))
+
+
+def _from_tiff(path: Path) -> str:
+    from PIL.TiffImagePlugin import TiffImageFile
+
+    with _head(TiffImageFile, path) as picture:
+        return str(picture.getexif().get(IMAGE_DESCRIPTION, ""))
+
+
+@contextmanager
+def _head(reader: "type[ImageFile]", path: Path) -> Iterator["ImageFile"]:
+    """Give what Pillow finds in a picture's first parts; pixels, however many, are not decoded."""
+    with BoundedFile(path, in_all=MAX_HEAD) as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about damage, of which what matters raises
+        with reader(file) as picture:
+            yield picture
 
 
 def _from_webp(path: Path) -> str:
@@ -121,7 +130,8 @@ def _from_webp(path: Path) -> str:
     from PIL import Image
 
     with path.open("rb") as file:
-        file.seek(12)
+        if file.read(12)[8:] != b"WEBP":
+            raise ValueError("it is of no kind that clmorph writes")
         for _ in range(MAX_PIECES):
             kind, length = struct.unpack("<4sI", file.read(8))
             if kind == b"EXIF":
@@ -174,19 +184,33 @@ def _from_json(path: Path) -> str:
         return file.read(MAX_TEXT + 1).decode()
 
 
+def _from_elsewhere(path: Path) -> str:
+    raise ValueError("it is of no kind that clmorph writes")
+
+
+#: What reads a file, by how it begins: names can be changed.
+READERS: dict[bytes, Callable[[Path], str]] = {
+    b"GIF8": _from_gif,
+    b"\x89PNG": _from_png,
+    b"II*\0": _from_tiff,
+    b"MM\0*": _from_tiff,
+    b"II+\0": _from_tiff,
+    b"MM\0+": _from_tiff,
+    b"RIFF": _from_webp,
+    b"PK": _from_archive,
+    b"\x1aE\xdf\xa3": _from_webm,
+    b"{": _from_json,
+    b"<!doctype": _from_page,
+}
+
+
 def _reader(path: Path) -> Callable[[Path], str]:
-    """Return what reads a file, by how it begins: names can be changed."""
+    """Return what reads a file."""
     with path.open("rb") as stream:
         start = stream.read(64)
-    if start[4:8] == b"ftyp":
+    if start[4:8] == b"ftyp":  # after the length of this part
         return _from_mp4
-    if start.startswith(b"\x1aE\xdf\xa3"):
-        return _from_webm
-    if start.startswith(b"PK"):
-        return _from_archive
-    if start.startswith(b"RIFF") and start[8:12] == b"WEBP":
-        return _from_webp
-    text = start.lstrip()
-    if text.startswith(b"{"):
-        return _from_json
-    return _from_page if text[:9].lower() == b"<!doctype" else _from_picture
+    for begin, reader in READERS.items():
+        if start.startswith(begin) or start.lstrip().lower().startswith(begin):
+            return reader
+    return _from_elsewhere
