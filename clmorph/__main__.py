@@ -1,16 +1,21 @@
 """The command ``clmorph``, also as ``python -m clmorph``."""
 
-import sys
+import signal
+
+from clmorph.signals import Terminated, farewell, terminable
 
 
 def main() -> int:
     """Run the command line; Ctrl-C while it is still being loaded is no traceback either."""
-    try:
-        from clmorph.cli import main as run
-    except KeyboardInterrupt:
-        print("clmorph: interrupted, nothing was written", file=sys.stderr)
-        return 130
-    return run()
+    with terminable() as ending:
+        try:
+            from clmorph.cli import main as run
+
+            return run()
+        except KeyboardInterrupt:
+            return farewell(ending, signal.SIGINT)
+        except Terminated as error:
+            return farewell(ending, error.number)
 
 
 if __name__ == "__main__":

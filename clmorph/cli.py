@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +16,9 @@ from clmorph.commands import options
 from clmorph.commands import settings as files
 from clmorph.defaults import N_FRAMES, PRESETS
 from clmorph.errors import ClmorphError, FileError, InputError
+from clmorph.printable import MESSAGE, printable
 from clmorph.release import __version__
+from clmorph.signals import Ending, Terminated, farewell, terminable
 
 #: Shells that complete what is typed.
 SHELLS = ("bash", "zsh", "fish")
@@ -23,7 +26,7 @@ SHELLS = ("bash", "zsh", "fish")
 EXIT_CODES = """\
 Exit codes: 0 done; 1 no device is usable (devices) or one is out of tolerance (check);
 2 a mistake in the command line, in a file or in the choice of device, told in one line;
-130 interrupted, nothing was written.
+130 interrupted, 143 terminated (129 at a hangup): nothing was written.
 """
 
 
@@ -93,7 +96,8 @@ NOT_SETTINGS = ("images", "config", "dump_config", "as_json", "device", "backend
 @click.option(
     "--config", type=click.Path(path_type=Path), is_eager=True, callback=_settings_callback,
     panel="Settings",
-    help="Read options from TOML, from a recipe (.json), or from a file that clmorph wrote.",
+    help="Read options from your own TOML, or repeat a recipe: .json, or a file that clmorph "
+    "wrote; its pictures are sought beside it and in the current folder.",
 )  # fmt: skip
 @click.option(
     "--dump-config", is_flag=True, panel="Settings",
@@ -115,7 +119,7 @@ def morph(
     images: tuple[Path, ...],
     output: tuple[Path, ...],
     preset: str | None,
-    config: list[tuple[Path, str | None]] | None,
+    config: files.Named | None,
     dump_config: bool,
     as_json: bool,
     device: str | None,
@@ -138,8 +142,9 @@ def morph(
 
     settings = _settings(context, preset, given)
     if config is not None and not images:
-        images = tuple(path for path, _ in config)
-        announce_changes(config)
+        named = config.images()
+        images = tuple(path for path, _ in named)
+        announce_changes(named)
     if context.get_parameter_source("output") is ParameterSource.COMMANDLINE and (
         context.get_parameter_source("format") is not ParameterSource.COMMANDLINE
     ):
@@ -159,7 +164,13 @@ def morph(
          is ParameterSource.COMMANDLINE],
         output, settings.get("format"),
     )  # fmt: skip
-    run_morph(images, output, settings, device=device, backend=backend, as_json=as_json)
+    # A limit that the user repeats in the command line is the user's.
+    from_file = context.get_parameter_source("max_memory") is ParameterSource.DEFAULT_MAP
+    run_morph(
+        images, output, settings, device=device, backend=backend, as_json=as_json,
+        config=config.file if config is not None else None,
+        capped=config is not None and not config.own and from_file,
+    )  # fmt: skip
 
 
 def _settings(context: click.Context, preset: str | None, given: dict[str, Any]) -> files.Settings:
@@ -315,6 +326,11 @@ def _in_option_names(message: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
+    with terminable() as ending:
+        return _main(arguments, ending)
+
+
+def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
     try:
         code = cli.main(arguments, prog_name="clmorph", standalone_mode=False)
         sys.stdout.flush()
@@ -322,7 +338,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         click.echo(error.ctx.get_help())
         return 2
     except click.ClickException as error:
-        message = " ".join(error.format_message().split())
+        message = printable(" ".join(error.format_message().split()), MESSAGE)
         click.echo(f"clmorph: error: {message} (clmorph --help shows the usage)", err=True)
         return 2
     except FileError as error:  # a name is not to be taken for an option
@@ -340,8 +356,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         click.echo("clmorph: error: not enough memory; use a smaller --size", err=True)
         return 2
     except (click.Abort, KeyboardInterrupt):
-        click.echo("clmorph: interrupted, nothing was written", err=True)
-        return 130
+        return farewell(ending, signal.SIGINT)
+    except Terminated as error:
+        return farewell(ending, error.number)
     except OSError as error:
         # Nobody reads on, or nothing more can be written: keep Python from trying at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -10,6 +10,7 @@ from clmorph.errors import ClmorphError, DeviceError, OutputError
 from clmorph.files import atomic_path, check_place
 from clmorph.opencl.device import Device, choose_device, find_devices, forget_verdicts
 from clmorph.opencl.storage import cache_folder
+from clmorph.printable import printable
 from clmorph.terminal import NOTES, RESULTS
 
 
@@ -111,7 +112,7 @@ def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
         text = json.dumps(bundles[0] if len(bundles) == 1 else bundles, indent=1) + "\n"
         with atomic_path(report) as new:
             new.write_text(text, "utf-8")
-        click.echo(f"wrote {report}")
+        click.echo(f"wrote {printable(report)}")
     return 0 if all(f["passed"] for bundle in bundles for f in bundle["findings"]) else 1
 
 

@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from os import PathLike
@@ -15,7 +14,14 @@ import numpy as np
 from clmorph import defaults
 from clmorph.checks import check_choice
 from clmorph.errors import InputError, OutputError
-from clmorph.files import atomic_path, check_place
+from clmorph.files import (
+    atomic_paths,
+    check_apart,
+    check_place,
+    home_of,
+    is_empty,
+    told_as_output,
+)
 from clmorph.film import Film, StageProgress, recorded
 from clmorph.formats import animation, archive, gif, page, sheet, stills, video
 from clmorph.formats.embedding import as_text
@@ -121,12 +127,17 @@ class Output:
         is_folder = self.name in FOLDERS
         if self.place.is_dir() and not is_folder:
             raise OutputError(f"{path} is a folder; choose a file name")
-        empty = self.place.is_dir() and not any(self.place.iterdir())
+        empty = self.place.is_dir() and is_empty(self.place)
         if is_folder and self.place.exists() and not empty:
             raise OutputError(
                 f"{path} exists already; choose a new or empty folder, or a name ending in "
                 + ", ".join(_endings())
             )
+
+    @property
+    def folder(self) -> Path:
+        """Where its parts can wait until they are written."""
+        return home_of(self.place)
 
     def check_motion(self, motion: Motion) -> None:
         """Raise InputError if frames follow one another faster than the file can hold."""
@@ -162,16 +173,19 @@ def write_all(
     OutputError
         If one cannot be written.
     InputError
-        If the film cannot be shown that way.
+        If the film cannot be shown that way, or two of them have one place.
     """
-    with ExitStack() as stack:
-        # Each takes its place when the stack is left, which is after all are there.
-        places = [stack.enter_context(atomic_path(output.place)) for output in outputs]
-        for place, text in (texts or {}).items():
-            stack.enter_context(atomic_path(place)).write_text(text, "utf-8")
-        for output, new in zip(outputs, places, strict=True):
+    beside = dict(texts or {})
+    places = [*(output.place for output in outputs), *beside]
+    check_apart(places)
+    with atomic_paths(places) as made:
+        for new, (place, text) in zip(made[len(outputs) :], beside.items(), strict=True):
+            with told_as_output(place):
+                new.write_text(text, "utf-8")
+        for output, new in zip(outputs, made, strict=False):
             told = partial(report, output) if report else (lambda share: None)
-            output.format.write(film, look or Look(), new, told)
+            with told_as_output(output.path):
+                output.format.write(film, look or Look(), new, told)
 
 
 def _endings() -> list[str]:
@@ -260,7 +274,7 @@ def save(
         chain, motion, n_morphs=len(chain), reverse=reverse,
         exact=output.format.exact, keep=output.format.keep,
         pixelated=all(morph.pixelated for morph in chain), parameters=told,
-        folder=output.place.parent, progress=progress,
+        folder=output.folder, progress=progress,
     ) as film:  # fmt: skip
         write_all([output], film, look, lambda place, share: report(f"write {path}", share))
 

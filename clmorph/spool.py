@@ -1,7 +1,8 @@
 """Frames on disk while a file is made of them."""
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, overload
@@ -17,6 +18,8 @@ IN_MEMORY = 128 * 1024**2
 
 class Spool(Sequence[NDArray[Any]]):
     """A sequence of arrays of any shapes and one dtype, kept in a temporary file.
+
+    The file has no name, or loses it at once: however the process ends, nothing is left of it.
 
     Parameters
     ----------
@@ -35,14 +38,9 @@ class Spool(Sequence[NDArray[Any]]):
         """Add an array of the spool's dtype."""
         if array.dtype != self._dtype:
             raise TypeError(f"an array of {array.dtype} in a spool of {self._dtype}")
-        try:
+        with _told():
             offset = self._file.seek(0, 2)
             self._file.write(np.ascontiguousarray(array).tobytes())
-        except OSError as error:
-            raise OutputError(
-                f"frames cannot wait on disk until they are written ({error.strerror or error}): "
-                "free some space, or take fewer or smaller frames"
-            ) from error
         self._places.append((offset, array.shape))
 
     def shape(self, index: int) -> tuple[int, ...]:
@@ -61,8 +59,9 @@ class Spool(Sequence[NDArray[Any]]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         offset, shape = self._places[index]
-        self._file.seek(offset)
-        data = self._file.read(int(np.prod(shape)) * self._dtype.itemsize)
+        with _told():  # what was written may only now reach the disk
+            self._file.seek(offset)
+            data = self._file.read(int(np.prod(shape)) * self._dtype.itemsize)
         return np.frombuffer(data, self._dtype).reshape(shape)
 
     def __enter__(self) -> Self:
@@ -74,4 +73,17 @@ class Spool(Sequence[NDArray[Any]]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._file.close()
+        with suppress(OSError):  # a full disk again: what is lost here was not to be kept
+            self._file.close()
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Tell what the disk refuses."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"frames cannot wait on disk until they are written ({error.strerror or error}): "
+            "free some space, or take fewer or smaller frames"
+        ) from error

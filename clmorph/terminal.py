@@ -16,10 +16,17 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from clmorph.printable import MESSAGE, printable
+
 #: Progress, notes and errors; results go to standard output.
 NOTES = Console(stderr=True, highlight=False, soft_wrap=True)
 #: Tables: as wide as they must be where nobody's terminal says otherwise.
 RESULTS = Console(highlight=False, width=None if sys.stdout.isatty() else 200)
+
+
+def note(text: object) -> None:
+    """Print a remark in one line, whatever the names in it hold."""
+    NOTES.print(f"note: {printable(text, MESSAGE)}", markup=False)
 
 
 class Stages:
@@ -70,7 +77,7 @@ class Stages:
         """Show that `share` (0 to 1) of a stage is done, and the note that it bears."""
         now = time.perf_counter()
         if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(stage, total=1.0, note="")
+            self._tasks[stage] = self._bars.add_task(printable(stage), total=1.0, note="")
             self._began[stage] = now
         note = getattr(share, "note", "")
         self._bars.update(self._tasks[stage], completed=share, note=note)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from clmorph.errors import FileError, ImageWarning, InputError
-from clmorph.terminal import NOTES
+from clmorph.terminal import NOTES, note
 
 #: Keeps Python from printing what is logged and nobody handles.
 SILENT = logging.NullHandler()
@@ -76,15 +76,15 @@ def read_picture(path: Path, max_pixels: int) -> Any:
             pixels = read_image(path, max_pixels=max_pixels)
         except InputError as error:
             raise FileError(str(error)) from None
-    for note in found:
-        NOTES.print(f"note: {note.message}", markup=False)
+    for remark in found:
+        note(remark.message)
     return pixels
 
 
 def note_warning(notes: list[str], message: Warning | str, *others: Any, **more: Any) -> None:
     """Print a warning as a note and keep it; the rest stands in for `warnings.showwarning`."""
     notes.append(str(message))
-    NOTES.print(f"note: {message}", markup=False)
+    note(message)
 
 
 def open_backend(device: str | None, backend: str | None) -> Any:

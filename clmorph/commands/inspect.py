@@ -11,11 +11,12 @@ import click
 
 from clmorph.commands.common import note_warning, open_backend, read_picture
 from clmorph.commands.settings import Settings, layered, preset
-from clmorph.errors import ConvergenceWarning, InputError, OutputError
-from clmorph.files import check_place
+from clmorph.errors import ConvergenceWarning
+from clmorph.files import check_apart
 from clmorph.images import MAX_PIXELS, fit
 from clmorph.inspection import inspect
 from clmorph.plots import check_plotting, draw_inspection
+from clmorph.printable import printable
 from clmorph.terminal import Stages
 
 #: Settings of a preset that decide about the transport.
@@ -55,11 +56,7 @@ def run_inspect(
     """
     if output is not None:
         check_plotting(output)
-        check_place(output)
-        if any(path.exists() and output.exists() and output.samefile(path) for path in images):
-            raise InputError(f"-o {output} would overwrite an input; choose another name")
-        if output.is_dir():
-            raise OutputError(f"{output} is a folder; choose a file name")
+        check_apart([output], images)
     settings = layered((preset(chosen), given))
     size = settings.get("size")
     options: dict[str, Any] = {name: settings[name] for name in TRANSPORT if name in settings}
@@ -84,4 +81,4 @@ def run_inspect(
     for line in found.lines():
         click.echo(line)
     if output is not None:
-        click.echo(f"wrote {output}")
+        click.echo(f"wrote {printable(output)}")

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -27,7 +28,7 @@ from clmorph.errors import (
 )
 from clmorph.estimates import estimate
 from clmorph.export import PACE, SIZES, Output, write_all
-from clmorph.files import check_place
+from clmorph.files import check_apart, check_place
 from clmorph.film import Film, recorded
 from clmorph.framing import Look
 from clmorph.images import MAX_PIXELS, fit
@@ -37,8 +38,9 @@ from clmorph.motion import Motion, resting
 from clmorph.operations import Operations
 from clmorph.planning import default_memory
 from clmorph.potentials import Potentials
+from clmorph.printable import printable
 from clmorph.result import Morph
-from clmorph.terminal import NOTES, Stages
+from clmorph.terminal import NOTES, Stages, note
 from clmorph.widths import is_pixel_art
 
 #: Settings that are not the morph's own, by what takes them.
@@ -123,6 +125,8 @@ def run_morph(
     device: str | None,
     backend: str | None,
     as_json: bool,
+    config: Path | None = None,
+    capped: bool = False,
 ) -> None:
     """Morph pictures into one another, once, and write the files.
 
@@ -136,24 +140,27 @@ def run_morph(
     device, backend : str, optional
     as_json : bool
         Say what was made to programs, not to people.
+    config : Path, optional
+        The file of settings: it is not to be overwritten.
+    capped : bool
+        Whether `max_memory` is a recipe's, which may lower the device's limit, not raise it.
     """
     began = time.perf_counter()
-    for output, path in itertools.product(outputs, images):
-        if output.exists() and path.exists() and output.samefile(path):
-            raise InputError(f"-o {output} would overwrite an input; choose another name")
     if "format" in settings and len(outputs) > 1:
         raise InputError("--format is for one output: leave it out, or write one at a time")
     places = [Output(output, settings.get("format")) for output in outputs]
-    if len({place.place for place in places}) < len(places):
-        raise InputError("two outputs have one name; choose different ones")
-    recipes = [output.with_name(f"{output.name}.json") for output in outputs]
-    if settings.get("recipe"):
-        for beside in recipes:
-            if check_place(beside).is_dir():
-                raise OutputError(f"{beside} is a folder; choose another name for the output")
+    recipes = [
+        output.with_name(f"{output.name}.json") for output in outputs if settings.get("recipe")
+    ]
+    for beside in recipes:
+        if check_place(beside).is_dir():
+            raise OutputError(f"{beside} is a folder; choose another name for the output")
+    check_apart([*outputs, *recipes], [*images, *([config] if config else [])])
     run = _Run(images, settings, places)
     pictures = [_read(path, settings) for path in images]
     operations = open_backend(device, backend)
+    if capped:
+        _cap_memory(run, operations)
     NOTES.print(run.memory(pictures, operations))
     told = files.recipe(settings, images, operations.description)
     notes: list[str] = []
@@ -168,7 +175,7 @@ def run_morph(
             exact=any(place.format.exact for place in places),
             keep=any(place.format.keep for place in places),
             pixelated=all(map(is_pixel_art, pictures)), parameters=told,
-            folder=places[0].place.parent, progress=stages,
+            folder=places[0].folder, progress=stages,
         ) as film:  # fmt: skip
             if notes and "max_memory" not in settings:
                 # What gave way would not on a larger device: its limit belongs to the recipe.
@@ -176,11 +183,10 @@ def run_morph(
                 film = replace(film, parameters=files.recipe(
                     settings, images, operations.description))  # fmt: skip
             texts = {}
-            if settings.get("recipe"):
-                for beside in recipes:
-                    folder = beside.resolve().parent
-                    whole = files.recipe(settings, images, operations.description, folder)
-                    texts[beside] = json.dumps(whole, indent=2) + "\n"
+            for beside in recipes:
+                folder = beside.resolve().parent
+                whole = files.recipe(settings, images, operations.description, folder)
+                texts[beside] = json.dumps(whole, indent=2) + "\n"
             write_all(
                 places, film, run.look,
                 lambda place, share: stages(f"write {place.path.name}", share), texts,
@@ -188,6 +194,15 @@ def run_morph(
             summary = _summary(run, film, stages, notes)
     summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
     click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
+
+
+def _cap_memory(run: _Run, operations: Operations) -> None:
+    """Let what a recipe says about memory hold only if it is no more than the usual limit."""
+    limit = default_memory(operations) or math.inf
+    if run.options.get("max_memory", 0.0) > limit:
+        del run.options["max_memory"]
+        told = run.settings.pop("max_memory")
+        note(f"the recipe's limit of {told:g} GB is above the device's own, {limit / 1e9:.3g} GB")
 
 
 def _read(path: Path, settings: Settings) -> NDArray[np.float64]:
@@ -230,7 +245,7 @@ def _last_line(run: _Run, summary: dict[str, Any]) -> str:
     lasting = ""
     if any(output.format.animated for output in run.outputs):
         lasting = f", {summary['duration']:.3g} s a round"
-    names = ", ".join(click.format_filename(output.path) for output in run.outputs)
+    names = ", ".join(printable(output.path) for output in run.outputs)
     return (
         f"{names}: {summary['frames']} frames{lasting}, made in "
         f"{summary['seconds']['total']:.1f} s; {worst.message}"
@@ -252,7 +267,7 @@ def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
                 "pictures in the command line"
             )
         if known is not None and path.is_file() and files.digest(path) != known:
-            NOTES.print(f"note: {path} is not the file that was used then", markup=False)
+            note(f"{path} is not the file that was used then")
 
 
 def announce_idle(names: Sequence[str], outputs: Sequence[Path], format: str | None) -> None:
@@ -261,4 +276,4 @@ def announce_idle(names: Sequence[str], outputs: Sequence[Path], format: str | N
     for name in (*SIZES, *PACE, "lossless"):
         if name in names and not any(name in kind.heeds for kind in formats):
             places = ", ".join(str(output) for output in outputs)
-            NOTES.print(f"note: --{name} makes no difference to {places}", markup=False)
+            note(f"--{name} makes no difference to {places}")

@@ -1,12 +1,22 @@
-"""Settings of a run: presets, files that hold some, and what the command line says."""
+"""Settings of a run: presets, files that hold some, and what the command line says.
+
+Settings in TOML are the user's own words and may name any of them. A recipe, in whichever file it
+came (JSON, a GIF's comment, a page), may be anybody's: it decides about the picture alone. Where
+something is written and how large pictures may be is not read from it; of memory it may take less
+than the run would, never more; pictures it names by bare names, sought beside it and in the
+current folder.
+"""
 
 import difflib
 import hashlib
 import inspect
 import math
 import os
+import re
+import reprlib
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +25,12 @@ import click
 from clmorph import defaults
 from clmorph.defaults import PRESETS
 from clmorph.errors import InputError
+from clmorph.formats.bounded import MAX_TEXT
 from clmorph.formats.embedding import read_parameters
 from clmorph.images import MAX_PIXELS
 from clmorph.morph import check_options
+from clmorph.printable import printable
+from clmorph.terminal import note
 
 Settings = dict[str, Any]
 
@@ -30,6 +43,69 @@ ALTERNATIVES = (
 )
 #: What a file of settings may hold beside options.
 IMAGES, OUTPUT, PRESET = "images", "output", "preset"
+#: What only the user decides, in the command line or in TOML; in recipes it stands for nothing.
+OWN = (OUTPUT, "format", "recipe", "max_pixels")
+#: Names that Windows gives to devices, whatever ending follows.
+DEVICES = re.compile(
+    r"(con|prn|aux|nul|(com|lpt)[0-9¹²³]|conin\$|conout\$) *(\..*)?", re.IGNORECASE
+)
+
+
+@dataclass(frozen=True)
+class Named:
+    """The pictures that a file of settings names.
+
+    Attributes
+    ----------
+    file : Path
+        The file of settings.
+    own : bool
+        Whether the user wrote it.
+    entries : list
+        File names, or tables with ``file`` and perhaps ``sha256``.
+    """
+
+    file: Path
+    own: bool
+    entries: Sequence[str | Mapping[str, Any]]
+
+    def images(self) -> list[tuple[Path, str | None]]:
+        """Return where the pictures lie, each with its digest then if that is known.
+
+        Raises
+        ------
+        InputError
+            If a recipe names one in another folder.
+        """
+        found = []
+        for entry in self.entries:
+            name = entry if isinstance(entry, str) else str(entry["file"])
+            digest = None if isinstance(entry, str) else entry.get("sha256")
+            if not (self.own or is_bare(name)):
+                raise InputError(
+                    f"{self.file} names the picture {_short(name)}: a recipe may name "
+                    "pictures beside it or in the current folder, without any folder; name the "
+                    "pictures in the command line"
+                )
+            found.append((self._sought(name), digest))
+        return found
+
+    def _sought(self, name: str) -> Path:
+        try:
+            beside = self.file.parent / name
+            return beside if beside.exists() else Path(name)
+        except OSError as error:
+            raise InputError(f"{self.file}: {_short(name)}: {error.strerror}") from None
+
+
+def is_bare(name: str) -> bool:
+    """Whether a file name is no more than that, on any system: no folder, drive or device."""
+    return (
+        len(name) < 256
+        and not re.search(r"[/\\:\0]", name)
+        and name.rstrip(". ") == name != ""
+        and not DEVICES.fullmatch(name)
+    )
 
 
 def layered(layers: Iterable[Mapping[str, Any]]) -> Settings:
@@ -88,7 +164,8 @@ def read_settings(path: Path, parameters: Sequence[click.Parameter]) -> Settings
     Returns
     -------
     dict
-        By option names with underscores, with `IMAGES`, `OUTPUT` and `PRESET` if they are there.
+        By option names with underscores, with `OUTPUT` and `PRESET` if they are there, and with
+        a `Named` as `IMAGES`. Of a recipe without what is the user's own (`OWN`).
 
     Raises
     ------
@@ -97,15 +174,20 @@ def read_settings(path: Path, parameters: Sequence[click.Parameter]) -> Settings
     """
     if not path.exists():
         raise InputError(f"--config {path}: no such file")
-    found = _toml(path) if path.suffix.lower() == ".toml" else _told(path)
+    own = path.suffix.lower() == ".toml"
+    found = _toml(path) if own else _told(path)
     known = {str(parameter.name): parameter for parameter in parameters}
     settings: Settings = {}
     for key, value in found.items():
         name = key.replace("-", "_")
+        if name in OWN and not own:
+            if name in (OUTPUT, "format"):  # none that clmorph wrote does
+                note(f"{path} names an {name}, which a recipe does not choose: give -o")
+            continue
         if name not in known and name != IMAGES:
-            near = difflib.get_close_matches(name, [*known, IMAGES], 1)
+            near = difflib.get_close_matches(name[:99], [*known, IMAGES], 1)
             hint = f"did you mean {near[0]!r}?" if near else "clmorph morph --help lists them"
-            raise InputError(f"{path}: unknown setting {key!r}; {hint}")
+            raise InputError(f"{path}: unknown setting {_short(key)}; {hint}")
         if name != IMAGES:
             _check_kind(path, key, value, known[name])
         settings[name] = value
@@ -115,7 +197,7 @@ def read_settings(path: Path, parameters: Sequence[click.Parameter]) -> Settings
     )
     if not named:
         raise InputError(f"{path}: {IMAGES}: expected a list of file names")
-    settings[IMAGES] = [_found_image(image, path) for image in images]
+    settings[IMAGES] = Named(path, own, images)
     if OUTPUT in settings:
         outputs = settings[OUTPUT]
         outputs = outputs if isinstance(outputs, list) else [outputs]
@@ -126,7 +208,10 @@ def read_settings(path: Path, parameters: Sequence[click.Parameter]) -> Settings
 def _toml(path: Path) -> Settings:
     try:
         with path.open("rb") as stream:
-            return tomllib.load(stream)
+            text = stream.read(MAX_TEXT + 1)
+        if len(text) > MAX_TEXT:
+            raise ValueError(f"more than {MAX_TEXT} bytes")
+        return tomllib.loads(text.decode())
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: not TOML ({' '.join(str(error).split())})") from None
 
@@ -162,15 +247,17 @@ def _check_kind(path: Path, key: str, value: Any, parameter: click.Parameter) ->
         good = all(isinstance(part, int | float | str) and part is not True for part in parts)
         expected = "a number"
     if not good:
-        raise InputError(f"{path}: {key} = {value!r}: expected {expected}")
+        raise InputError(f"{path}: {key} = {_short(value)}: expected {expected}")
 
 
-def _found_image(entry: str | Mapping[str, Any], config: Path) -> tuple[Path, str | None]:
-    """Return where an image of a settings file lies, and its digest then if that is known."""
-    name = entry if isinstance(entry, str) else str(entry["file"])
-    digest = None if isinstance(entry, str) else entry.get("sha256")
-    beside = config.parent / name
-    return (beside if beside.exists() else Path(name)), digest
+def _short(value: Any) -> str:
+    """Return a value as it is written, as far as that is short and not nested deeply."""
+    if isinstance(value, str):
+        return repr(printable(value, 80))
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # Python writes no numbers of thousands of digits
+        return "a number of too many digits"
 
 
 def as_text(settings: Settings) -> Settings:
@@ -205,24 +292,29 @@ def recipe(
     images : sequence of Path
     device : str
     folder : Path, optional
-        Where the images' places are seen from; without one only their names are told, for
-        files that get around.
+        From where it is told in which folders the images lie, for people: `Named.images` looks
+        for the names alone. Without it no folder is told, for files that get around.
     """
     from clmorph.release import __version__
 
     return {
         "clmorph": __version__,
-        # The format is the output's own: another run can have another.
-        "options": as_text({name: settings[name] for name in settings if name != "format"}),
+        # What does not change the picture is another run's own affair.
+        "options": as_text({name: settings[name] for name in settings if name not in OWN}),
         IMAGES: [
-            {
-                "file": path.name if folder is None else os.path.relpath(path, folder),
-                "sha256": digest(path),
-            }
+            {"file": path.name, "sha256": digest(path)}
+            | ({} if folder is None else {"folder": _folder(path, folder)})
             for path in images
         ],
         "device": device,
     }  # fmt: skip
+
+
+def _folder(path: Path, start: Path) -> str:
+    try:
+        return os.path.relpath(path.parent, start)
+    except ValueError:  # on another drive
+        return str(path.parent.absolute())
 
 
 def digest(path: Path) -> str:

@@ -1,8 +1,6 @@
 """``.npz``: a morph as NumPy arrays, to go on with."""
 
-import json
 import zipfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -11,17 +9,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.checks import check_number
 from clmorph.errors import InputError
 from clmorph.film import Film
-from clmorph.formats.embedding import UNREADABLE, as_text
+from clmorph.formats.bounded import UNREADABLE, from_text
+from clmorph.formats.embedding import as_text
+from clmorph.formats.npz import Arrays
 from clmorph.framing import Look
 from clmorph.plan import Plan
 from clmorph.progress import Report, tracked
 from clmorph.sampling import Barycentric
 
-#: Arrays of either kind of plan, as they are called there.
-PLAN_ARRAYS = ("indptr", "indices", "mass", "shape", "whole_row_mass")
-BARYCENTRIC_ARRAYS = ("positions", "colors", "covariance", "row_mass", "column_mass")
+#: Arrays of either kind of plan, as they are called there: axes and kind of numbers.
+PLAN_ARRAYS = {
+    "indptr": (1, "i"), "indices": (1, "i"), "mass": (1, "f"), "shape": (1, "i"),
+    "whole_row_mass": (1, "f"),
+}  # fmt: skip
+BARYCENTRIC_ARRAYS = {
+    "positions": (2, "f"), "colors": (2, "f"), "covariance": (3, "f"), "row_mass": (1, "f"),
+    "column_mass": (1, "f"),
+}  # fmt: skip
+#: What the arrays of an archive may take, in bytes, unless told otherwise.
+MAX_BYTES = 2 * 2.0**30
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -106,12 +115,18 @@ def _write_array(archive: zipfile.ZipFile, name: str, array: Any) -> None:
         np.lib.format.write_array(stream, np.asarray(array), allow_pickle=False)
 
 
-def load(path: str | PathLike[str]) -> Archive:
+def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Archive:
     """Load a morph that was saved as ``.npz``.
+
+    Nothing in the file is run, and its arrays are measured before they are read: a file from
+    elsewhere can be refused, but cannot take more memory than this.
 
     Parameters
     ----------
     path : path
+    max_bytes : float
+        What its arrays may take in memory, in bytes; by default 2 GiB. 30 frames of 1280 x 720
+        pixels take 0.33 GB.
 
     Returns
     -------
@@ -120,32 +135,67 @@ def load(path: str | PathLike[str]) -> Archive:
     Raises
     ------
     InputError
-        If the file cannot be read, or is another's.
+        If the file cannot be read, is another's, or its arrays take more.
     """
+    max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
     try:
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            if "frames" in archive:
-                frames: Sequence[NDArray[np.float32]] = archive["frames"]
-            else:
-                frames = [archive[name] for name in sorted(archive) if name.startswith("frame_")]
-            n_morphs = sum(name.startswith("f_") for name in archive)
-            return Archive(
-                list(frames), archive["times"], json.loads(str(archive["parameters"])),
-                [_read_plan(archive, number) for number in range(n_morphs)],
-                [(archive[f"f_{number}"], archive[f"g_{number}"]) for number in range(n_morphs)],
-            )  # fmt: skip
+        with Arrays(Path(path), max_bytes=max_bytes) as arrays:
+            size = sum(map(arrays.size, arrays.names))
+            if size > max_bytes:
+                raise InputError(
+                    f"{path}: its arrays take {size / 1e9:.3g} GB, expected at most "
+                    f"{max_bytes / 1e9:.3g} GB; if you trust the file, load it with "
+                    f"max_bytes={size}"
+                )
+            return _read(arrays)
+    except InputError:
+        raise
     except UNREADABLE as error:
-        reason = " ".join(str(error).split())
+        reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(
             f"{path}: not a morph saved as .npz, or damaged ({reason}); expected a file that "
             "clmorph has written"
         ) from None
 
 
-def _read_plan(archive: Any, number: int) -> Plan | Barycentric:
+def _read(arrays: Arrays) -> Archive:
+    if "frames" in arrays.names:
+        frames = list(arrays.read("frames", 4))
+    else:
+        names = sorted(name for name in arrays.names if name.startswith("frame_"))
+        frames = [arrays.read(name, 3) for name in names]
+    times = arrays.read("times", 1)
+    if len(frames) != len(times) or any(frame.shape[2] not in (3, 4) for frame in frames):
+        raise ValueError("its frames are not those of its times")
+    parameters = from_text(arrays.text("parameters"))
+    if not isinstance(parameters, dict):
+        raise ValueError("its parameters are none")
+    n_morphs = sum(name.startswith("f_") for name in arrays.names)
+    plans = [_read_plan(arrays, number) for number in range(n_morphs)]
+    potentials = [
+        (arrays.read(f"f_{number}", 1), arrays.read(f"g_{number}", 1)) for number in range(n_morphs)
+    ]
+    return Archive(frames, times, parameters, plans, potentials)
+
+
+def _read_plan(arrays: Arrays, number: int) -> Plan | Barycentric:
     start = f"plan_{number}_"
-    if f"{start}indptr" in archive:
-        arrays = {name: archive[start + name] for name in PLAN_ARRAYS}
-        height, width = (int(side) for side in arrays["shape"])
-        return Plan(**(arrays | {"shape": (height, width)}))
-    return Barycentric(**{name: archive[start + name] for name in BARYCENTRIC_ARRAYS})
+    if f"{start}indptr" not in arrays.names:
+        return Barycentric(
+            **{name: arrays.read(start + name, *kind) for name, kind in BARYCENTRIC_ARRAYS.items()}
+        )
+    found = {name: arrays.read(start + name, *kind) for name, kind in PLAN_ARRAYS.items()}
+    rows, columns = (int(side) for side in found["shape"])
+    indptr, indices = found["indptr"], found["indices"]
+    sound = (
+        len(indptr) == rows + 1 == len(found["whole_row_mass"]) + 1
+        and len(indices) == len(found["mass"])
+        and indptr[0] == 0
+        and indptr[-1] == len(indices)
+        and bool(np.all(np.diff(indptr) >= 0))
+        and bool(np.all((indices >= 0) & (indices < columns)))
+    )
+    if not sound:
+        raise ValueError("its plan is none")
+    parts: dict[str, Any] = found | {"shape": (rows, columns)}
+    return Plan(**parts)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,7 +49,10 @@ def write_tiff_folder(film: Film, look: Look, folder: Path, report: Report) -> N
     folder.mkdir()
     text = as_text(film.parameters)
     for name, picture in zip(_names(film), _pictures(film, look, report), strict=True):
-        picture.save(folder / f"{name}.tif", compression=DEFLATE, description=text)
+        # In memory first: where a disk is full, libtiff itself would print about it.
+        file = BytesIO()
+        picture.save(file, format="TIFF", compression=DEFLATE, description=text)
+        (folder / f"{name}.tif").write_bytes(file.getvalue())
 
 
 @encoding("TIFF")

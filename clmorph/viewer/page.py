@@ -4,7 +4,6 @@ import base64
 import hashlib
 import io
 import json
-import mmap
 import re
 from collections.abc import Iterator, Mapping
 from functools import cache
@@ -19,6 +18,8 @@ from numpy.typing import NDArray
 
 from clmorph.checks import check_number
 from clmorph.errors import InputError
+from clmorph.formats.bounded import MAX_HEAD, from_text
+from clmorph.printable import MESSAGE, printable
 from clmorph.viewer.encoding import Encoder
 from clmorph.viewer.geometry import frame_boxes
 from clmorph.viewer.scene import Scene, as_json
@@ -37,6 +38,8 @@ SCRIPTS = (
 )
 #: What stands before the parameters. Nowhere else: "<" is escaped wherever text can stand.
 PARAMETERS = '<script type="application/json" id="clmorph-parameters">'
+#: Bytes within which parameters end: what stands before them is short.
+HEAD = 2 * MAX_HEAD
 
 
 def page(scene: Scene, *, max_bytes: float = PAGE_BYTES) -> str:
@@ -164,10 +167,11 @@ def _rows(parameters: Any) -> Iterator[str]:
 
 
 def _ascii(text: str) -> str:
-    """Escape text for HTML; what is not ASCII becomes character references."""
-    # Halves of surrogate pairs and NUL are no characters that HTML can hold.
-    clean = re.sub("[\0\ud800-\udfff]", "\ufffd", text)
-    return escape(clean).encode("ascii", "xmlcharrefreplace").decode("ascii")
+    """Escape text for HTML; what is not ASCII becomes character references.
+
+    Whoever made a picture may have chosen its name: no control characters, nothing endless.
+    """
+    return escape(printable(text, MESSAGE)).encode("ascii", "xmlcharrefreplace").decode("ascii")
 
 
 @cache
@@ -210,19 +214,17 @@ def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
     """
     try:
         # Frames stand behind: they are never read.
-        with (
-            Path(path).open("rb") as file,
-            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text,
-        ):
-            start = text.find(PARAMETERS.encode())
-            end = text.find(b"</script>", start)
-            block = text[start + len(PARAMETERS) : end] if 0 <= start < end else b""
+        with Path(path).open("rb") as file:
+            text = file.read(HEAD)
     except (OSError, ValueError, TypeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read ({reason}); expected a page of clmorph") from None
+    start = text.find(PARAMETERS.encode())
+    end = text.find(b"</script>", start)
+    block = text[start + len(PARAMETERS) : end] if 0 <= start < end else b""
     try:
-        parameters = json.loads(block)
-    except ValueError:
+        parameters = from_text(block)
+    except (ValueError, RecursionError):
         parameters = None
     if not isinstance(parameters, dict):
         raise InputError(f"{path}: no parameters in it; expected a page that clmorph wrote")

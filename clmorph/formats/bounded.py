@@ -1,0 +1,100 @@
+"""Foreign files are read within bounds: little of a file that claims, or unpacks to, a lot."""
+
+import io
+import json
+import math
+import struct
+import tokenize
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+#: Characters of the parameters in a file, at most; writers keep to it as well.
+MAX_TEXT = 1 << 20
+#: Bytes that are read of a file that tells its parameters in its head.
+MAX_HEAD = 4 * MAX_TEXT
+#: What libraries raise for files that are damaged, or something else.
+UNREADABLE = (
+    OSError, ValueError, LookupError, TypeError, AttributeError, EOFError, SyntaxError,
+    RuntimeError, ArithmeticError, MemoryError, struct.error, tokenize.TokenError,
+    zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+class BoundedFile(io.FileIO):
+    """A file to read, of which nothing but a limited number of bytes is read.
+
+    Parameters
+    ----------
+    path : Path
+    in_all, at_once : int, optional
+        Bytes that may be read altogether, and in one call.
+
+    Raises
+    ------
+    ValueError
+        By `read` and its kin, when more is asked for.
+    """
+
+    def __init__(self, path: Path, *, in_all: int | None = None, at_once: int | None = None):
+        super().__init__(path)
+        self._left, self._at_once = in_all, at_once
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read up to so many bytes; all that remain if it is negative."""
+        if size is None or size < 0:
+            size = max(0, Path(str(self.name)).stat().st_size - self.tell())
+        if self._at_once is not None and size > self._at_once:
+            raise ValueError(f"a part of it has more than {self._at_once} bytes")
+        data = super().read(size if self._left is None else min(size, self._left + 1))
+        if self._left is not None:
+            self._left -= len(data)
+            if self._left < 0:
+                raise ValueError("its parameters are not among the first parts of it")
+        return data or b""
+
+    def readall(self) -> bytes:
+        """Read all that remains."""
+        return self.read(-1)
+
+    def readinto(self, buffer: Any, /) -> int:
+        """Read into a buffer; here, as everywhere, no more than may be."""
+        view = memoryview(buffer).cast("B")
+        data = self.read(len(view))
+        view[: len(data)] = data
+        return len(data)
+
+
+def from_text(text: str | bytes) -> Any:
+    """Return what a JSON text says, if it is one that clmorph may have written.
+
+    Raises
+    ------
+    ValueError, RecursionError
+        If it is longer than `MAX_TEXT`, is no JSON, tells a key twice, or holds a number that is
+        not finite.
+    """
+    if len(text) > MAX_TEXT:
+        raise ValueError(f"its parameters have more than {MAX_TEXT} characters")
+    return json.loads(
+        text, object_pairs_hook=_object, parse_constant=_constant, parse_float=_number
+    )
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a key stands there twice")
+    return found
+
+
+def _constant(word: str) -> None:
+    raise ValueError(f"{word} is no number")
+
+
+def _number(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError("a number is too large")
+    return number

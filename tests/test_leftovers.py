@@ -1,0 +1,619 @@
+"""However a run ends, files are whole, and nothing else of it stays for long."""
+
+import dataclasses
+import mmap
+import os
+import shutil
+import signal
+import stat
+import subprocess
+import sys
+import threading
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import clmorph
+from clmorph import files, signals, staging
+from clmorph.cli import main
+from clmorph.errors import InputError, OutputError
+from clmorph.export import FORMATS
+from clmorph.files import atomic_path, atomic_paths, check_place
+from clmorph.spool import Spool
+from clmorph.staging import OWNER, PREFIX, clear_leftovers, staging_folder
+
+posix = pytest.mark.skipif(os.name == "nt", reason="signals, locks and rights of POSIX")
+FEW = ["--frames", "2", "--backend", "numpy", "--solve-size", "4"]
+
+
+@pytest.fixture(autouse=True)
+def pictures(tmp_path, monkeypatch, rng):
+    """Two small pictures, and a folder for results, which is the current one."""
+    for name in ("a.png", "b.png"):
+        Image.fromarray(rng.integers(0, 255, (5, 6, 3), np.uint8)).save(tmp_path / name)
+    (tmp_path / "out").mkdir()
+    monkeypatch.chdir(tmp_path / "out")
+    return tmp_path
+
+
+@pytest.fixture
+def morph(rng):
+    return clmorph.morph(*rng.random((2, 5, 6, 3)), 3, backend="numpy")
+
+
+def run(*arguments):
+    return main(["morph", "../a.png", "../b.png", *map(str, arguments), *FEW])
+
+
+def names(folder="."):
+    return sorted(path.name for path in Path(folder).iterdir())
+
+
+def replace_writer(monkeypatch, name, write):
+    monkeypatch.setitem(FORMATS, name, dataclasses.replace(FORMATS[name], write=write))
+
+
+def killing(number):
+    """Return a writer that writes something and then gets a signal."""
+
+    def write(film, look, file, report):
+        file.write_bytes(b"half")
+        os.kill(os.getpid(), number)
+
+    return write
+
+
+ENDS = [
+    pytest.param(signal.SIGINT, 130, "interrupted", id="SIGINT"),
+    pytest.param(signal.SIGTERM, 143, "terminated", id="SIGTERM"),
+]
+if hasattr(signal, "SIGHUP"):
+    ENDS.append(pytest.param(signal.SIGHUP, 129, "terminated", id="SIGHUP"))
+
+
+@posix
+@pytest.mark.parametrize(("number", "code", "word"), ENDS)
+def test_signals_leave_nothing(number, code, word, monkeypatch, capfd):
+    """While the second file is written, to which the first is ready."""
+    Path("x.gif").write_text("old")
+    replace_writer(monkeypatch, "apng", killing(number))
+    before = [signal.getsignal(name) for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    assert run("-o", "x.gif", "-o", "y.apng", "--recipe") == code
+    after = [signal.getsignal(name) for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    assert after == before
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.splitlines()[-1] == f"clmorph: {word}, nothing was written"
+    assert names() == ["x.gif"]
+    assert Path("x.gif").read_text() == "old"
+
+
+@posix
+@pytest.mark.parametrize("moment", ["make_morph", "read_picture", "recorded"])
+def test_signals_at_other_moments(moment, monkeypatch, capfd):
+    def kill(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGTERM)
+        pytest.fail("the signal was not heard")
+
+    monkeypatch.setattr(f"clmorph.commands.morph.{moment}", kill)
+    assert run("-o", "x.npz") == 143
+    assert capfd.readouterr().err.splitlines()[-1] == "clmorph: terminated, nothing was written"
+    assert names() == []
+
+
+@posix
+def test_a_second_signal_does_not_disturb_the_clearing_up(monkeypatch, capfd):
+    replace_writer(monkeypatch, "gif", killing(signal.SIGTERM))
+    usual = staging._remove
+
+    def remove(folder, handle):
+        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGINT)
+        usual(folder, handle)
+
+    monkeypatch.setattr(staging, "_remove", remove)
+    assert run("-o", "x.gif") == 143
+    assert names() == []
+
+
+@posix
+def test_a_signal_while_files_take_their_places_waits(monkeypatch, capfd):
+    """All or none: never one of two."""
+    usual = files._put
+
+    def put(new, place, undo):
+        os.kill(os.getpid(), signal.SIGTERM)
+        usual(new, place, undo)
+
+    monkeypatch.setattr(files, "_put", put)
+    assert run("-o", "x.gif", "-o", "y.apng") == 143
+    assert names() == ["x.gif", "y.apng"]
+    said = capfd.readouterr().err.splitlines()[-1]
+    assert said == "clmorph: terminated, after the files were written"
+
+
+@posix
+def test_whose_handlers_are_left_alone(monkeypatch):
+    """Ignored ones (nohup), a caller's own, other threads; and the library's users have none."""
+
+    def own(number, frame):
+        pass
+
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, own)
+    try:
+        with signals.terminable() as ending:
+            assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+            assert signal.getsignal(signal.SIGTERM) is own
+            assert signal.getsignal(signal.SIGINT) == ending.handle
+            with signals.terminable() as inner:
+                assert inner is ending
+            assert signal.getsignal(signal.SIGINT) == ending.handle
+    finally:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    codes = []
+    monkeypatch.setattr(signal, "signal", lambda *both: pytest.fail("a handler was installed"))
+    thread = threading.Thread(target=lambda: codes.append(run("-o", "x.gif")))
+    thread.start()
+    thread.join()
+    assert codes == [0]
+    with atomic_path("y.txt") as path:
+        path.write_text("y")
+
+
+#: A run that says when its file is half written, and then waits for what comes.
+WAITING = """
+import dataclasses, sys, time
+from pathlib import Path
+from clmorph.__main__ import main
+from clmorph.export import FORMATS
+
+def write(film, look, file, report):
+    file.write_bytes(b"half")
+    print("ready", flush=True)
+    time.sleep(600)
+
+FORMATS["gif"] = dataclasses.replace(FORMATS["gif"], write=write)
+raise SystemExit(main())
+"""
+
+
+def waiting():
+    arguments = ["morph", "../a.png", "../b.png", "-o", "x.gif", *FEW]
+    process = subprocess.Popen(
+        [sys.executable, "-c", WAITING, *arguments],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout.readline() == "ready\n", process.communicate()
+    return process
+
+
+@posix
+def test_what_a_killed_run_leaves_is_removed_by_the_next(capfd):
+    with waiting() as killed, waiting() as living:
+        assert [name[: len(PREFIX)] for name in names()] == 2 * [PREFIX]
+        killed.kill()
+        killed.communicate()
+        # Its folder goes; that of the run beside stays.
+        assert run("-o", "y.gif") == 0
+        left = names()
+        assert len(left) == 2
+        assert left[1] == "y.gif"
+        assert (Path(left[0]) / "new.gif").read_bytes() == b"half"
+        living.send_signal(signal.SIGTERM)
+        _, err = living.communicate()
+    assert living.returncode == 143
+    assert err.splitlines()[-1] == "clmorph: terminated, nothing was written"
+    assert "Traceback" not in err
+    assert names() == ["y.gif"]
+
+
+# Staging folders.
+
+
+def leftover(name="abcdefgh", host=None, content="half"):
+    folder = Path(f"{PREFIX}{name}")
+    folder.mkdir()
+    (folder / OWNER).write_text(staging.platform.node() if host is None else host)
+    (folder / "new.gif").write_text(content)
+    (folder / "new").mkdir()
+    (folder / "new" / "frame-0000.png").write_text("half")
+    return folder
+
+
+def test_leftovers_go_with_the_next_file():
+    leftover()
+    leftover("bcdefghi", host="")
+    Path(f"{PREFIX}cdefghij").mkdir()  # killed before it was locked
+    with atomic_path("x.txt") as path:
+        assert names() == [path.parent.name]
+        path.write_text("x")
+    assert names() == ["x.txt"]
+
+
+def test_what_is_another_machines_or_not_ours_stays(tmp_path):
+    leftover(host="another machine")
+    mine = Path(f"{PREFIX}mine")
+    mine.mkdir()
+    full = Path(f"{PREFIX}bcdefghi")
+    full.mkdir()
+    (full / "picture.png").write_text("kept")
+    Path(f"{PREFIX}cdefghij").write_text("a file")
+    linked = tmp_path / "linked"
+    linked.mkdir()
+    (linked / OWNER).write_text("")
+    (linked / "kept").write_text("")
+    before = names()
+    if os.name != "nt":
+        Path(f"{PREFIX}defghijk").symlink_to(linked)
+        piped = Path(f"{PREFIX}efghijkl")
+        piped.mkdir()
+        os.mkfifo(piped / OWNER)
+        pointing = Path(f"{PREFIX}fghijklm")
+        pointing.mkdir()
+        (pointing / OWNER).symlink_to(linked / OWNER)
+        before = names()
+    clear_leftovers(Path())
+    assert names() == before
+    assert names(linked) == ["kept", OWNER]
+    clear_leftovers(Path("missing"))
+
+
+@posix
+def test_another_users_leftovers_stay(monkeypatch):
+    folder = leftover()
+    monkeypatch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
+    clear_leftovers(Path())
+    assert folder.exists()
+
+
+def test_runs_side_by_side_in_one_process_keep_theirs():
+    with staging_folder(Path()) as one, staging_folder(Path()) as other:
+        clear_leftovers(Path())
+        assert names() == sorted([one.name, other.name])
+    assert names() == []
+
+
+@posix
+def test_a_folder_cleared_away_before_it_is_locked_is_made_anew(monkeypatch):
+    """Every order of making and clearing gives a folder that is locked and there."""
+    moments = {"mkdtemp": 2, "open": 2, "lock": 2}
+    usual = {"mkdtemp": staging.tempfile.mkdtemp, "open": os.open, "lock": staging._lock}
+    clearing = []
+
+    def disturbed(moment):
+        def step(*arguments, **options):
+            if moment == "lock" and not clearing and moments[moment]:
+                moments[moment] -= 1
+                clearing.append(moment)
+                clear_leftovers(Path.cwd())
+                clearing.clear()
+            result = usual[moment](*arguments, **options)
+            mine = moment == "mkdtemp" or (moment == "open" and arguments[1] & os.O_CREAT)
+            if mine and not clearing and moments[moment]:
+                moments[moment] -= 1
+                clearing.append(moment)
+                clear_leftovers(Path.cwd())
+                clearing.clear()
+            return result
+
+        return step
+
+    monkeypatch.setattr(staging.tempfile, "mkdtemp", disturbed("mkdtemp"))
+    monkeypatch.setattr(os, "open", disturbed("open"))
+    monkeypatch.setattr(staging, "_lock", disturbed("lock"))
+    with staging_folder(Path.cwd()) as folder:
+        assert set(moments.values()) == {0}
+        clear_leftovers(Path.cwd())
+        assert names() == [folder.name]
+    assert names() == []
+
+
+@posix
+def test_without_locks_files_are_written_and_nothing_is_removed(monkeypatch):
+    def flock(*arguments):
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr(staging.fcntl, "flock", flock)
+    leftover()
+    with atomic_path("x.txt") as path:
+        path.write_text("x")
+    assert names() == [f"{PREFIX}abcdefgh", "x.txt"]
+
+
+@posix
+def test_a_folder_that_others_keep_removing_is_an_error(monkeypatch):
+    monkeypatch.setattr(staging, "_lock", lambda handle: False)
+    monkeypatch.setattr(staging, "TRIES", 2)
+    with pytest.raises(OutputError, match="another process"), atomic_path("x.txt"):
+        pytest.fail("there is no folder")
+
+
+# Places.
+
+
+def test_all_take_their_places_or_none():
+    Path("a.txt").write_text("old a")
+    with ExitStack() as stack:
+        for path in stack.enter_context(atomic_paths(["a.txt", "b.txt", "c.txt"])):
+            path.write_text("new")
+        Path("c.txt").mkdir()
+        with pytest.raises(OutputError, match=r"c\.txt cannot be written"):
+            stack.close()
+    assert names() == ["a.txt", "c.txt"]
+    assert Path("a.txt").read_text() == "old a"
+
+
+def test_data_are_on_the_disk_before_they_replace_anything(monkeypatch):
+    log = []
+    usual = os.fsync, Path.replace
+
+    def fsync(handle):
+        log.append("folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else "file")
+        usual[0](handle)
+
+    def replace(path, target):
+        log.append(f"{Path(target).name} replaced")
+        return usual[1](path, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(Path, "replace", replace)
+    with atomic_paths(["a.txt", "frames"]) as (file, folder):
+        file.write_text("a")
+        folder.mkdir()
+        (folder / "0.png").write_text("0")
+        (folder / "1.png").write_text("1")
+    moved = ["a.txt replaced", "frames replaced"]
+    last = [] if os.name == "nt" else ["folder"]
+    assert log == ["file", "file", "file", *last, *moved, *last]
+
+
+@posix
+def test_a_disk_that_cannot_flush_is_good_enough_and_one_that_fails_is_not(monkeypatch):
+    for code, good in ((22, True), (5, False)):
+
+        def fsync(handle, code=code):
+            raise OSError(code, "words")
+
+        monkeypatch.setattr(os, "fsync", fsync)
+        with ExitStack() as stack:
+            if not good:
+                stack.enter_context(pytest.raises(OutputError, match="words"))
+            stack.enter_context(atomic_path(f"{code}.txt")).write_text("x")
+    assert names() == ["22.txt"]
+
+
+@posix
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_a_full_disk_leaves_nothing(name, monkeypatch, capfd):
+    """Of every format; a limit to the size of files stands for it."""
+    resource = pytest.importorskip("resource")
+    ending = (FORMATS[name].endings or ("",))[0]
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
+    try:
+        code = run("-o", f"x{ending}", "--format", name)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    out, err = capfd.readouterr()
+    assert code == 2
+    assert out == ""
+    last = [line for line in err.splitlines() if not line.startswith(("device:", "memory:"))]
+    assert len(last) == 1
+    assert "cannot be written (File too large)" in last[0] or "failed" in last[0]
+    assert names() == []
+
+
+@posix
+def test_frames_that_find_no_room_are_told(monkeypatch, capfd):
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 64)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        assert run("-o", "x.gif") == 2
+        with Spool(np.uint8, Path()) as spool:
+            spool.append(np.zeros(90, np.uint8))
+            spool.append(np.zeros(90, np.uint8))  # still in Python's buffer
+            with pytest.raises(OutputError, match="cannot wait"):
+                spool[0]
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert "frames cannot wait on disk" in capfd.readouterr().err.splitlines()[-1]
+    assert names() == []
+
+
+@posix
+def test_a_spool_has_no_name(monkeypatch):
+    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 64)
+    with Spool(np.uint8, Path()) as spool:
+        spool.append(np.zeros(9000, np.uint8))
+        spool.append(np.ones(9000, np.uint8))
+        assert names() == []  # whatever happens now
+        assert spool[1].all()
+
+
+@posix
+def test_a_folder_that_is_removed_meanwhile_is_told(tmp_path, monkeypatch, capfd):
+    gone = tmp_path / "gone"
+
+    def early(film, look, file, report):
+        shutil.rmtree(gone)
+        file.write_bytes(b"x")
+
+    def late(film, look, file, report):
+        file.write_bytes(b"x")
+        shutil.rmtree(gone)
+
+    for writer in (early, late):
+        gone.mkdir()
+        replace_writer(monkeypatch, "gif", writer)
+        assert run("-o", "../gone/x.gif") == 2
+        err = capfd.readouterr().err.splitlines()[-1]
+        assert "gone/x.gif cannot be written (No such file or directory)" in err
+
+
+@posix
+def test_rights_stay_as_they_were():
+    for mode in (0o600, 0o644, 0o666, 0o640):
+        Path("x.txt").write_text("old")
+        Path("x.txt").chmod(mode)
+        if os.geteuid() == 0:
+            os.chown("x.txt", 12345, 54321)
+        with atomic_path("x.txt") as path:
+            path.write_text("new")
+        after = Path("x.txt").stat()
+        assert stat.S_IMODE(after.st_mode) == mode
+        if os.geteuid() == 0:
+            assert (after.st_uid, after.st_gid) == (12345, 54321)
+    before = os.umask(0o027)
+    try:
+        with atomic_paths(["y.txt", "frames"]) as (file, folder):
+            file.write_text("y")
+            folder.mkdir()
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(Path("y.txt").stat().st_mode) == 0o640
+    assert stat.S_IMODE(Path("frames").stat().st_mode) == 0o750
+
+
+def test_a_write_protected_file_is_not_replaced(monkeypatch):
+    Path("x.gif").write_text("kept")
+    Path("x.gif").chmod(0o444)
+    # Root may write anything; others are told.
+    usual = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: not (mode & os.W_OK) and usual(path, mode))
+    with pytest.raises(OutputError, match="write-protected"):
+        check_place("x.gif")
+    Path("x.gif").chmod(0o644)
+
+
+@posix
+def test_names_as_long_as_they_can_be(morph):
+    for name in ("n" * 251 + ".gif", "n." + "s" * 253, "." * 255):
+        with atomic_path(name) as path:
+            path.write_text("x")
+        assert Path(name).read_text() == "x"
+        Path(name).unlink()
+    with pytest.raises(OutputError, match="too long"):
+        check_place("n" * 256)
+    assert run("-o", "n" * 251 + ".gif", "--recipe") == 2  # OUTPUT.json would be longer
+    assert names() == []
+
+
+@posix
+def test_a_path_too_long_for_what_lies_beside_is_said_first():
+    deep = Path.cwd()
+    while len(str(deep)) < 4080:
+        deep /= "d" * min(200, 4084 - len(str(deep)))
+    deep.mkdir(parents=True)
+    with pytest.raises(OutputError, match="too long"):
+        check_place(deep / "x.txt")
+
+
+@posix
+def test_a_link_to_nothing_yet_is_filled(tmp_path):
+    Path("link.txt").symlink_to(tmp_path / "real.txt")
+    with atomic_path("link.txt") as path:
+        path.write_text("new")
+    assert Path("link.txt").is_symlink()
+    assert (tmp_path / "real.txt").read_text() == "new"
+    assert names() == ["link.txt"]
+
+
+@posix
+def test_who_reads_the_old_file_goes_on(morph):
+    morph.save("x.npz")
+    before = Path("x.npz").read_bytes()
+    with (
+        Path("x.npz").open("rb") as file,
+        mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped,
+    ):
+        morph.save("x.npz", parameters={"clmorph": "other"})
+        assert bytes(mapped) == before
+    assert clmorph.load("x.npz").parameters == {"clmorph": "other"}
+
+
+def test_what_goes_into_a_folder_is_made_there(tmp_path, morph, monkeypatch):
+    """It may be a disk of its own, or the only place where one may write."""
+    homes = []
+    usual = staging.tempfile.mkdtemp
+
+    def mkdtemp(**options):
+        homes.append(Path(options["dir"]))
+        return usual(**options)
+
+    monkeypatch.setattr(staging.tempfile, "mkdtemp", mkdtemp)
+    (tmp_path / "frames").mkdir()
+    leftover().rename(tmp_path / "frames" / f"{PREFIX}abcdefgh")  # which does not fill it
+    morph.save(tmp_path / "frames")
+    assert homes == [tmp_path / "frames"]
+    assert names(tmp_path / "frames") == [f"frame-000{number}.png" for number in range(3)]
+
+
+def test_two_runs_into_one_folder_do_not_mix():
+    Path("frames").mkdir()
+    with ExitStack() as stack:
+        outer = stack.enter_context(atomic_path("frames"))
+        outer.mkdir()
+        (outer / "0.png").write_text("outer")
+        (outer / "1.png").write_text("outer")
+        with atomic_path("frames") as inner:
+            inner.mkdir()
+            (inner / "0.png").write_text("inner")
+        with pytest.raises(OutputError, match="not empty"):
+            stack.close()
+    assert names("frames") == ["0.png"]
+    assert Path("frames/0.png").read_text() == "inner"
+
+
+def test_two_runs_at_the_same_moment_do_not_mix(monkeypatch):
+    """Both have found the folder empty."""
+    Path("frames").mkdir()
+    monkeypatch.setattr(files, "is_empty", lambda folder: True)
+    with ExitStack() as stack:
+        path = stack.enter_context(atomic_path("frames"))
+        path.mkdir()
+        for name in ("0.png", "1.png"):
+            (path / name).write_text("mine")
+        Path("frames/1.png").write_text("theirs")
+        with pytest.raises(OutputError, match="exists"):
+            stack.close()
+    assert names("frames") == ["1.png"]
+    assert Path("frames/1.png").read_text() == "theirs"
+
+
+def test_the_last_of_two_runs_wins():
+    with atomic_path("x.txt") as one, atomic_path("x.txt") as other:
+        one.write_text("one")
+        other.write_text("other")
+    assert Path("x.txt").read_text() == "one"
+    assert names() == ["x.txt"]
+
+
+def test_no_other_folder_is_needed(morph, monkeypatch):
+    """TMPDIR may name none, or one that is full."""
+
+    def gettempdir():
+        raise FileNotFoundError(2, "No usable temporary directory found")
+
+    monkeypatch.setattr("tempfile.gettempdir", gettempdir)
+    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 64)
+    for name in ("x.gif", "x.webp", "x.npz", "x.tif", "x.html", "x.png", "frames", "x.mp4"):
+        morph.save(name)
+    assert not [name for name in names() if name.startswith(PREFIX)]
+
+
+def test_an_output_that_is_a_full_folder_is_refused_before_any_work(monkeypatch):
+    monkeypatch.setattr("clmorph.commands.morph.make_morph", None)
+    Path("frames").mkdir()
+    Path("frames/mine").write_text("kept")
+    assert run("-o", "frames") == 2
+    assert names("frames") == ["mine"]
+    with pytest.raises(InputError):
+        files.check_apart(["frames"], ["frames/mine"])
