@@ -3,6 +3,7 @@
 import os
 from functools import cache
 
+from clmorph.checks import shown
 from clmorph.errors import InputError
 from clmorph.operations import Operations
 
@@ -30,10 +31,10 @@ def get_backend(backend: Backend = "auto") -> Operations:
         If there is no such device or it does not work.
     """
     if not isinstance(backend, str):
-        if hasattr(backend, "softmin"):
+        if hasattr(backend, "softmin") and not isinstance(backend, type):
             return backend
         raise InputError(
-            f"backend={backend!r}: expected 'auto', 'numpy', 'opencl', a device's name or "
+            f"backend={shown(backend)}: expected 'auto', 'numpy', 'opencl', a device's name or "
             "index, or a backend object"
         )
     name = backend.strip() or "auto"

@@ -5,12 +5,12 @@ space, so that two colors drawn evenly from the sRGB cube are, in the root mean 
 apart in each space as in sRGB: a color weight means the same in all of them.
 """
 
-import warnings
 from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clmorph.arrays import as_floats
 from clmorph.checks import check_choice
 from clmorph.errors import InputError
 
@@ -91,9 +91,12 @@ def from_space(coordinates: ArrayLike, space: str) -> Array:
     elif space in ("lab", "luv"):
         from skimage import color
 
-        # What lies outside the gamut is clipped, and need not be told.
-        with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
-            warnings.simplefilter("ignore", UserWarning)
+        if space == "lab":
+            # scikit-image clips a negative Z of XYZ too, but with a warning; to silence that one
+            # would have to change the filters of all threads.
+            bluest = (values[..., 0] + 16.0) * (200.0 / 116.0) - 1e-9
+            values[..., 2] = np.minimum(values[..., 2], bluest)
+        with np.errstate(invalid="ignore", divide="ignore"):
             shape = values.shape
             values = getattr(color, f"{space}2rgb")(values.reshape(-1, 1, 3)).reshape(shape)
     return np.clip(np.nan_to_num(values), 0.0, 1.0)
@@ -119,10 +122,7 @@ def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
     InputError
         If it is no metric.
     """
-    try:
-        values = np.array(metric, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("the color metric is no array of numbers") from None
+    values = as_floats("color_metric", metric, "an array (3, 3), (H, W, 3, 3) or (H, W)")
     constant = values.shape == (3, 3)
     if values.shape == shape and not constant:
         values = values[..., None, None] * np.eye(3)
