@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.checks import as_float, printable
+from clmorph.checks import as_float
 from clmorph.errors import InputError
+from clmorph.printable import printable
 
 #: Kinds of dtypes (see `numpy.dtype.kind`) that are numbers: truth values, integers, floats.
 NUMBERS = "biuf"

@@ -8,12 +8,14 @@ would convert them.
 
 import math
 import operator
+import os
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from clmorph.errors import InputError
+from clmorph.printable import printable
 
 #: Characters of a value that a message repeats.
 SHOWN_LENGTH = 60
@@ -150,7 +152,9 @@ def as_float(value: Any) -> float | None:
             return None
         if value.dtype.kind == "O":
             return None if isinstance(value.item(), np.ndarray) else as_float(value.item())
-    elif getattr(value, "shape", ()) != () or not _has_number(value):
+    elif not any(hasattr(type(value), name) for name in ("__float__", "__index__")) or len(
+        getattr(value, "shape", ())
+    ):
         return None
     try:
         with np.errstate(over="ignore"):
@@ -162,8 +166,20 @@ def as_float(value: Any) -> float | None:
         return None
 
 
-def _has_number(value: Any) -> bool:
+def _converts(value: Any) -> bool:
     return any(hasattr(type(value), name) for name in ("__float__", "__index__"))
+
+
+def is_path(value: Any) -> bool:
+    """Whether a value is a path: a text, or an object that stands for one; not an empty one."""
+    if not isinstance(value, str | os.PathLike):
+        return False
+    try:
+        path = os.fspath(value)
+    except Exception:
+        # Whatever a foreign type raises says that it is no path.
+        return False
+    return isinstance(path, str) and path != ""
 
 
 def shown(value: Any) -> str:
@@ -175,14 +191,4 @@ def shown(value: Any) -> str:
     except Exception:
         # An integer of more digits than Python writes, or a foreign type's fault.
         text = f"<{type(value).__name__}>"
-    return printable(text)
-
-
-def printable(text: str, length: int = SHOWN_LENGTH) -> str:
-    """Return a text as one line of printable characters, shortened in its middle."""
-    if len(text) > length:
-        half = (length - 1) // 2
-        text = f"{text[:half]}…{text[-half:]}"
-    return "".join(
-        char if char.isprintable() else char.encode("unicode_escape").decode() for char in text
-    )
+    return printable(text, SHOWN_LENGTH)

@@ -92,14 +92,22 @@ def from_space(coordinates: ArrayLike, space: str) -> Array:
         from skimage import color
 
         if space == "lab":
-            # scikit-image clips a negative Z of XYZ too, but with a warning; to silence that one
-            # would have to change the filters of all threads.
-            bluest = (values[..., 0] + 16.0) * (200.0 / 116.0) - 1e-9
-            values[..., 2] = np.minimum(values[..., 2], bluest)
+            values = _without_negative_light(values)
         with np.errstate(invalid="ignore", divide="ignore"):
             shape = values.shape
             values = getattr(color, f"{space}2rgb")(values.reshape(-1, 1, 3)).reshape(shape)
     return np.clip(np.nan_to_num(values), 0.0, 1.0)
+
+
+def _without_negative_light(lab: Array) -> Array:
+    """Return colors of CIELAB with as much yellow at most as leaves no negative Z.
+
+    scikit-image clips Z too, but warns of it, and a filter of warnings is every thread's.
+    """
+    lightness, green_red, blue_yellow = np.moveaxis(lab, -1, 0)
+    # Z grows with (L + 16) / 116 - b / 200; a trace is left, so that rounding is no minus.
+    most = 200 * ((lightness + 16) / 116 - 1e-9)
+    return np.stack([lightness, green_red, np.minimum(blue_yellow, most)], axis=-1)
 
 
 def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:

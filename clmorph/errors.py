@@ -1,11 +1,18 @@
 """Exceptions and warnings of clmorph.
 
-Every message is one line that says what was wrong, what was expected, and what to do.
+Every message is one line that says what was wrong, what was expected, and what to do. File
+names and values that it quotes may be foreign: whatever they hold, the message is printable and
+of bounded length.
 """
+
+from clmorph.printable import MESSAGE, printable
 
 
 class ClmorphError(Exception):
     """Base class of every error that clmorph raises on purpose."""
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(printable(message, MESSAGE))
 
 
 class InputError(ClmorphError, ValueError):
@@ -38,13 +45,20 @@ class OutputError(ClmorphError, RuntimeError):
     """A result cannot be written where it was asked for."""
 
 
-class ConvergenceWarning(UserWarning):
+class ClmorphWarning(UserWarning):
+    """Base class of every warning that clmorph gives."""
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(printable(message, MESSAGE))
+
+
+class ConvergenceWarning(ClmorphWarning):
     """The transport solver stopped before it reached the tolerance."""
 
 
-class MemoryWarning(UserWarning):
+class MemoryWarning(ClmorphWarning):
     """Not all pairs of a plan fit into the memory allowed, so fewer particles are drawn."""
 
 
-class ImageWarning(UserWarning):
+class ImageWarning(ClmorphWarning):
     """A file was read, but not all that it says about its colors was used."""

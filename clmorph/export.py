@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from clmorph import defaults
-from clmorph.checks import check_choice, check_flag, check_progress, printable, shown
+from clmorph.checks import check_choice, check_flag, check_progress, is_path, shown
 from clmorph.errors import InputError, OutputError
 from clmorph.files import atomic_path, check_place
 from clmorph.film import Film, StageProgress, recorded
@@ -21,6 +21,7 @@ from clmorph.formats import animation, archive, gif, page, sheet, stills, video
 from clmorph.formats.embedding import as_text
 from clmorph.framing import Look
 from clmorph.motion import Motion
+from clmorph.printable import printable
 from clmorph.progress import Report
 from clmorph.result import Morph
 
@@ -108,7 +109,7 @@ class Output:
     """
 
     def __init__(self, path: str | PathLike[str], format: str | None = None) -> None:
-        if not isinstance(path, str | PathLike) or not str(path):
+        if not is_path(path):
             raise OutputError(f"path={shown(path)}: expected a path such as 'out.gif'")
         self.path = Path(path)
         if format is not None:

@@ -62,6 +62,8 @@ class Look:
             from PIL import ImageColor
 
             try:
+                if not isinstance(self.background, str):
+                    raise TypeError
                 ImageColor.getrgb(self.background)
             except (ValueError, AttributeError, TypeError):
                 raise InputError(
@@ -84,7 +86,7 @@ def as_canvas(canvas: Any) -> Any:
     if isinstance(canvas, str):
         found = re.fullmatch(r"(\d{1,6})[x×](\d{1,6})", canvas)
         sides = found.groups() if found else ()
-    elif isinstance(canvas, list | tuple | np.ndarray) and np.ndim(canvas) == 1:
+    elif isinstance(canvas, list | tuple) or (isinstance(canvas, np.ndarray) and canvas.ndim == 1):
         numbers = [as_float(side) for side in canvas]
         sides = [number for number in numbers if number is not None and number % 1 == 0]
     else:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph.arrays import as_array
-from clmorph.checks import check_integer, shown
+from clmorph.checks import check_integer, is_path, shown
 from clmorph.errors import ImageWarning, InputError
 
 #: Pixels above which a file is refused before it is decoded, unless told otherwise.
@@ -204,7 +204,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
     from PIL import Image, UnidentifiedImageError
 
     max_pixels = check_integer("max_pixels", max_pixels, 1, 1 << 40)
-    if not isinstance(path, str | PathLike) or not str(path):
+    if not is_path(path):
         raise InputError(f"path={shown(path)}: expected the path of an image, such as 'photo.png'")
     file = Path(path)
     try:

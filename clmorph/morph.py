@@ -256,7 +256,6 @@ def morph(
         seed=seed, ease=ease, solve_size=solve_size,
         max_particles=max_particles, max_memory=max_memory,
     )  # fmt: skip
-    parameters = _told(options | {"weights": weights, "color_metric": color_metric})
     n_frames, tol, max_iter, barycentric, sample, seed = (
         options[name] for name in ("n_frames", "tol", "max_iter", "barycentric", "sample", "seed")
     )
@@ -269,6 +268,7 @@ def morph(
         images, color_weight, weights=weights, mass=mass, extent=extent,
         color_space=color_space, color_metric=color_metric,
     )  # fmt: skip
+    parameters = _told(options | {"weights": weights, "color_metric": color_metric})
     if sigma is not None and source.has_metric_map:
         raise InputError(NO_DIVERGENCE)
     if barycentric:

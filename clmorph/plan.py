@@ -181,7 +181,7 @@ def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
         raise InputError(
             f"{name}={shown(value)}: expected a Plan, as clmorph.transport_plan returns it"
         )
-    if value.shape != sizes:
+    if type(value.shape) is not tuple or value.shape != sizes:
         of = " and ".join(map(shown, value.shape)) if type(value.shape) is tuple else "?"
         raise InputError(
             f"{name} is for {of} points: expected {sizes[0]} and {sizes[1]}; build it for these "

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph.arrays import as_floats
-from clmorph.checks import printable
 from clmorph.errors import InputError
 from clmorph.measures import Measure, check_masses, check_measure
 from clmorph.operations import MAX_DIMENSION, MAX_POINTS
+from clmorph.printable import printable
 
 #: Largest coordinate, in the unit of blur and reach.
 MAX_COORDINATE = 1e6

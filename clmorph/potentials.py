@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.checks import check_blur, check_flag, check_number, shown
+from clmorph.checks import check_blur, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.problem import Certificate
 from clmorph.strengths import Reach, strengths
@@ -182,10 +182,20 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
             "returns them"
         )
     check_blur(value.blur)
+    lengths = value.reach if isinstance(value.reach, tuple) else (value.reach,)
+    numbers = [value.residual, value.truncation_error, value.visited, value.n_iter]
+    numbers += [each for each in (*lengths, value.truncation) if each is not None]
+    # NaN is at least nothing.
+    usable = all(isinstance(each, float | int) and each >= 0 for each in numbers)
+    usable = usable and isinstance(value.status, str) and isinstance(value.message, str)
+    usable = usable and isinstance(value.residuals, np.ndarray) and value.residuals.dtype == float
+    if not usable or np.isnan(value.residuals).any() or value.truncation_error == np.inf:
+        raise InputError(
+            f"{name}: parts of it are not what they should be; expected Potentials as "
+            "clmorph.sinkhorn returns them"
+        )
     strengths(value.blur, value.reach)
     check_flag(f"{name}: precise", value.precise)
-    if value.truncation is not None:
-        check_number(f"{name}: truncation", value.truncation, 0.0, 1.0)
     certificate = value.certificate
     if not isinstance(certificate, Certificate) or shapes != (
         np.shape(certificate.row_mass),

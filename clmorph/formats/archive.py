@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.checks import shown
+from clmorph.checks import is_path, shown
 from clmorph.errors import InputError
 from clmorph.film import Film
 from clmorph.formats.embedding import UNREADABLE, as_text
@@ -123,7 +123,7 @@ def load(path: str | PathLike[str]) -> Archive:
     InputError
         If the file cannot be read, or is another's.
     """
-    if not isinstance(path, str | PathLike) or not str(path):
+    if not is_path(path):
         raise InputError(f"path={shown(path)}: expected the path of a morph saved as .npz")
     try:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
