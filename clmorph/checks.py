@@ -152,9 +152,7 @@ def as_float(value: Any) -> float | None:
             return None
         if value.dtype.kind == "O":
             return None if isinstance(value.item(), np.ndarray) else as_float(value.item())
-    elif not any(hasattr(type(value), name) for name in ("__float__", "__index__")) or len(
-        getattr(value, "shape", ())
-    ):
+    elif not _converts(value) or len(getattr(value, "shape", ())):  # a tensor's, say
         return None
     try:
         with np.errstate(over="ignore"):

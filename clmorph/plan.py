@@ -277,6 +277,8 @@ def transport_plan(
         to_rows = plan_softmin(operations, (rows, columns), (source, target), potentials)
         softmin = to_rows(g, epsilon, potentials.precise)
         whole = np.exp((f - softmin) / epsilon + log_a)
+    largest = largest_cost(source.points, target.points)
+    check_origin(potentials, whole, to_rows.rounding(len(g), largest, epsilon, potentials.precise))
     total = float(whole.sum())
     if not total <= 1e3 * max(source.mass, target.mass):
         raise InputError(
@@ -284,8 +286,6 @@ def transport_plan(
             f"solution (residual {potentials.residual:.1e} epsilon); raise max_iter, or use a "
             "larger blur or a smaller color_weight"
         )
-    largest = largest_cost(source.points, target.points)
-    check_origin(potentials, whole, to_rows.rounding(len(g), largest, epsilon, potentials.precise))
     if log_threshold is not None:
         row_thresholds = np.full(len(f), log_threshold)
         column_thresholds = np.full(len(g), np.inf)
