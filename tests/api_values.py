@@ -38,6 +38,7 @@ from scipy.sparse import csr_array
 import clmorph
 import clmorph.baseline
 import clmorph.quality
+from clmorph.opencl.device import find_devices
 
 #: Seconds that a call may take at most; the tiniest morph takes a hundredth of one.
 PATIENCE = 20.0
@@ -585,6 +586,7 @@ def main() -> None:
     warnings.simplefilter("error")
     warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
     wrong = count = 0
+    find_devices()  # pyopencl sets a variable of the environment when it is imported
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         furnish()

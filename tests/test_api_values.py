@@ -45,7 +45,7 @@ def test_no_function_and_no_argument_is_forgotten():
 @pytest.mark.parametrize("name", list(FUNCTIONS))
 def test_every_value_of_every_argument(name):
     check(name, api_values._call(FUNCTIONS[name], cases()[name], {}))
-    messages = [check(description, call) for description, call in single(name, every=8)]
+    messages = [check(description, call) for description, call in single(name, every=16)]
     if set(cases()[name]) - {"self"}:
         assert any(messages)
 
