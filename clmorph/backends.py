@@ -4,6 +4,7 @@ import os
 from functools import cache
 from typing import TYPE_CHECKING
 
+from clmorph.checks import shown
 from clmorph.errors import InputError
 from clmorph.opencl.process import Once
 from clmorph.operations import Operations
@@ -36,10 +37,10 @@ def get_backend(backend: Backend = "auto") -> Operations:
         that has used OpenCL.
     """
     if not isinstance(backend, str):
-        if hasattr(backend, "softmin"):
+        if hasattr(backend, "softmin") and not isinstance(backend, type):
             return backend
         raise InputError(
-            f"backend={backend!r}: expected 'auto', 'numpy', 'opencl', a device's name or "
+            f"backend={shown(backend)}: expected 'auto', 'numpy', 'opencl', a device's name or "
             "index, or a backend object"
         )
     name = backend.strip() or "auto"

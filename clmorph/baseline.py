@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clmorph import defaults
 from clmorph.backends import Backend, get_backend
-from clmorph.checks import check_choice, check_integer, check_number
+from clmorph.checks import check_choice, check_integer, check_number, check_sigma
 from clmorph.images import as_rgb
 from clmorph.interpolation import particles
 from clmorph.measures import EXTENTS, lift
@@ -111,8 +111,10 @@ def channel_morph(
     n_frames = check_integer("n_frames", n_frames, 2, 100_000)
     strengths(blur, reach)
     check_choice("extent", extent, EXTENTS)
-    check_solver_options(tol, max_iter)
-    KernelWidth(sigma_start, sigma_end, gamma, 1.0, 1.0)  # are they widths?
+    tol, max_iter, _ = check_solver_options(tol, max_iter)
+    sigma_start = check_sigma("sigma_start", sigma_start)
+    sigma_end = check_sigma("sigma_end", sigma_end)
+    gamma = check_number("gamma", gamma, 0.0, 1e4)
     operations = get_backend(backend)
     pictures = as_rgb(image_a, "image_a"), as_rgb(image_b, "image_b")
     channels = []

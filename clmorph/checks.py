@@ -1,10 +1,24 @@
-"""Validation of options, with messages a user can act on."""
+"""Validation of options, with messages a user can act on.
+
+A number is what `float` makes exactly sense of: Python's and NumPy's integers and floats,
+`Decimal`, `Fraction`, and arrays of no dimension that hold one. Truth values, texts, complex
+numbers, durations, masked elements and arrays with dimensions are not numbers, even where `float`
+would convert them.
+"""
 
 import math
-from collections.abc import Sequence
+import operator
+import os
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from clmorph.errors import InputError
+from clmorph.printable import printable
+
+#: Characters of a value that a message repeats.
+SHOWN_LENGTH = 60
 
 
 def check_number(
@@ -24,14 +38,11 @@ def check_number(
     """
     bracket = "(" if open_low else "["
     expected = f"expected a number in {bracket}{low:g}, {high:g}]"
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{name}={value!r}: {expected}") from None
-    if isinstance(value, bool | str | bytes) or not math.isfinite(number):
-        raise InputError(f"{name}={value!r}: {expected}")
+    number = as_float(value)
+    if number is None or not math.isfinite(number):
+        raise InputError(f"{name}={shown(value)}: {expected}")
     if number > high or number < low or (open_low and number == low):
-        raise InputError(f"{name}={value!r}: {expected}")
+        raise InputError(f"{name}={shown(value)}: {expected}")
     return number
 
 
@@ -44,9 +55,14 @@ def check_integer(name: str, value: Any, low: int, high: int) -> int:
         If it is not a whole number in that range.
     """
     number = check_number(name, value, low, high)
-    if number != int(number):
-        raise InputError(f"{name}={value!r}: expected a whole number in [{low}, {high}]")
-    return int(number)
+    try:
+        # An integer of more than 53 bits, such as a seed, would be another number as a float.
+        exact = operator.index(value)
+    except TypeError:
+        exact = int(number)
+    if number != int(number) or not low <= exact <= high:
+        raise InputError(f"{name}={shown(value)}: expected a whole number in [{low}, {high}]")
+    return exact
 
 
 def check_choice(name: str, value: Any, choices: Sequence[str]) -> str:
@@ -59,7 +75,7 @@ def check_choice(name: str, value: Any, choices: Sequence[str]) -> str:
     """
     if isinstance(value, str) and value in choices:
         return value
-    raise InputError(f"{name}={value!r}: expected one of {', '.join(map(repr, choices))}")
+    raise InputError(f"{name}={shown(value)}: expected one of {', '.join(map(repr, choices))}")
 
 
 def check_blur(value: Any) -> float:
@@ -69,7 +85,7 @@ def check_blur(value: Any) -> float:
 
 def check_reach(value: Any) -> float | None:
     """Return a reach: positive, same unit; None or infinity is balanced transport."""
-    if value is None or (isinstance(value, float) and value == math.inf):
+    if value is None or as_float(value) == math.inf:
         return None
     try:
         return check_number("reach", value, 1e-6, 1e6)
@@ -85,3 +101,92 @@ def check_color_weight(value: Any) -> float:
 def check_sigma(name: str, value: Any) -> float:
     """Return a kernel width in pixels: from a thousandth on."""
     return check_number(name, value, 1e-3, 1e4)
+
+
+def check_flag(name: str, value: Any) -> bool:
+    """Return a truth value: Python's or NumPy's, nothing that merely counts as true or false.
+
+    Raises
+    ------
+    InputError
+        If it is something else.
+    """
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    raise InputError(f"{name}={shown(value)}: expected True or False")
+
+
+def check_callable(name: str, value: Any) -> None:
+    """Check that a value is None or can be called.
+
+    Raises
+    ------
+    InputError
+        Otherwise.
+    """
+    if value is not None and not callable(value):
+        raise InputError(f"{name}={shown(value)}: expected a function to call, or None")
+
+
+def check_progress(progress: Callable[..., None] | None) -> Callable[..., None]:
+    """Return what is to be called with the share that is done; something idle for None.
+
+    Raises
+    ------
+    InputError
+        If it cannot be called.
+    """
+    check_callable("progress", progress)
+    return progress or (lambda *told: None)
+
+
+def as_float(value: Any) -> float | None:
+    """Return a number as a float, infinite and NaN included; None if it is no number.
+
+    See above for what counts as a number. One beyond float64 is infinite.
+    """
+    if np.ma.is_masked(value) or isinstance(value, bool | str | bytes | bytearray | complex):
+        return None
+    if isinstance(value, np.ndarray | np.generic):
+        if value.ndim > 0 or value.dtype.kind not in "iufO":
+            return None
+        if value.dtype.kind == "O":
+            return None if isinstance(value.item(), np.ndarray) else as_float(value.item())
+    elif not _converts(value) or len(getattr(value, "shape", ())):  # a tensor's, say
+        return None
+    try:
+        with np.errstate(over="ignore"):
+            return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+    except Exception:
+        # Whatever a foreign type raises says that it is no number.
+        return None
+
+
+def _converts(value: Any) -> bool:
+    return any(hasattr(type(value), name) for name in ("__float__", "__index__"))
+
+
+def is_path(value: Any) -> bool:
+    """Whether a value is a path: a text, or an object that stands for one; not an empty one."""
+    if not isinstance(value, str | os.PathLike):
+        return False
+    try:
+        path = os.fspath(value)
+    except Exception:
+        # Whatever a foreign type raises says that it is no path.
+        return False
+    return isinstance(path, str) and path != ""
+
+
+def shown(value: Any) -> str:
+    """Return a value as a message repeats it: one short line of printable characters."""
+    if isinstance(value, np.ndarray) and value.ndim:
+        return f"an array of shape {value.shape}"
+    try:
+        text = repr(value)
+    except Exception:
+        # An integer of more digits than Python writes, or a foreign type's fault.
+        text = f"<{type(value).__name__}>"
+    return printable(text, SHOWN_LENGTH)

@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clmorph.arrays import as_floats
 from clmorph.checks import check_choice
 from clmorph.errors import InputError
 
@@ -129,10 +130,7 @@ def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
     InputError
         If it is no metric.
     """
-    try:
-        values = np.array(metric, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("the color metric is no array of numbers") from None
+    values = as_floats("color_metric", metric, "an array (3, 3), (H, W, 3, 3) or (H, W)")
     constant = values.shape == (3, 3)
     if values.shape == shape and not constant:
         values = values[..., None, None] * np.eye(3)

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.checks import check_number
-from clmorph.errors import InputError
 from clmorph.measures import Measure
-from clmorph.plan import Plan
+from clmorph.plan import Plan, check_plan
+from clmorph.points import as_image_measure
 
 Array = NDArray[np.float64]
 
@@ -92,17 +92,12 @@ def displacement_statistics(
         If the measures are no images, or not those of the plan.
     """
     mask = check_number("mask", mask, 0.0, 1e30)
-    for name, measure in (("source", source), ("target", target)):
-        if not isinstance(measure, Measure):
-            raise InputError(
-                f"{name} is a {type(measure).__name__}: expected a Measure, as displacements "
-                "are in pixels; make one with clmorph.lift(image)"
-            )
-    if plan.shape != (len(source), len(target)):
-        raise InputError(
-            f"the plan is for {plan.shape[0]} and {plan.shape[1]} points: expected "
-            f"{len(source)} and {len(target)}; build it for these measures"
-        )
+    instead = ", or use plan.mean_destinations(x, y) for plain points"
+    source, target = (
+        as_image_measure(name, measure, "displacements are in pixels", instead)
+        for name, measure in (("source", source), ("target", target))
+    )
+    check_plan("plan", plan, (len(source), len(target)))
     destinations, _ = plan.mean_destinations(source.positions, target.positions)
     return displacement_of(source, target, destinations, plan.row_mass, plan.column_mass, mask)
 

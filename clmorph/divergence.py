@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from clmorph import defaults
 from clmorph.ascent import ROUNDING_MARGIN
 from clmorph.backends import Backend, get_backend
+from clmorph.checks import check_progress, shown
 from clmorph.errors import InputError
 from clmorph.multiscale import MANY_PAIRS
 from clmorph.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.potentials import Potentials
+from clmorph.potentials import Potentials, check_potentials
 from clmorph.problem import Problem, largest_cost
 from clmorph.sinkhorn import (
     Progress,
@@ -70,6 +71,11 @@ class Divergence:
 
     def closer_than(self, other: "Divergence") -> bool | None:
         """Compare two divergences of the same strengths: True or False if proven, else None."""
+        if not isinstance(other, Divergence):
+            raise InputError(
+                f"other={shown(other)}: expected a Divergence, as clmorph.sinkhorn_divergence "
+                "returns it"
+            )
         if self.interval[1] < other.interval[0]:
             return True
         if self.interval[0] > other.interval[1]:
@@ -129,7 +135,8 @@ def sinkhorn_divergence(
             f"reach={given.reach!r}: expected one number for both measures (or None); with two "
             "there is no divergence"
         )
-    check_solver_options(tol, max_iter, precision=precision)
+    tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
+    report = check_progress(progress)
     pair = as_pair(source, target)
     if pair[0].offsets is not None or pair[1].offsets is not None:
         raise InputError(
@@ -140,13 +147,12 @@ def sinkhorn_divergence(
         _check_cross(cross, *pair, given)
     operations = get_backend(backend)
     check_problem(*pair, given, operations, precision)
-    report = progress or (lambda share: None)
 
     parts: list[Potentials] = []
     for number, measure in enumerate(pair):
-        truncation = choose_truncation("auto", float(tol), len(measure) ** 2 >= MANY_PAIRS)
+        truncation = choose_truncation("auto", tol, len(measure) ** 2 >= MANY_PAIRS)
         problem = Problem.between(operations, measure, measure, given.rho, truncation)
-        parts.append(_self_transport(problem, given, float(tol), int(max_iter), precision))
+        parts.append(_self_transport(problem, given, tol, max_iter, precision))
         report(0.15 * (number + 1))
     if _are_equal(*pair):
         cross = parts[0]
@@ -174,14 +180,10 @@ def _check_cross(
     cross: Potentials, source: AnyMeasure, target: AnyMeasure, given: Strengths
 ) -> None:
     """Refuse potentials of another problem."""
-    sizes = len(cross.f), len(cross.g)
-    if sizes != (len(source), len(target)) or (cross.blur, cross.reach) != (
-        given.blur,
-        given.reach,
-    ):
+    check_potentials("cross", cross, (len(source), len(target)))
+    if (cross.blur, cross.reach) != (given.blur, given.reach):
         raise InputError(
-            f"cross: potentials for {sizes[0]} and {sizes[1]} points at blur={cross.blur:g}, "
-            f"reach={cross.reach}; expected {len(source)} and {len(target)} points at "
+            f"cross: potentials at blur={cross.blur:g}, reach={cross.reach}; expected "
             f"blur={given.blur:g}, reach={given.reach}: solve for these, or leave it out"
         )
 

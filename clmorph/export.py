@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from clmorph import defaults
-from clmorph.checks import check_choice
+from clmorph.checks import check_choice, check_flag, check_progress, is_path, shown
 from clmorph.errors import InputError, OutputError
 from clmorph.files import (
     atomic_paths,
@@ -27,6 +27,7 @@ from clmorph.formats import animation, archive, gif, page, sheet, stills, video
 from clmorph.formats.embedding import as_text
 from clmorph.framing import Look
 from clmorph.motion import Motion
+from clmorph.printable import printable
 from clmorph.progress import Report
 from clmorph.result import Morph
 
@@ -114,8 +115,8 @@ class Output:
     """
 
     def __init__(self, path: str | PathLike[str], format: str | None = None) -> None:
-        if not isinstance(path, str | PathLike) or not str(path):
-            raise OutputError(f"{path!r} is not a path; expected one such as 'out.gif'")
+        if not is_path(path):
+            raise OutputError(f"path={shown(path)}: expected a path such as 'out.gif'")
         self.path = Path(path)
         if format is not None:
             self.name = check_choice("format", format, tuple(FORMATS))
@@ -257,19 +258,22 @@ def save(
     output = Output(path, format)
     look, motion = Look(canvas, scaling, background, lossless), Motion(fps, hold, loop)
     output.check_motion(motion)
-    if not isinstance(reverse, bool | np.bool_):
-        raise InputError(f"reverse={reverse!r}: expected True or False")
+    reverse = check_flag("reverse", reverse)
+    report = check_progress(progress)
     for one, other in itertools.pairwise(chain):
         if not np.array_equal(one.target.colors, other.source.colors):
             raise InputError(
                 "morphs: expected each to begin with the picture that the one before ends with"
             )
-    report = progress or (lambda stage, share: None)
+    if parameters is not None and not isinstance(parameters, Mapping):
+        raise InputError(f"parameters={shown(parameters)}: expected a mapping that JSON takes")
     told = parameters if parameters is not None else described(chain)
     try:
         as_text(told)
     except (TypeError, ValueError) as error:
-        raise InputError(f"parameters: expected what JSON takes ({error})") from None
+        raise InputError(
+            f"parameters: expected what JSON takes ({printable(str(error), 120)})"
+        ) from None
     with recorded(
         chain, motion, n_morphs=len(chain), reverse=reverse,
         exact=output.format.exact, keep=output.format.keep,

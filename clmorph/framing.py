@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.checks import check_choice
+from clmorph.checks import as_float, check_choice, check_flag, shown
 from clmorph.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,14 +57,18 @@ class Look:
     def __post_init__(self) -> None:
         object.__setattr__(self, "canvas", as_canvas(self.canvas))
         check_choice("scaling", self.scaling, SCALINGS)
+        object.__setattr__(self, "lossless", check_flag("lossless", self.lossless))
         if self.background is not None:
             from PIL import ImageColor
 
             try:
+                if not isinstance(self.background, str):
+                    raise TypeError
                 ImageColor.getrgb(self.background)
             except (ValueError, AttributeError, TypeError):
                 raise InputError(
-                    f"background={self.background!r}: expected a color such as 'white' or '#204060'"
+                    f"background={shown(self.background)}: expected a color such as 'white' or "
+                    "'#204060'"
                 ) from None
 
 
@@ -82,14 +86,16 @@ def as_canvas(canvas: Any) -> Any:
     if isinstance(canvas, str):
         found = re.fullmatch(r"(\d{1,6})[x×](\d{1,6})", canvas)
         sides = found.groups() if found else ()
-    try:
-        width, height = (int(side) for side in sides)
-    except (TypeError, ValueError):
-        width = height = 0
+    elif isinstance(canvas, list | tuple) or (isinstance(canvas, np.ndarray) and canvas.ndim == 1):
+        numbers = [as_float(side) for side in canvas]
+        sides = [number for number in numbers if number is not None and number % 1 == 0]
+    else:
+        sides = ()
+    width, height = (int(side) for side in sides) if len(sides) == 2 else (0, 0)
     if 1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE:
         return width, height
     raise InputError(
-        f"canvas={canvas!r}: expected {', '.join(map(repr, CANVASES))}, or width x height in "
+        f"canvas={shown(canvas)}: expected {', '.join(map(repr, CANVASES))}, or width x height in "
         f"pixels such as '640x480', each from 1 to {MAX_SIDE}"
     )
 

@@ -8,14 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clmorph.checks import check_integer
+from clmorph.arrays import as_array
+from clmorph.checks import check_integer, is_path, shown
 from clmorph.errors import FileError, ImageWarning, InputError
 
 #: Pixels above which a file is refused before it is decoded, unless told otherwise.
 MAX_PIXELS = 64_000_000
 
 
-def as_pixels(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
+def as_pixels(
+    image: ArrayLike, name: str = "image", *, max_pixels: int | None = None
+) -> NDArray[np.float64]:
     """Return an image as (H, W, 3) or (H, W, 4) float64 in [0, 1].
 
     Parameters
@@ -24,6 +27,8 @@ def as_pixels(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
         uint8, uint16, bool, or float in [0, 1].
     name : str
         What messages call it.
+    max_pixels : int, optional
+        A larger image is refused.
 
     Returns
     -------
@@ -37,22 +42,28 @@ def as_pixels(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
         If the shape, dtype or values are not those of an image.
     """
     if isinstance(image, str | PathLike):
-        raise InputError(f"{name} is a path: expected an array; use clmorph.read_image({image!r})")
-    try:
-        array = np.asarray(image)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: not an array of pixels ({error})") from None
-    expected = "expected (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) with H, W >= 1"
+        raise InputError(
+            f"{name} is a path: expected an array; use clmorph.read_image({shown(image)})"
+        )
+    expected = "shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) with H, W >= 1"
+    array = as_array(name, image, f"an image of {expected}")
+    shape = array.shape
     if array.ndim == 2:
         array = array[..., None]
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or 0 in array.shape:
-        raise InputError(f"{name} has shape {np.shape(image)}: {expected}")
+        raise InputError(f"{name} has shape {shape}: expected {expected}")
+    if max_pixels is not None and array.shape[0] * array.shape[1] > max_pixels:
+        raise InputError(
+            f"{name} has shape {shape}: expected at most {max_pixels} pixels in all; reduce it "
+            "with clmorph.fit"
+        )
     if array.dtype == np.bool_:
         pixels = array.astype(float)
     elif array.dtype.kind == "u" and array.dtype.itemsize <= 2:  # in any byte order
         pixels = array / float(np.iinfo(array.dtype).max)
     elif np.issubdtype(array.dtype, np.floating):
-        pixels = _checked_floats(array.astype(float), name)
+        with np.errstate(over="ignore"):  # of numbers beyond float64, which are refused below
+            pixels = _checked_floats(array.astype(float), name)
     else:
         raise InputError(
             f"{name} has dtype {array.dtype}: expected uint8, uint16, bool, or float in [0, 1]"
@@ -119,12 +130,13 @@ def block_size(image: NDArray[np.float64]) -> int:
     return 1 if len(sides) == 2 else int(np.gcd.reduce(sides))
 
 
-def fit(image: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+def fit(image: ArrayLike, size: int) -> NDArray[np.float64]:
     """Reduce an image so that its longer side has at most `size` pixels.
 
     Parameters
     ----------
-    image : (H, W, 3) or (H, W, 4) array
+    image : array
+        See `as_pixels`.
     size : int
         Pixels; a smaller image is returned as it is.
 
@@ -135,21 +147,21 @@ def fit(image: NDArray[np.float64], size: int) -> NDArray[np.float64]:
         keeps its blocks at the largest whole number of pixels that fits.
     """
     size = check_integer("size", size, 2, 1 << 16)
-    image = as_pixels(image)
-    height, width = image.shape[:2]
+    pixels = as_pixels(image)
+    height, width = pixels.shape[:2]
     longer = max(height, width)
     if longer <= size:
-        return image
-    block = block_size(image)
+        return pixels
+    block = block_size(pixels)
     if longer // block <= size:
         zoom = size // (longer // block)
-        return np.kron(image[::block, ::block], np.ones((zoom, zoom, 1))).astype(float)
+        return np.kron(pixels[::block, ::block], np.ones((zoom, zoom, 1))).astype(float)
     from skimage.transform import resize
 
     shape = [max(1, round(side * size / longer)) for side in (height, width)]
-    colors, alpha = split_alpha(image)
+    colors, alpha = split_alpha(pixels)
     if alpha is None:
-        return np.clip(np.asarray(resize(image, (*shape, 3), order=1, anti_aliasing=True)), 0, 1)
+        return np.clip(np.asarray(resize(pixels, (*shape, 3), order=1, anti_aliasing=True)), 0, 1)
     # What cannot be seen must not bleed into what can: averages are weighted by opacity.
     seen = np.dstack((colors * alpha[..., None], alpha))
     seen = np.clip(np.asarray(resize(seen, (*shape, 4), order=1, anti_aliasing=True)), 0, 1)
@@ -197,8 +209,8 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
         are lost.
     """
     max_pixels = check_integer("max_pixels", max_pixels, 1, 1 << 40)
-    if not isinstance(path, str | PathLike) or not str(path):
-        raise InputError(f"{path!r} is not the path of an image")
+    if not is_path(path):
+        raise InputError(f"path={shown(path)}: expected the path of an image, such as 'photo.png'")
     from clmorph.decoding import decode
     from clmorph.opening import name_of, reason_of
 

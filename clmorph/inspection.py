@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from clmorph import defaults
 from clmorph.backends import Backend, get_backend
-from clmorph.checks import check_number
+from clmorph.checks import check_flag, check_number, check_progress
 from clmorph.displacement import Displacement, displacement_of, displacement_statistics
 from clmorph.divergence import sinkhorn_divergence
 from clmorph.errors import PlanSizeError
@@ -91,13 +91,17 @@ color_space, color_metric, weights, backend
     ConvergenceWarning
         If the solver stops before `tol`.
     """
-    check_options(
+    options = check_options(
         n_frames, blur, reach, color_weight, epsilon=epsilon, rho=rho, tol=tol,
         max_iter=max_iter, extent=extent, mass=mass, color_space=color_space,
         solve_size=solve_size, max_particles=max_particles,
     )  # fmt: skip
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
-    report = progress or (lambda stage, share: None)
+    divergence = check_flag("divergence", divergence)
+    report = check_progress(progress)
+    n_frames, tol, max_iter, solve_size, max_particles = (
+        options[name] for name in ("n_frames", "tol", "max_iter", "solve_size", "max_particles")
+    )
     images = as_pixels(image_a, "image_a"), as_pixels(image_b, "image_b")
     whole = lift_pair(
         images, color_weight, weights=weights, mass=mass, extent=extent,
@@ -140,7 +144,7 @@ color_space, color_metric, weights, backend
         )
         if isinstance(made, Plan):
             drawn, moving = made, len(made)
-    frames = frame_seconds(*whole, potentials, drawn, moving, int(n_frames), operations)
+    frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations)
     report("timing", 1.0)
     return Inspection(
         source=source,
@@ -157,7 +161,7 @@ color_space, color_metric, weights, backend
             dimension=as_pair(source, target)[0].points.shape[1],
         ),
         seconds=Seconds(transport_seconds, plan_seconds, frames),
-        n_frames=int(n_frames),
+        n_frames=n_frames,
         moving=moving,
         shapes=(whole[0].shape, whole[1].shape),
         device=operations.description,

@@ -6,12 +6,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.checks import check_choice
-from clmorph.colors import to_space
+from clmorph.checks import check_choice, check_number
+from clmorph.colors import COLOR_SPACES, to_space
 from clmorph.errors import InputError
 from clmorph.measures import Measure
-from clmorph.plan import Plan
-from clmorph.sampling import Barycentric
+from clmorph.plan import Plan, check_plan
+from clmorph.points import as_image_measure
+from clmorph.sampling import Barycentric, check_barycentric
 
 #: What happens to mass that the plan does not move: "fade" draws it dying at its source
 #: and being born at its target; "drop" leaves it out, as the paper's code does.
@@ -55,7 +56,8 @@ class Particles:
         return np.asarray(self.weights.sum(axis=0))
 
     def mass(self, t: float) -> float:
-        """Total mass at time t."""
+        """Total mass at time t, from 0 to 1."""
+        t = check_number("t", t, 0.0, 1.0)
         start, end = self._end_masses
         return float((1 - t) * start + t * end)
 
@@ -93,9 +95,19 @@ def particles(
     Raises
     ------
     InputError
-        If an option is not one of these, or "drop" would leave no particle.
+        If an argument cannot be used, or "drop" would leave no particle.
     """
     check_choice("unmatched", unmatched, UNMATCHED)
+    check_choice("path_space", path_space, COLOR_SPACES)
+    source, target = (
+        as_image_measure(name, measure, "particles have positions and colors")
+        for name, measure in (("source", source), ("target", target))
+    )
+    sizes = len(source), len(target)
+    if isinstance(plan, Plan):
+        check_plan("plan", plan, sizes)
+    else:
+        check_barycentric("plan", plan, sizes)
     if unmatched == "drop" and not plan.row_mass.any():
         raise InputError(
             "unmatched='drop': nothing travels, so there is nothing to draw; raise the reach, "

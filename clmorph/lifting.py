@@ -1,12 +1,12 @@
 """Two images become two measures that can be compared."""
 
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from clmorph import defaults
+from clmorph.arrays import as_array
 from clmorph.errors import InputError
 from clmorph.measures import Measure, lift
 
@@ -80,8 +80,7 @@ def _of_equal_mass(
 
 def _metrics(metric: ArrayLike | None) -> tuple[Any, Any]:
     """Return the color metrics of source and target: a map belongs to the source alone."""
-    try:
-        constant = np.shape(cast(Any, metric)) == (3, 3)
-    except ValueError:
-        raise InputError("color_metric is no array of numbers: its rows differ in length") from None
-    return metric, metric if constant else None
+    if metric is None:
+        return None, None
+    array = as_array("color_metric", metric, "an array (3, 3), (H, W, 3, 3) or (H, W)")
+    return array, array if array.shape == (3, 3) else None

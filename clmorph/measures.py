@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph import defaults
-from clmorph.checks import check_choice, check_color_weight
-from clmorph.colors import as_metric, square_root, to_space
+from clmorph.arrays import as_floats
+from clmorph.checks import check_choice, check_color_weight, shown
+from clmorph.colors import COLOR_SPACES, as_metric, square_root, to_space
 from clmorph.errors import InputError
 from clmorph.images import as_pixels, split_alpha
 from clmorph.operations import MAX_POINTS
@@ -177,16 +178,7 @@ def lift(
     InputError
         If an argument cannot be used.
     """
-    try:
-        sides = np.shape(image)[:2]
-    except ValueError:
-        raise InputError("the image is no array of pixels: its rows differ in length") from None
-    if np.prod(sides, dtype=float) > MAX_POINTS:
-        raise InputError(
-            f"the image has shape {sides}: expected at most {MAX_POINTS} pixels in all; "
-            "reduce it with clmorph.fit"
-        )
-    colors, alpha = split_alpha(as_pixels(image))
+    colors, alpha = split_alpha(as_pixels(image, max_pixels=MAX_POINTS))
     color_weight = check_color_weight(color_weight)
     check_choice("extent", extent, EXTENTS)
     check_choice("mass", mass, MASSES)
@@ -195,24 +187,13 @@ def lift(
     if weights is None:
         masses = _masses(colors, alpha, mass)
     else:
-        try:
-            masses = np.array(weights, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(
-                "weights are no array of numbers: expected a map (H, W) of masses"
-            ) from None
+        masses = as_floats("weights", weights, "a map (H, W) of masses")
         if masses.shape != shape:
             raise InputError(f"weights have shape {masses.shape}: expected the image's, {shape}")
         if alpha is not None:
             masses *= alpha
         masses = masses.ravel()
-        with np.errstate(over="ignore"):
-            total = masses.sum()
-        if not (np.all(masses >= 0) and 1e-30 <= total <= 1e30):
-            raise InputError(
-                "weights: expected masses of at least 0 with a positive sum, from 1e-30 to 1e30; "
-                "replace negative or missing ones by 0, and scale them"
-            )
+        check_masses("weights", masses)
     colors = colors.reshape(n, 3)
     to_space(colors[:1], color_space)  # is there such a one?
     return Measure(
@@ -226,6 +207,70 @@ def lift(
         color_metric=None if color_metric is None else as_metric(color_metric, shape),
         alpha=None if alpha is None else alpha.ravel(),
     )
+
+
+def check_masses(name: str, masses: NDArray[np.float64]) -> None:
+    """Check masses of points.
+
+    Raises
+    ------
+    InputError
+        If one is negative or NaN, or their sum is out of range.
+    """
+    with np.errstate(over="ignore"):
+        total = masses.sum()
+    if not (np.all(masses >= 0) and 1e-30 <= total <= 1e30):
+        raise InputError(
+            f"{name}: expected masses of at least 0 with a positive sum, from 1e-30 to 1e30; "
+            "replace negative or missing ones by 0, and scale them"
+        )
+
+
+def check_measure(name: str, measure: Measure) -> None:
+    """Check a lifted image, whose parts a caller can have replaced.
+
+    Raises
+    ------
+    InputError
+        If a part is not what `Measure` says it is.
+    """
+    remedy = "lift the image again with clmorph.lift, which checks what it is given"
+    try:
+        height, width = measure.shape
+        n = int(height) * int(width)
+        check_color_weight(measure.color_weight)
+        check_choice("extent", measure.extent, EXTENTS)
+        check_choice("color_space", measure.color_space, COLOR_SPACES)
+    except (TypeError, ValueError) as error:
+        reason = f": {error}" if isinstance(error, InputError) else ""
+        raise InputError(f"{name} is no usable Measure{reason}; {remedy}") from None
+    shapes = {"positions": (n, 2), "colors": (n, 3), "weights": (n,)}
+    if measure.alpha is not None:
+        shapes["alpha"] = (n,)
+    for part, shape in shapes.items():
+        array = getattr(measure, part)
+        usable = type(array) is np.ndarray and array.dtype == np.float64 and array.shape == shape
+        low, high = (-1e6, 1e6) if part == "positions" else (-1e-6, 1 + 1e-6)
+        # NaN is within no range.
+        if usable and part != "weights":
+            usable = bool(array.min() >= low and array.max() <= high)
+        if not usable:
+            raise InputError(
+                f"{name} has {part} {shown(array)}: expected a float64 array of shape {shape}, "
+                f"each from {low:g} to {high:g}; {remedy}"
+                if part != "weights"
+                else f"{name} has weights {shown(array)}: expected a float64 array of shape "
+                f"{shape}; {remedy}"
+            )
+    check_masses(f"{name}: its weights", measure.weights)
+    if measure.color_metric is not None:
+        metric = measure.color_metric
+        usable = type(metric) is np.ndarray and metric.shape in ((3, 3), (n, 3, 3))
+        if not usable or metric.dtype != np.float64 or not np.all(np.isfinite(metric)):
+            raise InputError(
+                f"{name} has color_metric {shown(metric)}: expected a finite float64 array of "
+                f"shape (3, 3) or {(n, 3, 3)}; {remedy}"
+            )
 
 
 def _masses(

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,11 +10,15 @@ from numpy.typing import ArrayLike
 from clmorph import defaults
 from clmorph.backends import Backend, get_backend
 from clmorph.checks import (
+    as_float,
     check_choice,
     check_color_weight,
+    check_flag,
     check_integer,
     check_number,
+    check_progress,
     check_sigma,
+    shown,
 )
 from clmorph.colors import COLOR_SPACES
 from clmorph.endpoints import ENDPOINTS
@@ -68,28 +72,34 @@ def check_options(
     solve_size: int | None = None,
     max_particles: int | None = None,
     max_memory: float | None = None,
-) -> None:
+) -> dict[str, Any]:
     """Check the options of `morph` without doing any of its work.
+
+    Returns
+    -------
+    dict
+        The same options, as plain numbers, texts and truth values.
 
     Raises
     ------
     InputError
         If one cannot be used.
     """
-    check_integer("n_frames", n_frames, 2, 100_000)
+    options: dict[str, Any] = dict(locals())
+    options["n_frames"] = check_integer("n_frames", n_frames, 2, 100_000)
     given = strengths(blur, reach, epsilon, rho)
-    check_color_weight(color_weight)
+    options["color_weight"] = check_color_weight(color_weight)
     for name, width in (("sigma_start", sigma_start), ("sigma_end", sigma_end)):
         if not (isinstance(width, str) and width == "auto"):
-            check_sigma(name, width)
-    check_number("gamma", gamma, 0.0, 1e4)
-    check_solver_options(tol, max_iter)
+            options[name] = check_sigma(name, width)
+    options["gamma"] = check_number("gamma", gamma, 0.0, 1e4)
+    options["tol"], options["max_iter"], _ = check_solver_options(tol, max_iter)
     check_choice("extent", extent, EXTENTS)
     check_choice("splatting", splatting, SPLATTING)
-    if sigma is not None and (sigma != "optimal" or splatting not in ("adaptive", "local")):
+    if sigma is not None and (not _is_optimal(sigma) or splatting not in ("adaptive", "local")):
         raise InputError(
-            f"sigma={sigma!r}: expected 'optimal' or nothing, and splatting 'adaptive' or 'local' "
-            "with it; widths in pixels are sigma_start and sigma_end"
+            f"sigma={shown(sigma)}: expected 'optimal' or nothing, and splatting 'adaptive' or "
+            "'local' with it; widths in pixels are sigma_start and sigma_end"
         )
     if sigma is not None and isinstance(given.reach, tuple):
         raise InputError(NO_DIVERGENCE)
@@ -98,18 +108,24 @@ def check_options(
     check_choice("mass", mass, MASSES)
     check_choice("color_space", color_space, COLOR_SPACES)
     check_choice("path_space", path_space, COLOR_SPACES)
+    options["barycentric"] = check_flag("barycentric", barycentric)
     if sample is not None:
-        check_integer("sample", sample, 1, MAX_DRAWS)
+        options["sample"] = check_integer("sample", sample, 1, MAX_DRAWS)
         if barycentric:
             raise InputError(f"barycentric=True and sample={sample} contradict: give one of them")
-    check_integer("seed", seed, 0, 2**63)
+    options["seed"] = check_integer("seed", seed, 0, 2**63)
     check_choice("ease", ease, EASES)
     if solve_size is not None:
-        check_integer("solve_size", solve_size, 2, 1 << 16)
+        options["solve_size"] = check_integer("solve_size", solve_size, 2, 1 << 16)
     if max_particles is not None:
-        check_integer("max_particles", max_particles, 1, 1 << 31)
+        options["max_particles"] = check_integer("max_particles", max_particles, 1, 1 << 31)
     if max_memory is not None:
-        check_number("max_memory", max_memory, 1.0, 1e18)
+        options["max_memory"] = check_number("max_memory", max_memory, 1.0, 1e18)
+    return options
+
+
+def _is_optimal(sigma: Any) -> bool:
+    return isinstance(sigma, str) and sigma == "optimal"
 
 
 def morph(
@@ -232,7 +248,7 @@ def morph(
     MemoryWarning
         If the whole plan does not fit into `max_memory`.
     """
-    check_options(
+    options = check_options(
         n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
         epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
         splatting=splatting, sigma=sigma, endpoints=endpoints, unmatched=unmatched, mass=mass,
@@ -240,15 +256,21 @@ def morph(
         seed=seed, ease=ease, solve_size=solve_size,
         max_particles=max_particles, max_memory=max_memory,
     )  # fmt: skip
-    parameters = _told(locals())
-    report = progress or (lambda stage, share: None)
-    if sigma is not None and color_metric is not None and np.ndim(cast(Any, color_metric)) > 2:
-        raise InputError(NO_DIVERGENCE)
+    n_frames, tol, max_iter, barycentric, sample, seed = (
+        options[name] for name in ("n_frames", "tol", "max_iter", "barycentric", "sample", "seed")
+    )
+    solve_size, max_particles, max_memory = (
+        options[name] for name in ("solve_size", "max_particles", "max_memory")
+    )
+    report = check_progress(progress)
     images = as_pixels(image_a, "image_a"), as_pixels(image_b, "image_b")
     source, target = lift_pair(
         images, color_weight, weights=weights, mass=mass, extent=extent,
         color_space=color_space, color_metric=color_metric,
     )  # fmt: skip
+    parameters = _told(options | {"weights": weights, "color_metric": color_metric})
+    if sigma is not None and source.has_metric_map:
+        raise InputError(NO_DIVERGENCE)
     if barycentric:
         destination_colors(source, target)  # can there be any?
     coarsest = solve_size or max(source.shape + target.shape)
@@ -268,9 +290,10 @@ def morph(
         max_particles=max_particles, max_memory=max_memory,
     )  # fmt: skip
     report("plan", 1.0)
+    widths = options["sigma_start"], options["sigma_end"]
     ends = [
-        auto_sigma(image) if width == "auto" else float(width)
-        for width, image in zip((sigma_start, sigma_end), images, strict=True)
+        auto_sigma(image) if width == "auto" else width
+        for width, image in zip(widths, images, strict=True)
     ]
     result = Morph(
         source=source,
@@ -278,9 +301,9 @@ def morph(
         potentials=potentials,
         plan=plan,
         particles=particles(source, target, plan, unmatched=unmatched, path_space=path_space),
-        times=eased(np.linspace(0.0, 1.0, int(n_frames)), ease),
+        times=eased(np.linspace(0.0, 1.0, n_frames), ease),
         kernel_width=KernelWidth(
-            ends[0], ends[1], float(gamma),
+            ends[0], ends[1], options["gamma"],
             *_effective_counts(source, target, plan, unmatched), splatting,
         ),
         operations=operations,
@@ -295,25 +318,25 @@ def morph(
 
 
 def _told(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of `morph` as JSON takes them; of arrays only that there were some."""
+    """Return checked options of `morph` as JSON takes them; of arrays that there were some."""
     told: dict[str, Any] = {}
     for name, value in options.items():
-        if name in ("image_a", "image_b", "backend", "progress"):
-            continue
         told[name] = value
         if name in ("weights", "color_metric") and value is not None:
             parts = value if name == "weights" else (value,)
             told[name] = [None if part is None else "an array" for part in parts]
         elif name in ("reach", "rho") and value is not None:
-            told[name] = [_finite(part) for part in value] if np.ndim(value) else _finite(value)
-        elif isinstance(value, np.generic):
-            told[name] = value.item()
+            halves = as_float(value) is None
+            told[name] = [_finite(part) for part in value] if halves else _finite(value)
+        elif name in ("blur", "epsilon"):
+            told[name] = _finite(value)
     return told
 
 
 def _finite(strength: Any) -> float | None:
-    """Return a reach as a number, None for balanced."""
-    return None if strength is None or np.isinf(strength) else float(strength)
+    """Return a strength as a number, None for balanced."""
+    number = as_float(strength)
+    return None if number is None or np.isinf(number) else number
 
 
 def _effective_counts(

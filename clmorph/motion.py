@@ -71,8 +71,8 @@ class Motion:
     loop: str = "loop"
 
     def __post_init__(self) -> None:
-        check_number("fps", self.fps, 0.1, 240.0)
-        check_number("hold", self.hold, 0.0, 3600.0)
+        object.__setattr__(self, "fps", check_number("fps", self.fps, 0.1, 240.0))
+        object.__setattr__(self, "hold", check_number("hold", self.hold, 0.0, 3600.0))
         check_choice("loop", self.loop, LOOPS)
 
     @classmethod

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.checks import check_progress
 from clmorph.divergence import sinkhorn_divergence
 from clmorph.errors import InputError
-from clmorph.quality import frame_measure, particle_measure
+from clmorph.quality import check_morph, frame_measure, particle_measure
 from clmorph.rendering import Widths
 
 if TYPE_CHECKING:
@@ -58,13 +59,14 @@ def optimal_curve(
     InputError
         If the morph has no divergence: its reach is a pair, or its metric of color a map.
     """
+    report = check_progress(progress)
+    check_morph(morph)
     if morph.source.has_metric_map or isinstance(morph.potentials.reach, tuple):
         raise InputError(NO_DIVERGENCE)
     widths = []
     for number, t in enumerate(KNOTS):
         widths.append(_least(_objective(morph, float(t))))
-        if progress:
-            progress((number + 1) / len(KNOTS))
+        report((number + 1) / len(KNOTS))
     return KNOTS, np.array(widths)
 
 

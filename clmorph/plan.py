@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph import defaults
+from clmorph.arrays import as_floats
 from clmorph.backends import Backend, get_backend
-from clmorph.checks import check_choice, check_number
+from clmorph.checks import check_choice, check_number, shown
 from clmorph.errors import InputError, PlanSizeError
 from clmorph.operations import PlanRows
 from clmorph.points import MeasureLike, as_pair
-from clmorph.potentials import Potentials
+from clmorph.potentials import Potentials, check_origin, check_potentials
+from clmorph.problem import largest_cost
 from clmorph.softmins import plan_softmin
 
 if TYPE_CHECKING:
@@ -114,7 +116,27 @@ class Plan:
         (N, D) and (M, D) arrays
             T(x_i) = sum_j pi_ij y_j / sum_j pi_ij, and likewise backwards; a point that no mass
             leaves or reaches stays.
+
+        Raises
+        ------
+        InputError
+            If they are not as many points as the plan's, of one dimension.
         """
+        source, target = (
+            as_floats(name, points, "an array (N, D) of points")
+            for name, points in (("source", source), ("target", target))
+        )
+        sizes = source.shape[:1], target.shape[:1]
+        if (
+            not source.ndim == target.ndim == 2
+            or sizes != ((self.shape[0],), (self.shape[1],))
+            or source.shape[1] != target.shape[1]
+            or not (np.all(np.isfinite(source)) and np.all(np.isfinite(target)))
+        ):
+            raise InputError(
+                f"source has shape {source.shape}, target {target.shape}: expected finite points "
+                f"({self.shape[0]}, D) and ({self.shape[1]}, D), those of the plan's measures"
+            )
         means = []
         for groups, mass, own, ends in (
             (self.rows, self.row_mass, source, target[self.indices]),
@@ -138,6 +160,57 @@ def _share_dropped(kept: Any, whole: Any) -> Any:
     whole = np.asarray(whole, float)
     share = np.divide(kept, whole, out=np.ones_like(whole), where=whole > 0)
     return np.clip(1.0 - share, 0.0, 1.0)
+
+
+def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
+    """Return a plan between measures of so many points.
+
+    Parameters
+    ----------
+    name : str
+        What messages call it.
+    value : Plan
+    sizes : (N, M)
+
+    Raises
+    ------
+    InputError
+        If it is none, or of other sizes, or its parts do not belong together.
+    """
+    if not isinstance(value, Plan):
+        raise InputError(
+            f"{name}={shown(value)}: expected a Plan, as clmorph.transport_plan returns it"
+        )
+    if type(value.shape) is not tuple or value.shape != sizes:
+        of = " and ".join(map(shown, value.shape)) if type(value.shape) is tuple else "?"
+        raise InputError(
+            f"{name} is for {of} points: expected {sizes[0]} and {sizes[1]}; build it for these "
+            "measures"
+        )
+    n, m = sizes
+    kinds = (
+        (value.indptr, "i"),
+        (value.indices, "i"),
+        (value.mass, "f"),
+        (value.whole_row_mass, "f"),
+    )
+    usable = all(type(array) is np.ndarray and array.dtype.kind == kind for array, kind in kinds)
+    if usable:
+        kept = len(value.mass)
+        shapes = [array.shape for array, _ in kinds]
+        usable = shapes == [(n + 1,), (kept,), (kept,), (n,)]
+        usable = usable and value.indptr[0] == 0 and value.indptr[-1] == kept
+        usable = usable and bool(np.all(np.diff(value.indptr) >= 0))
+        # NaN is within no range, and no array is made as long as all pairs.
+        usable = usable and not (kept and not 0 <= value.indices.min() <= value.indices.max() < m)
+        for masses in (value.mass, value.whole_row_mass):
+            usable = usable and not (len(masses) and not 0 <= masses.min() <= masses.max() < np.inf)
+    if not usable:
+        raise InputError(
+            f"{name}: its arrays do not belong together, or hold what they cannot; expected a Plan "
+            "as clmorph.transport_plan returns it"
+        )
+    return value
 
 
 def transport_plan(
@@ -191,12 +264,10 @@ def transport_plan(
     relative = check_number("relative", relative, 0.0, 1.0, open_low=True)
     check_choice("relative_to", relative_to, RELATIVE_TO)
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
+    if log_threshold is not None:
+        log_threshold = check_number("log_threshold", log_threshold, -1e4, 1e4)
+    check_potentials("potentials", potentials, (len(source), len(target)))
     f, g, epsilon = potentials.f, potentials.g, potentials.epsilon
-    if (len(f), len(g)) != (len(source), len(target)):
-        raise InputError(
-            f"potentials are for {len(f)} and {len(g)} points: expected {len(source)} and "
-            f"{len(target)}; compute them for these measures"
-        )
     operations = get_backend(backend)
     rows = operations.upload(source.points, source.weights, source.offsets)
     columns = operations.upload(target.points, target.weights, target.offsets)
@@ -206,6 +277,8 @@ def transport_plan(
         to_rows = plan_softmin(operations, (rows, columns), (source, target), potentials)
         softmin = to_rows(g, epsilon, potentials.precise)
         whole = np.exp((f - softmin) / epsilon + log_a)
+    largest = largest_cost(source.points, target.points)
+    check_origin(potentials, whole, to_rows.rounding(len(g), largest, epsilon, potentials.precise))
     total = float(whole.sum())
     if not total <= 1e3 * max(source.mass, target.mass):
         raise InputError(
@@ -214,8 +287,8 @@ def transport_plan(
             "larger blur or a smaller color_weight"
         )
     if log_threshold is not None:
-        tau = check_number("log_threshold", log_threshold, -1e4, 1e4)
-        row_thresholds, column_thresholds = np.full(len(f), tau), np.full(len(g), np.inf)
+        row_thresholds = np.full(len(f), log_threshold)
+        column_thresholds = np.full(len(g), np.inf)
     else:
         row_maxima = operations.row_maxima(rows, columns, g, epsilon, to_rows.near)
         row_maxima += f / epsilon + log_a

@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clmorph.arrays import as_floats
 from clmorph.errors import InputError
-from clmorph.measures import Measure
+from clmorph.measures import Measure, check_masses, check_measure
 from clmorph.operations import MAX_DIMENSION, MAX_POINTS
+from clmorph.printable import printable
 
 #: Largest coordinate, in the unit of blur and reach.
 MAX_COORDINATE = 1e6
@@ -74,7 +76,7 @@ def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
 
 def as_measures(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
     """Return two measures that can be compared, see `as_pair`, as they are."""
-    pair = _as_measure("source", source), _as_measure("target", target)
+    pair = as_measure("source", source), as_measure("target", target)
     if isinstance(pair[0], Measure) and isinstance(pair[1], Measure):
         for name in ("color_weight", "extent", "color_space"):
             ours, theirs = getattr(pair[0], name), getattr(pair[1], name)
@@ -133,24 +135,81 @@ def _bilinear(source: Measure, target: Measure) -> tuple[WeightedPoints, Weighte
     return WeightedPoints(x, source.weights, r), WeightedPoints(y, target.weights, s)
 
 
-def _as_measure(name: str, value: Any) -> AnyMeasure:
-    if isinstance(value, (Measure, WeightedPoints)):
+def as_measure(name: str, value: Any) -> AnyMeasure:
+    """Return a measure that the solver can take.
+
+    Parameters
+    ----------
+    name : str
+        What messages call it.
+    value : Measure, WeightedPoints, or (weights (N,), points (N, D) or (N,))
+
+    Returns
+    -------
+    Measure or WeightedPoints
+        A measure of usable arrays is returned as it is.
+
+    Raises
+    ------
+    InputError
+        If it is no measure, or its masses or points are out of range.
+    """
+    if isinstance(value, Measure):
+        check_measure(name, value)
         return value
+    if isinstance(value, WeightedPoints):
+        made = _weighted_points(name, value.weights, value.points, value.offsets)
+        ours = (value.weights, value.points, value.offsets)
+        return value if all(map(_is_plain, ours)) else made
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise InputError(
-            f"{name} is a {type(value).__name__}: expected a Measure (clmorph.lift(image) makes "
-            "one), or a pair (weights (N,), points (N, D))"
+            f"{name} is a {_kind(value)}: expected a Measure (clmorph.lift(image) makes one), or "
+            "a pair (weights (N,), points (N, D))"
         )
-    arrays = []
-    for part, content in zip(("weights", "points"), value, strict=True):
-        try:
-            arrays.append(np.array(content, dtype=float))
-        except (TypeError, ValueError):
-            raise InputError(
-                f"{name}: its {part} are no array of numbers; expected (weights (N,), points "
-                "(N, D)), in this order"
-            ) from None
-    weights, points = arrays
+    return _weighted_points(name, *value)
+
+
+def as_image_measure(name: str, value: Any, why: str, instead: str = "") -> Measure:
+    """Return a measure that must be a lifted image.
+
+    Parameters
+    ----------
+    name : str
+        What messages call it.
+    value : Measure
+    why : str
+        What is needed of an image, for the message.
+    instead : str
+        What to do with plain points, for the message.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if not isinstance(value, Measure):
+        raise InputError(
+            f"{name} is a {_kind(value)}: expected a Measure, as {why}; make one with "
+            f"clmorph.lift(image){instead}"
+        )
+    check_measure(name, value)
+    return value
+
+
+def _kind(value: Any) -> str:
+    return printable(type(value).__name__)
+
+
+def _is_plain(array: Any) -> bool:
+    """Whether the solver can take an array as it is."""
+    return array is None or (type(array) is np.ndarray and array.dtype == np.float64)
+
+
+def _weighted_points(name: str, weights: Any, points: Any, offsets: Any = None) -> WeightedPoints:
+    """Return weighted points of checked arrays."""
+    expected = "weights (N,) and points (N, D), in this order"
+    weights = as_floats(f"{name}: its weights", weights, expected)
+    points = as_floats(f"{name}: its points", points, expected)
     if points.ndim == 1:
         points = points[:, None]
     if weights.ndim != 1 or points.ndim != 2 or len(weights) != len(points) or not len(weights):
@@ -168,11 +227,12 @@ def _as_measure(name: str, value: Any) -> AnyMeasure:
             f"{name}: expected finite coordinates within +-{MAX_COORDINATE:g}; remove missing "
             "ones, and choose another unit for large ones"
         )
-    with np.errstate(over="ignore"):
-        total = weights.sum()
-    if not (np.all(weights >= 0) and 1e-30 <= total <= 1e30):
-        raise InputError(
-            f"{name}: expected weights of at least 0 with a positive sum, from 1e-30 to 1e30; "
-            "replace negative or missing ones by 0, and scale them"
-        )
-    return WeightedPoints(points, weights)
+    check_masses(f"{name}: its weights", weights)
+    if offsets is not None:
+        offsets = as_floats(f"{name}: its offsets", offsets, "one cost for each point, (N,)")
+        if offsets.shape != weights.shape or not np.all(np.abs(offsets) <= MAX_COORDINATE**2):
+            raise InputError(
+                f"{name}: its offsets have shape {offsets.shape}: expected {weights.shape}, finite "
+                f"and within +-{MAX_COORDINATE**2:g}"
+            )
+    return WeightedPoints(points, weights, offsets)

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.checks import check_blur, check_flag, shown
+from clmorph.errors import InputError
 from clmorph.problem import Certificate
-from clmorph.strengths import Reach
+from clmorph.strengths import Reach, strengths
 
 Array = NDArray[np.float64]
 
@@ -140,3 +142,99 @@ class Potentials:
     def column_mass(self) -> Array:
         """(M,) second marginal of the plan: mass that arrives at each target point."""
         return self.certificate.column_mass
+
+
+def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potentials:
+    """Return potentials that are usable for measures of so many points.
+
+    Parameters
+    ----------
+    name : str
+        What messages call them.
+    value : Potentials
+    sizes : (N, M)
+
+    Raises
+    ------
+    InputError
+        If they are none, of other sizes, or not finite.
+    """
+    if not isinstance(value, Potentials):
+        raise InputError(
+            f"{name}={shown(value)}: expected Potentials, as clmorph.sinkhorn returns them"
+        )
+    arrays = value.f, value.g
+    if not all(type(array) is np.ndarray and array.dtype == np.float64 for array in arrays):
+        raise InputError(
+            f"{name}: f and g are no float64 arrays; expected Potentials as clmorph.sinkhorn "
+            "returns them"
+        )
+    shapes = value.f.shape, value.g.shape
+    if shapes != ((sizes[0],), (sizes[1],)):
+        points = " and ".join(str(shape[0] if len(shape) == 1 else shape) for shape in shapes)
+        raise InputError(
+            f"{name} are for {points} points: expected {sizes[0]} and {sizes[1]}; compute them "
+            "for these measures"
+        )
+    if not (np.all(np.isfinite(value.f)) and np.all(np.isfinite(value.g))):
+        raise InputError(
+            f"{name}: f or g holds NaN or infinity; expected Potentials as clmorph.sinkhorn "
+            "returns them"
+        )
+    check_blur(value.blur)
+    lengths = value.reach if isinstance(value.reach, tuple) else (value.reach,)
+    numbers = [value.residual, value.truncation_error, value.visited, value.n_iter]
+    numbers += [each for each in (*lengths, value.truncation) if each is not None]
+    # NaN is at least nothing.
+    usable = all(isinstance(each, float | int) and each >= 0 for each in numbers)
+    usable = usable and isinstance(value.status, str) and isinstance(value.message, str)
+    usable = usable and isinstance(value.residuals, np.ndarray) and value.residuals.dtype == float
+    if not usable or np.isnan(value.residuals).any() or value.truncation_error == np.inf:
+        raise InputError(
+            f"{name}: parts of it are not what they should be; expected Potentials as "
+            "clmorph.sinkhorn returns them"
+        )
+    strengths(value.blur, value.reach)
+    check_flag(f"{name}: precise", value.precise)
+    certificate = value.certificate
+    if not isinstance(certificate, Certificate) or shapes != (
+        np.shape(certificate.row_mass),
+        np.shape(certificate.column_mass),
+    ):
+        raise InputError(
+            f"{name}: the certificate is not of these potentials; expected Potentials as "
+            "clmorph.sinkhorn returns them"
+        )
+    return value
+
+
+#: Share by which the marginal of a plan may differ from the one that its potentials tell, beside
+#: rounding and truncation: far more than either leaves, far less than other measures do.
+FOREIGN = 0.01
+
+
+def check_origin(potentials: Potentials, row_mass: Array, rounding: float) -> None:
+    """Check that a plan's marginal is the one that its potentials were returned with.
+
+    Parameters
+    ----------
+    potentials : Potentials
+    row_mass : (N,) array
+        Of the plan of these potentials between the measures at hand.
+    rounding : float
+        By how many nats rounding can change a softmin.
+
+    Raises
+    ------
+    InputError
+        If not: then they were computed for other measures.
+    """
+    nats = 4.0 * rounding + 2.0 * potentials.truncation_error + (potentials.truncation or 0.0)
+    own = potentials.row_mass
+    most = (FOREIGN + np.expm1(min(nats, 100.0))) * max(float(own.sum()), float(row_mass.sum()))
+    if not float(np.abs(row_mass - own).sum()) <= most:
+        raise InputError(
+            "potentials are of other measures: the plan of these has other marginals than "
+            "potentials.row_mass; expected the measures that they were computed for, in the same "
+            "order"
+        )

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph import defaults
+from clmorph.arrays import as_floats
 from clmorph.backends import Backend
-from clmorph.checks import check_choice, check_integer, check_number
+from clmorph.checks import check_choice, check_integer, check_number, check_progress, shown
 from clmorph.colors import from_space
 from clmorph.divergence import Divergence, sinkhorn_divergence
 from clmorph.errors import InputError
@@ -17,6 +18,7 @@ from clmorph.measures import LUMINANCE, Measure
 from clmorph.points import WeightedPoints
 from clmorph.rendering import Canvas, Sums, is_torn
 from clmorph.result import Morph
+from clmorph.strengths import strengths
 
 Array = NDArray[np.float64]
 
@@ -25,6 +27,8 @@ FRAME_WEIGHTS = ("kernel", "uniform")
 #: What frames are compared with: the target image, or the particles themselves.
 REFERENCES = ("target", "particles")
 
+#: The largest value that a coverage or a frame may have: its squares are still numbers.
+LARGEST = 1e30
 #: Points to which particles are merged before they are compared.
 MERGED_POINTS = 8192
 
@@ -53,6 +57,7 @@ def frame_measure(
     InputError
         If an option is none of these.
     """
+    check_morph(morph)
     t = check_number("t", t, 0.0, 1.0)
     check_choice("weights", weights, FRAME_WEIGHTS)
     canvas = morph.canvas(t)
@@ -60,6 +65,7 @@ def frame_measure(
         sums = morph.sums(t)
         colors = morph.frame(t)[..., :3].astype(float)
     else:
+        _check_sums(sums, canvas)
         colors = from_space(sums.colors, morph.particles.path_space)
     n = canvas.shape[0] * canvas.shape[1]
     masses = np.full(n, 1.0 / n)
@@ -89,6 +95,7 @@ def particle_measure(
         Root mean square distance of particles to the point they were merged to, in image sides;
         0 if none was.
     """
+    check_morph(morph)
     t = check_number("t", t, 0.0, 1.0)
     max_points = check_integer("max_points", max_points, 16, 1 << 20)
     moving = morph.particles
@@ -161,17 +168,26 @@ def path_divergence(
     InputError
         If an option cannot be used, or the morph's reach is a pair and none is given.
     """
+    check_morph(morph)
     check_choice("to", to, REFERENCES)
+    report = check_progress(progress)
     if morph.source.has_metric_map:
         raise InputError("a cost with a metric for each source pixel is no distance")
     blur = morph.potentials.blur if blur is None else blur
-    own_reach = morph.potentials.reach if reach is None else reach
+    given = strengths(blur, morph.potentials.reach if reach is None else reach)
+    own_reach = given.reach
     if isinstance(own_reach, tuple):
-        raise InputError(f"the morph's reach is {own_reach}: give one reach for both measures")
+        raise InputError(f"the reach is {own_reach}: give one reach for both measures")
     operations = morph.operations if backend is None else backend
     if weights is None:
         weights = "uniform" if to == "target" else "kernel"
-    moments = np.atleast_1d(np.asarray(times, float))
+    max_points = check_integer("max_points", max_points, 16, 1 << 20)
+    check_choice("weights", weights, FRAME_WEIGHTS)
+    moments = np.atleast_1d(as_floats("times", times, "times from 0 to 1"))
+    if moments.ndim > 1 or not moments.size:
+        raise InputError(f"times have shape {moments.shape}: expected (n,) times from 0 to 1")
+    for t in moments:
+        check_number("times", float(t), 0.0, 1.0)
     result = []
     for number, t in enumerate(moments):
         frame = frame_measure(morph, t, weights=weights)
@@ -180,9 +196,10 @@ def path_divergence(
             if to == "target"
             else particle_measure(morph, t, max_points=max_points)[0]
         )
-        result.append(sinkhorn_divergence(frame, other, blur, own_reach, tol, backend=operations))
-        if progress:
-            progress((number + 1) / len(moments))
+        result.append(
+            sinkhorn_divergence(frame, other, given.blur, own_reach, tol, backend=operations)
+        )
+        report((number + 1) / len(moments))
     return result
 
 
@@ -219,6 +236,8 @@ def step_sizes(frames: Sequence[ArrayLike]) -> Array:
     frames : sequence of (H, W, C) arrays
         Smaller ones are enlarged to the largest sides first; opacity is left out.
     """
+    if not isinstance(frames, list | tuple | np.ndarray) or not np.iterable(frames):
+        raise InputError(f"frames={shown(frames)}: expected a sequence of arrays (H, W, 3)")
     pictures = [_as_array("frame", frame, (3,))[..., :3] for frame in frames]
     if len(pictures) < 2:
         raise InputError(f"{len(pictures)} frames: expected at least 2, to have steps between them")
@@ -229,16 +248,29 @@ def step_sizes(frames: Sequence[ArrayLike]) -> Array:
     )
 
 
+def check_morph(morph: Morph) -> None:
+    """Raise InputError unless this is a Morph."""
+    if not isinstance(morph, Morph):
+        raise InputError(f"morph={shown(morph)}: expected a Morph, as clmorph.morph returns it")
+
+
+def _check_sums(sums: Sums, canvas: Canvas) -> None:
+    if not isinstance(sums, Sums) or np.shape(sums.density) != canvas.shape:
+        raise InputError(
+            f"sums={shown(sums)}: expected what morph.sums returns for the same t, of a frame of "
+            f"shape {canvas.shape}"
+        )
+
+
 def _as_array(name: str, values: ArrayLike, dimensions: tuple[int, ...]) -> Array:
     """Return an array of one of these numbers of dimensions; pictures have 3 or 4 channels."""
-    try:
-        array = np.asarray(values, float)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} is no array of numbers") from None
+    wanted = "(H, W)" if dimensions == (2,) else "(H, W, 3) or (H, W, 4)"
+    array = as_floats(name, values, f"an array {wanted}")
     pictured = array.ndim < 3 or array.shape[-1] in (3, 4)
     if array.ndim not in dimensions or array.size == 0 or not pictured:
-        wanted = "(H, W)" if dimensions == (2,) else "(H, W, 3) or (H, W, 4)"
         raise InputError(f"{name} has shape {array.shape}: expected {wanted}")
+    if not np.all(np.abs(array) <= LARGEST):
+        raise InputError(f"{name} holds NaN, infinity or numbers above {LARGEST:g}")
     return array
 
 

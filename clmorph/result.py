@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.checks import check_number
+from clmorph.checks import check_number, shown
 from clmorph.colors import from_space, to_space
 from clmorph.endpoints import EndCorrection, Lacking, ladder, make_details
+from clmorph.errors import InputError
 from clmorph.interpolation import Particles
 from clmorph.measures import Measure
 from clmorph.opacity import matter, opacity
@@ -84,6 +85,7 @@ class Morph:
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t."""
+        t = check_number("t", t, 0.0, 1.0)
         return canvas_at(t, self.source.shape, self.target.shape, self.source.extent)
 
     @cached_property
@@ -135,7 +137,12 @@ class Morph:
         -------
         Sums
         """
+        t = check_number("t", t, 0.0, 1.0)
         canvas = self.canvas(t)
+        if widths is not None and not isinstance(widths, Widths):
+            raise InputError(f"widths={shown(widths)}: expected clmorph.rendering.Widths, or None")
+        if widths is not None:
+            check_number("widths.sigma", widths.sigma, 0.0, 1e4)
         widths = widths or self.kernel_width.widths(t, canvas)
         # Where nothing is seen there are no holes to fill.
         fill = True if self._matter is None else self._opacity(t) > UNSEEN

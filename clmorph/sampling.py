@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends import Backend, get_backend
-from clmorph.checks import check_integer
+from clmorph.checks import check_integer, shown
 from clmorph.colors import from_space
 from clmorph.errors import InputError
 from clmorph.measures import Measure
 from clmorph.operations import Operations
 from clmorph.plan import Plan
 from clmorph.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.potentials import Potentials
+from clmorph.potentials import Potentials, check_origin, check_potentials
+from clmorph.problem import largest_cost
 from clmorph.softmins import Softmin, plan_softmin
 
 Array = NDArray[np.float64]
@@ -33,9 +34,10 @@ class Barycentric:
     Attributes
     ----------
     positions : (N, 2) array
-        Mean destination sum_j pi_ij y_j / r_i, in the common frame.
+        Mean destination sum_j pi_ij y_j / r_i, in the common frame; between plain points (N, D),
+        in their unit.
     colors : (N, 3) array
-        Mean color there, taken in the color space of the cost.
+        Mean color there, taken in the color space of the cost; (N, 0) between plain points.
     covariance : (N, D, D) array
         Of the destination as it is lifted: (x, y, lambda r, lambda g, lambda b), or what a color
         space or a metric makes of it.
@@ -118,16 +120,48 @@ def sample_plan(
     )
 
 
+def check_barycentric(name: str, value: Any, sizes: tuple[int, int]) -> Barycentric:
+    """Return mean destinations of pixels of images of so many pixels.
+
+    Raises
+    ------
+    InputError
+        If `value` is none such.
+    """
+    if not isinstance(value, Barycentric):
+        raise InputError(
+            f"{name}={shown(value)}: expected a Plan, as clmorph.transport_plan returns it, or a "
+            "Barycentric, as clmorph.barycentric_plan does"
+        )
+    n, m = sizes
+    parts = (
+        (value.positions, (n, 2)),
+        (value.colors, (n, 3)),
+        (value.row_mass, (n,)),
+        (value.column_mass, (m,)),
+    )
+    if not all(
+        type(array) is np.ndarray and array.shape == shape and np.all(np.isfinite(array))
+        for array, shape in parts
+    ):
+        raise InputError(
+            f"{name} is not of these measures: expected mean destinations of {n} pixels among "
+            f"{m}, finite; compute them for these measures with clmorph.barycentric_plan"
+        )
+    return value
+
+
 def barycentric_plan(
-    source: Measure, target: Measure, potentials: Potentials, *, backend: Backend = "auto"
+    source: MeasureLike, target: MeasureLike, potentials: Potentials, *, backend: Backend = "auto"
 ) -> Barycentric:
-    """Compute mean and covariance of every pixel's destination, in streaming, nothing pruned.
+    """Compute mean and covariance of every point's destination, in streaming, nothing pruned.
 
     Where potentials come with a truncation, what it leaves out is left out here too.
 
     Parameters
     ----------
-    source, target : Measure
+    source, target : Measure, WeightedPoints, or (weights, points)
+        Only between two images destinations have colors.
     potentials : Potentials
     backend : str or Operations
         See `clmorph.get_backend`.
@@ -142,14 +176,11 @@ def barycentric_plan(
         If an argument cannot be used; if the color weight or the metric leaves part of color
         out of the cost, and hence out of the plan's means.
     """
-    for name, measure in (("source", source), ("target", target)):
-        if not isinstance(measure, Measure):
-            raise InputError(
-                f"{name} is a {type(measure).__name__}: expected a Measure; make one with "
-                "clmorph.lift(image)"
-            )
+    images = isinstance(source, Measure) and isinstance(target, Measure)
     pair = as_pair(source, target)
-    to_colors = destination_colors(source, target)
+    to_colors: Callable[[Array], Array] = lambda mean: mean[:, :0]  # noqa: E731
+    if isinstance(source, Measure) and isinstance(target, Measure):
+        to_colors = destination_colors(source, target)
     operations, clouds, to_rows, softmin = _rows(*pair, potentials, backend)
     epsilon, precise = potentials.epsilon, potentials.precise
     mean, covariance = operations.plan_moments(
@@ -158,12 +189,12 @@ def barycentric_plan(
     to_columns = plan_softmin(operations, clouds[::-1], pair[::-1], potentials.swapped())
     columns = to_columns(potentials.f, epsilon, precise)
     with np.errstate(divide="ignore"):
-        column_mass = np.exp((potentials.g - columns) / epsilon + np.log(target.weights))
+        column_mass = np.exp((potentials.g - columns) / epsilon + np.log(pair[1].weights))
     return Barycentric(
-        positions=mean[:, :2],
+        positions=mean[:, :2] if images else mean,
         colors=to_colors(mean),
         covariance=covariance,
-        row_mass=_row_mass(source.weights, potentials, softmin),
+        row_mass=_row_mass(pair[0].weights, potentials, softmin),
         column_mass=column_mass,
     )
 
@@ -193,12 +224,7 @@ def _rows(
     source: AnyMeasure, target: AnyMeasure, potentials: Potentials, backend: Backend
 ) -> tuple[Operations, tuple[Any, Any], Softmin, Array]:
     """Return the operations, the uploaded clouds, what takes T(g), and T(g)."""
-    sizes = len(potentials.f), len(potentials.g)
-    if sizes != (len(source), len(target)):
-        raise InputError(
-            f"potentials are for {sizes[0]} and {sizes[1]} points: expected {len(source)} and "
-            f"{len(target)}; compute them for these measures"
-        )
+    check_potentials("potentials", potentials, (len(source), len(target)))
     operations = get_backend(backend)
     clouds = (
         operations.upload(source.points, source.weights, source.offsets),
@@ -206,9 +232,14 @@ def _rows(
     )
     to_rows = plan_softmin(operations, clouds, (source, target), potentials)
     softmin = to_rows(potentials.g, potentials.epsilon, potentials.precise)
+    rounding = to_rows.rounding(
+        len(target), largest_cost(source.points, target.points), potentials.epsilon,
+        potentials.precise,
+    )  # fmt: skip
+    check_origin(potentials, _row_mass(source.weights, potentials, softmin), rounding)
     return operations, clouds, to_rows, softmin
 
 
 def _row_mass(weights: Array, potentials: Potentials, softmin: Array) -> Array:
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         return np.exp((potentials.f - softmin) / potentials.epsilon + np.log(weights))

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from clmorph import defaults, geomloss_schedule
 from clmorph.ascent import SHORT, Ascent, State
 from clmorph.backends import Backend, get_backend
-from clmorph.checks import check_choice, check_integer, check_number
+from clmorph.checks import check_choice, check_flag, check_integer, check_number, check_progress
 from clmorph.errors import ConvergenceWarning, DeviceError, InputError
 from clmorph.multiscale import MANY_PAIRS, Multiscale
 from clmorph.operations import Operations
 from clmorph.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.potentials import Potentials
+from clmorph.potentials import Potentials, check_potentials
 from clmorph.problem import Problem, largest_cost
 from clmorph.strengths import Reach, Strengths, strengths
 
@@ -63,7 +63,7 @@ def sinkhorn(
     Parameters
     ----------
     source, target : Measure, WeightedPoints, or (weights (N,), points (N, D))
-        Of one space: D from 1 to 8. Zero weights are legal, and so are any total masses.
+        Of one space: D from 1 to 11. Zero weights are legal, and so are any total masses.
     blur : float
         Entropic length scale, in the points' unit (for images: the longer side).
     reach : float, None, or a pair (reach_source, reach_target)
@@ -120,23 +120,28 @@ def sinkhorn(
         If the residual does not reach `tol`.
     """
     given = strengths(blur, reach, epsilon, rho)
-    check_solver_options(tol, max_iter, method, scaling, precision, multiscale)
+    tol, max_iter, scaling = check_solver_options(
+        tol, max_iter, method, scaling, precision, multiscale
+    )
+    verify = check_flag("verify", verify)
+    report = check_progress(progress)
     pair = as_pair(source, target)
     operations = get_backend(backend)
     check_problem(*pair, given, operations, precision)
     many = len(pair[0]) * len(pair[1]) >= MANY_PAIRS
-    limit = choose_truncation(truncation, float(tol), many)
+    limit = choose_truncation(truncation, tol, many)
+    g = None
+    if start is not None:
+        g = check_potentials("start", start, (len(pair[0]), len(pair[1]))).g
     problem = Problem.between(operations, *pair, given.rho, None if method == "geomloss" else limit)
-    report = progress or (lambda share: None)
     if method == "geomloss":
-        return _geomloss(problem, given, float(scaling), float(tol), precision, report)
+        return _geomloss(problem, given, scaling, tol, precision, report)
     ascent: Ascent | Multiscale
-    options = given.blur, float(tol), int(max_iter), precision, report
-    if multiscale is True or (multiscale == "auto" and many and max_iter >= SHORT):
-        ascent = Multiscale(problem, pair, *options)
-    else:
-        ascent = Ascent(problem, *options)
-    ascent.run(None if start is None else _start(start, problem))
+    options = given.blur, tol, max_iter, precision, report
+    if multiscale == "auto":
+        multiscale = many and max_iter >= SHORT
+    ascent = Multiscale(problem, pair, *options) if multiscale else Ascent(problem, *options)
+    ascent.run(g)
     if verify and limit is not None:
         _take_all_pairs(ascent, given.epsilon)
     return _finish(ascent, given, limit)
@@ -149,26 +154,32 @@ def check_solver_options(
     scaling: Any = defaults.SCALING,
     precision: Any = "auto",
     multiscale: Any = "auto",
-) -> None:
+) -> tuple[float, int, float]:
     """Check options of `sinkhorn` without doing any of its work.
+
+    Returns
+    -------
+    tol, max_iter, scaling : float, int, float
 
     Raises
     ------
     InputError
         If one cannot be used.
     """
-    check_number("tol", tol, 0.0, 1e3, open_low=True)
-    check_integer("max_iter", max_iter, 1, 10**9)
     check_choice("method", method, METHODS)
-    check_number("scaling", scaling, 0.01, 0.999)
     check_choice("precision", precision, PRECISIONS)
-    if not isinstance(multiscale, bool):
+    if not isinstance(multiscale, bool | np.bool_):
         check_choice("multiscale", multiscale, MULTISCALE)
+    return (
+        check_number("tol", tol, 0.0, 1e3, open_low=True),
+        check_integer("max_iter", max_iter, 1, 10**9),
+        check_number("scaling", scaling, 0.01, 0.999),
+    )
 
 
 def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
     """Return what pairs may be left out for, in nats; None for nothing."""
-    if truncation == "auto" and isinstance(truncation, str):
+    if isinstance(truncation, str) and truncation == "auto":
         return 0.1 * tol if many else None
     return None if truncation is None else check_number("truncation", truncation, 1e-9, 0.1)
 
@@ -224,22 +235,6 @@ def check_problem(
             f"precision='float64': {operations.description} has no double precision; use "
             "'auto' (pairs of float32 where needed), another device, or the backend 'numpy'"
         )
-
-
-def _start(start: Potentials, problem: Problem) -> Array:
-    sizes = len(problem.a), len(problem.b)
-    try:
-        f, g = np.asarray(start.f, float), np.asarray(start.g, float)
-    except (AttributeError, TypeError, ValueError):
-        raise InputError(
-            f"start is a {type(start).__name__}: expected the Potentials of an earlier solve"
-        ) from None
-    if (f.shape, g.shape) != ((sizes[0],), (sizes[1],)) or not np.all(np.isfinite(g)):
-        raise InputError(
-            f"start has potentials of shapes {f.shape} and {g.shape}: expected finite ones for "
-            f"{sizes[0]} and {sizes[1]} points"
-        )
-    return g
 
 
 def _geomloss(

@@ -173,14 +173,20 @@ def test_the_default_threshold_drops_little(device, pair):
 
 def test_potentials_far_from_a_solution_are_refused(pair):
     source, target, potentials, _ = pair
-    wrong = dataclasses.replace(potentials, f=potentials.f + 100 * potentials.epsilon)
+    certificate = potentials.certificate._replace(row_mass=potentials.row_mass * np.exp(100))
+    wrong = dataclasses.replace(
+        potentials, f=potentials.f + 100 * potentials.epsilon, certificate=certificate
+    )
     with pytest.raises(InputError, match="too far from a solution"):
         transport_plan(source, target, wrong, backend="numpy")
 
 
 def test_a_plan_without_mass_is_empty(device, pair):
     source, target, potentials, _ = pair
-    nothing = dataclasses.replace(potentials, f=potentials.f - 1000 * potentials.epsilon)
+    certificate = potentials.certificate._replace(row_mass=np.zeros(len(source)))
+    nothing = dataclasses.replace(
+        potentials, f=potentials.f - 1000 * potentials.epsilon, certificate=certificate
+    )
     plan = transport_plan(source, target, nothing, backend=device)
     assert len(plan) == 0
     assert plan.total_mass == 0

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.checks import check_number
+from clmorph.checks import check_number, is_path, shown
 from clmorph.errors import InputError
 from clmorph.film import Film
 from clmorph.formats.bounded import UNREADABLE, from_text
@@ -137,6 +137,8 @@ def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Archive:
     InputError
         If the file cannot be read, is another's, or its arrays take more.
     """
+    if not is_path(path):
+        raise InputError(f"path={shown(path)}: expected the path of a morph saved as .npz")
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
     try:
         with Arrays(Path(path), max_bytes=max_bytes) as arrays:

@@ -11,10 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph import defaults
-from clmorph.checks import check_sigma
+from clmorph.arrays import as_floats
+from clmorph.checks import check_choice, check_number, check_sigma
+from clmorph.errors import InputError
 from clmorph.images import as_rgb
+from clmorph.interpolation import UNMATCHED
 from clmorph.measures import Measure
 from clmorph.morph import check_options
+from clmorph.points import as_image_measure
 from clmorph.potentials import Potentials
 from clmorph.reference.transport import sinkhorn, transport_plan
 from clmorph.strengths import Reach
@@ -77,7 +81,24 @@ def render(
     numerator : (H, W, 3) array
     denominator : (H, W) array
         The frame is numerator / denominator.
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
     """
+    source, target = (
+        as_image_measure(name, measure, "frames are images")
+        for name, measure in (("source", source), ("target", target))
+    )
+    t, sigma = check_number("t", t, 0.0, 1.0), check_sigma("sigma", sigma)
+    check_choice("unmatched", unmatched, UNMATCHED)
+    plan = as_floats("plan", plan, "an array (N, M) of masses")
+    sizes = len(source), len(target)
+    if plan.shape != sizes or not np.all(np.isfinite(plan) & (plan >= 0)):
+        raise InputError(
+            f"plan has shape {plan.shape}: expected finite masses of at least 0, of shape {sizes}"
+        )
     height, width = canvas_shape(t, source, target)
     numerator, denominator = np.zeros((height, width, 3)), np.zeros((height, width))
     a, b = source.weights, target.weights
@@ -123,9 +144,8 @@ def _to_pixels(positions: Array, t: float, source: Measure, target: Measure) -> 
 # --- the whole --------------------------------------------------------------------------
 
 
-def _lift(image: ArrayLike, color_weight: float, extent: str) -> Measure:
+def _lift(pixels: Array, color_weight: float, extent: str) -> Measure:
     """Lift an image with uniform weights (2.3)."""
-    pixels = as_rgb(image)
     height, width, _ = pixels.shape
     longer = max(height, width)
     positions = np.empty((height, width, 2))
@@ -177,6 +197,7 @@ class ReferenceMorph:
 
     def frame(self, t: float) -> Array:
         """Return the (H(t), W(t), 3) frame at time t."""
+        t = check_number("t", t, 0.0, 1.0)
         sigma = self._sigma(t)
         numerator, denominator = render(
             self.source, self.target, self.plan, t, sigma, self.unmatched
@@ -211,12 +232,18 @@ def morph(
     """Morph one image into another; parameters as `clmorph.morph`."""
     sigma_start = check_sigma("sigma_start", sigma_start)
     sigma_end = check_sigma("sigma_end", sigma_end)
-    check_options(
+    options = check_options(
         n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
         epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
         unmatched=unmatched,
     )  # fmt: skip
-    source, target = (_lift(image, color_weight, extent) for image in (image_a, image_b))
+    n_frames, color_weight, gamma, tol, max_iter = (
+        options[name] for name in ("n_frames", "color_weight", "gamma", "tol", "max_iter")
+    )
+    source, target = (
+        _lift(as_rgb(image, name), color_weight, extent)
+        for name, image in (("image_a", image_a), ("image_b", image_b))
+    )
     potentials = sinkhorn(source, target, blur, reach, tol, max_iter, epsilon=epsilon, rho=rho)
     plan = transport_plan(source, target, potentials)
     times = np.linspace(0, 1, n_frames)

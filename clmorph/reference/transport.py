@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph import defaults
-from clmorph.checks import check_number
+from clmorph.checks import check_integer, check_number
 from clmorph.errors import InputError
 from clmorph.measures import Measure
 from clmorph.points import AnyMeasure, MeasureLike, as_measures
-from clmorph.potentials import Potentials
+from clmorph.potentials import Potentials, check_potentials
 from clmorph.problem import Certificate
 from clmorph.strengths import Reach, Strengths, strengths
 
@@ -21,12 +21,22 @@ Array = NDArray[np.float64]
 MAX_PAIRS = 1 << 25
 
 
-def cost_matrix(source: AnyMeasure, target: AnyMeasure) -> Array:
+def cost_matrix(source: MeasureLike, target: MeasureLike) -> Array:
     """Return C_ij = |X_i - Y_j|^2 / 2 (Eq. 1 with the factor 1/2): (N, M) array.
 
     Or, with a metric of color for each source pixel (section 5),
     |x_i - y_j|^2 / 2 + lambda^2 (c_i - d_j)^T M_i (c_i - d_j) / 2.
+
+    Raises
+    ------
+    InputError
+        If they are no measures, not of one space, or of too many pairs for a dense plan.
     """
+    source, target = as_measures(source, target)
+    return _cost_matrix(source, target)
+
+
+def _cost_matrix(source: AnyMeasure, target: AnyMeasure) -> Array:
     if len(source) * len(target) > MAX_PAIRS:
         raise InputError(
             f"{len(source)} x {len(target)} pairs are too many for a dense plan: expected at most "
@@ -70,10 +80,11 @@ def sinkhorn(
     """
     given = strengths(blur, reach, epsilon, rho)
     tol = check_number("tol", tol, 0.0, 1e3, open_low=True)
+    max_iter = check_integer("max_iter", max_iter, 1, 10**9)
     source, target = as_measures(source, target)
     epsilon = given.epsilon
     damping = [1.0 if np.isinf(value) else value / (value + epsilon) for value in given.rho]
-    cost = cost_matrix(source, target)
+    cost = _cost_matrix(source, target)
     log_a, log_b = _log(source.weights), _log(target.weights)
     g = np.zeros(len(target))
     f_next = -damping[0] * epsilon * _log_sum_exp((g - cost) / epsilon + log_b, 1)
@@ -104,7 +115,7 @@ def certificate(
     plan = _plan(source, target, f, g, epsilon)
     r, c, mass = plan.sum(axis=1), plan.sum(axis=0), float(plan.sum())
     reference = np.outer(a, b)
-    primal = float(np.sum(cost_matrix(source, target) * plan))
+    primal = float(np.sum(_cost_matrix(source, target) * plan))
     primal += epsilon * _kullback_leibler(plan, reference)
     dual = -epsilon * (mass - float(reference.sum()))
     marginal_error = 0.0
@@ -129,10 +140,12 @@ def _kullback_leibler(p: Array, q: Array) -> float:
 def transport_plan(source: MeasureLike, target: MeasureLike, potentials: Potentials) -> Array:
     """Return the whole plan, Eq. 2: (N, M) array."""
     source, target = as_measures(source, target)
+    check_potentials("potentials", potentials, (len(source), len(target)))
     return _plan(source, target, potentials.f, potentials.g, potentials.epsilon)
 
 
 def _plan(source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, epsilon: float) -> Array:
-    log_plan = (f[:, None] + g - cost_matrix(source, target)) / epsilon
+    log_plan = (f[:, None] + g - _cost_matrix(source, target)) / epsilon
     log_plan += _log(source.weights)[:, None] + _log(target.weights)
-    return np.exp(log_plan)
+    with np.errstate(over="ignore"):  # far from a solution, where the caller says so
+        return np.exp(log_plan)
