@@ -309,6 +309,8 @@ def test_pyopencls_own_cache_may_fail(device, monkeypatch):
     """Its folder may be missing, its database damaged: kernels are made without."""
     import sqlite3
 
+    import pyopencl.invoker  # noqa: F401 (first, with its cache, which it misses ever after)
+
     real, made = cl.Kernel, []
 
     def fails(built, name):
