@@ -270,7 +270,7 @@ def save(
     told = parameters if parameters is not None else described(chain)
     try:
         as_text(told)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise InputError(
             f"parameters: expected what JSON takes ({printable(str(error), 120)})"
         ) from None

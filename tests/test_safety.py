@@ -632,6 +632,11 @@ def test_what_we_write_we_can_read(morph):
         assert read_parameters(Path(name)) == long
     with pytest.raises(InputError, match="too many"):
         morph.save("long.gif", parameters={"k": "v" * MAX_TEXT})
+    deep: list = []
+    for _ in range(10_000):
+        deep = [deep]
+    with pytest.raises(InputError, match="what JSON takes"):
+        morph.save("long.gif", parameters={"k": deep})
     assert not Path("long.gif").exists()
 
 
