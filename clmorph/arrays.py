@@ -61,7 +61,9 @@ def as_array(name: str, value: Any, expected: str = "an array of numbers") -> ND
         # Foreign types raise what they like, such as tensors that live on a device.
         ragged = isinstance(value, list | tuple) and isinstance(error, ValueError)
         reason = "its rows differ in length" if ragged else printable(str(error), 120)
-        raise InputError(f"{name} is not an array of numbers ({reason}): expected {expected}") from None
+        raise InputError(
+            f"{name} is not an array of numbers ({reason}): expected {expected}"
+        ) from None
     if array.dtype.kind == "O":
         array = _from_objects(name, array, value, expected)
     if array.dtype.kind not in NUMBERS:
