@@ -238,6 +238,8 @@ def check_measure(name: str, measure: Measure) -> None:
     try:
         height, width = measure.shape
         n = int(height) * int(width)
+        if min(height, width) < 1:
+            raise InputError(f"its shape is {height} x {width}")
         check_color_weight(measure.color_weight)
         check_choice("extent", measure.extent, EXTENTS)
         check_choice("color_space", measure.color_space, COLOR_SPACES)

@@ -78,7 +78,8 @@ def check_options(
     Returns
     -------
     dict
-        The same options, as plain numbers, texts and truth values.
+        The same options, as plain numbers, texts and truth values; but `blur`, `reach`, `epsilon`
+        and `rho` as they were given.
 
     Raises
     ------
@@ -256,11 +257,11 @@ def morph(
         seed=seed, ease=ease, solve_size=solve_size,
         max_particles=max_particles, max_memory=max_memory,
     )  # fmt: skip
-    n_frames, tol, max_iter, barycentric, sample, seed = (
-        options[name] for name in ("n_frames", "tol", "max_iter", "barycentric", "sample", "seed")
+    n_frames, tol, max_iter, solve_size = (
+        options[name] for name in ("n_frames", "tol", "max_iter", "solve_size")
     )
-    solve_size, max_particles, max_memory = (
-        options[name] for name in ("solve_size", "max_particles", "max_memory")
+    barycentric, sample, seed, max_particles, max_memory = (
+        options[name] for name in ("barycentric", "sample", "seed", "max_particles", "max_memory")
     )
     report = check_progress(progress)
     images = as_pixels(image_a, "image_a"), as_pixels(image_b, "image_b")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.checks import check_blur, check_flag, shown
+from clmorph.checks import as_float, check_blur, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.problem import Certificate
 from clmorph.strengths import Reach, strengths
@@ -173,8 +173,8 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     if shapes != ((sizes[0],), (sizes[1],)):
         points = " and ".join(str(shape[0] if len(shape) == 1 else shape) for shape in shapes)
         raise InputError(
-            f"{name} are for {points} points: expected {sizes[0]} and {sizes[1]}; compute them "
-            "for these measures"
+            f"{name}: f and g are for {points} points; expected {sizes[0]} and {sizes[1]}: compute "
+            "them for these measures"
         )
     if not (np.all(np.isfinite(value.f)) and np.all(np.isfinite(value.g))):
         raise InputError(
@@ -185,8 +185,9 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     lengths = value.reach if isinstance(value.reach, tuple) else (value.reach,)
     numbers = [value.residual, value.truncation_error, value.visited, value.n_iter]
     numbers += [each for each in (*lengths, value.truncation) if each is not None]
-    # NaN is at least nothing.
-    usable = all(isinstance(each, float | int) and each >= 0 for each in numbers)
+    floats = [as_float(each) for each in numbers]
+    # NaN is not at least 0.
+    usable = all(number is not None and number >= 0 for number in floats)
     usable = usable and isinstance(value.status, str) and isinstance(value.message, str)
     usable = usable and isinstance(value.residuals, np.ndarray) and value.residuals.dtype == float
     if not usable or np.isnan(value.residuals).any() or value.truncation_error == np.inf:

@@ -236,7 +236,7 @@ def step_sizes(frames: Sequence[ArrayLike]) -> Array:
     frames : sequence of (H, W, C) arrays
         Smaller ones are enlarged to the largest sides first; opacity is left out.
     """
-    if not isinstance(frames, list | tuple | np.ndarray) or not np.iterable(frames):
+    if not isinstance(frames, Sequence | np.ndarray) or not np.iterable(frames):
         raise InputError(f"frames={shown(frames)}: expected a sequence of arrays (H, W, 3)")
     pictures = [_as_array("frame", frame, (3,))[..., :3] for frame in frames]
     if len(pictures) < 2:

@@ -169,7 +169,7 @@ def test_wrong_potentials(function):
     for wrong, words in (
         (None, "expected Potentials"),
         ((potentials.f, potentials.g), "expected Potentials"),
-        (potentials.swapped(), "3 and 4 points: expected 4 and 3"),
+        (potentials.swapped(), "3 and 4 points; expected 4 and 3"),
         (dataclasses.replace(potentials, f=potentials.f * np.nan), "NaN"),
         (dataclasses.replace(potentials, g=list(potentials.g)), "float64"),
     ):

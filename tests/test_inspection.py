@@ -117,7 +117,7 @@ class TestNumbers:
     def test_potentials_of_another_problem_are_no_cross_term(self, images, found):
         source, target = (clmorph.lift(image, 0.5) for image in images)
         for pair, reach in (((source, source), 0.3), ((source, target), 0.2)):
-            with pytest.raises(InputError, match="cross: potentials for 154 and 160 points"):
+            with pytest.raises(InputError, match=r"cross: .*expected"):
                 clmorph.sinkhorn_divergence(
                     *pair, 0.05, reach, backend="numpy", cross=found.potentials
                 )

@@ -154,7 +154,7 @@ def test_displacements_need_images_and_their_plan(pair):
 
 def test_wrong_options(pair):
     source, target, potentials, _ = pair
-    with pytest.raises(InputError, match="potentials are for"):
+    with pytest.raises(InputError, match="f and g are for"):
         transport_plan(target, source, potentials, backend="numpy")
     for relative in (0, -1, 2, np.nan):
         with pytest.raises(InputError, match="relative"):
