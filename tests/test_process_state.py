@@ -104,6 +104,24 @@ def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, lasti
     assert (verdicts.load_verdict("key") is not None) == lasting
 
 
+def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path):
+    closed = []
+
+    def interrupted(command, **options):
+        closed.append(options["stdin"])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(subprocess, "run", interrupted)
+    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
+    find = Once(find_devices.__wrapped__)
+    for _ in range(2):  # the lock is free again
+        with pytest.raises(KeyboardInterrupt):
+            find()
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(closed[-1])
+
+
 def test_a_trial_without_time_says_what_to_do(monkeypatch):
     def late(command, **options):
         raise subprocess.TimeoutExpired(command, options["timeout"])
