@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from clmorph import defaults
 from clmorph.commands import settings as files
 from clmorph.commands.common import note_warning, open_backend, read_picture
+from clmorph.commands.options import GIGABYTE
 from clmorph.commands.settings import Settings
 from clmorph.errors import (
     ConvergenceWarning,
@@ -63,7 +64,7 @@ class _Run:
         own = {*MOTION, *LOOK, *RUN}
         self.options = {name: value for name, value in said.items() if name not in own}
         if "max_memory" in self.options:
-            self.options["max_memory"] *= 1e9  # it is said in gigabytes
+            self.options["max_memory"] *= GIGABYTE
         self.n_frames = said.get("frames", defaults.N_FRAMES)
         check_options(n_frames=self.n_frames, **self.options)
         self.look = Look(**{name: said[name] for name in LOOK if name in said})

@@ -60,6 +60,10 @@ class _Sigma(click.ParamType):
             self.fail(f"{value!r} is neither a number nor 'auto'.", param, ctx)
 
 
+#: Bytes of the unit in which the command line takes memory.
+GIGABYTE = 1e9
+
+
 class _Gigabytes(click.ParamType):
     """A number of gigabytes."""
 
@@ -134,14 +138,16 @@ problem_options = _together(
         type=int,
         help="If the plan has more pairs, about so many are drawn from it.",
     ),
-)
-
-plan_options = _together(
     _option(
-        "Transport", "--max-memory", type=_Gigabytes(),
+        "Transport",
+        "--max-memory",
+        type=_Gigabytes(),
         help="Gigabytes; if the plan needs more, fewer particles are drawn.  [default: half of "
         "the device's]",
     ),
+)
+
+plan_options = _together(
     _option(
         "Transport", "--barycentric/--no-barycentric", is_flag=True, default=None,
         help="One particle a pixel.",
