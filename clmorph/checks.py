@@ -1,10 +1,34 @@
 """Validation of options, with messages a user can act on."""
 
 import math
+import operator
 from collections.abc import Sequence
 from typing import Any
 
 from clmorph.errors import InputError
+
+#: The most characters of a value that a message repeats.
+MOST_SHOWN = 100
+
+
+def shown(value: Any) -> str:
+    """Return a value as a message shows it: in one line, long ones shortened.
+
+    Parameters
+    ----------
+    value : object
+        Of any kind; Python itself refuses to print whole numbers of thousands of digits.
+    """
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:
+        return f"a whole number of {value.bit_length()} bits"
+    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN // 2]}…"
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value may be meant as a number: truth values and texts are not."""
+    return not isinstance(value, bool | str | bytes) and str(getattr(value, "dtype", "")) != "bool"
 
 
 def check_number(
@@ -26,12 +50,12 @@ def check_number(
     expected = f"expected a number in {bracket}{low:g}, {high:g}]"
     try:
         number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{name}={value!r}: {expected}") from None
-    if isinstance(value, bool | str | bytes) or not math.isfinite(number):
-        raise InputError(f"{name}={value!r}: {expected}")
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name}={shown(value)}: {expected}") from None
+    if not _is_number(value) or not math.isfinite(number):
+        raise InputError(f"{name}={shown(value)}: {expected}")
     if number > high or number < low or (open_low and number == low):
-        raise InputError(f"{name}={value!r}: {expected}")
+        raise InputError(f"{name}={shown(value)}: {expected}")
     return number
 
 
@@ -43,10 +67,22 @@ def check_integer(name: str, value: Any, low: int, high: int) -> int:
     InputError
         If it is not a whole number in that range.
     """
-    number = check_number(name, value, low, high)
-    if number != int(number):
-        raise InputError(f"{name}={value!r}: expected a whole number in [{low}, {high}]")
-    return int(number)
+    refused = InputError(f"{name}={shown(value)}: expected a whole number in [{low}, {high}]")
+    if not _is_number(value):
+        raise refused
+    try:
+        whole = operator.index(value)  # exact, however many digits it has
+    except TypeError:
+        try:
+            number = float(value)
+            whole = int(number)
+        except (TypeError, ValueError, OverflowError):
+            raise refused from None
+        if number != whole:
+            raise refused from None
+    if not low <= whole <= high:
+        raise refused
+    return whole
 
 
 def check_choice(name: str, value: Any, choices: Sequence[str]) -> str:
@@ -59,7 +95,7 @@ def check_choice(name: str, value: Any, choices: Sequence[str]) -> str:
     """
     if isinstance(value, str) and value in choices:
         return value
-    raise InputError(f"{name}={value!r}: expected one of {', '.join(map(repr, choices))}")
+    raise InputError(f"{name}={shown(value)}: expected one of {', '.join(map(repr, choices))}")
 
 
 def check_blur(value: Any) -> float:

@@ -4,6 +4,7 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from clmorph.commands import settings as files
 from clmorph.defaults import N_FRAMES, PRESETS
 from clmorph.errors import ClmorphError, FileError, InputError
 from clmorph.release import __version__
+from clmorph.terminal import printable
 
 #: Shells that complete what is typed.
 SHELLS = ("bash", "zsh", "fish")
@@ -81,14 +83,14 @@ NOT_SETTINGS = ("images", "config", "dump_config", "as_json", "device", "backend
 
 
 @cli.command()
-@click.argument("images", metavar="A B [C …]", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
 @options.file_options
 @click.option(
     "--preset", type=click.Choice(list(PRESETS)), panel="Settings",
     help="A set of options for a kind of pictures.  [default: photo]",
 )  # fmt: skip
 @click.option(
-    "--config", type=click.Path(path_type=Path), is_eager=True, callback=_settings_callback,
+    "--config", type=options.FileName(), is_eager=True, callback=_settings_callback,
     panel="Settings",
     help="Read options from TOML, from a recipe (.json), or from a file that clmorph wrote.",
 )  # fmt: skip
@@ -174,9 +176,9 @@ def _settings(context: click.Context, preset: str | None, given: dict[str, Any])
 
 
 @cli.command()
-@click.argument("images", metavar="A B", nargs=2, type=click.Path(path_type=Path))
+@click.argument("images", metavar="A B", nargs=2, type=options.FileName())
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), panel="File",
+    "-o", "--output", type=options.OutputName(), panel="File",
     help="Draw a picture too: .png, .svg or .pdf.",
 )  # fmt: skip
 @click.option(
@@ -246,7 +248,7 @@ def devices(as_json: bool, again: bool) -> int:
 @cli.command()
 @click.option("--device", metavar="NAME", help="The device to check.  [default: auto's]")
 @click.option("--all", "every", is_flag=True, help="Check every usable device.")
-@click.option("--report", type=click.Path(path_type=Path), help="Write a JSON file to share.")
+@click.option("--report", type=options.FileName(), help="Write a JSON file to share.")
 def check(device: str | None, every: bool, report: Path | None) -> int:
     """Compare a device with NumPy: every operation and one whole morph.
 
@@ -305,40 +307,56 @@ def _in_option_names(message: str) -> str:
     )
 
 
+def _complain(text: str) -> None:
+    """Print a line on standard error, if that takes any."""
+    with suppress(OSError):
+        click.echo(f"clmorph: {printable(text)}", err=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     try:
-        code = cli.main(arguments, prog_name="clmorph", standalone_mode=False)
+        code = _run(arguments)
         sys.stdout.flush()
-    except NoArgsIsHelpError as error:
-        click.echo(error.ctx.get_help())
-        return 2
     except click.ClickException as error:
         message = " ".join(error.format_message().split())
-        click.echo(f"clmorph: error: {message} (clmorph --help shows the usage)", err=True)
+        # Python itself reads some numbers only if they have no more than thousands of digits.
+        message = re.sub(r"\d{100,}", lambda found: f"{found[0][:50]}…", message)
+        _complain(f"error: {message} (clmorph --help shows the usage)")
         return 2
     except FileError as error:  # a name is not to be taken for an option
-        click.echo(f"clmorph: error: {error}", err=True)
+        _complain(f"error: {error}")
         return 2
     except ClmorphError as error:
-        click.echo(f"clmorph: error: {_in_option_names(str(error))}", err=True)
+        _complain(f"error: {_in_option_names(str(error))}")
         return 2
     except UnicodeError as error:
-        click.echo(f"clmorph: error: a name cannot be printed here ({error.reason})"
-                   if isinstance(error, UnicodeEncodeError) else f"clmorph: error: {error}",
-                   err=True)  # fmt: skip
+        _complain(
+            f"error: a name cannot be printed here ({error.reason})"
+            if isinstance(error, UnicodeEncodeError)
+            else f"error: {error}"
+        )
         return 2
     except MemoryError:
-        click.echo("clmorph: error: not enough memory; use a smaller --size", err=True)
+        _complain("error: not enough memory; use a smaller --size")
         return 2
     except (click.Abort, KeyboardInterrupt):
-        click.echo("clmorph: interrupted, nothing was written", err=True)
+        _complain("interrupted, nothing was written")
         return 130
     except OSError as error:
         # Nobody reads on, or nothing more can be written: keep Python from trying at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             return 0
-        click.echo(f"clmorph: error: {' '.join(str(error).split())}", err=True)
+        _complain(f"error: {error}")
         return 2
     return code if isinstance(code, int) else 0
+
+
+def _run(arguments: Sequence[str] | None) -> Any:
+    """Run the command; one without arguments shows its help."""
+    try:
+        return cli.main(arguments, prog_name="clmorph", standalone_mode=False)
+    except NoArgsIsHelpError as error:
+        click.echo(error.ctx.get_help())
+        return 2

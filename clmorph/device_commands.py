@@ -8,7 +8,7 @@ import click
 
 from clmorph.errors import ClmorphError, DeviceError
 from clmorph.opencl.device import Device, choose_device, find_devices, forget_verdicts
-from clmorph.terminal import NOTES, RESULTS
+from clmorph.terminal import NOTES, RESULTS, printable
 
 
 def _find() -> tuple[Device, ...]:
@@ -101,7 +101,7 @@ def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
     bundles = [_check_one(device) for device in devices]
     if report is not None:
         writer(json.dumps(bundles[0] if len(bundles) == 1 else bundles, indent=1) + "\n")
-        click.echo(f"wrote {report}")
+        click.echo(f"wrote {printable(click.format_filename(report))}")
     return 0 if all(f["passed"] for bundle in bundles for f in bundle["findings"]) else 1
 
 

@@ -56,7 +56,7 @@ def make_plan(
     measures = source.coarse, target.coarse
     if sample is None and not barycentric:
         way = choose_way(
-            source, target, potentials, operations, max_particles, max_memory, stacklevel=4
+            source, target, potentials, operations, max_particles, max_memory, stacklevel=3
         )  # fmt: skip
         sample, barycentric = way.get("sample"), way.get("barycentric", False)
     if barycentric:
@@ -150,7 +150,7 @@ def choose_way(
     source, target, potentials, operations, max_particles, max_memory
         As in `make_plan`.
     stacklevel : int
-        Of the warning, as in `warnings.warn`.
+        Of the warning, as in `warnings.warn` by the caller.
 
     Returns
     -------

@@ -1,10 +1,12 @@
 """What the command line shows while it works, and how long each stage took."""
 
+import re
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from types import TracebackType
-from typing import Self
+from typing import IO, Any, Self, cast
 
 from rich.console import Console
 from rich.progress import (
@@ -16,10 +18,44 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+
+class _StandardError:
+    """Standard error, wherever it is by then; what it does not take is lost.
+
+    No note is worth a morph: a log on a full disk ends no work.
+    """
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(sys.stderr, name)
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            sys.stderr.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            sys.stderr.flush()
+
+
 #: Progress, notes and errors; results go to standard output.
-NOTES = Console(stderr=True, highlight=False, soft_wrap=True)
+NOTES = Console(
+    file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True, markup=False, emoji=False
+)
 #: Tables: as wide as they must be where nobody's terminal says otherwise.
-RESULTS = Console(highlight=False, width=None if sys.stdout.isatty() else 200)
+RESULTS = Console(
+    highlight=False, width=None if sys.stdout.isatty() else 200, markup=False, emoji=False
+)
+
+
+def printable(text: str) -> str:
+    """Return a text in one line, and as nothing but text: names of files can hold anything."""
+    return re.sub(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]", lambda found: repr(found[0])[1:-1], text)
+
+
+def say(text: str) -> None:
+    """Print a line on standard error."""
+    NOTES.print(printable(text))
 
 
 class Stages:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from clmorph.errors import FileError, InputError
-from clmorph.terminal import NOTES
+from clmorph.terminal import NOTES, say
 
 
 def read_picture(path: Path, max_pixels: int) -> Any:
@@ -30,14 +30,14 @@ def read_picture(path: Path, max_pixels: int) -> Any:
         except InputError as error:
             raise FileError(str(error)) from None
     for note in notes:
-        NOTES.print(f"note: {note.message}", markup=False)
+        say(f"note: {note.message}")
     return pixels
 
 
 def note_warning(notes: list[str], message: Warning | str, *others: Any, **more: Any) -> None:
     """Print a warning as a note and keep it; the rest stands in for `warnings.showwarning`."""
     notes.append(str(message))
-    NOTES.print(f"note: {message}", markup=False)
+    say(f"note: {message}")
 
 
 def open_backend(device: str | None, backend: str | None) -> Any:
@@ -56,5 +56,5 @@ def open_backend(device: str | None, backend: str | None) -> Any:
 
     with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
         operations = get_backend(device or backend or "auto")
-    NOTES.print(f"device: {operations.description}", markup=False)
+    say(f"device: {operations.description}")
     return operations

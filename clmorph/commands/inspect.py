@@ -17,7 +17,7 @@ from clmorph.files import check_place
 from clmorph.images import MAX_PIXELS, fit
 from clmorph.inspection import inspect
 from clmorph.plots import check_plotting, draw_inspection
-from clmorph.terminal import Stages
+from clmorph.terminal import Stages, printable
 
 #: Settings of a preset that decide about the transport.
 TRANSPORT = (
@@ -87,4 +87,4 @@ def run_inspect(
     for line in found.lines():
         click.echo(line)
     if output is not None:
-        click.echo(f"wrote {output}")
+        click.echo(f"wrote {printable(click.format_filename(output))}")

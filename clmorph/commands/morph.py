@@ -39,7 +39,7 @@ from clmorph.operations import Operations
 from clmorph.planning import default_memory
 from clmorph.potentials import Potentials
 from clmorph.result import Morph
-from clmorph.terminal import NOTES, Stages
+from clmorph.terminal import Stages, printable, say
 from clmorph.widths import is_pixel_art
 
 #: Settings that are not the morph's own, by what takes them.
@@ -147,7 +147,7 @@ def run_morph(
     places = [Output(output, settings.get("format")) for output in outputs]
     if len({place.place for place in places}) < len(places):
         raise InputError("two outputs have one name; choose different ones")
-    recipes = [output.with_name(f"{output.name}.json") for output in outputs]
+    recipes = [_beside(output) for output in outputs]
     if settings.get("recipe"):
         for beside in recipes:
             if check_place(beside).is_dir():
@@ -155,7 +155,7 @@ def run_morph(
     run = _Run(images, settings, places)
     pictures = [_read(path, settings) for path in images]
     operations = open_backend(device, backend)
-    NOTES.print(run.memory(pictures, operations))
+    say(run.memory(pictures, operations))
     told = files.recipe(settings, images, operations.description)
     notes: list[str] = []
     with Stages() as stages, warnings.catch_warnings():
@@ -189,6 +189,12 @@ def run_morph(
             summary = _summary(run, film, stages, notes)
     summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
     click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
+
+
+def _beside(output: Path) -> Path:
+    """Return where the recipe of an output goes; such as ``.`` have their name elsewhere."""
+    named = output if output.name not in ("", "..") else output.resolve()
+    return named.with_name(f"{named.name}.json") if named.name else named / ".json"
 
 
 def _read(path: Path, settings: Settings) -> NDArray[np.float64]:
@@ -231,7 +237,7 @@ def _last_line(run: _Run, summary: dict[str, Any]) -> str:
     lasting = ""
     if any(output.format.animated for output in run.outputs):
         lasting = f", {summary['duration']:.3g} s a round"
-    names = ", ".join(click.format_filename(output.path) for output in run.outputs)
+    names = ", ".join(printable(click.format_filename(o.path)) for o in run.outputs)
     return (
         f"{names}: {summary['frames']} frames{lasting}, made in "
         f"{summary['seconds']['total']:.1f} s; {worst.message}"
@@ -253,7 +259,7 @@ def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
                 "pictures in the command line"
             )
         if known is not None and path.is_file() and files.digest(path) != known:
-            NOTES.print(f"note: {path} is not the file that was used then", markup=False)
+            say(f"note: {path} is not the file that was used then")
 
 
 def announce_idle(names: Sequence[str], outputs: Sequence[Path], format: str | None) -> None:
@@ -262,4 +268,4 @@ def announce_idle(names: Sequence[str], outputs: Sequence[Path], format: str | N
     for name in (*SIZES, *PACE, "lossless"):
         if name in names and not any(name in kind.heeds for kind in formats):
             places = ", ".join(str(output) for output in outputs)
-            NOTES.print(f"note: --{name} makes no difference to {places}", markup=False)
+            say(f"note: --{name} makes no difference to {places}")
