@@ -308,7 +308,8 @@ def _in_option_names(message: str) -> str:
 
 
 def _complain(text: str) -> None:
-    """Print a line on standard error, if that takes any."""
+    """Print a line on standard error, if that takes any; no number fills a page there."""
+    text = re.sub(r"\d{100,}", lambda found: f"{found[0][:50]}…", text)
     with suppress(OSError):
         click.echo(f"clmorph: {printable(text)}", err=True)
 
@@ -320,8 +321,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
     except click.ClickException as error:
         message = " ".join(error.format_message().split())
-        # Python itself reads some numbers only if they have no more than thousands of digits.
-        message = re.sub(r"\d{100,}", lambda found: f"{found[0][:50]}…", message)
         _complain(f"error: {message} (clmorph --help shows the usage)")
         return 2
     except FileError as error:  # a name is not to be taken for an option

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.checks import check_choice
+from clmorph.checks import check_choice, shown
 from clmorph.errors import InputError
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class Look:
                 ImageColor.getrgb(self.background)
             except (ValueError, AttributeError, TypeError):
                 raise InputError(
-                    f"background={self.background!r}: expected a color such as 'white' or '#204060'"
+                    f"background={shown(self.background)}: expected a color such as 'white' or '#204060'"
                 ) from None
 
 
@@ -84,12 +84,12 @@ def as_canvas(canvas: Any) -> Any:
         sides = found.groups() if found else ()
     try:
         width, height = (int(side) for side in sides)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         width = height = 0
     if 1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE:
         return width, height
     raise InputError(
-        f"canvas={canvas!r}: expected {', '.join(map(repr, CANVASES))}, or width x height in "
+        f"canvas={shown(canvas)}: expected {', '.join(map(repr, CANVASES))}, or width x height in "
         f"pixels such as '640x480', each from 1 to {MAX_SIDE}"
     )
 

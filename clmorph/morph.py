@@ -15,6 +15,7 @@ from clmorph.checks import (
     check_integer,
     check_number,
     check_sigma,
+    shown,
 )
 from clmorph.colors import COLOR_SPACES
 from clmorph.endpoints import ENDPOINTS
@@ -88,7 +89,7 @@ def check_options(
     check_choice("splatting", splatting, SPLATTING)
     if sigma is not None and (sigma != "optimal" or splatting not in ("adaptive", "local")):
         raise InputError(
-            f"sigma={sigma!r}: expected 'optimal' or nothing, and splatting 'adaptive' or 'local' "
+            f"sigma={shown(sigma)}: expected 'optimal' or nothing, and splatting 'adaptive' or 'local' "
             "with it; widths in pixels are sigma_start and sigma_end"
         )
     if sigma is not None and isinstance(given.reach, tuple):

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clmorph import defaults
-from clmorph.checks import check_blur, check_reach
+from clmorph.checks import check_blur, check_reach, shown
 from clmorph.errors import InputError
 
 #: Length scale of creation and destruction of mass: one for both measures, or a pair; None
@@ -60,14 +60,14 @@ def strengths(
         # A default is known by its identity: 0.05 written by the caller is another object.
         if blur is not defaults.BLUR:
             raise InputError(
-                f"blur={blur!r} and epsilon={epsilon!r} are two names of one strength "
+                f"blur={shown(blur)} and epsilon={shown(epsilon)} are two names of one strength "
                 "(epsilon = blur^2): give one of them"
             )
         blur = _root("epsilon", epsilon, check_blur)
     if rho is not None:
         if reach is not defaults.REACH:
             raise InputError(
-                f"reach={reach!r} and rho={rho!r} are two names of one strength "
+                f"reach={shown(reach)} and rho={shown(rho)} are two names of one strength "
                 "(rho = reach^2): give one of them"
             )
         reach = _each(rho, lambda value: _root("rho", value, check_reach))
@@ -84,7 +84,7 @@ def _each(value: Any, function: Any) -> tuple[float | None, float | None]:
         pair: Sequence[Any] = list(value)
         if len(pair) != 2:
             raise InputError(
-                f"reach={value!r}: expected one number, or a pair for source and target"
+                f"reach={shown(value)}: expected one number, or a pair for source and target"
             )
         return function(pair[0]), function(pair[1])
     once = function(value)
@@ -97,9 +97,9 @@ def _root(name: str, value: Any, check: Any) -> Any:
         number = float(value)
         length = number**0.5 if number >= 0 else number
         return check(length)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, InputError):
             expected = "its square root is a length: " + str(error).partition(": ")[2]
         else:
             expected = "expected a positive number"
-        raise InputError(f"{name}={value!r}: {expected}") from None
+        raise InputError(f"{name}={shown(value)}: {expected}") from None

@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
 #: The limits of presets, so much smaller that all commands together take seconds. Photographs
 #: are larger and their plans have more pairs all the same, as with the presets' own limits.
-LIMITS = {"size": 64, "solve_size": 32, "max_particles": 30_000}
+LIMITS = {"size": 48, "solve_size": 24, "max_particles": 12_000}
 #: Commands that take minutes or install something: what runs them, and words that show it there.
 ELSEWHERE = {
     r"python3 -m venv .* && \.venv/bin/clmorph demo": (".ci/run", "readme_command 1"),
@@ -208,7 +208,7 @@ def photographs(side):
 
 def tour_names(names):
     """What the reader of "A short tour" has."""
-    a, b = photographs(20)
+    a, b = photographs(10)
     return {"a": a, "b": b, "M": np.diag([1.0, 2.0, 1.0]), "map_a": np.ones(a.shape[:2])}
 
 

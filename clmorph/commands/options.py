@@ -69,8 +69,8 @@ class FileName(click.Path):
         super().__init__(path_type=Path)
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:  # noqa: D102 (click's)
-        if not str(value):
-            self.fail("the name is empty; expected that of a file.", param, ctx)
+        if not str(value) or "\0" in str(value):
+            self.fail(f"{str(value)!r} is no name; expected that of a file.", param, ctx)
         return super().convert(value, param, ctx)
 
 
