@@ -1,5 +1,6 @@
 """The command ``clmorph``, also as ``python -m clmorph``."""
 
+import io
 import os
 import sys
 
@@ -23,6 +24,9 @@ def _open_streams() -> None:
 def main() -> int:
     """Run the command line; Ctrl-C while it is still being loaded is no traceback either."""
     _open_streams()
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        # Frames of tables, powers of ten: better a question mark than no help.
+        sys.stdout.reconfigure(errors="replace")
     try:
         from clmorph.cli import main as run
     except KeyboardInterrupt:

@@ -144,7 +144,8 @@ def morph(
     ):
         settings.pop("format", None)  # it belongs to the output that the file names
     if dump_config:
-        click.echo(files.as_toml(settings, images), nl=False)
+        # TOML is UTF-8, whatever the terminal is.
+        click.echo(files.as_toml(settings, images).encode("utf-8"), nl=False)
         return
     if len(images) < 2:
         raise InputError(
@@ -347,15 +348,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             return 0
-        _complain(f"error: {error}")
+        _complain(f"error: {_reason(error)}")
         return 2
     return code if isinstance(code, int) else 0
+
+
+def _reason(error: OSError) -> str:
+    """Return what the system says, in words that can be acted on."""
+    try:
+        Path.cwd()
+    except OSError:
+        return "the current folder is gone; go to another one"
+    return str(error)
 
 
 def _run(arguments: Sequence[str] | None) -> Any:
     """Run the command; one without arguments shows its help."""
     try:
         return cli.main(arguments, prog_name="clmorph", standalone_mode=False)
+    except SystemExit as error:
+        # So click ends where nobody reads on.
+        if isinstance(error.__context__, BrokenPipeError):
+            raise error.__context__ from None
+        raise
     except NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help())
         return 2

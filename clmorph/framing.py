@@ -64,7 +64,8 @@ class Look:
                 ImageColor.getrgb(self.background)
             except (ValueError, AttributeError, TypeError):
                 raise InputError(
-                    f"background={shown(self.background)}: expected a color such as 'white' or '#204060'"
+                    f"background={shown(self.background)}: expected a color such as 'white' or "
+                    "'#204060'"
                 ) from None
 
 
@@ -89,8 +90,8 @@ def as_canvas(canvas: Any) -> Any:
     if 1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE:
         return width, height
     raise InputError(
-        f"canvas={shown(canvas)}: expected {', '.join(map(repr, CANVASES))}, or width x height in "
-        f"pixels such as '640x480', each from 1 to {MAX_SIDE}"
+        f"canvas={shown(canvas)}: expected {', '.join(map(repr, CANVASES))}, or width x height "
+        f"in pixels such as '640x480', each from 1 to {MAX_SIDE}"
     )
 
 

@@ -89,8 +89,8 @@ def check_options(
     check_choice("splatting", splatting, SPLATTING)
     if sigma is not None and (sigma != "optimal" or splatting not in ("adaptive", "local")):
         raise InputError(
-            f"sigma={shown(sigma)}: expected 'optimal' or nothing, and splatting 'adaptive' or 'local' "
-            "with it; widths in pixels are sigma_start and sigma_end"
+            f"sigma={shown(sigma)}: expected 'optimal' or nothing, and splatting 'adaptive' or "
+            "'local' with it; widths in pixels are sigma_start and sigma_end"
         )
     if sigma is not None and isinstance(given.reach, tuple):
         raise InputError(NO_DIVERGENCE)

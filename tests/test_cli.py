@@ -530,3 +530,64 @@ def test_numbers_of_any_length(pictures, capfd, digits):
         assert err.startswith("clmorph: error: ")
         assert len(err) < 400
         assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_streams_that_lack_characters(pictures, encoding):
+    """Help and tables are printed all the same; files of settings are always UTF-8."""
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    for arguments in (["morph", "--help"], ["devices"]):
+        done = subprocess.run(
+            [COMMAND, *arguments], capture_output=True, env=environment, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, b"")
+        assert len(done.stdout) > 200
+    done = subprocess.run(
+        [COMMAND, "morph", "ł.png", "b.jpg", "--dump-config"], capture_output=True,
+        env=environment, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert '"ł.png"'.encode() in done.stdout
+
+
+def test_nobody_reads_what_is_printed_at_once(pictures):
+    """The same whether the pipe closes before or after."""
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        for arguments in (["--version"], ["--help"], ["completion", "zsh"]):
+            done = subprocess.run(
+                [COMMAND, *arguments], stdout=write, stderr=subprocess.PIPE, check=False
+            )
+            assert (done.returncode, done.stderr) == (0, b"")
+    finally:
+        os.close(write)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no folder goes while somebody is in it")
+def test_a_folder_that_is_gone(pictures, monkeypatch, capfd):
+    Path("gone").mkdir()
+    monkeypatch.chdir("gone")
+    Path("../gone").rmdir()
+    a, b = pictures / "a.png", pictures / "b.jpg"
+    for arguments, words in (
+        (["morph", str(a), str(b), "-o", "x.gif", *QUICK], "x.gif: there is no such place"),
+        (["morph", str(a), str(b), "-o", ".", *QUICK], "there is no such place"),
+        (["demo", "--backend", "numpy"], "the current folder is gone"),
+        (["check", "--report", "x.json"], "the current folder is gone"),
+    ):
+        assert main(arguments) == 2
+        assert words in capfd.readouterr().err
+    assert main(["morph", str(a), str(b), "-o", str(pictures / "x.gif"), *QUICK]) == 0
+
+
+def test_mistakes_of_inspect_are_those_of_morph(pictures, capfd):
+    Image.new("RGBA", (5, 5)).save("void.png")
+    for arguments, words in (
+        (["void.png", "b.jpg"], "void.png: every pixel is transparent"),
+        (["a.png", "b.jpg", "--max-pixels", "0"], "--max-pixels 0: expected a whole number"),
+        (["a.png", "b.jpg", "--max-pixels", "5"], "a.png has 20 x 12 pixels: expected at most 5"),
+        (["a.png", "b.jpg", "--frames", "1"], "--frames 1: expected a whole number"),
+    ):
+        assert main(["inspect", *arguments, "--backend", "numpy"]) == 2
+        assert words in capfd.readouterr().err

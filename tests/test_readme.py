@@ -25,8 +25,8 @@ from clmorph.cli import cli, main
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
-#: The limits of presets, so much smaller that all commands together take seconds. Photographs
-#: are larger and their plans have more pairs all the same, as with the presets' own limits.
+#: The limits of the default preset, so much smaller that all commands together take seconds.
+#: Photographs are larger and their plans have more pairs all the same, as with its own limits.
 LIMITS = {"size": 48, "solve_size": 24, "max_particles": 12_000}
 #: Commands that take minutes or install something: what runs them, and words that show it there.
 ELSEWHERE = {
@@ -156,10 +156,9 @@ def test_commands(tmp_path, monkeypatch, capfd, ways, widths):
     assert len(OURS) >= 7
     monkeypatch.chdir(tmp_path)
     write_pictures()
-    for preset in defaults.PRESETS.values():
-        for name, limit in LIMITS.items():
-            if name in preset and preset[name] > limit:
-                monkeypatch.setitem(preset, name, limit)
+    for name, limit in LIMITS.items():
+        assert limit < defaults.PRESETS["photo"][name]
+        monkeypatch.setitem(defaults.PRESETS["photo"], name, limit)
     for line in OURS:
         command = shlex.split(line, comments=True)[1:]
         ways.clear()

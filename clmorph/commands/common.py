@@ -20,6 +20,11 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     Returns
     -------
     (H, W, 3) or (H, W, 4) array
+
+    Raises
+    ------
+    FileError
+        If it cannot be read, or there is nothing to see.
     """
     from clmorph.images import read_image
 
@@ -31,6 +36,8 @@ def read_picture(path: Path, max_pixels: int) -> Any:
             raise FileError(str(error)) from None
     for note in notes:
         say(f"note: {note.message}")
+    if pixels.shape[2] == 4 and not pixels[..., 3].any():
+        raise FileError(f"{path}: every pixel is transparent; expected something to see")
     return pixels
 
 

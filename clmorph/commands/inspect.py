@@ -66,7 +66,8 @@ def run_inspect(
     options: dict[str, Any] = {name: settings[name] for name in TRANSPORT if name in settings}
     if "max_memory" in options:
         options["max_memory"] *= GIGABYTE
-    pictures = [read_picture(path, max_pixels or MAX_PIXELS) for path in images]
+    most = MAX_PIXELS if max_pixels is None else max_pixels
+    pictures = [read_picture(path, most) for path in images]
     if size is not None:
         pictures = [fit(picture, size) for picture in pictures]
     operations = open_backend(device, backend)

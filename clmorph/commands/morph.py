@@ -198,10 +198,8 @@ def _beside(output: Path) -> Path:
 
 
 def _read(path: Path, settings: Settings) -> NDArray[np.float64]:
-    """Return a picture at the size at which it is drawn, with something to see."""
+    """Return a picture at the size at which it is drawn."""
     picture: NDArray[np.float64] = read_picture(path, settings.get("max_pixels", MAX_PIXELS))
-    if picture.shape[2] == 4 and not picture[..., 3].any():
-        raise FileError(f"{path}: every pixel is transparent; expected something to see")
     size = settings.get("size")
     return picture if size is None else fit(picture, size)
 
