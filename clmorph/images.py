@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clmorph.checks import check_integer
+from clmorph.checks import check_integer, check_max_pixels
 from clmorph.errors import ImageWarning, InputError
 
 #: Pixels above which a file is refused before it is decoded, unless told otherwise.
@@ -191,7 +191,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
     """
     from PIL import Image, UnidentifiedImageError
 
-    max_pixels = check_integer("max_pixels", max_pixels, 1, 1 << 40)
+    max_pixels = check_max_pixels(max_pixels)
     if not isinstance(path, str | PathLike) or not str(path):
         raise InputError(f"{path!r} is not the path of an image")
     file = Path(path)

@@ -4,6 +4,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+from clmorph.checks import check_max_pixels
 from clmorph.errors import FileError, InputError
 from clmorph.terminal import NOTES, say
 
@@ -28,6 +29,7 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     """
     from clmorph.images import read_image
 
+    check_max_pixels(max_pixels)  # a mistake in the option, not in the file
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("always")
         try:
