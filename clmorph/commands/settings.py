@@ -153,7 +153,7 @@ def _check_kind(path: Path, key: str, value: Any, parameter: click.Parameter) ->
         whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
         good, expected = number and whole, "a whole number"
     elif kind is click.FLOAT:
-        good, expected = number and _is_finite(value), "a finite number"
+        good, expected = number and _is_finite(value), "a number, a finite one"
     elif parameter.name == OUTPUT:
         names = value if isinstance(value, list) else [value]
         good = all(isinstance(name, str) and name for name in names)
