@@ -78,6 +78,11 @@ def check_choice(name: str, value: Any, choices: Sequence[str]) -> str:
     raise InputError(f"{name}={shown(value)}: expected one of {', '.join(map(repr, choices))}")
 
 
+def check_max_pixels(value: Any) -> int:
+    """Return the most pixels that a file may have."""
+    return check_integer("max_pixels", value, 1, 1 << 40)
+
+
 def check_blur(value: Any) -> float:
     """Return a blur: positive, in the unit of the points (for images: the longer side)."""
     return check_number("blur", value, 1e-6, 1e6)

@@ -5,6 +5,7 @@ import re
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -87,14 +88,14 @@ NOT_SETTINGS = ("images", "config", "dump_config", "as_json", "device", "backend
 
 
 @cli.command()
-@click.argument("images", metavar="A B [C …]", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
 @options.file_options
 @click.option(
     "--preset", type=click.Choice(list(PRESETS)), panel="Settings",
     help="A set of options for a kind of pictures.  [default: photo]",
 )  # fmt: skip
 @click.option(
-    "--config", type=click.Path(path_type=Path), is_eager=True, callback=_settings_callback,
+    "--config", type=options.FileName(), is_eager=True, callback=_settings_callback,
     panel="Settings",
     help="Read options from your own TOML, or repeat a recipe: .json, or a file that clmorph "
     "wrote; its pictures are sought beside it and in the current folder.",
@@ -150,7 +151,8 @@ def morph(
     ):
         settings.pop("format", None)  # it belongs to the output that the file names
     if dump_config:
-        click.echo(files.as_toml(settings, images), nl=False)
+        # TOML is UTF-8, whatever the terminal is.
+        click.echo(files.as_toml(settings, images).encode("utf-8"), nl=False)
         return
     if len(images) < 2:
         raise InputError(
@@ -188,9 +190,9 @@ def _settings(context: click.Context, preset: str | None, given: dict[str, Any])
 
 
 @cli.command()
-@click.argument("images", metavar="A B", nargs=2, type=click.Path(path_type=Path))
+@click.argument("images", metavar="A B", nargs=2, type=options.FileName())
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), panel="File",
+    "-o", "--output", type=options.OutputName(), panel="File",
     help="Draw a picture too: .png, .svg or .pdf.",
 )  # fmt: skip
 @click.option(
@@ -265,7 +267,7 @@ def devices(as_json: bool, again: bool) -> int:
 @cli.command()
 @click.option("--device", metavar="NAME", help="The device to check.  [default: auto's]")
 @click.option("--all", "every", is_flag=True, help="Check every usable device.")
-@click.option("--report", type=click.Path(path_type=Path), help="Write a JSON file to share.")
+@click.option("--report", type=options.FileName(), help="Write a JSON file to share.")
 def check(device: str | None, every: bool, report: Path | None) -> int:
     """Compare a device with NumPy: every operation and one whole morph.
 
@@ -324,6 +326,13 @@ def _in_option_names(message: str) -> str:
     )
 
 
+def _complain(text: str) -> None:
+    """Print a line on standard error, if that takes any; no number fills a page there."""
+    text = re.sub(r"\d{100,}", lambda found: f"{found[0][:50]}…", text)
+    with suppress(OSError):
+        click.echo(f"clmorph: {printable(text, MESSAGE)}", err=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     with terminable() as ending:
@@ -332,28 +341,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
     try:
-        code = cli.main(arguments, prog_name="clmorph", standalone_mode=False)
+        code = _run(arguments)
         sys.stdout.flush()
-    except NoArgsIsHelpError as error:
-        click.echo(error.ctx.get_help())
-        return 2
     except click.ClickException as error:
         message = printable(" ".join(error.format_message().split()), MESSAGE)
-        click.echo(f"clmorph: error: {message} (clmorph --help shows the usage)", err=True)
+        _complain(f"error: {message} (clmorph --help shows the usage)")
         return 2
     except FileError as error:  # a name is not to be taken for an option
-        click.echo(f"clmorph: error: {error}", err=True)
+        _complain(f"error: {error}")
         return 2
     except ClmorphError as error:
-        click.echo(f"clmorph: error: {_in_option_names(str(error))}", err=True)
+        _complain(f"error: {_in_option_names(str(error))}")
         return 2
     except UnicodeError as error:
-        click.echo(f"clmorph: error: a name cannot be printed here ({error.reason})"
-                   if isinstance(error, UnicodeEncodeError) else f"clmorph: error: {error}",
-                   err=True)  # fmt: skip
+        _complain(
+            f"error: a name cannot be printed here ({error.reason})"
+            if isinstance(error, UnicodeEncodeError)
+            else f"error: {error}"
+        )
         return 2
     except MemoryError:
-        click.echo("clmorph: error: not enough memory; use a smaller --size", err=True)
+        _complain("error: not enough memory; use a smaller --size")
         return 2
     except (click.Abort, KeyboardInterrupt):
         return farewell(ending, signal.SIGINT)
@@ -364,6 +372,29 @@ def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             return 0
-        click.echo(f"clmorph: error: {' '.join(str(error).split())}", err=True)
+        _complain(f"error: {_reason(error)}")
         return 2
     return code if isinstance(code, int) else 0
+
+
+def _reason(error: OSError) -> str:
+    """Return what the system says, in words that can be acted on."""
+    try:
+        Path.cwd()
+    except OSError:
+        return "the current folder is gone; go to another one"
+    return str(error)
+
+
+def _run(arguments: Sequence[str] | None) -> Any:
+    """Run the command; one without arguments shows its help."""
+    try:
+        return cli.main(arguments, prog_name="clmorph", standalone_mode=False)
+    except SystemExit as error:
+        # So click ends where nobody reads on.
+        if isinstance(error.__context__, BrokenPipeError):
+            raise error.__context__ from None
+        raise
+    except NoArgsIsHelpError as error:
+        click.echo(error.ctx.get_help())
+        return 2

@@ -169,6 +169,27 @@ class EndCorrection:
         return total
 
 
+def mean_destinations(
+    source: Measure, target: Measure, plan: Plan | Barycentric
+) -> tuple[Array, Array]:
+    """Return where source pixels go and where target pixels come from, on average.
+
+    Parameters
+    ----------
+    source, target : Measure
+    plan : Plan or Barycentric
+
+    Returns
+    -------
+    (N, 2) and (M, 2) arrays
+        In the common frame.
+    """
+    if isinstance(plan, Plan):
+        return plan.mean_destinations(source.positions, target.positions)
+    # Where a target pixel comes from on average is not known; its detail stays in place.
+    return plan.positions, target.positions
+
+
 def make_details(
     operations: Operations,
     measures: tuple[Measure, Measure],
@@ -190,12 +211,7 @@ def make_details(
     """
     source, target = measures
     masses = plan.row_mass, plan.column_mass
-    destinations: tuple[Array, Array]
-    if isinstance(plan, Plan):
-        destinations = plan.mean_destinations(source.positions, target.positions)
-    else:
-        # Where a target pixel comes from on average is not known; its detail stays in place.
-        destinations = plan.positions, target.positions
+    destinations = mean_destinations(source, target, plan)
     result: list[Details | None] = []
     for end, measure in enumerate(measures):
         if np.abs(missing[end].missing).max() <= NEGLIGIBLE:

@@ -207,7 +207,8 @@ class Inspection:
         else:
             low, high = self.divergence.interval
             divergence = f"{self.divergence.value:.5g}, within [{low:.5g}, {high:.5g}]"
-        kept = f"{self.pairs} pairs, {self.pairs / len(self.source):.0f} to a pixel"
+        unit, point = ("px", "pixel") if self.source.shape == self.shapes[0] else ("cells", "cell")
+        kept = f"{self.pairs} pairs, {self.pairs / len(self.source):.0f} to a {point}"
         if plan is None:
             built = f"{size_text(self.pair_bytes)}: more than it may take"
         else:
@@ -216,7 +217,6 @@ class Inspection:
         memory = f"about {size_text(self.memory.ram)} {where}"
         if not self.memory.shared:
             memory += f", {size_text(self.memory.device)} on the device"
-        unit = "px" if self.source.shape == self.shapes[0] else "cells"
         about = "" if plan is not None else "about "
         return [
             ("source", _measure_text(self.source, self.shapes[0])),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph.arrays import as_array
-from clmorph.checks import check_integer, is_path, shown
+from clmorph.checks import check_integer, check_max_pixels, is_path, shown
 from clmorph.errors import FileError, ImageWarning, InputError
 
 #: Pixels above which a file is refused before it is decoded, unless told otherwise.
@@ -208,7 +208,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
         If only the first of several pictures is taken, a color profile cannot be used, or bits
         are lost.
     """
-    max_pixels = check_integer("max_pixels", max_pixels, 1, 1 << 40)
+    max_pixels = check_max_pixels(max_pixels)
     if not is_path(path):
         raise InputError(f"path={shown(path)}: expected the path of an image, such as 'photo.png'")
     from clmorph.decoding import decode

@@ -1,7 +1,7 @@
 """A look at the transport between two images: its numbers, before any frame is drawn."""
 
-import math
 import time
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -19,13 +19,14 @@ from clmorph.measures import Measure
 from clmorph.morph import StageProgress, check_options
 from clmorph.operations import Operations
 from clmorph.plan import Plan, transport_plan
-from clmorph.planning import make_plan
+from clmorph.planning import check_ways, choose_way, finest_pixels, make_plan
 from clmorph.points import as_pair
 from clmorph.potentials import Potentials
-from clmorph.refinement import in_cells
+from clmorph.refinement import PixelCells, in_cells, refined
+from clmorph.sampling import MAX_DRAWS, Barycentric
 from clmorph.sinkhorn import sinkhorn
 from clmorph.strengths import Reach
-from clmorph.timing import fill_seconds, frame_seconds
+from clmorph.timing import SAMPLED_PAIRS, fill_seconds, frame_seconds
 
 __all__ = ["Inspection", "Seconds", "inspect"]
 
@@ -48,6 +49,7 @@ def inspect(
     weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
     solve_size: int | None = None,
     max_particles: int | None = None,
+    max_memory: float | None = None,
     n_frames: int = defaults.N_FRAMES,
     backend: Backend = "auto",
     divergence: bool = True,
@@ -61,8 +63,8 @@ def inspect(
     image_a, image_b, blur, reach, color_weight, epsilon, rho, tol, max_iter, extent, mass, \
 color_space, color_metric, weights, backend
         As in `clmorph.morph`.
-    solve_size, max_particles
-        As in `clmorph.morph`: the first decides what is looked at, the second what a morph
+    solve_size, max_particles, max_memory
+        As in `clmorph.morph`: the first decides what is looked at, the others what a morph
         would draw.
     n_frames : int
         For how many frames time is estimated.
@@ -90,11 +92,13 @@ color_space, color_metric, weights, backend
     -----
     ConvergenceWarning
         If the solver stops before `tol`.
+    MemoryWarning
+        If the particles of a morph would not all fit into `max_memory`.
     """
     options = check_options(
         n_frames, blur, reach, color_weight, epsilon=epsilon, rho=rho, tol=tol,
         max_iter=max_iter, extent=extent, mass=mass, color_space=color_space,
-        solve_size=solve_size, max_particles=max_particles,
+        solve_size=solve_size, max_particles=max_particles, max_memory=max_memory,
     )  # fmt: skip
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
     divergence = check_flag("divergence", divergence)
@@ -111,6 +115,7 @@ color_space, color_metric, weights, backend
     cells = in_cells(whole[0], coarsest), in_cells(whole[1], coarsest)
     source, target = cells[0].coarse, cells[1].coarse
     operations = get_backend(backend)
+    check_ways(*cells, operations, max_memory=max_memory)
     report("transport", 0.0)
     began = time.perf_counter()
     potentials = sinkhorn(
@@ -137,13 +142,8 @@ color_space, color_metric, weights, backend
     report("plan", 1.0)
 
     report("timing", 0.0)
-    drawn, moving = plan, pairs
-    if max(cells[0].side, cells[1].side) > 1 or pairs > (max_particles or pairs):
-        made = make_plan(
-            *cells, potentials, operations, max_particles=max_particles, max_memory=math.inf
-        )
-        if isinstance(made, Plan):
-            drawn, moving = made, len(made)
+    way = choose_way(*cells, potentials, operations, max_particles, max_memory, stacklevel=2)
+    drawn, moving = _drawn(cells, potentials, plan, pairs, way, operations)
     frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations)
     report("timing", 1.0)
     return Inspection(
@@ -158,6 +158,7 @@ color_space, color_metric, weights, backend
         memory=estimate(
             whole[0].shape, whole[1].shape, moving, backend=operations,
             alpha=any(measure.alpha is not None for measure in whole),
+            barycentric=isinstance(drawn, Barycentric),
             dimension=as_pair(source, target)[0].points.shape[1],
         ),
         seconds=Seconds(transport_seconds, plan_seconds, frames),
@@ -186,6 +187,30 @@ def _plan(
     except PlanSizeError as error:
         pairs = error.pairs
     return plan, pairs, time.perf_counter() - began
+
+
+def _drawn(
+    cells: tuple[PixelCells, PixelCells],
+    potentials: Potentials,
+    plan: Plan | None,
+    pairs: int,
+    way: dict[str, Any],
+    operations: Operations,
+) -> tuple[Plan | Barycentric | None, int]:
+    """Return what a morph would draw, as far as it may be built, and how much would travel."""
+    finest = finest_pixels(*cells)
+    if way:
+        made = make_plan(*cells, potentials, operations, **way)
+        return made, len(made)
+    if plan is not None:
+        made = refined(plan, *cells)
+        return made, len(made)
+    if finest == 1:
+        return None, pairs
+    # A sample stands for the plan that may not be built: between pixels, as what is drawn.
+    draws = max(1, min(MAX_DRAWS // finest, SAMPLED_PAIRS // len(cells[0].fine)))
+    way = {"sample": draws} if finest <= MAX_DRAWS else {"barycentric": True}
+    return make_plan(*cells, potentials, operations, **way), pairs * finest
 
 
 def _no_divergence(source: Measure, potentials: Potentials, wanted: bool) -> str:

@@ -55,7 +55,9 @@ def make_plan(
     """
     measures = source.coarse, target.coarse
     if sample is None and not barycentric:
-        way = _way(source, target, potentials, operations, max_particles, max_memory)
+        way = choose_way(
+            source, target, potentials, operations, max_particles, max_memory, stacklevel=3
+        )  # fmt: skip
         sample, barycentric = way.get("sample"), way.get("barycentric", False)
     if barycentric:
         means = barycentric_plan(*measures, potentials, backend=operations)
@@ -64,12 +66,12 @@ def make_plan(
         plan = transport_plan(*measures, potentials, backend=operations)
         return refined(plan, source, target)
     # Each pixel of a cell has draws of its own.
-    draws = sample * _finest(source, target)
+    draws = sample * finest_pixels(source, target)
     plan = sample_plan(*measures, potentials, draws, seed=seed, backend=operations)
     return plan if draws == sample else drawn(plan, source, target, draws)
 
 
-def _finest(source: PixelCells, target: PixelCells) -> int:
+def finest_pixels(source: PixelCells, target: PixelCells) -> int:
     """Pixels of the larger of both images' cells."""
     return int(max(source.side, target.side) ** 2)
 
@@ -96,7 +98,7 @@ def check_ways(
         If there would be too many draws from a cell, or not even the least would fit into
         `max_memory`.
     """
-    finest = _finest(source, target)
+    finest = finest_pixels(source, target)
     if sample is not None and sample * finest > MAX_DRAWS:
         raise InputError(
             f"sample={sample}: expected at most {MAX_DRAWS // finest} with cells of {finest} "
@@ -132,16 +134,35 @@ def _kind(
     }
 
 
-def _way(
+def choose_way(
     source: PixelCells,
     target: PixelCells,
     potentials: Potentials,
     operations: Operations,
     max_particles: int | None,
     max_memory: float | None,
+    stacklevel: int = 2,
 ) -> dict[str, Any]:
-    """Return options of the plan within both limits; none if all pairs may be kept."""
-    finest = _finest(source, target)
+    """Return options of `make_plan` within both limits; none if all pairs may be kept.
+
+    Parameters
+    ----------
+    source, target, potentials, operations, max_particles, max_memory
+        As in `make_plan`.
+    stacklevel : int
+        Of the warning, as in `warnings.warn` by the caller.
+
+    Returns
+    -------
+    dict
+        ``{}``, ``{"sample": k}`` or ``{"barycentric": True}``.
+
+    Warns
+    -----
+    MemoryWarning
+        If not all pairs fit into `max_memory`.
+    """
+    finest = finest_pixels(source, target)
     most = len(source.coarse) * len(target.coarse) * finest
     limit = default_memory(operations) if max_memory is None else max_memory
     shapes, kind = _kind(source, target, operations)
@@ -166,7 +187,7 @@ def _way(
         f"{particles:.2g} particles, of the plan's {pairs:.2g} pairs, would not fit into "
         f"max_memory={limit / 1e9:.3g} GB: {chosen} is taken in their place",
         MemoryWarning,
-        stacklevel=4,
+        stacklevel=stacklevel + 1,
     )
     return way
 

@@ -3,8 +3,9 @@
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from types import TracebackType
-from typing import Self
+from typing import IO, Any, Self, cast
 
 from rich.console import Console
 from rich.progress import (
@@ -18,15 +19,44 @@ from rich.progress import (
 
 from clmorph.printable import MESSAGE, printable
 
+
+class _StandardError:
+    """Standard error, wherever it is by then; what it does not take is lost.
+
+    No note is worth a morph: a log on a full disk ends no work.
+    """
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(sys.stderr, name)
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            sys.stderr.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            sys.stderr.flush()
+
+
 #: Progress, notes and errors; results go to standard output.
-NOTES = Console(stderr=True, highlight=False, soft_wrap=True)
+NOTES = Console(
+    file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True, markup=False, emoji=False
+)
 #: Tables: as wide as they must be where nobody's terminal says otherwise.
-RESULTS = Console(highlight=False, width=None if sys.stdout.isatty() else 200)
+RESULTS = Console(
+    highlight=False, width=None if sys.stdout.isatty() else 200, markup=False, emoji=False
+)
+
+
+def say(text: object) -> None:
+    """Print a line on standard error, whatever the names in it hold."""
+    NOTES.print(printable(text, MESSAGE))
 
 
 def note(text: object) -> None:
-    """Print a remark in one line, whatever the names in it hold."""
-    NOTES.print(f"note: {printable(text, MESSAGE)}", markup=False)
+    """Print a remark."""
+    say(f"note: {text}")
 
 
 class Stages:

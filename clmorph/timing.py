@@ -8,7 +8,7 @@ import numpy as np
 
 from clmorph.colors import from_space
 from clmorph.defaults import PRESETS
-from clmorph.endpoints import Details, Lacking, ladder
+from clmorph.endpoints import Details, Lacking, ladder, mean_destinations
 from clmorph.estimates import part_of
 from clmorph.interpolation import Particles, particles
 from clmorph.measures import Measure
@@ -17,7 +17,7 @@ from clmorph.plan import Plan
 from clmorph.points import as_pair
 from clmorph.potentials import Potentials
 from clmorph.rendering import canvas_at, render
-from clmorph.sampling import sample_plan
+from clmorph.sampling import Barycentric, sample_plan
 from clmorph.widths import KernelWidth, auto_sigma
 
 #: Pairs that are drawn at most; the time of more follows from these and a quarter of them.
@@ -31,7 +31,7 @@ def frame_seconds(
     source: Measure,
     target: Measure,
     potentials: Potentials,
-    plan: Plan | None,
+    plan: Plan | Barycentric | None,
     pairs: int,
     n_frames: int,
     operations: Operations,
@@ -46,10 +46,10 @@ def frame_seconds(
     ----------
     source, target : Measure
     potentials : Potentials
-    plan : Plan, optional
+    plan : Plan or Barycentric, optional
         None: pairs are drawn from its rows.
     pairs : int
-        How many the plan keeps.
+        How many the plan keeps; of means, one a row.
     n_frames : int
     operations : Operations
 
@@ -61,9 +61,11 @@ def frame_seconds(
     if plan is None:
         draws = max(1, min(4096, SAMPLED_PAIRS // len(source)))
         plan = sample_plan(source, target, potentials, draws, backend=operations)
-    most = min(len(plan), SAMPLED_PAIRS)
-    sizes = [most] if len(plan) == most == pairs else [max(1, most // 4), most]
-    plans = [_thinned(plan, size) for size in sizes]
+    plans: list[Plan | Barycentric] = [plan]
+    if isinstance(plan, Plan):
+        most = min(len(plan), SAMPLED_PAIRS)
+        sizes = [most] if len(plan) == most == pairs else [max(1, most // 4), most]
+        plans = [_thinned(plan, size) for size in sizes]
     found = [_time(source, target, thin, operations) for thin in plans]
     each, once = found[-1]
     if len(found) > 1 and len(plans[1]) > len(plans[0]):
@@ -112,7 +114,7 @@ def _growth(small: float, large: float, more: float, times: float) -> float:
 
 
 def _time(
-    source: Measure, target: Measure, plan: Plan, operations: Operations
+    source: Measure, target: Measure, plan: Plan | Barycentric, operations: Operations
 ) -> tuple[float, float]:
     """Seconds of one frame, and of what is done once before the first."""
     preset = PRESETS["photo"]
@@ -151,15 +153,13 @@ def _time(
     return float(drawn @ SHARES) + details, once
 
 
-def _detail_seconds(source: Measure, plan: Plan, target: Measure, operations: Operations) -> float:
+def _detail_seconds(
+    source: Measure, plan: Plan | Barycentric, target: Measure, operations: Operations
+) -> float:
     """Seconds in which what lacks at both ends is given back to one frame."""
     canvas = canvas_at(0.25, source.shape, target.shape, source.extent)
     total = 0.0
-    ends = zip(
-        (source, target),
-        plan.mean_destinations(source.positions, target.positions),
-        strict=True,
-    )
+    ends = zip((source, target), mean_destinations(source, target, plan), strict=True)
     for measure, destinations in ends:
         missing = Lacking(np.ones(1), np.ones((1, *measure.shape, 3)))
         moving = np.full(len(measure), 0.5)

@@ -6,6 +6,7 @@ import json
 import os
 import pty
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -410,3 +411,183 @@ def test_completion(shell, capfd):
                               "COMP_WORDS": "clmorph morph --pre"},
         )  # fmt: skip
         assert "--preset" in done.stdout
+
+
+def closed(redirections, *arguments):
+    """Run the command from a shell that closes or redirects its streams."""
+    command = " ".join(map(shlex.quote, [str(COMMAND), *map(str, arguments)]))
+    return subprocess.run(
+        ["/bin/sh", "-c", f"{command} {redirections}"],
+        capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+def test_streams_that_are_closed(pictures):
+    """What is printed is lost, and gets into no file; the file is made."""
+    arguments = ["morph", "a.png", "b.jpg", "-o", "x.npz", "--frames", 2, "--backend", "numpy"]
+    arguments += ["--size", 6, "--blur", 0.2]
+    done = closed(">&- 2>&- <&-", *arguments)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert len(clmorph.load("x.npz").frames) == 2
+    for redirections in (">&-", "2>&-"):
+        for command in (["--version"], ["morph", "--dump-config"]):
+            done = closed(redirections, *command)
+            assert done.returncode == 0
+            assert "Traceback" not in done.stderr
+    done = closed("2>&-", "morph", "missing.png", "b.jpg", "-o", "x.gif")
+    assert (done.returncode, done.stdout) == (2, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_streams_that_are_full(pictures):
+    """Lost results are an error; lost notes are none."""
+    for command in ([], ["devices", "--json"], ["--help"], ["completion", "bash"]):
+        done = closed(">/dev/full", *command)
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1
+        assert done.stderr.startswith("clmorph: error: ")
+        assert "No space left" in done.stderr
+    arguments = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", 2, "--backend", "numpy"]
+    done = closed("2>/dev/full", *arguments, "--size", 6, "--blur", 0.2)
+    assert done.returncode == 0
+    assert done.stdout.startswith("x.gif: 2 frames")
+    assert closed(">/dev/full 2>&1", *arguments, "--size", 0).returncode == 2
+
+
+QUICK = ["--frames", "2", "--backend", "numpy", "--size", "6", "--blur", "0.2"]
+
+
+def test_frames_into_the_folder_where_one_stands(pictures, monkeypatch, capfd):
+    Path("here").mkdir()
+    monkeypatch.chdir("here")
+    where = Path().stat()
+    assert main(["morph", "../a.png", "../b.jpg", "-o", ".", "--recipe", *QUICK]) == 0
+    assert os.path.samestat(Path().stat(), where)
+    assert [path.name for path in sorted(Path().iterdir())] == ["frame-0000.png", "frame-0001.png"]
+    recipe = json.loads(Path("../here.json").read_text())
+    assert [image["file"] for image in recipe["images"]] == ["a.png", "b.jpg"]
+    assert main(["morph", "../a.png", "../b.jpg", "-o", "new/", *QUICK]) == 0
+    assert len(list(Path("new").iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    ("output", "words"),
+    [
+        (".", ". exists already"),
+        ("..", ".. exists already"),
+        ("/", "/ exists already"),
+        ("", "'' is no name"),
+        ("a\0b", r"'a\x00b' is no name"),
+        ("x.gif/", "leave out the '/' or the ending"),
+    ],
+)
+def test_outputs_that_are_none(pictures, capfd, output, words):
+    before = sorted(pictures.rglob("*"))
+    assert main(["morph", "a.png", "b.jpg", "-o", output, *QUICK]) == 2
+    err = capfd.readouterr().err
+    assert err.count("\n") == 1
+    assert words in err
+    assert sorted(pictures.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["morph", "", "b.jpg", "-o", "x.gif"],
+        ["morph", "a.png", "b.jpg", "-o", "x.gif", "--config", ""],
+        ["inspect", "a.png", ""],
+        ["inspect", "a.png", "b.jpg", "-o", ""],
+        ["check", "--report", ""],
+    ],
+)
+def test_names_that_are_empty(pictures, capfd, arguments):
+    assert main(arguments) == 2
+    assert "'' is no name" in capfd.readouterr().err
+
+
+def test_names_of_any_characters(pictures, capfd):
+    """Neither markup nor emoji nor line ends nor escapes: nothing but names."""
+    odd = "[red]:cat:\n\x1b[2J é.png"
+    Path("a.png").rename(odd)
+    assert main(["morph", odd, odd, "-o", "[b]\n.gif", "--lossless", *QUICK]) == 0
+    out, err = capfd.readouterr()
+    assert out.startswith("[b]\\n.gif: 2 frames")
+    assert "note: --lossless makes no difference to [b]\\n.gif\n" in err
+    assert main(["morph", odd, "[/red]\n:cat:", "-o", "x.gif", *QUICK]) == 2
+    assert capfd.readouterr().err.startswith("clmorph: error: [/red]\\n:cat:: no such file; ")
+
+
+@pytest.mark.parametrize("digits", [400, 5000])
+def test_numbers_of_any_length(pictures, capfd, digits):
+    """Python reads whole numbers of at most 4300 digits, and floats end at 308."""
+    number = "9" * digits
+    for option in ("frames", "size", "blur", "reach", "sigma-start", "seed", "max-pixels", "fps",
+                   "max-memory", "sample", "solve-size", "max-iter", "canvas"):  # fmt: skip
+        line = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--backend", "numpy"]
+        assert main([*line, f"--{option}", number]) == 2, option
+        out, err = capfd.readouterr()
+        assert out == ""
+        assert err.startswith("clmorph: error: ")
+        assert len(err) < 400
+        assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_streams_that_lack_characters(pictures, encoding):
+    """Help and tables are printed all the same; files of settings are always UTF-8."""
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    for arguments in (["morph", "--help"], ["devices"]):
+        done = subprocess.run(
+            [COMMAND, *arguments], capture_output=True, env=environment, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, b"")
+        assert len(done.stdout) > 200
+    done = subprocess.run(
+        [COMMAND, "morph", "ł.png", "b.jpg", "--dump-config"], capture_output=True,
+        env=environment, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert '"ł.png"'.encode() in done.stdout
+
+
+def test_nobody_reads_what_is_printed_at_once(pictures):
+    """The same whether the pipe closes before or after."""
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        for arguments in (["--version"], ["--help"], ["completion", "zsh"]):
+            done = subprocess.run(
+                [COMMAND, *arguments], stdout=write, stderr=subprocess.PIPE, check=False
+            )
+            assert (done.returncode, done.stderr) == (0, b"")
+    finally:
+        os.close(write)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no folder goes while somebody is in it")
+def test_a_folder_that_is_gone(pictures, monkeypatch, capfd):
+    Path("gone").mkdir()
+    monkeypatch.chdir("gone")
+    Path("../gone").rmdir()
+    a, b = pictures / "a.png", pictures / "b.jpg"
+    for arguments, words in (
+        (["morph", str(a), str(b), "-o", "x.gif", *QUICK], "x.gif: there is no such place"),
+        (["morph", str(a), str(b), "-o", ".", *QUICK], "there is no such place"),
+        (["demo", "--backend", "numpy"], "the current folder is gone"),
+        (["check", "--report", "x.json"], "the current folder is gone"),
+    ):
+        assert main(arguments) == 2
+        assert words in capfd.readouterr().err
+    assert main(["morph", str(a), str(b), "-o", str(pictures / "x.gif"), *QUICK]) == 0
+
+
+def test_mistakes_of_inspect_are_those_of_morph(pictures, capfd):
+    Image.new("RGBA", (5, 5)).save("void.png")
+    for arguments, words in (
+        (["void.png", "b.jpg"], "void.png: every pixel is transparent"),
+        (["a.png", "b.jpg", "--max-pixels", "0"], "--max-pixels 0: expected a whole number"),
+        (["a.png", "b.jpg", "--max-pixels", "5"], "a.png has 20 x 12 pixels: expected at most 5"),
+        (["a.png", "b.jpg", "--frames", "1"], "--frames 1: expected a whole number"),
+    ):
+        assert main(["inspect", *arguments, "--backend", "numpy"]) == 2
+        assert words in capfd.readouterr().err

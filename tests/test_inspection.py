@@ -2,14 +2,24 @@ import json
 import sys
 import time
 import tracemalloc
+import warnings
 
 import numpy as np
 import pytest
 from clouds import PAIRS
+from PIL import Image
 from skimage import data
 
 import clmorph
-from clmorph.errors import ConvergenceWarning, InputError, OutputError, PlanSizeError
+from clmorph.cli import main
+from clmorph.defaults import PRESETS
+from clmorph.errors import (
+    ConvergenceWarning,
+    InputError,
+    MemoryWarning,
+    OutputError,
+    PlanSizeError,
+)
 from clmorph.estimates import affordable, estimate, predict_pairs
 from clmorph.findings import percent, size_text, time_text
 from clmorph.images import as_rgb
@@ -575,3 +585,86 @@ def test_numbers_for_people(text, expected):
 def test_an_inspection_names_itself(found):
     assert isinstance(found, Inspection)
     assert repr(found).startswith("<Inspection of 11 x 14 into 16 x 10 pixels, ")
+
+
+class TestWhatAMorphWouldDraw:
+    """Particles are those that `clmorph.morph` makes with the same options."""
+
+    def _check(self, found, images, **options):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MemoryWarning)
+            result = clmorph.morph(*images, 3, backend="numpy", **options)
+        assert found.moving == len(result.plan)
+        assert found.seconds.frames > 0
+        _is_json(found)
+        assert all(len(line) > 14 for line in found.lines())
+        return result
+
+    @pytest.mark.parametrize(
+        "options",
+        [
+            {},
+            {"solve_size": 8},
+            {"max_particles": 700},
+            {"max_particles": 700, "solve_size": 8},
+            {"max_particles": 1, "solve_size": 8},
+        ],
+    )
+    def test_with_limits(self, options):
+        images = _photos(16)
+        options = {"blur": 0.1, "color_weight": 0.5, **options}
+        found = inspect(*images, backend="numpy", divergence=False, **options)
+        self._check(found, images, **options)
+
+    def test_means_where_cells_are_too_large_for_draws(self, monkeypatch, device):
+        monkeypatch.setattr("clmorph.planning.MAX_DRAWS", 8)
+        images = _photos(16)
+        options = {"blur": 0.1, "max_particles": 10, "solve_size": 4}
+        for backend in ("numpy", device):
+            found = inspect(*images, backend=backend, divergence=False, **options)
+            result = self._check(found, images, **options)
+            assert isinstance(result.plan, clmorph.Barycentric)
+
+    @pytest.mark.parametrize("limit", [1, 5])
+    def test_within_some_memory(self, device, limit):
+        """The device has no more of it: what gives way is said, and measured."""
+        images = _photos(32)
+        options = {"blur": 0.3, "max_memory": 1.0}
+        with pytest.raises(InputError, match=r"max_memory=.* at least"):
+            inspect(*images, backend=device, divergence=False, **options)
+        shape = images[0].shape[:2]
+        least = estimate(shape, shape, sample=limit, backend=device)
+        options["max_memory"] = 1.01 * max(least.ram, least.device)
+        with pytest.warns(MemoryWarning, match="in their place") as caught:
+            found = inspect(*images, backend=device, divergence=False, **options)
+        assert caught[0].filename == __file__
+        with pytest.warns(MemoryWarning):
+            result = clmorph.morph(*images, 3, backend=device, **options)
+        assert found.moving == len(result.plan) < found.pairs
+        assert max(found.memory.ram, found.memory.device) <= options["max_memory"]
+
+    def test_cells_whose_plan_is_too_large(self):
+        images = _photos(16)
+        options = {"blur": 0.1, "solve_size": 8, "backend": "numpy", "divergence": False}
+        whole = inspect(*images, **options)
+        found = inspect(*images, max_bytes=1000, **options)
+        assert found.plan is None
+        assert found.moving == 4 * found.pairs == 4 * whole.pairs
+        assert found.moving == pytest.approx(whole.moving, rel=0.1)
+        assert found.seconds.frames > 0
+
+    @pytest.mark.parametrize("preset", list(PRESETS))
+    def test_in_every_preset(self, preset, tmp_path, capfd):
+        """The command line's limits, in proportion to the size of the pictures."""
+        for name in ("astronaut", "coffee"):
+            Image.fromarray(getattr(data, name)()).save(tmp_path / f"{name}.png")
+        pictures = [str(tmp_path / f"{name}.png") for name in ("astronaut", "coffee")]
+        options = ["--size", "40", "--max-particles", "3000", "--json"]
+        if preset != "paper":
+            options += ["--solve-size", "20"]
+        assert main(["inspect", *pictures, "--preset", preset, *options]) == 0
+        summary = json.loads(capfd.readouterr().out)
+        # Thinned to the limit, but never below one a pixel.
+        assert summary["particles"]["count"] <= 3000 + 2 * (40 * 40 + 40 * 27)
+        assert main(["inspect", *pictures, "--size", "40", "--max-memory", "1e-6"]) == 2
+        assert "--max-memory 1e-06 GB: expected at least" in capfd.readouterr().err

@@ -6,11 +6,12 @@ import math
 import tomllib
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from PIL import Image
 
-from clmorph.cli import main
+from clmorph.cli import NOT_SETTINGS, main, morph
 from clmorph.commands.settings import layered
 from clmorph.defaults import PRESETS
 from clmorph.errors import InputError
@@ -328,3 +329,40 @@ def test_crossfade_is_one(capfd):
     with Image.open("frames/frame-0001.png") as picture:
         middle = np.asarray(picture).astype(float)
     assert np.abs(middle - (start + 255) / 2).max() < 3
+
+
+NUMERIC = {
+    parameter.name: parameter
+    for parameter in morph.params
+    if parameter.name not in NOT_SETTINGS
+    and (parameter.type in (click.INT, click.FLOAT) or "number" in parameter.type.name
+         or parameter.type.name == "GB")
+}  # fmt: skip
+#: Values as TOML and as JSON write them.
+NO_NUMBERS = [
+    ("inf", "Infinity"), ("-inf", "-Infinity"), ("nan", "NaN"), ("9" * 400, "9" * 400),
+    ("9" * 5000, "9" * 5000), ("true", "true"), ("false", "false"), ('"x"', '"x"'), ('""', '""'),
+    ("[]", "[]"), ("[[1]]", "[[1]]"), ("{a = 1}", '{"a": 1}'), ("2026-01-01", "null"),
+]  # fmt: skip
+
+
+def test_there_are_numbers():
+    assert {"frames", "blur", "reach", "sigma_end", "max_memory", "seed"} <= set(NUMERIC)
+
+
+@pytest.mark.parametrize("name", NUMERIC)
+def test_values_of_files_that_are_no_numbers(name, capfd):
+    for toml, text in NO_NUMBERS:
+        Path("x.toml").write_text(f"{name} = {toml}\n")
+        Path("x.json").write_text(f'{{"clmorph": "1", "options": {{"{name}": {text}}}}}')
+        for file in ("x.toml", "x.json"):
+            line = told(capfd, "a.png", "b.png", "-o", "o.gif", "--config", file,
+                        "--backend", "numpy")  # fmt: skip
+            assert len(line) < 400
+            assert any(word in line for word in (file, name, name.replace("_", "-"))), line
+
+
+@pytest.mark.parametrize("value", ["5", '["a.gif", 5]', '""', '[""]', '"a\\u0000b"'])
+def test_names_of_files_that_are_none(value, capfd):
+    Path("x.toml").write_text(f"output = {value}\n")
+    told(capfd, "a.png", "b.png", "--config", "x.toml")

@@ -9,8 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from clmorph.checks import check_max_pixels
 from clmorph.errors import FileError, ImageWarning, InputError
-from clmorph.terminal import NOTES, note
+from clmorph.terminal import NOTES, note, say
 
 #: Keeps Python from printing what is logged and nobody handles.
 SILENT = logging.NullHandler()
@@ -67,10 +68,11 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     Raises
     ------
     FileError
-        If it cannot be read.
+        If it cannot be read, or there is nothing to see.
     """
     from clmorph.images import read_image
 
+    check_max_pixels(max_pixels)  # a mistake in the option, not in the file
     with quiet_libraries() as found:
         try:
             pixels = read_image(path, max_pixels=max_pixels)
@@ -78,6 +80,8 @@ def read_picture(path: Path, max_pixels: int) -> Any:
             raise FileError(str(error)) from None
     for remark in found:
         note(remark.message)
+    if pixels.shape[2] == 4 and not pixels[..., 3].any():
+        raise FileError(f"{path}: every pixel is transparent; expected something to see")
     return pixels
 
 
@@ -103,5 +107,5 @@ def open_backend(device: str | None, backend: str | None) -> Any:
 
     with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
         operations = get_backend(device or backend or "auto")
-    NOTES.print(f"device: {operations.description}", markup=False)
+    say(f"device: {operations.description}")
     return operations

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from clmorph.commands.common import note_warning, open_backend, read_picture
+from clmorph.commands.options import GIGABYTE
 from clmorph.commands.settings import Settings, layered, preset
 from clmorph.errors import ConvergenceWarning
 from clmorph.files import check_apart
@@ -22,7 +23,7 @@ from clmorph.terminal import Stages
 #: Settings of a preset that decide about the transport.
 TRANSPORT = (
     "blur", "reach", "epsilon", "rho", "color_weight", "color_space", "mass", "extent", "tol",
-    "max_iter", "solve_size", "max_particles",
+    "max_iter", "solve_size", "max_particles", "max_memory",
 )  # fmt: skip
 
 
@@ -60,7 +61,10 @@ def run_inspect(
     settings = layered((preset(chosen), given))
     size = settings.get("size")
     options: dict[str, Any] = {name: settings[name] for name in TRANSPORT if name in settings}
-    pictures = [read_picture(path, max_pixels or MAX_PIXELS) for path in images]
+    if "max_memory" in options:
+        options["max_memory"] *= GIGABYTE
+    most = MAX_PIXELS if max_pixels is None else max_pixels
+    pictures = [read_picture(path, most) for path in images]
     if size is not None:
         pictures = [fit(picture, size) for picture in pictures]
     operations = open_backend(device, backend)
@@ -81,4 +85,4 @@ def run_inspect(
     for line in found.lines():
         click.echo(line)
     if output is not None:
-        click.echo(f"wrote {printable(output)}")
+        click.echo(f"wrote {printable(click.format_filename(output))}")

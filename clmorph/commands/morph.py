@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from clmorph import defaults
 from clmorph.commands import settings as files
 from clmorph.commands.common import note_warning, open_backend, read_picture
+from clmorph.commands.options import GIGABYTE
 from clmorph.commands.settings import Settings
 from clmorph.errors import (
     ConvergenceWarning,
@@ -40,7 +41,7 @@ from clmorph.planning import default_memory
 from clmorph.potentials import Potentials
 from clmorph.printable import printable
 from clmorph.result import Morph
-from clmorph.terminal import NOTES, Stages, note
+from clmorph.terminal import Stages, note, say
 from clmorph.widths import is_pixel_art
 
 #: Settings that are not the morph's own, by what takes them.
@@ -65,7 +66,7 @@ class _Run:
         own = {*MOTION, *LOOK, *RUN}
         self.options = {name: value for name, value in said.items() if name not in own}
         if "max_memory" in self.options:
-            self.options["max_memory"] *= 1e9  # it is said in gigabytes
+            self.options["max_memory"] *= GIGABYTE
         self.n_frames = said.get("frames", defaults.N_FRAMES)
         check_options(n_frames=self.n_frames, **self.options)
         self.look = Look(**{name: said[name] for name in LOOK if name in said})
@@ -149,9 +150,7 @@ def run_morph(
     if "format" in settings and len(outputs) > 1:
         raise InputError("--format is for one output: leave it out, or write one at a time")
     places = [Output(output, settings.get("format")) for output in outputs]
-    recipes = [
-        output.with_name(f"{output.name}.json") for output in outputs if settings.get("recipe")
-    ]
+    recipes = [_beside(output) for output in outputs if settings.get("recipe")]
     for beside in recipes:
         if check_place(beside).is_dir():
             raise OutputError(f"{beside} is a folder; choose another name for the output")
@@ -161,7 +160,7 @@ def run_morph(
     operations = open_backend(device, backend)
     if capped:
         _cap_memory(run, operations)
-    NOTES.print(run.memory(pictures, operations))
+    say(run.memory(pictures, operations))
     told = files.recipe(settings, images, operations.description)
     notes: list[str] = []
     with Stages() as stages, warnings.catch_warnings():
@@ -205,11 +204,15 @@ def _cap_memory(run: _Run, operations: Operations) -> None:
         note(f"the recipe's limit of {told:g} GB is above the device's own, {limit / 1e9:.3g} GB")
 
 
+def _beside(output: Path) -> Path:
+    """Return where the recipe of an output goes; such as ``.`` have their name elsewhere."""
+    named = output if output.name not in ("", "..") else output.resolve()
+    return named.with_name(f"{named.name}.json") if named.name else named / ".json"
+
+
 def _read(path: Path, settings: Settings) -> NDArray[np.float64]:
-    """Return a picture at the size at which it is drawn, with something to see."""
+    """Return a picture at the size at which it is drawn."""
     picture: NDArray[np.float64] = read_picture(path, settings.get("max_pixels", MAX_PIXELS))
-    if picture.shape[2] == 4 and not picture[..., 3].any():
-        raise FileError(f"{path}: every pixel is transparent; expected something to see")
     size = settings.get("size")
     return picture if size is None else fit(picture, size)
 

@@ -1,6 +1,7 @@
 """Options of the command line, by the panels in which the help shows them."""
 
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -8,6 +9,7 @@ from typing import Any, TypeVar
 import rich_click as click
 
 from clmorph import defaults
+from clmorph.checks import shown
 from clmorph.colors import COLOR_SPACES
 from clmorph.endpoints import ENDPOINTS
 from clmorph.export import FORMATS
@@ -39,10 +41,10 @@ class _Reach(click.ParamType):
             return math.inf
         try:
             number = float(value)
-        except (TypeError, ValueError):
-            self.fail(f"{value!r} is neither a number nor {BALANCED!r}.", param, ctx)
+        except (TypeError, ValueError, OverflowError):
+            self.fail(f"{shown(value)} is neither a number nor {BALANCED!r}.", param, ctx)
         if number == math.inf:
-            self.fail(f"{value!r}: expected a finite number, or {BALANCED!r}.", param, ctx)
+            self.fail(f"{shown(value)}: expected a finite number, or {BALANCED!r}.", param, ctx)
         return number
 
 
@@ -56,8 +58,41 @@ class _Sigma(click.ParamType):
             return value
         try:
             return float(value)
-        except (TypeError, ValueError):
-            self.fail(f"{value!r} is neither a number nor 'auto'.", param, ctx)
+        except (TypeError, ValueError, OverflowError):
+            self.fail(f"{shown(value)} is neither a number nor 'auto'.", param, ctx)
+
+
+class FileName(click.Path):
+    """The name of a file or a folder; an empty one would stand for the current folder."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:  # noqa: D102 (click's)
+        if not str(value) or "\0" in str(value):
+            self.fail(f"{str(value)!r} is no name; expected that of a file.", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class OutputName(FileName):
+    """The name of what is to be written."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:  # noqa: D102 (click's)
+        path = super().convert(value, param, ctx)
+        ends = tuple(separator for separator in (os.sep, os.altsep) if separator)
+        files = {ending for format in FORMATS.values() for ending in format.endings if ending}
+        if str(value).endswith(ends) and path.suffix.lower() in files:
+            self.fail(
+                f"{str(value)!r} names a folder, but {path.suffix} is the ending of a file; leave "
+                f"out the {str(value)[-1]!r} or the ending.",
+                param,
+                ctx,
+            )
+        return path
+
+
+#: Bytes of the unit in which the command line takes memory.
+GIGABYTE = 1e9
 
 
 class _Gigabytes(click.ParamType):
@@ -68,10 +103,10 @@ class _Gigabytes(click.ParamType):
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         try:
             number = float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             number = math.nan
         if not 0 < number < 1e9:
-            self.fail(f"{value!r}: expected gigabytes, such as 4.", param, ctx)
+            self.fail(f"{shown(value)}: expected gigabytes, such as 4.", param, ctx)
         return number
 
 
@@ -134,14 +169,16 @@ problem_options = _together(
         type=int,
         help="If the plan has more pairs, about so many are drawn from it.",
     ),
-)
-
-plan_options = _together(
     _option(
-        "Transport", "--max-memory", type=_Gigabytes(),
+        "Transport",
+        "--max-memory",
+        type=_Gigabytes(),
         help="Gigabytes; if the plan needs more, fewer particles are drawn.  [default: half of "
         "the device's]",
     ),
+)
+
+plan_options = _together(
     _option(
         "Transport", "--barycentric/--no-barycentric", is_flag=True, default=None,
         help="One particle a pixel.",
@@ -205,7 +242,7 @@ motion_options = _together(
 
 file_options = _together(
     _option(
-        "File", "-o", "--output", type=click.Path(path_type=Path),
+        "File", "-o", "--output", type=OutputName(),
         multiple=True,
         help="Where to, once or more; the ending says what: .gif .webp .apng .mp4 .webm .html, "
         ".png (contact sheet), .npz (NumPy), .tif; without one a folder of PNG frames.",

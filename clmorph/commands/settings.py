@@ -234,20 +234,31 @@ def _check_kind(path: Path, key: str, value: Any, parameter: click.Parameter) ->
     if getattr(parameter, "is_flag", False):
         good, expected = isinstance(value, bool), "true or false"
     elif kind is click.INT:
-        good, expected = number and value == int(value), "a whole number"
+        whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
+        good, expected = number and whole, "a whole number"
     elif kind is click.FLOAT:
-        good, expected = number, "a number"
+        good, expected = number and _is_finite(value), "a number, a finite one"
     elif parameter.name == OUTPUT:
         names = value if isinstance(value, list) else [value]
-        good, expected = all(isinstance(name, str) for name in names), "a file name, or several"
+        good = all(isinstance(name, str) and name for name in names)
+        expected = "a file name, or several"
     elif isinstance(kind, click.Choice) or kind is click.STRING:
         good, expected = isinstance(value, str), "a text"
     else:  # numbers with words of their own, pairs of them
         parts = value if isinstance(value, list) else [value]
-        good = all(isinstance(part, int | float | str) and part is not True for part in parts)
+        good = bool(parts) and all(
+            isinstance(part, int | float | str) and not isinstance(part, bool) for part in parts
+        )
         expected = "a number"
     if not good:
         raise InputError(f"{path}: {key} = {_short(value)}: expected {expected}")
+
+
+def _is_finite(value: float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond what floats hold
+        return False
 
 
 def _short(value: Any) -> str:

@@ -1,0 +1,76 @@
+"""Numbers are taken exactly as they are, or refused in one short line."""
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph.checks import SHOWN_LENGTH, check_choice, check_integer, check_number, shown
+
+SMALL = np.zeros((3, 4, 3))
+HUGE = 10**400
+#: More digits than Python prints.
+ENDLESS = 10**5000
+
+
+def test_whole_numbers_are_exact():
+    """Those that floats would round, too."""
+    for value in (2**53 + 1, 2**63 - 1, np.int64(2**63 - 1), np.uint64(2**63), np.array(7), 7.0,
+                  np.float32(7)):  # fmt: skip
+        assert check_integer("seed", value, 0, 2**63) == int(value)
+    with pytest.raises(clmorph.InputError, match="whole number in"):
+        check_integer("seed", 2**63 + 1, 0, 2**63)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        HUGE, -HUGE, ENDLESS, 1e400, float("nan"), 2.5, True, np.True_, np.array(True), "3", b"3",
+        None, [3], {}, 3j, np.zeros((40, 40)), np.zeros(0), "x" * 10_000, [[1, 2], [3]], 10,
+    ],
+    ids=lambda value: shown(value)[:20],
+)  # fmt: skip
+def test_what_is_none_is_refused_in_one_line(value):
+    for check in (lambda: check_integer("n", value, 0, 9), lambda: check_number("n", value, 0, 2)):
+        with pytest.raises(clmorph.InputError, match=r"^n=.*: expected a ") as caught:
+            check()
+        assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) < SHOWN_LENGTH + 60
+
+
+def test_choices_are_shown_in_one_line():
+    for value in (ENDLESS, np.zeros((40, 40)), "a" * 10_000, "a\nb"):
+        with pytest.raises(clmorph.InputError, match="expected one of 'x', 'y'") as caught:
+            check_choice("mode", value, ("x", "y"))
+        assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) < SHOWN_LENGTH + 60
+
+
+@pytest.mark.parametrize("value", [HUGE, ENDLESS], ids=["400 digits", "5000 digits"])
+@pytest.mark.parametrize(
+    "name",
+    ["n_frames", "blur", "reach", "rho", "epsilon", "tol", "max_iter", "color_weight", "seed",
+     "sigma_start", "sigma_end", "gamma", "sample", "solve_size", "max_particles", "max_memory"],
+)  # fmt: skip
+def test_options_of_the_library(name, value):
+    with pytest.raises(clmorph.InputError, match=name.split("_")[0]) as caught:
+        clmorph.morph(SMALL, SMALL, backend="numpy", **{name: value})
+    assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize("value", [HUGE, ENDLESS], ids=["400 digits", "5000 digits"])
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda value: clmorph.fit(SMALL, value),
+        lambda value: clmorph.read_image("a.png", max_pixels=value),
+        lambda value: clmorph.lift(SMALL, value),
+        lambda value: clmorph.inspect(SMALL, SMALL, n_frames=value, backend="numpy"),
+        lambda value: clmorph.inspect(SMALL, SMALL, max_bytes=value, backend="numpy"),
+        lambda value: clmorph.inspect(SMALL, SMALL, max_memory=value, backend="numpy"),
+        lambda value: clmorph.morph(SMALL, SMALL, reach=(value, 1), backend="numpy"),
+    ],
+)
+def test_functions_of_the_library(call, value):
+    with pytest.raises(clmorph.InputError) as caught:
+        call(value)
+    assert len(str(caught.value)) < 300
