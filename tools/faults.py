@@ -25,8 +25,9 @@ from findings import Findings, digest, pictures
 
 from clmorph.export import FOLDERS, FORMATS
 
-#: Signals, and the exit codes of runs that they end; -15 is a SIGTERM that nobody handles.
-SIGNALS = {"SIGINT": (130,), "SIGTERM": (143, -15), "SIGKILL": (-9,)}
+#: Signals, and the exit codes of runs that they end; -15 is a SIGTERM that nobody handles, -2
+#: how the interpreter ends after some of the interruptions that were handled.
+SIGNALS = {"SIGINT": (130, -2), "SIGTERM": (143, -15), "SIGKILL": (-9,)}
 #: Seconds after which a run counts as hanging.
 HANGS = 180
 OLD = b"what was there before"
@@ -208,7 +209,9 @@ class Runs:
                 faults.append(f"exit code {ended.code}")
             if any("Traceback" in line for line in ended.lines):
                 faults.append(f"a traceback ({ended.lines[-1]})")
-            elif ended.code > 0 and (len(told) != 1 or len(ended.lines) != 1):
+            elif (ended.code > 0 or (ended.code == -2 and not python)) and (
+                len(told) != 1 or len(ended.lines) != 1
+            ):
                 faults.append(f"not one line: {ended.lines}")
             if ended.code == 0 and not whole:
                 faults.append("done, but not whole")
