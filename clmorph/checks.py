@@ -54,15 +54,20 @@ def check_integer(name: str, value: Any, low: int, high: int) -> int:
     InputError
         If it is not a whole number in that range.
     """
-    number = check_number(name, value, low, high)
+    refused = InputError(f"{name}={shown(value)}: expected a whole number in [{low}, {high}]")
+    number = as_float(value)
+    if number is None:
+        raise refused
     try:
         # An integer of more than 53 bits, such as a seed, would be another number as a float.
-        exact = operator.index(value)
+        whole = operator.index(value)
     except TypeError:
-        exact = int(number)
-    if number != int(number) or not low <= exact <= high:
-        raise InputError(f"{name}={shown(value)}: expected a whole number in [{low}, {high}]")
-    return exact
+        if not number.is_integer():
+            raise refused from None
+        whole = int(number)
+    if not low <= whole <= high:
+        raise refused
+    return whole
 
 
 def check_choice(name: str, value: Any, choices: Sequence[str]) -> str:
@@ -148,7 +153,8 @@ def check_progress(progress: Callable[..., None] | None) -> Callable[..., None]:
 def as_float(value: Any) -> float | None:
     """Return a number as a float, infinite and NaN included; None if it is no number.
 
-    See above for what counts as a number. One beyond float64 is infinite.
+    See above for what counts as a number. An integer beyond float64 does not: it would be taken
+    for infinity, which has a meaning of its own for some options.
     """
     if np.ma.is_masked(value) or isinstance(value, bool | str | bytes | bytearray | complex):
         return None
@@ -162,8 +168,6 @@ def as_float(value: Any) -> float | None:
     try:
         with np.errstate(over="ignore"):
             return float(value)
-    except OverflowError:
-        return math.inf if value > 0 else -math.inf
     except Exception:
         # Whatever a foreign type raises says that it is no number.
         return None

@@ -144,7 +144,7 @@ def cases() -> dict[str, dict[str, Any]]:
             "seed": 0, "ease": "linear", "max_memory": None,
         },
         "inspect": images | STRENGTHS | SOLVER | LIFTING | shared | {
-            "n_frames": 2, "divergence": True, "max_bytes": 1e9,
+            "n_frames": 2, "divergence": True, "max_bytes": 1e9, "max_memory": None,
         },
         "sinkhorn": measures | STRENGTHS | SOLVER | {
             "backend": "numpy", "method": "certified", "scaling": 0.9, "precision": "auto",
@@ -164,7 +164,7 @@ def cases() -> dict[str, dict[str, Any]]:
         "lift": {"image": some["a"], **LIFTING},
         "fit": {"image": some["a"], "size": 2},
         "read_image": {"path": "a.png", "max_pixels": 1000},
-        "load": {"path": "a.npz"},
+        "load": {"path": "a.npz", "max_bytes": 1e9},
         "get_backend": {"backend": "numpy"},
         "save": {
             "morphs": some["morph"], "path": "out.png", "format": None, "fps": 20.0, "hold": 0.65,

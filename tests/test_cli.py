@@ -574,7 +574,7 @@ def test_a_folder_that_is_gone(pictures, monkeypatch, capfd):
         (["morph", str(a), str(b), "-o", "x.gif", *QUICK], "x.gif: there is no such place"),
         (["morph", str(a), str(b), "-o", ".", *QUICK], "there is no such place"),
         (["demo", "--backend", "numpy"], "the current folder is gone"),
-        (["check", "--report", "x.json"], "the current folder is gone"),
+        (["check", "--report", "x.json"], "x.json: there is no such place"),
     ):
         assert main(arguments) == 2
         assert words in capfd.readouterr().err

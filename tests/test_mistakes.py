@@ -175,6 +175,7 @@ def test_one_line(folder, monkeypatch, capfd, arguments, words):
 )
 def test_the_environment(folder, monkeypatch, capfd, environment, words):
     clmorph.backends._named_backend.cache_clear()
+    clmorph.backends._opened.cache_clear()
     monkeypatch.delenv("CLMORPH_DEVICE", raising=False)
     monkeypatch.chdir(folder)
     for name, value in environment.items():

@@ -287,16 +287,17 @@ def test_python_and_the_other_commands_check_too(morph, capfd):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="devices of POSIX")
-def test_a_report_replaces_no_device(capfd):
-    from clmorph.device_commands import _report_writer
+def test_a_report_replaces_no_device(capfd, monkeypatch):
+    from clmorph.device_commands import check_devices
 
+    monkeypatch.setattr("clmorph.device_commands._choose", lambda *choice: [])
     for place, words in ((os.devnull, "neither a file nor a folder"), (".", "is a folder")):
         with pytest.raises(OutputError, match=words):
-            _report_writer(Path(place))
+            check_devices(None, False, Path(place))
     Path("link.json").symlink_to("real.json")
-    _report_writer(Path("link.json"))("{}")
+    assert check_devices(None, False, Path("link.json")) == 0
     assert Path("link.json").is_symlink()
-    assert Path("real.json").read_text() == "{}"
+    assert Path("real.json").read_text() == "[]\n"
     assert Path("real.json").stat().st_mode == Path("a.png").stat().st_mode
 
 

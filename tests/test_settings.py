@@ -355,7 +355,8 @@ def test_values_of_files_that_are_no_numbers(name, capfd):
     for toml, text in NO_NUMBERS:
         Path("x.toml").write_text(f"{name} = {toml}\n")
         Path("x.json").write_text(f'{{"clmorph": "1", "options": {{"{name}": {text}}}}}')
-        for file in ("x.toml", "x.json"):
+        # What a recipe says about limits counts for nothing.
+        for file in ("x.toml", "x.json")[: 1 if name == "max_pixels" else 2]:
             line = told(capfd, "a.png", "b.png", "-o", "o.gif", "--config", file,
                         "--backend", "numpy")  # fmt: skip
             assert len(line) < 400
