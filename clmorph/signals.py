@@ -36,6 +36,15 @@ class Terminated(BaseException):
         self.number = number
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, as Python's own exception for it.
+
+    Where just that one passes through compiled text (as `dataclasses` and other modules run while
+    they are imported), the interpreter takes it for unhandled and ends itself by the signal, not
+    with an exit code.
+    """
+
+
 class Ending:
     """What a run knows about its end.
 
@@ -77,7 +86,7 @@ class Ending:
 
 def _end(number: int) -> None:
     if number == signal.SIGINT:
-        raise KeyboardInterrupt
+        raise Interrupted
     raise Terminated(number)
 
 

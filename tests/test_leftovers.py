@@ -105,6 +105,43 @@ def test_signals_at_other_moments(moment, monkeypatch, capfd):
 
 
 @posix
+@pytest.mark.parametrize(
+    "where",
+    [
+        # As modules do while they are imported: Python ends by the signal if its own exception
+        # has been there, whatever exit code it is given.
+        "cli.main = lambda: exec('send()', globals())",
+        # In the midst of pyopencl's import, an exception aborts the process.
+        "enum.EnumMeta.__call__ = noticed; cli.main = runtimes.list_platforms",
+    ],
+    ids=["compiled text", "import of pyopencl"],
+)
+def test_ctrl_c_ends_with_its_exit_code_wherever_it_comes(where):
+    code = f"""if True:
+        import enum, os, signal, sys
+        import clmorph.__main__ as program, clmorph.cli as cli
+        from clmorph.opencl import runtimes
+
+        def send():
+            os.kill(os.getpid(), signal.SIGINT)
+
+        def noticed(*arguments, usual=enum.EnumMeta.__call__, **options):
+            if "pyopencl" in sys.modules and options:
+                enum.EnumMeta.__call__ = usual
+                send()
+            return usual(*arguments, **options)
+
+        {where}
+        raise SystemExit(program.main())
+        """
+    Path("run.py").write_text(code)
+    command = [sys.executable, "-m", "run"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == "clmorph: interrupted, nothing was written\n"
+
+
+@posix
 def test_a_second_signal_does_not_disturb_the_clearing_up(monkeypatch, capfd):
     replace_writer(monkeypatch, "gif", killing(signal.SIGTERM))
     usual = staging._remove

@@ -25,9 +25,10 @@ from findings import Findings, digest, pictures
 
 from clmorph.export import FOLDERS, FORMATS
 
-#: Signals, and the exit codes of runs that they end; -15 is a SIGTERM that nobody handles, -2
-#: how the interpreter ends after some of the interruptions that were handled.
-SIGNALS = {"SIGINT": (130, -2), "SIGTERM": (143, -15), "SIGKILL": (-9,)}
+#: Signals, and the exit codes of runs that they end.
+SIGNALS = {"SIGINT": 130, "SIGTERM": 143, "SIGKILL": -9}
+#: What a run says that a signal reached too late.
+WRITTEN = "after the files were written"
 #: Seconds after which a run counts as hanging.
 HANGS = 180
 OLD = b"what was there before"
@@ -205,18 +206,18 @@ class Runs:
             python = ended.code == -getattr(signal, name) and (
                 whole or (ended.silent and ended.output == before)
             )
-            if not python and ended.code not in (*SIGNALS[name], 0):
+            if not python and ended.code not in (SIGNALS[name], 0):
                 faults.append(f"exit code {ended.code}")
             if any("Traceback" in line for line in ended.lines):
                 faults.append(f"a traceback ({ended.lines[-1]})")
-            elif (ended.code > 0 or (ended.code == -2 and not python)) and (
-                len(told) != 1 or len(ended.lines) != 1
-            ):
+            elif ended.code > 0 and (len(told) != 1 or len(ended.lines) != 1):
                 faults.append(f"not one line: {ended.lines}")
             if ended.code == 0 and not whole:
                 faults.append("done, but not whole")
-            if ended.code != 0 and ended.output != before and not (whole and python):
-                faults.append("whole, but said to be ended" if whole else "half an output")
+            if ended.code != 0 and ended.output != before and not whole:
+                faults.append("half an output")
+            if ended.code > 0 and whole != any(WRITTEN in line for line in told):
+                faults.append(f"whole: {whole}, but it says: {told}")
             if name == "SIGKILL" and ended.left:
                 if not whole and output.is_dir():
                     shutil.rmtree(output)  # only files are replaced

@@ -14,6 +14,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clmorph.signals import undisturbed
+
 if TYPE_CHECKING:
     import pyopencl as cl
 
@@ -59,7 +61,8 @@ def list_platforms() -> list["cl.Platform"]:
     ImportError
         If pyopencl is not installed or cannot be loaded.
     """
-    import pyopencl as cl
+    with undisturbed():  # an exception from a handler, in the midst of it, aborts the process
+        import pyopencl as cl
 
     try:
         found = list(cl.get_platforms())
