@@ -1,13 +1,15 @@
 """Which devices and how much is tested; fixtures that many tests share.
 
-``pytest`` tests every usable device in the build that is chosen for it, with a share of each grid
-of parameters; ``pytest --full`` runs everything; ``--device NAME`` tests one device.
+``pytest`` tests the operations on every usable device, in the build that is chosen for it, and what
+is written over them on one device or another, with a share of each grid of parameters;
+``pytest --full`` runs everything; ``--device NAME`` tests one device.
 """
 
 import os
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -106,7 +108,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Without --full, leave out long tests and most of each grid of parameters.
 
     Of a grid so many combinations are left as its longest axis has values, and each value of every
-    axis is among them; devices see different combinations.
+    axis is among them.
     """
     if config.getoption("--full"):
         return
@@ -120,19 +122,26 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _share(items: list[pytest.Item]) -> list[pytest.Item]:
-    """Return those items of one test function that stand for its grid of parameters."""
-    devices, *axes = _axes([getattr(item, "callspec", None) for item in items])
-    if len(axes) < 2:
-        return items
-    *shorter, longest = sorted(axes, key=max)
-    return [
-        item
-        for number, item in enumerate(items)
-        if all(
-            axis[number] == (longest[number] + devices[number]) % (max(axis) + 1)
-            for axis in shorter
-        )
-    ]
+    """Return those items of one test function that stand for its grid of parameters.
+
+    What tests single operations does so on every device; of tests of whole solves and morphs,
+    which are written over these, each goes to one device after the other.
+    """
+    callspecs = [getattr(item, "callspec", None) for item in items]
+    devices, *axes = _axes(callspecs)
+    longest = max(axes, key=max, default=[0] * len(items))
+    shorter = [axis for axis in axes if axis is not longest]
+    everywhere = callspecs[0] is None or "variant" in callspecs[0].params
+    n_devices, turn = max(devices) + 1, crc32(items[0].nodeid.partition("[")[0].encode())
+    chosen = []
+    for number, item in enumerate(items):
+        place, device = longest[number], devices[number]
+        if not everywhere and device != (place + turn) % n_devices:
+            continue
+        shift = device if everywhere else 0
+        if all(axis[number] == (place + shift) % (max(axis) + 1) for axis in shorter):
+            chosen.append(item)
+    return chosen
 
 
 def _axes(callspecs: list[Any]) -> list[list[int]]:

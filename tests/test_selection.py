@@ -1,9 +1,9 @@
-"""What is tested without ``--full``: each value of each parameter, on each device."""
+"""What is tested without ``--full``: each value of each parameter."""
 
 from types import SimpleNamespace
 
 import pytest
-from conftest import OF_DEVICES, _share
+from conftest import _share
 
 
 def items(**parameters):
@@ -11,22 +11,39 @@ def items(**parameters):
     grids = [{}]
     for name, values in parameters.items():
         grids = [{**grid, name: value} for grid in grids for value in values]
-    return [SimpleNamespace(callspec=SimpleNamespace(params=grid)) for grid in grids]
+    return [
+        SimpleNamespace(nodeid="test.py::test[x]", callspec=SimpleNamespace(params=grid))
+        for grid in grids
+    ]
 
 
-@pytest.mark.parametrize("name", OF_DEVICES)
-def test_each_value_is_tested_on_each_device(name):
-    axes = {"a": "xyz", "b": [1.0, 2.0], "c": [None, True, False, 4, 5]}
-    chosen = [item.callspec.params for item in _share(items(**{name: "PQR"}, **axes))]
+AXES = {"a": "xyz", "b": [1.0, 2.0], "c": [None, True, False, 4, 5]}
+
+
+def values(chosen, name):
+    return {item.callspec.params[name] for item in chosen}
+
+
+def test_each_value_is_tested_on_each_device():
+    chosen = _share(items(variant="PQR", **AXES))
     for device in "PQR":
-        own = [params for params in chosen if params[name] == device]
+        own = [item for item in chosen if item.callspec.params["variant"] == device]
         assert len(own) == 5
-        for axis, values in axes.items():
-            assert {params[axis] for params in own} == set(values)
+        assert all(values(own, name) == set(wanted) for name, wanted in AXES.items())
+
+
+@pytest.mark.parametrize("name", ["device", "any_backend"])
+def test_each_value_is_tested_on_one_device(name):
+    chosen = _share(items(**{name: "PQR"}, **AXES))
+    assert len(chosen) == 5
+    assert values(chosen, name) == set("PQR")
+    assert all(values(chosen, axis) == set(wanted) for axis, wanted in AXES.items())
+    assert len(_share(items(**{name: "PQR"}))) == 1
+    assert len(_share(items(**{name: "P"}, **AXES))) == 5
 
 
 def test_parameters_that_are_set_together_stay_together():
-    grid = items(device="PQ", pair=[("x", 1), ("x", 2), ("y", 1)])
+    grid = items(device="P", pair=[("x", 1), ("x", 2), ("y", 1)])
     for item in grid:
         params = item.callspec.params
         params["one"], params["other"] = params.pop("pair")
@@ -34,7 +51,7 @@ def test_parameters_that_are_set_together_stay_together():
 
 
 def test_tests_without_a_grid_stay():
-    alone = [SimpleNamespace()]
+    alone = [SimpleNamespace(nodeid="test.py::alone")]
     assert _share(alone) == alone
     row = items(device="P", a=range(7))
     assert _share(row) == row
