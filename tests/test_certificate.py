@@ -107,7 +107,7 @@ def test_two_names_of_a_strength(rng):
         ({"rho": 0}, "rho=0"), ({"rho": -0.1}, "rho=-0.1"), ({"rho": (1, -1)}, "rho=-1"),
         ({"rho": (1, 2, 3)}, "a pair"), ({"reach": (1,)}, "a pair"),
         ({"method": "fast"}, "method='fast'"), ({"precision": "half"}, "precision='half'"),
-        ({"scaling": 1.0}, "scaling=1"), ({"start": 3}, "start is a int"),
+        ({"scaling": 1.0}, "scaling=1"), ({"start": 3}, "start=3"),
         ({"blur": 1e-6}, "too small"), ({"reach": 1e6}, "too large for blur"),
     ],
 )  # fmt: skip
@@ -180,7 +180,7 @@ def test_a_start_saves_iterations_and_changes_nothing(rng):
     assert warm.dual == pytest.approx(cold.dual, abs=cold.gap)
     near = sinkhorn(*pair, 0.045, 1.0, backend="numpy", start=cold)
     assert near.n_iter < sinkhorn(*pair, 0.045, 1.0, backend="numpy").n_iter
-    with pytest.raises(InputError, match="60 and 64 points"):
+    with pytest.raises(InputError, match="expected 60 and 64"):
         sinkhorn(*clouds(rng, 60, 64), 0.05, 1.0, backend="numpy", start=cold)
 
 

@@ -45,6 +45,7 @@ def test_a_finding_that_is_not_a_number_fails():
     assert not Finding("x", float("nan"), 1.0, "").passed
 
 
+@pytest.mark.full
 def test_report(tmp_path, capfd):
     assert main(["check", "--all", "--report", str(tmp_path / "r.json")]) == 0
     assert capfd.readouterr().out.count("pass") >= 12 * len(USABLE)

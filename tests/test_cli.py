@@ -69,6 +69,7 @@ def test_a_folder_and_a_sheet(pictures):
     assert size("sheet.png")[0] > 700
 
 
+@pytest.mark.full
 def test_motion_and_color_options(pictures):
     """What no preset asks for, through to the file."""
     for number, options in enumerate(

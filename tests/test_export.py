@@ -583,6 +583,7 @@ write_all([Output(sys.argv[1])], film, Look("source"))
 """
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "name", [name for name in FORMATS if FORMATS[name].endings and not FORMATS[name].keep]
 )
@@ -749,6 +750,7 @@ print(peaks[1] - peaks[0])
 """
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", [".gif", ".webp", ".apng", ".tif", "", ".mp4", ".webm"])
 def test_memory_does_not_grow_with_the_number_of_frames(tmp_path, name):
     """By the system's account: what image libraries take is not Python's."""
@@ -832,6 +834,7 @@ def test_ffmpeg_sees_the_same_frames(tmp_path, rng, name, clear):
         assert np.array_equal(seen * (seen[..., 3:] > 0), frames)
 
 
+@pytest.mark.full
 def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):
     """Of a hundred frames of 256 x 256, 20 MB, only samples are in memory."""
     import tracemalloc

@@ -144,13 +144,15 @@ def test_options_that_are_named_exist():
         if "tools/" not in text
         for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)
     }
-    scripts = {"--published", "--geomloss", "--quick"}  # of tools/reproduce_paper.py
+    # Of tools/reproduce_paper.py and of the tests.
+    scripts = {"--published": "tools", "--geomloss": "tools", "--quick": "tools", "--full": "tests"}
     assert len(named) > 40
-    assert named - known <= scripts
-    source = "".join(file.read_text() for file in (ROOT / "tools").rglob("*.py"))
-    assert all(f'"{option}"' in source for option in scripts)
+    assert named - known <= set(scripts)
+    for option, folder in scripts.items():
+        assert any(f'"{option}"' in file.read_text() for file in (ROOT / folder).rglob("*.py"))
 
 
+@pytest.mark.full
 def test_commands(tmp_path, monkeypatch, capfd, ways, widths):
     """All of them, one after the other in one folder, as somebody types them."""
     assert len(OURS) >= 7
@@ -190,6 +192,7 @@ def test_commands(tmp_path, monkeypatch, capfd, ways, widths):
             assert np.array_equal(once.convert("RGB"), again.convert("RGB"))
 
 
+@pytest.mark.full
 def test_inspecting_photographs_within_the_presets_own_limits(tmp_path, monkeypatch, capfd, ways):
     """As small as they can be and still be drawn by a sample between cells."""
     monkeypatch.chdir(tmp_path)
@@ -226,6 +229,7 @@ def solver_names(names):
 GIVEN = {"A short tour": tour_names, "The solver alone": solver_names}
 
 
+@pytest.mark.full
 def test_python(tmp_path, monkeypatch):
     """All blocks in order, in one namespace; nothing of them warns."""
     monkeypatch.chdir(tmp_path)
