@@ -59,6 +59,11 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["CLMORPH_DEVICE"] = TESTED[0].index
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """Share tests among some processes: each takes up to 2 GB, and devices have threads."""
+    return min(4, os.cpu_count() or 1)
+
+
 def pytest_report_header(config: pytest.Config) -> list[str]:
     lines = [
         f"OpenCL device {device}{'' if device in TESTED or not device.usable else ', not tested'}"

@@ -434,7 +434,8 @@ def test_a_full_disk_leaves_nothing(name, monkeypatch, capfd):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
     try:
-        code = run("-o", f"x{ending}", "--format", name)
+        # On NumPy: a driver that finds no room for what it builds is not the matter here.
+        code = run("-o", f"x{ending}", "--format", name, "--backend", "numpy")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     out, err = capfd.readouterr()

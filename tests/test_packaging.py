@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-pytestmark = pytest.mark.full
+# One process builds for all.
+pytestmark = [pytest.mark.full, pytest.mark.xdist_group("packaging")]
 
 
 @pytest.fixture(scope="module")
