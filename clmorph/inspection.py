@@ -103,9 +103,11 @@ color_space, color_metric, weights, backend
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
-    n_frames, tol, max_iter, solve_size, max_particles = (
-        options[name] for name in ("n_frames", "tol", "max_iter", "solve_size", "max_particles")
-    )
+    n_frames, tol, max_iter, solve_size, max_particles, max_memory = (
+        options[name] for name in (
+            "n_frames", "tol", "max_iter", "solve_size", "max_particles", "max_memory",
+        )
+    )  # fmt: skip
     images = as_pixels(image_a, "image_a"), as_pixels(image_b, "image_b")
     whole = lift_pair(
         images, color_weight, weights=weights, mass=mass, extent=extent,

@@ -3,6 +3,7 @@ import sys
 import time
 import tracemalloc
 import warnings
+from decimal import Decimal
 
 import numpy as np
 import pytest
@@ -615,6 +616,10 @@ class TestWhatAMorphWouldDraw:
         options = {"blur": 0.1, "color_weight": 0.5, **options}
         found = inspect(*images, backend="numpy", divergence=False, **options)
         self._check(found, images, **options)
+
+    def test_limits_are_numbers_of_any_kind(self):
+        with pytest.raises(InputError, match="expected at least"):
+            inspect(*_photos(8), backend="numpy", max_memory=Decimal("3e5"))
 
     def test_means_where_cells_are_too_large_for_draws(self, monkeypatch, device):
         monkeypatch.setattr("clmorph.planning.MAX_DRAWS", 8)
