@@ -646,3 +646,13 @@ def test_settings_of_thousands_of_levels_reach_nobody():
     Path("deep.json").write_text(JSONS["deep enough to be parsed"])
     with contextlib.suppress(InputError):
         read_settings(Path("deep.json"), main.__globals__["cli"].commands["morph"].params)
+
+
+def test_a_picture_that_says_it_is_vast_is_told_in_one_line(capfd):
+    """Pillow's guard raises errors of a class of its own."""
+    frame = b"," + struct.pack("<HHHHB", 0, 0, 65535, 65535, 0) + b"\2\2D\1\0"
+    head = b"GIF89a" + struct.pack("<HHBBB", 1, 1, 0x80, 0, 0) + bytes(6)
+    Path("vast.gif").write_bytes(head + frame + b";")
+    assert main(["morph", "--config", "vast.gif", "-o", "x.gif"]) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "vast.gif: cannot be read" in line

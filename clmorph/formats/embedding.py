@@ -115,10 +115,15 @@ def _from_tiff(path: Path) -> str:
 @contextmanager
 def _head(reader: "type[ImageFile]", path: Path) -> Iterator["ImageFile"]:
     """Give what Pillow finds in a picture's first parts; pixels, however many, are not decoded."""
+    from PIL import Image
+
     with BoundedFile(path, in_all=MAX_HEAD) as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about damage, of which what matters raises
-        with reader(file) as picture:
-            yield picture
+        try:
+            with reader(file) as picture:
+                yield picture
+        except Image.DecompressionBombError as error:
+            raise ValueError(str(error)) from None
 
 
 def _from_webp(path: Path) -> str:
