@@ -4,7 +4,6 @@ Whatever a file holds, nothing that the process shares is changed. Metadata are 
 `clmorph.tags`, which does not warn, sizes are checked by `clmorph.opening`.
 """
 
-import re
 from pathlib import Path
 from typing import IO, Any
 
@@ -12,12 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph import tags, tiff
-from clmorph.deep import GRAY_16, deep_samples, is_reduced, of_deep_png, raw_mode
-from clmorph.opening import Reader, check_size, name_of, open_picture
+from clmorph.deep import GRAY_16, deep_samples, is_reduced, of_deep_png, raw_mode, tiles_of
+from clmorph.opening import Reader, check_size, open_picture
 from clmorph.profiles import from_gamma, is_srgb, to_srgb
-
-_XMP_ORIENTATION = re.compile(rb"tiff:Orientation(?:=\"|>)([1-8])")
-
 
 Decoded = tuple[NDArray[Any], list[str]]
 
@@ -57,9 +53,10 @@ def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
     """Decode the first full picture of a TIFF."""
     from PIL.TiffImagePlugin import TiffImageFile
 
-    name = name_of(file)
-    layout, page, more = tiff.open_page(stream, name, max_pixels)
+    name = str(file)
+    layout, page, more = tiff.open_page(stream)
     check_size(file, (layout.width, layout.height), max_pixels)
+    tiff.check_layout(name, layout, max_pixels)
     notes = ["several pages: its first is taken"] if more else []
     if tiff.by_tifffile(layout):
         samples, turned = tiff.read_samples(file, page, layout), layout.orientation
@@ -88,7 +85,7 @@ def _compressed_samples(file: Path, picture: Any, page: int, layout: tiff.Layout
         samples = np.asarray(picture)
         samples = samples / 4095.0 if layout.bits == 12 else samples
     if samples is None:
-        raise tiff.not_read(name_of(file), layout)
+        raise tiff.not_read(str(file), layout)
     return samples.reshape(*samples.shape[:2], -1)
 
 
@@ -152,7 +149,7 @@ def _split(picture: Any) -> tuple[Any, NDArray[Any] | None]:
 
     Colors are an image of mode L, RGB, CMYK or LAB, or an array of 16-bit or float gray.
     """
-    tile = raw_mode(picture.tile[0]) if picture.tile else ""
+    tile = next(map(raw_mode, tiles_of(picture)), "")
     picture.load()
     transparent = picture.info.get("transparency")
     if picture.mode in (*GRAY_16, "I"):
@@ -175,11 +172,11 @@ def _split(picture: Any) -> tuple[Any, NDArray[Any] | None]:
         return gray, (np.asarray(gray) != transparent) * np.uint8(255)
     if picture.mode == "RGB" and isinstance(transparent, tuple):
         return picture, np.any(np.asarray(picture) != transparent, axis=2) * np.uint8(255)
-    if picture.mode in ("LA", "La", "PA", "RGBA", "RGBa") or (
-        picture.mode == "P" and transparent is not None
-    ):
-        whole = picture.convert("LA") if picture.mode == "La" else picture
-        whole = whole.convert("RGBA")
+    if picture.mode in ("LA", "La"):
+        whole = picture.convert("LA")
+        return whole.getchannel("L"), np.asarray(whole.getchannel("A"))
+    if picture.mode in ("PA", "RGBA", "RGBa") or (picture.mode == "P" and transparent is not None):
+        whole = picture.convert("RGBA")
         return whole.convert("RGB"), np.asarray(whole.getchannel("A"))
     return picture.convert("RGB"), None
 
@@ -189,14 +186,16 @@ def _orientation(info: dict[Any, Any]) -> int:
     exif = info.get("exif")
     raw = info.get("Raw profile type exif")
     if not exif and isinstance(raw, str):  # older versions of ImageMagick
-        exif = bytes.fromhex("".join(raw.split("\n")[3:]))
-    if isinstance(exif, bytes):
-        turned = tags.exif_orientation(exif)
-        if turned != 1:
-            return turned
+        try:
+            exif = bytes.fromhex("".join(raw.split("\n")[3:]))
+        except ValueError:  # damaged, which the picture need not be
+            exif = None
+    turned = tags.exif_orientation(exif) if isinstance(exif, bytes) else None
+    # Programs that turn a picture write so in Exif, and often forget the copy in XMP.
+    if turned is not None:
+        return turned
     xmp = info.get("xmp") or info.get("XML:com.adobe.xmp") or b""
-    found = _XMP_ORIENTATION.search(xmp.encode() if isinstance(xmp, str) else bytes(xmp))
-    return int(found[1]) if found else 1
+    return tags.xmp_orientation(xmp.encode() if isinstance(xmp, str) else bytes(xmp))
 
 
 def _finished(
@@ -214,8 +213,9 @@ def _finished(
         As Exif counts.
     notes : list of str
     """
+    profile = None if profile and is_srgb(profile) else profile
     if isinstance(colors, np.ndarray):
-        if profile and not is_srgb(profile) and _in_range(colors):
+        if profile and _in_range(colors):
             if colors.dtype != np.uint8:
                 notes = [*notes, "a color profile: 8 bits of its samples are kept to apply it"]
             colors, note = to_srgb(_as_picture(colors), profile)

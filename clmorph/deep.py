@@ -35,7 +35,7 @@ def deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] 
     -------
     (H, W, 2 to 4) array or None
     """
-    tiles = [raw_mode(tile) for tile in picture.tile]
+    tiles = [raw_mode(tile) for tile in tiles_of(picture)]
     if tiles == ["LA;16B"]:  # four bytes a pixel, as RGBA has
         picture.tile = [_with_raw_mode(tile, "RGBA") for tile in picture.tile]
         bytes_ = np.asarray(picture).astype(np.uint16)
@@ -57,6 +57,11 @@ def deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] 
     return np.asarray(halves[0] << 8 | halves[1], np.uint16)
 
 
+def tiles_of(picture: Any) -> Any:
+    """Return the parts of a file that are to be decoded; none of what Pillow has decoded."""
+    return getattr(picture, "tile", ())
+
+
 def raw_mode(tile: Any) -> str:
     """Return how a part of a file is stored, as Pillow tells its decoder."""
     args = tile[3][0] if isinstance(tile[3], tuple) and tile[3] else tile[3]
@@ -72,7 +77,7 @@ def _with_raw_mode(tile: Any, mode: str) -> Any:
 
 def is_reduced(picture: Any) -> bool:
     """Return whether Pillow keeps 8 bits of more."""
-    for tile in picture.tile:
+    for tile in tiles_of(picture):
         most = tile[3][-1] if tile[0] == "ppm" else 0
         if ";16" in raw_mode(tile) or tile[0] == "SGI16" or (isinstance(most, int) and most > 255):
             return picture.mode not in (*GRAY_16, "I", "F")

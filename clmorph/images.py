@@ -212,10 +212,10 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
     if not is_path(path):
         raise InputError(f"path={shown(path)}: expected the path of an image, such as 'photo.png'")
     from clmorph.decoding import decode
-    from clmorph.opening import name_of, reason_of
+    from clmorph.opening import reason_of
 
     file = Path(path)
-    name = name_of(file)
+    name = str(file)
     try:
         if not file.exists():
             raise FileError(f"{name}: no such file; expected an image such as a PNG or a JPEG")

@@ -6,7 +6,7 @@ of size in `PIL.Image.open` that depends on a variable of the module; the size i
 
 import io
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,9 +23,23 @@ FORMATS = (
 TGA_ENDINGS = (".tga", ".icb", ".vda", ".vst")
 #: Characters that what a library says may take in a message.
 _REASON_LENGTH = 120
+#: Kinds of files that are told by name though nothing here reads them: where their mark begins,
+#: the marks.
+_UNREAD = (
+    ("a HEIC picture", 4, (b"ftyphei", b"ftyphev", b"ftypmif1", b"ftypmsf1")),
+    ("a JPEG XL picture", 0, (b"\xff\x0a", b"\0\0\0\x0cJXL ")),
+    ("a PDF document", 0, (b"%PDF",)),
+    ("an SVG drawing", 0, (b"<svg",)),
+    ("an XML document, such as SVG", 0, (b"<?xml",)),
+    ("a GIMP picture", 0, (b"gimp xcf",)),
+    ("an OpenEXR picture", 0, (b"v/1\x01",)),
+    ("a Radiance picture", 0, (b"#?RADIANCE", b"#?RGBE")),
+)
 #: Scans of a progressive JPEG, each of which is work for all its pixels; encoders write about ten.
 MAX_SCANS = 64
-#: Pixels of all scans together.
+#: As many are read of any picture that is not too large.
+_ORDINARY_SCANS = 16
+#: Pixels of all scans together, however few pixels are allowed.
 MAX_SCANNED = 1 << 30
 
 
@@ -43,11 +57,6 @@ class Reader(io.BufferedReader):
         return super().read(left if size is None or size < 0 else min(size, left))
 
 
-def name_of(file: Path) -> str:
-    """Return a file's name as messages show it."""
-    return printable(file)
-
-
 def reason_of(error: BaseException) -> str:
     """Return what an error of a library says, in one short line."""
     told = getattr(error, "strerror", None) or error
@@ -62,7 +71,7 @@ def check_size(file: Path, size: tuple[int, int], max_pixels: int) -> None:
         raise ValueError("it has no pixels")
     if width * height > max_pixels:
         raise FileError(
-            f"{name_of(file)} has {width} x {height} pixels: expected at most {max_pixels} in "
+            f"{file} has {width} x {height} pixels: expected at most {max_pixels} in "
             "all; reduce it, or raise the limit (--max-pixels, max_pixels)"
         )
 
@@ -71,37 +80,77 @@ def open_picture(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
     """Return a Pillow image that is not decoded yet, its size checked."""
     from PIL import Image
 
-    Image.init()
     stream.seek(0)
     start = stream.read(64)
-    formats = FORMATS + (("TGA",) if file.suffix.lower() in TGA_ENDINGS else ())
-    fault = "expected a PNG, JPEG or similar"
-    for name in formats:
-        factory, accept = Image.OPEN.get(name, (None, None))
-        if factory is None:
-            continue
-        accepted = accept is None or _accepts(accept, start)
-        if isinstance(accepted, str):  # this build of Pillow lacks it
-            fault = reason_of(ValueError(accepted))
-        elif accepted:
-            stream.seek(0)
-            if name == "ICO":
-                picture = _open_icon(file, stream, max_pixels)
-            else:
-                picture = factory(stream, str(file))
-            check_size(file, picture.size, max_pixels)
-            if name == "JPEG":
-                _check_scans(stream, picture.size[0] * picture.size[1])
-            return picture
-    raise FileError(f"{name_of(file)} is not an image that can be read; {fault}")
+    fault = ""
+    # Most files are of the few kinds that are loaded first; all take a while.
+    for load in (Image.preinit, Image.init):
+        load()
+        for name in FORMATS + (("TGA",) if file.suffix.lower() in TGA_ENDINGS else ()):
+            accepted = _accepts(name, start, unsigned=True)
+            if isinstance(accepted, str):  # this build of Pillow lacks it
+                fault = reason_of(ValueError(accepted))
+            elif accepted:
+                return _opened(name, file, stream, max_pixels)
+    kind = _unread_kind(start)
+    told = (
+        f"{file} is {kind}, which is not read" if kind else f"{file} is not an image that is read"
+    )
+    expected = fault or "expected a PNG, JPEG or similar"
+    raise FileError(f"{told}; {expected}; convert it to PNG")
 
 
-def _accepts(accept: Callable[[bytes], bool | str], start: bytes) -> bool | str:
-    """Return what a plugin says to the first bytes of a file; too few can be a fault of its."""
+def _opened(name: str, file: Path, stream: IO[bytes], max_pixels: int) -> Any:
+    """Open a file of a kind."""
+    from PIL import Image
+
+    stream.seek(0)
+    if name == "ICO":
+        picture = _open_icon(file, stream, max_pixels)
+    else:
+        picture = Image.OPEN[name][0](stream, str(file))
+    check_size(file, picture.size, max_pixels)
+    if name == "JPEG":
+        _check_scans(file, stream, picture.size, max_pixels)
+    return picture
+
+
+def _accepts(name: str, start: bytes, unsigned: bool = False) -> bool | str:
+    """Return what a plugin says to the first bytes of a file.
+
+    Parameters
+    ----------
+    name : str
+        What Pillow calls it; one that is not there accepts nothing.
+    start : bytes
+        Too few can be a fault of the plugin's.
+    unsigned : bool
+        What is returned for a format without a signature.
+    """
+    from PIL import Image
+
+    if name == "AVIF" and b"avi" not in start:  # HEIC is of the same family
+        return False
+    factory, accept = Image.OPEN.get(name, (None, None))
+    if factory is None or accept is None:
+        return factory is not None and unsigned
     try:
         return accept(start)
     except (IndexError, struct.error):
         return False
+
+
+def _unread_kind(start: bytes) -> str:
+    """Return what a file is that is not read, "" if nobody knows."""
+    from PIL import Image
+
+    for kind, place, marks in _UNREAD:
+        if start[place:].startswith(marks):
+            return kind
+    for name in Image.OPEN:
+        if name not in FORMATS and _accepts(name, start) is True:
+            return f"a file of the kind {name}"
+    return ""
 
 
 def _open_icon(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
@@ -122,15 +171,19 @@ def _open_icon(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
     return icon.frame(0)
 
 
-def _check_scans(stream: IO[bytes], pixels: int) -> None:
-    """Raise ValueError if a JPEG has more scans than encoders write, or than can be waited for."""
+def _check_scans(file: Path, stream: IO[bytes], size: tuple[int, int], max_pixels: int) -> None:
+    """Raise FileError if a JPEG has more scans than encoders write, or than can be waited for."""
     place = stream.tell()
     stream.seek(0)
     scans = sum(marker == 0xDA for marker in _markers(stream))
     stream.seek(place)
-    if scans > MAX_SCANS or (scans > 1 and scans * pixels > MAX_SCANNED):
-        raise ValueError(
-            f"it has {scans} scans: expected at most {MAX_SCANS}, fewer if it is large"
+    most = max(MAX_SCANNED, _ORDINARY_SCANS * max_pixels) // (size[0] * size[1])
+    if scans > 1 and scans > min(most, MAX_SCANS):
+        counted = f"more than {MAX_SCANS}" if scans > MAX_SCANS else str(scans)
+        raise FileError(
+            f"{file} is a progressive JPEG of {counted} scans: expected at most "
+            f"{min(most, MAX_SCANS)} of {size[0]} x {size[1]} pixels; save it as a plain JPEG "
+            "or as PNG"
         )
 
 

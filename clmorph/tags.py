@@ -5,6 +5,7 @@ to be asked for the pixels first. Here a directory is only looked at, and none o
 makes more work than the bytes that are there.
 """
 
+import re
 import struct
 from io import BytesIO
 from typing import IO, NamedTuple
@@ -24,13 +25,15 @@ MAX_VALUES = 1 << 18
 NEW_SUBFILE_TYPE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
 STRIP_OFFSETS, ORIENTATION, SAMPLES, ROWS_PER_STRIP, PLANAR = 273, 274, 277, 278, 284
 PREDICTOR, TILE_WIDTH, TILE_HEIGHT, TILE_OFFSETS = 317, 322, 323, 324
-EXTRA_SAMPLES, SAMPLE_FORMAT, SUBSAMPLING, ICC_PROFILE = 338, 339, 530, 34675
+EXTRA_SAMPLES, SAMPLE_FORMAT, SUBSAMPLING, XMP, ICC_PROFILE = 338, 339, 530, 700, 34675
 #: All that is looked at: a hostile directory has 65,536 tags that each name the whole file.
 _WANTED = frozenset(
     (NEW_SUBFILE_TYPE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, STRIP_OFFSETS, ORIENTATION,
      SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, TILE_WIDTH, TILE_HEIGHT, TILE_OFFSETS,
-     EXTRA_SAMPLES, SAMPLE_FORMAT, SUBSAMPLING, ICC_PROFILE)
+     EXTRA_SAMPLES, SAMPLE_FORMAT, SUBSAMPLING, XMP, ICC_PROFILE)
 )  # fmt: skip
+
+_XMP_ORIENTATION = re.compile(rb"tiff:Orientation(?:=\"|>)([1-8])")
 
 Values = tuple[int | float, ...] | bytes
 
@@ -59,6 +62,13 @@ class Directory(NamedTuple):
         """Return a tag's first number."""
         values = self.tags.get(tag, ())
         return int(values[0]) if isinstance(values, tuple) and values else default
+
+    def octets(self, tag: int) -> bytes:
+        """Return a tag's bytes, of either type that holds such; none if it is not there."""
+        values = self.tags.get(tag, b"")
+        if isinstance(values, bytes):
+            return values
+        return bytes(int(value) for value in values if 0 <= value < 256)
 
     def numbers(self, tag: int) -> tuple[int, ...]:
         """Return a tag's numbers, none if it is not there."""
@@ -176,11 +186,20 @@ def first_full_page(stream: IO[bytes]) -> tuple[Directory, int, bool]:
     return (*(found[0] if found else (first, 0)), len(found) == 2)
 
 
-def exif_orientation(exif: bytes) -> int:
-    """Return how a picture lies, as Exif tells: 1 to 8, 1 if it does not."""
+def exif_orientation(exif: bytes) -> int | None:
+    """Return how a picture lies, as Exif tells: 1 to 8, or None if it does not tell."""
     exif = exif.removeprefix(b"Exif\0\0")
     try:
-        turned = read_directory(BytesIO(exif)).number(ORIENTATION, 1)
+        directory = read_directory(BytesIO(exif))
+        if not directory.tags.get(ORIENTATION):
+            return None
+        turned = directory.number(ORIENTATION, 1)
     except (ValueError, OverflowError):
-        return 1
+        return None
     return turned if 1 <= turned <= 8 else 1
+
+
+def xmp_orientation(xmp: bytes) -> int:
+    """Return how a picture lies, as XMP tells: 1 to 8, 1 if it does not."""
+    found = _XMP_ORIENTATION.search(xmp)
+    return int(found[1]) if found else 1

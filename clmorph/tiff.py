@@ -28,6 +28,10 @@ MAX_PIECES = 1 << 16
 _PADDING = 1 << 22
 #: Bytes a pixel of the largest kind that is read: four samples of 64 bits, and an extra one.
 _MAX_BYTES = 40
+#: Bytes that one of Deflate can become, at most.
+_DEFLATE_RATIO = 1032
+#: Bytes that a piece may become, whatever its size should be.
+_HARMLESS = 32 << 20
 
 
 class Layout(NamedTuple):
@@ -108,7 +112,8 @@ def read_layout(directory: Directory) -> Layout:
     profile = directory.tags.get(tags.ICC_PROFILE)
     return Layout(
         width, height, bits[0], kind, samples, photometric, compression,
-        directory.number(tags.ORIENTATION, 1), directory.number(tags.PLANAR, 1) == 2,
+        directory.number(tags.ORIENTATION, tags.xmp_orientation(directory.octets(tags.XMP))),
+        directory.number(tags.PLANAR, 1) == 2,
         extra, piece, directory.numbers(tags.SUBSAMPLING)[:2] != (1, 1),
         directory.number(tags.PREDICTOR, 1),
         profile if isinstance(profile, bytes) else None,
@@ -133,10 +138,12 @@ def check_layout(file: str, layout: Layout, max_pixels: int) -> None:
     across, down = -(-layout.width // layout.piece[0]), -(-layout.height // layout.piece[1])
     pieces = across * down * (layout.samples if layout.planar else 1)
     padded = across * down * layout.piece[0] * layout.piece[1]
-    if pieces > MAX_PIECES or padded > max(2 * max_pixels, _PADDING):
+    most = max(2 * max_pixels, _PADDING)
+    if pieces > MAX_PIECES or padded > most:
         raise FileError(
-            f"{file} is stored in {pieces} pieces of {layout.piece[0]} x {layout.piece[1]} pixels: "
-            "expected fewer or smaller ones; save it anew, in strips"
+            f"{file} is stored in {pieces} piece{'s' * (pieces != 1)} of {layout.piece[0]} x "
+            f"{layout.piece[1]} pixels: expected at most {MAX_PIECES} pieces and {most} pixels, "
+            "those around the picture included; save it anew, in strips"
         )
     if layout.bits * layout.samples > 8 * _MAX_BYTES:
         raise FileError(
@@ -181,6 +188,8 @@ def read_samples(file: Path, page: int, layout: Layout) -> NDArray[Any]:
 
     Raises
     ------
+    FileError
+        If parts are left out on purpose.
     Exception
         Of any kind, if the file is damaged.
     """
@@ -188,7 +197,7 @@ def read_samples(file: Path, page: int, layout: Layout) -> NDArray[Any]:
 
     with TiffFile(file) as tiff:
         found: Any = tiff.pages[page]
-        _check_pieces(tiff.filehandle, found, layout)
+        _check_pieces(file, tiff.filehandle, found, layout)
         samples = np.asarray(found.asarray()).reshape(found.shaped)
     if samples.shape[1] != 1:
         raise ValueError("it has depth")
@@ -201,8 +210,8 @@ def read_samples(file: Path, page: int, layout: Layout) -> NDArray[Any]:
     return samples
 
 
-def _check_pieces(stream: Any, page: Any, layout: Layout) -> None:
-    """Raise ValueError if a strip or a tile is not all there, or inflates to more than it is."""
+def _check_pieces(file: Path, stream: Any, page: Any, layout: Layout) -> None:
+    """Raise an error if a strip or a tile is not all there, or inflates to more than it is."""
     if len(page.dataoffsets) > MAX_PIECES:
         raise ValueError("it has too many strips or tiles")
     if len(page.dataoffsets) != len(page.databytecounts):
@@ -210,9 +219,15 @@ def _check_pieces(stream: Any, page: Any, layout: Layout) -> None:
     # Strips of planar files are of one sample each; a limit has not to be exact.
     most = layout.piece[0] * layout.piece[1] * layout.samples * layout.dtype.itemsize
     for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
+        if count == 0 and offset == 0:
+            raise FileError(
+                f"{file} leaves out some of its strips or tiles, as GDAL does in sparse files: "
+                "expected all of them; write it anew with SPARSE_OK=FALSE"
+            )
         if count < 1 or offset + count > stream.size:
             raise ValueError("a part of it is missing")
-        if layout.compression in DEFLATE:
+        # Few bytes cannot make many: only large pieces are worth being inflated twice.
+        if layout.compression in DEFLATE and count * _DEFLATE_RATIO > max(most, _HARMLESS):
             stream.seek(offset)
             data = stream.read(count)
             if len(zlib.decompressobj().decompress(data, most + 1)) > most:
@@ -292,17 +307,15 @@ def ink_to_rgb(ink: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(light[..., :3] * light[..., 3:])
 
 
-def open_page(stream: IO[bytes], file: str, max_pixels: int) -> tuple[Layout, int, bool]:
+def open_page(stream: IO[bytes]) -> tuple[Layout, int, bool]:
     """Return how the picture of a TIFF that is taken is stored, which page, whether more follow.
+
+    Nothing is said yet about whether it is read: see `check_layout`.
 
     Raises
     ------
-    FileError
-        If it is not read.
     ValueError
         If it is damaged.
     """
     directory, page, more = tags.first_full_page(stream)
-    layout = read_layout(directory)
-    check_layout(file, layout, max_pixels)
-    return layout, page, more
+    return read_layout(directory), page, more
