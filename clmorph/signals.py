@@ -23,7 +23,11 @@ USUAL = (signal.SIG_DFL, signal.default_int_handler)
 
 
 class Terminated(BaseException):
-    """The system, or another program, wants this one to end.
+    """The user (Ctrl-C), the system or another program wants this one to end.
+
+    Ctrl-C is no KeyboardInterrupt here. Where that one passes through compiled text (as
+    `dataclasses` and other modules run while they are imported), the interpreter takes it for
+    unhandled and ends itself by the signal, not with an exit code; and click prints an empty line.
 
     Attributes
     ----------
@@ -34,15 +38,6 @@ class Terminated(BaseException):
     def __init__(self, number: int) -> None:
         super().__init__(number)
         self.number = number
-
-
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, as Python's own exception for it.
-
-    Where just that one passes through compiled text (as `dataclasses` and other modules run while
-    they are imported), the interpreter takes it for unhandled and ends itself by the signal, not
-    with an exit code.
-    """
 
 
 class Ending:
@@ -69,7 +64,7 @@ class Ending:
         if self._depth:
             self._waiting = number
         else:
-            _end(number)
+            raise Terminated(number)
 
     @contextmanager
     def put_off(self) -> Iterator[None]:
@@ -79,15 +74,10 @@ class Ending:
             yield
         finally:
             self._depth -= 1
-        if self._waiting is not None and not self._depth:
-            number, self._waiting = self._waiting, None
-            _end(number)
-
-
-def _end(number: int) -> None:
-    if number == signal.SIGINT:
-        raise Interrupted
-    raise Terminated(number)
+            # Also where the block fails: else the next one, whatever it is for, would end the run.
+            if self._waiting is not None and not self._depth:
+                number, self._waiting = self._waiting, None
+                raise Terminated(number)
 
 
 def farewell(ending: Ending, number: int) -> int:
