@@ -67,7 +67,7 @@ def as_array(name: str, value: Any, expected: str = "an array of numbers") -> ND
     if array.dtype.kind == "O":
         array = _from_objects(name, array, value, expected)
     if array.dtype.kind not in NUMBERS:
-        raise InputError(f"{name} has dtype {_short(array.dtype)}: expected {expected}")
+        raise InputError(f"{name} has dtype {printable(array.dtype)}: expected {expected}")
     return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
 
@@ -116,8 +116,3 @@ def _from_objects(name: str, array: NDArray[Any], value: Any, expected: str) -> 
 def _no_array(name: str, value: Any, expected: str) -> InputError:
     what = printable(type(value).__name__)
     return InputError(f"{name} is a {what}, which is no array of numbers: expected {expected}")
-
-
-def _short(dtype: np.dtype[Any]) -> str:
-    """Return a dtype's name; that of a structured one can be long."""
-    return printable(str(dtype))

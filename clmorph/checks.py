@@ -9,6 +9,7 @@ would convert them.
 import math
 import operator
 import os
+import reprlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -163,9 +164,11 @@ def as_float(value: Any) -> float | None:
             return None
         if value.dtype.kind == "O":
             return None if isinstance(value.item(), np.ndarray) else as_float(value.item())
-    elif not _converts(value) or len(getattr(value, "shape", ())):  # a tensor's, say
+    elif not _converts(value):
         return None
     try:
+        if len(getattr(value, "shape", ())):
+            return None  # a tensor with dimensions, say
         with np.errstate(over="ignore"):
             return float(value)
     except Exception:
@@ -194,7 +197,8 @@ def shown(value: Any) -> str:
     if isinstance(value, np.ndarray) and value.ndim:
         return f"an array of shape {value.shape}"
     try:
-        text = repr(value)
+        # The reprs of containers out of files can be as large as these, and as deep.
+        text = (reprlib.repr if isinstance(value, list | tuple | dict | set) else repr)(value)
     except Exception:
         # An integer of more digits than Python writes, or a foreign type's fault.
         text = f"<{type(value).__name__}>"

@@ -17,7 +17,7 @@ from clmorph.commands import options
 from clmorph.commands import settings as files
 from clmorph.defaults import N_FRAMES, PRESETS
 from clmorph.errors import ClmorphError, FileError, InputError
-from clmorph.printable import MESSAGE, printable
+from clmorph.printable import MESSAGE, printable, reason_of
 from clmorph.release import __version__
 from clmorph.signals import Ending, Terminated, farewell, terminable
 
@@ -27,7 +27,8 @@ SHELLS = ("bash", "zsh", "fish")
 EXIT_CODES = """\
 Exit codes: 0 done; 1 no device is usable (devices) or one is out of tolerance (check);
 2 a mistake in the command line, in a file or in the choice of device, told in one line;
-130 interrupted, 143 terminated (129 at a hangup): nothing was written.
+130 interrupted, 143 terminated (129 at a hangup): either nothing was written or all files
+were, as the last line on standard error says.
 """
 
 
@@ -74,11 +75,8 @@ def _settings_callback(context: click.Context, parameter: click.Parameter, path:
     """Read a file of settings before any other option is looked at."""
     if path is None:
         return None
-    from clmorph.commands.common import quiet_libraries
-
     settable = [other for other in context.command.params if other.name not in NOT_SETTINGS]
-    with quiet_libraries():
-        found = files.read_settings(path, settable)
+    found = files.read_settings(path, settable)
     context.default_map = {name: value for name, value in found.items() if name != files.IMAGES}
     return found[files.IMAGES]
 
@@ -256,8 +254,9 @@ def devices(as_json: bool, again: bool) -> int:
     """List OpenCL devices: which work, why others do not, which one "auto" takes.
 
     A device that is new is tried in a process of its own for at most 60 s, or for as long as
-    CLMORPH_PROBE_SECONDS says (1 to 3600). What the trial says is remembered, but for a lack
-    of time, after which the device is tried again the next time.
+    CLMORPH_PROBE_SECONDS says (1 to 3600). What the trial says of the device is remembered:
+    that it works, that it crashes, computes wrong results or is refused. What it says of the
+    moment is not (a lack of time or of memory): the device is tried again the next time.
     """
     from clmorph.device_commands import list_devices
 
@@ -383,7 +382,8 @@ def _reason(error: OSError) -> str:
         Path.cwd()
     except OSError:
         return "the current folder is gone; go to another one"
-    return str(error)
+    name = "" if error.filename is None else f"{error.filename}: "
+    return f"{name}{reason_of(error)}"
 
 
 def _run(arguments: Sequence[str] | None) -> Any:

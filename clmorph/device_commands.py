@@ -6,12 +6,12 @@ from typing import Any
 
 import click
 
-from clmorph.errors import ClmorphError, DeviceError, OutputError
-from clmorph.files import atomic_path, check_place
+from clmorph.errors import ClmorphError, DeviceError
+from clmorph.files import atomic_path, check_file_place
 from clmorph.opencl.device import Device, choose_device, find_devices, forget_verdicts
 from clmorph.opencl.storage import cache_folder
-from clmorph.printable import printable
-from clmorph.terminal import NOTES, RESULTS
+from clmorph.printable import printable, reason_of
+from clmorph.terminal import NOTES, RESULTS, note
 
 
 def _find() -> tuple[Device, ...]:
@@ -33,8 +33,8 @@ def list_devices(as_json: bool, again: bool) -> int:
         forget_verdicts()
     devices = _find()
     if cache_folder() is None:
-        NOTES.print(
-            "note: what is learned of devices cannot be kept; set XDG_CACHE_HOME to a folder that "
+        note(
+            "what is learned of devices cannot be kept; set XDG_CACHE_HOME to a folder that "
             "can be written to"
         )
     auto = _auto_index()
@@ -106,7 +106,7 @@ def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
     """Compare devices with NumPy, print the findings; 1 if any is out of tolerance."""
     devices = _choose(spec, every)
     if report is not None:
-        _check_report(report)
+        check_file_place(report)  # before the work for it begins
     bundles = [_check_one(device) for device in devices]
     if report is not None:
         text = json.dumps(bundles[0] if len(bundles) == 1 else bundles, indent=1) + "\n"
@@ -114,12 +114,6 @@ def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
             new.write_text(text, "utf-8")
         click.echo(f"wrote {printable(report)}")
     return 0 if all(f["passed"] for bundle in bundles for f in bundle["findings"]) else 1
-
-
-def _check_report(report: Path) -> None:
-    """Check that the report can be written, before the work for it begins."""
-    if check_place(report).is_dir():
-        raise OutputError(f"{report} is a folder; choose a file name")
 
 
 def _check_one(device: Device) -> dict[str, Any]:
@@ -139,7 +133,7 @@ def _check_one(device: Device) -> dict[str, Any]:
         raise
     except Exception as error:  # a driver's failures come in any class
         raise DeviceError(
-            f"{device.name} failed after {len(findings)} checks: {' '.join(str(error).split())}; "
+            f"{device.name} failed after {len(findings)} checks: {reason_of(error)}; "
             "update its driver, or choose another device"
         ) from error
     table = Table(box=None, pad_edge=False)

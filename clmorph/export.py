@@ -17,6 +17,7 @@ from clmorph.errors import InputError, OutputError
 from clmorph.files import (
     atomic_paths,
     check_apart,
+    check_file_place,
     check_place,
     home_of,
     is_empty,
@@ -124,11 +125,10 @@ class Output:
             self.name = _by_ending(self.path)
         self.format = FORMATS[self.name]
         self.format.check()
-        self.place = check_place(self.path)
         is_folder = self.name in FOLDERS
-        if self.place.is_dir() and not is_folder:
-            raise OutputError(f"{path} is a folder; choose a file name")
-        empty = self.place.is_dir() and is_empty(self.place)
+        self.place = check_place(self.path) if is_folder else check_file_place(self.path)
+        with told_as_output(path):
+            empty = self.place.is_dir() and is_empty(self.place)
         if is_folder and self.place.exists() and not empty:
             raise OutputError(
                 f"{path} exists already; choose a new or empty folder, or a name ending in "
@@ -137,7 +137,7 @@ class Output:
 
     @property
     def folder(self) -> Path:
-        """Where its parts can wait until they are written."""
+        """Where temporary files for it go: on its own disk."""
         return home_of(self.place)
 
     def check_motion(self, motion: Motion) -> None:

@@ -11,12 +11,14 @@ from os import PathLike
 from pathlib import Path
 
 from clmorph.errors import InputError, OutputError
-from clmorph.printable import printable
+from clmorph.printable import printable, reason_of
 from clmorph.signals import note_written, undisturbed
 from clmorph.staging import PREFIX, is_staging, staging_folder
 
 #: Characters of an ending that a temporary file has too; longer ones are none of ours.
 LONGEST_ENDING = 16
+#: Files from which on all that waits for the disk is written at once.
+MANY = 16
 #: What file systems say that cannot flush one file.
 NO_FLUSH = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EROFS)
 
@@ -47,7 +49,7 @@ def check_place(target: str | PathLike[str]) -> Path:
         place = Path(target).resolve()
         special = place.exists() and not (place.is_file() or place.is_dir())
     except (OSError, RuntimeError, ValueError) as error:
-        raise OutputError(f"{target}: there is no such place ({_reason(error)})") from None
+        raise OutputError(f"{target}: there is no such place ({reason_of(error)})") from None
     if special:
         raise OutputError(f"{target} is neither a file nor a folder; choose another place")
     if not place.parent.is_dir():
@@ -61,6 +63,14 @@ def check_place(target: str | PathLike[str]) -> Path:
         # In the temporary folder, the path is longer.
         with suppress(FileNotFoundError):
             (home_of(place) / f"{PREFIX}{8 * '0'}" / _new_name(place)).lstat()
+    return place
+
+
+def check_file_place(target: str | PathLike[str]) -> Path:
+    """Return where a file can be written, as `check_place` does; a folder is refused too."""
+    place = check_place(target)
+    if place.is_dir():
+        raise OutputError(f"{target} is a folder; choose a file name")
     return place
 
 
@@ -168,7 +178,7 @@ def told_as_output(target: str | PathLike[str]) -> Iterator[None]:
         yield
     except OSError as error:
         raise OutputError(
-            f"{target} cannot be written ({_reason(error)}); choose another place"
+            f"{target} cannot be written ({reason_of(error)}); choose another place"
         ) from error
 
 
@@ -297,6 +307,10 @@ def _keep_rights(place: Path, new: Path) -> None:
 def _flush(made: Path) -> None:
     """Bring a file, or all files of a folder, onto the disk."""
     files = [path for path in made.rglob("*") if path.is_file()] if made.is_dir() else [made]
+    if len(files) >= MANY and hasattr(os, "sync"):
+        # One by one, each file waits for the disk: hundreds of frames for seconds. All at once
+        # they do not; fsync, which alone tells of failures, then finds little left to write.
+        os.sync()
     for file in files:
         with file.open("r+b") as stream:
             try:
@@ -316,8 +330,3 @@ def _flush_folder(folder: Path) -> None:
             os.fsync(handle)
         finally:
             os.close(handle)
-
-
-def _reason(error: Exception) -> str:
-    """Return what an error says, in one line."""
-    return " ".join(str(getattr(error, "strerror", None) or error).split())

@@ -23,9 +23,10 @@ from clmorph.drawing import (
     step_of,
 )
 from clmorph.errors import OutputError
-from clmorph.files import atomic_path, check_place
+from clmorph.files import atomic_path, check_file_place
 from clmorph.findings import Inspection, percent, size_text, time_text
 from clmorph.measures import Measure
+from clmorph.printable import reason_of
 
 #: Endings of pictures that can be written.
 ENDINGS = (".png", ".svg", ".pdf")
@@ -58,14 +59,11 @@ def check_plotting(path: str | PathLike[str] | None = None) -> None:
         importlib.import_module("matplotlib.figure")
     except ImportError as error:
         raise OutputError(
-            f"a picture needs matplotlib ({' '.join(str(error).split())}): "
-            'pip install "clmorph[plot]"'
+            f'a picture needs matplotlib ({reason_of(error)}): pip install "clmorph[plot]"'
         ) from None
     if path is None:
         return
-    place = check_place(path)
-    if place.is_dir():
-        raise OutputError(f"{path} is a folder; choose a file name")
+    place = check_file_place(path)
     if place.suffix.lower() not in ENDINGS:
         raise OutputError(
             f"{path}: unknown ending {place.suffix!r}; expected one of {', '.join(ENDINGS)}"

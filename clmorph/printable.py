@@ -1,7 +1,11 @@
 """Text of foreign origin in messages: on one line, printable, of bounded length."""
 
+import unicodedata
+
 #: Characters of a value (a name, a key) and of a whole message, at most.
 VALUE, MESSAGE = 300, 1000
+#: Characters without a shape that belong to words: Persian joins letters by them, emoji too.
+JOINERS = "\u200c\u200d"
 
 
 def printable(text: object, most: int = VALUE) -> str:
@@ -18,11 +22,30 @@ def printable(text: object, most: int = VALUE) -> str:
     -------
     str
         Control characters, line breaks and marks that reverse the direction of writing are
-        shown as escapes such as ``\x1b``; bytes of a name that are no text as U+FFFD.
+        shown as escapes such as ``\x1b``, spaces of any width as plain ones, bytes of a name that
+        are no text as U+FFFD.
     """
     # Shortened twice: before, so that a megabyte is not walked through; after, for escapes.
     short = _shortened(str(text), most)
     return _shortened("".join(map(_shown, short)), most)
+
+
+def reason_of(error: BaseException, most: int = VALUE) -> str:
+    """Return what an error of the system or of a library says, on one short line.
+
+    Parameters
+    ----------
+    error : exception
+    most : int
+        Characters of the result, at most.
+
+    Returns
+    -------
+    str
+        An OSError's own words without its number and file; the class of an error without words.
+    """
+    told = str(getattr(error, "strerror", None) or error)
+    return printable(" ".join(told.split()) or type(error).__name__, most)
 
 
 def _shortened(text: str, most: int) -> str:
@@ -33,8 +56,10 @@ def _shortened(text: str, most: int) -> str:
 
 
 def _shown(character: str) -> str:
-    if character.isprintable():
+    if character.isprintable() or character in JOINERS:
         return character
+    if unicodedata.category(character) == "Zs":  # macOS puts narrow ones into names
+        return " "
     if "\ud800" <= character <= "\udfff":
         return "\ufffd"
     return character.encode("unicode_escape").decode("ascii")

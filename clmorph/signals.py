@@ -5,12 +5,14 @@ the system's own: what a caller has set, or ignores (``nohup``), stays. The libr
 any; `undisturbed` does nothing there.
 """
 
+import _thread
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from types import FrameType
 from typing import Any
 
@@ -18,12 +20,18 @@ from typing import Any
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
 #: Seconds for which further signals are ignored, so that they do not interrupt the clearing up.
 PATIENCE = 5.0
+#: Seconds after which a signal is given again that arrived where nothing can be raised.
+SOON = 0.02
 #: Handlers that may be replaced.
 USUAL = (signal.SIG_DFL, signal.default_int_handler)
 
 
 class Terminated(BaseException):
-    """The system, or another program, wants this one to end.
+    """The user (Ctrl-C), the system or another program wants this one to end.
+
+    Ctrl-C is no KeyboardInterrupt here. Where that one passes through compiled text (as
+    `dataclasses` and other modules run while they are imported), the interpreter takes it for
+    unhandled and ends itself by the signal, not with an exit code; and click prints an empty line.
 
     Attributes
     ----------
@@ -34,15 +42,6 @@ class Terminated(BaseException):
     def __init__(self, number: int) -> None:
         super().__init__(number)
         self.number = number
-
-
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, as Python's own exception for it.
-
-    Where just that one passes through compiled text (as `dataclasses` and other modules run while
-    they are imported), the interpreter takes it for unhandled and ends itself by the signal, not
-    with an exit code.
-    """
 
 
 class Ending:
@@ -63,13 +62,31 @@ class Ending:
     def handle(self, number: int, frame: FrameType | None) -> None:
         """Raise what ends the run, or remember that something did."""
         now = time.monotonic()
-        if now - self._last < PATIENCE:
-            return
+        if _current is not self or now - self._last < PATIENCE:
+            return  # at the very end, or while it is cleared up
         self._last = now
         if self._depth:
             self._waiting = number
         else:
-            _end(number)
+            raise Terminated(number)
+
+    def unraised(self, usual: Callable[[Any], object], what: Any) -> None:
+        """Stand in for `sys.unraisablehook`: where no exception can be raised, try again soon.
+
+        A signal can arrive while Python calls a destructor or a callback of a weak reference, which
+        would print the exception and go on.
+        """
+        if what.exc_type is not Terminated:
+            usual(what)
+            return
+        self._last = -PATIENCE
+        timer = threading.Timer(SOON, self._again, (what.exc_value.number,))
+        timer.daemon = True
+        timer.start()
+
+    def _again(self, number: int) -> None:
+        if _current is self:
+            _thread.interrupt_main(signal.Signals(number))
 
     @contextmanager
     def put_off(self) -> Iterator[None]:
@@ -79,15 +96,10 @@ class Ending:
             yield
         finally:
             self._depth -= 1
-        if self._waiting is not None and not self._depth:
-            number, self._waiting = self._waiting, None
-            _end(number)
-
-
-def _end(number: int) -> None:
-    if number == signal.SIGINT:
-        raise Interrupted
-    raise Terminated(number)
+            # Also where the block fails: else the next one, whatever it is for, would end the run.
+            if self._waiting is not None and not self._depth:
+                number, self._waiting = self._waiting, None
+                raise Terminated(number)
 
 
 def farewell(ending: Ending, number: int) -> int:
@@ -118,8 +130,9 @@ def terminable() -> Iterator[Ending]:
         yield _current or Ending()
         return
     before: dict[signal.Signals, Any] = {}
-    _current = Ending()
+    _current, hook = Ending(), sys.unraisablehook
     try:
+        sys.unraisablehook = partial(_current.unraised, hook)
         for name in ENDING:
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) in USUAL:
@@ -127,6 +140,7 @@ def terminable() -> Iterator[Ending]:
         yield _current
     finally:
         _current = None
+        sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
 

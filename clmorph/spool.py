@@ -1,37 +1,46 @@
 """Frames on disk while a file is made of them."""
 
+import io
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, overload
+from typing import IO, Any, Self, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.errors import OutputError
+from clmorph.printable import reason_of
+from clmorph.staging import staging_folder
 
 #: Bytes of frames that stay in memory; more go to a temporary file.
 IN_MEMORY = 128 * 1024**2
 
 
 class Spool(Sequence[NDArray[Any]]):
-    """A sequence of arrays of any shapes and one dtype, kept in a temporary file.
+    """A sequence of arrays of any shapes and one dtype: a few in memory, more in a temporary file.
 
-    The file has no name, or loses it at once: however the process ends, nothing is left of it.
+    To be used in a `with` block, at whose end the file goes. Where the system lets files have no
+    names, it has none: however the process ends, its room on the disk is free again. On Windows
+    it has a name until it is closed, and on network disks it can get one; so it lies in a staging
+    folder, which is no part of what the folder holds (see `clmorph.files.is_empty`) and which the
+    next run clears away if this one is killed.
 
     Parameters
     ----------
     dtype : dtype
     folder : Path, optional
-        Where the temporary file goes, without a name; the system's place by default.
+        In which the staging folder is made, once there is more than `IN_MEMORY`. By default the
+        file goes to the system's place for temporary files, without such a folder.
     """
 
     def __init__(self, dtype: Any, folder: Path | None = None) -> None:
         self._dtype = np.dtype(dtype)
-        place = None if folder is None else str(folder)
-        self._file = tempfile.SpooledTemporaryFile(IN_MEMORY, dir=place)  # noqa: SIM115
+        self._folder = folder
+        self._stack = ExitStack()
+        self._file: IO[bytes] = io.BytesIO()
         self._places: list[tuple[int, tuple[int, ...]]] = []
 
     def append(self, array: NDArray[Any]) -> None:
@@ -40,8 +49,18 @@ class Spool(Sequence[NDArray[Any]]):
             raise TypeError(f"an array of {array.dtype} in a spool of {self._dtype}")
         with _told():
             offset = self._file.seek(0, 2)
+            if isinstance(self._file, io.BytesIO) and offset + array.nbytes > IN_MEMORY:
+                self._file = self._on_disk(self._file)
             self._file.write(np.ascontiguousarray(array).tobytes())
         self._places.append((offset, array.shape))
+
+    def _on_disk(self, memory: io.BytesIO) -> IO[bytes]:
+        """Return a temporary file that holds what was in memory, at its end."""
+        place = self._folder and self._stack.enter_context(staging_folder(self._folder))
+        file = tempfile.TemporaryFile(dir=place)  # noqa: SIM115 (the stack closes it)
+        self._stack.callback(file.close)
+        file.write(memory.getbuffer())
+        return file
 
     def shape(self, index: int) -> tuple[int, ...]:
         """Return an array's shape without reading it."""
@@ -74,7 +93,7 @@ class Spool(Sequence[NDArray[Any]]):
         trace: TracebackType | None,
     ) -> None:
         with suppress(OSError):  # a full disk again: what is lost here was not to be kept
-            self._file.close()
+            self._stack.close()
 
 
 @contextmanager
@@ -84,6 +103,6 @@ def _told() -> Iterator[None]:
         yield
     except OSError as error:
         raise OutputError(
-            f"frames cannot wait on disk until they are written ({error.strerror or error}): "
+            f"frames cannot wait on disk until they are written ({reason_of(error)}): "
             "free some space, or take fewer or smaller frames"
         ) from error

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import clmorph
-from clmorph.checks import SHOWN_LENGTH, check_choice, check_integer, check_number, shown
+from clmorph.checks import SHOWN_LENGTH, as_float, check_choice, check_integer, check_number, shown
+from clmorph.errors import InputError
 
 SMALL = np.zeros((3, 4, 3))
 HUGE = 10**400
@@ -74,3 +75,24 @@ def test_functions_of_the_library(call, value):
     with pytest.raises(clmorph.InputError) as caught:
         call(value)
     assert len(str(caught.value)) < 300
+
+
+def test_a_shape_that_is_none():
+    class Odd:
+        shape = 5
+
+        def __float__(self):
+            return 1.0
+
+    assert as_float(Odd()) is None
+    with pytest.raises(InputError, match="blur="):
+        clmorph.morph(np.zeros((4, 4, 3)), np.zeros((4, 4, 3)), 2, blur=Odd(), backend="numpy")
+
+
+def test_containers_are_shown_in_part():
+    deep = []
+    for _ in range(5000):
+        deep = [deep]
+    for value in (deep, ["x" * 10**6] * 1000, {"k": list(range(10**6))}, 10**5000):
+        assert len(shown(value)) <= 60
+    assert shown([1, "a"]) == "[1, 'a']"

@@ -165,6 +165,7 @@ def test_ctrl_c_leaves_nothing(pictures):
     assert code == 130
     assert out == ""
     assert err.splitlines()[-1] == "clmorph: interrupted, nothing was written"
+    assert "" not in err.splitlines()
     assert "Traceback" not in err
     assert sorted(pictures.iterdir()) == before
 

@@ -944,3 +944,27 @@ def test_refusals(tmp_path, growing, monkeypatch):
         with pytest.raises(OutputError, match=r"pip install \"clmorph\[video\]\""):
             save(growing, tmp_path / name)
     assert not list(tmp_path.glob("out*"))
+
+
+def test_a_folder_that_cannot_be_listed_is_told(tmp_path, monkeypatch):
+    """Its rights let files be made in it, not be seen."""
+    place = tmp_path / "frames"
+    place.mkdir()
+
+    def refuse(folder):
+        raise PermissionError(13, "Permission denied", str(folder))
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(OutputError, match=r"frames cannot be written \(Permission denied\)"):
+        Output(place)
+
+
+def test_archives_that_are_not_there(tmp_path, rng):
+    with pytest.raises(InputError, match=r"gone\.npz: no such file$"):
+        clmorph.load(tmp_path / "gone.npz")
+    with pytest.raises(InputError, match=r"cannot be read \("):
+        clmorph.load(tmp_path)
+    morph = clmorph.morph(*rng.random((2, 5, 6, 3)), 3, backend="numpy")
+    save(morph, tmp_path / "x.npz")
+    with pytest.raises(InputError, match=r"take [\d.]+ (kB|bytes), expected at most 900 bytes; if"):
+        clmorph.load(tmp_path / "x.npz", max_bytes=900)

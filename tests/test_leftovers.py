@@ -8,7 +8,9 @@ import signal
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
+import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -87,6 +89,7 @@ def test_signals_leave_nothing(number, code, word, monkeypatch, capfd):
     out, err = capfd.readouterr()
     assert out == ""
     assert err.splitlines()[-1] == f"clmorph: {word}, nothing was written"
+    assert "" not in err.splitlines()
     assert names() == ["x.gif"]
     assert Path("x.gif").read_text() == "old"
 
@@ -139,6 +142,35 @@ def test_ctrl_c_ends_with_its_exit_code_wherever_it_comes(where):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 130, done.stderr
     assert done.stderr == "clmorph: interrupted, nothing was written\n"
+
+
+@posix
+def test_a_signal_in_a_destructor_ends_the_run_all_the_same(monkeypatch, capfd):
+    """There Python prints exceptions and goes on; and a remark of others is still printed."""
+
+    class Gone:
+        def __init__(self, number):
+            self.number = number
+
+        def __del__(self):
+            if not self.number:
+                raise ValueError("of theirs")
+            os.kill(os.getpid(), self.number)
+
+    def write(film, look, file, report):
+        Gone(0)
+        Gone(signal.SIGTERM)
+        time.sleep(5)
+        pytest.fail("the signal was not heard")
+
+    seen = []
+    monkeypatch.setattr(sys, "unraisablehook", seen.append)
+    replace_writer(monkeypatch, "gif", write)
+    assert run("-o", "x.gif") == 143
+    assert [what.exc_type for what in seen] == [ValueError]
+    assert sys.unraisablehook == seen.append
+    assert capfd.readouterr().err.splitlines()[-1] == "clmorph: terminated, nothing was written"
+    assert names() == []
 
 
 @posix
@@ -472,10 +504,54 @@ def test_frames_that_find_no_room_are_told(monkeypatch, capfd):
 def test_a_spool_has_no_name(monkeypatch):
     monkeypatch.setattr("clmorph.spool.IN_MEMORY", 64)
     with Spool(np.uint8, Path()) as spool:
-        spool.append(np.zeros(9000, np.uint8))
+        spool.append(np.zeros(60, np.uint8))
+        assert names() == []  # still in memory
         spool.append(np.ones(9000, np.uint8))
-        assert names() == []  # whatever happens now
+        (folder,) = map(Path, names())
+        assert staging.is_staging(folder)
+        assert names(folder) == [OWNER]
+        assert not spool[0].any()
         assert spool[1].all()
+    assert names() == []
+
+
+@pytest.mark.parametrize("at", ["frames", "../out"])
+def test_frames_that_wait_beside_a_folder_are_not_in_it(at, monkeypatch, capfd):
+    """As on Windows, and on network disks: the file that they wait in has a name."""
+    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 64)
+    monkeypatch.setattr("tempfile.TemporaryFile", tempfile.NamedTemporaryFile)
+    Path(at).mkdir(exist_ok=True)
+    assert run("-o", at) == 0, capfd.readouterr().err
+    assert names(at) == ["frame-0000.png", "frame-0001.png"]
+
+
+@posix
+def test_a_signal_that_waited_for_a_block_that_fails():
+    """It ends the run then, not at the next block."""
+    with signals.terminable():
+        with pytest.raises(signals.Terminated) as caught, signals.undisturbed():  # noqa: PT012
+            os.kill(os.getpid(), signal.SIGTERM)
+            raise ValueError
+        assert isinstance(caught.value.__context__, ValueError)
+        with signals.undisturbed():
+            pass
+
+
+@pytest.mark.parametrize(("number", "times"), [(3, 0), (200, 1)])
+def test_many_files_go_to_the_disk_at_once(number, times, monkeypatch):
+    """For each to wait for the disk takes long; but each is asked whether it got there."""
+    told = []
+    flush = os.fsync
+    monkeypatch.setattr(os, "sync", lambda: told.append("sync"), raising=False)
+    monkeypatch.setattr(os, "fsync", lambda handle: (told.append("fsync"), flush(handle)))
+    with atomic_path("frames") as folder:
+        folder.mkdir()
+        for index in range(number):
+            (folder / f"{index}").write_bytes(b"x")
+    assert told[:times] == ["sync"] * times
+    assert told.count("sync") == times
+    assert told.count("fsync") >= number
+    assert len(names("frames")) == number
 
 
 @posix

@@ -26,7 +26,7 @@ from clmorph.film import recorded
 from clmorph.formats.bounded import MAX_TEXT, BoundedFile, from_text
 from clmorph.formats.embedding import as_exif, as_text, read_parameters
 from clmorph.motion import Motion
-from clmorph.printable import printable
+from clmorph.printable import printable, reason_of
 
 #: What a name out of a foreign file may hold: a terminal's commands, a line's end, a reversal.
 HOSTILE = "a\x1b]0;owned\x07\n\u202e.png"
@@ -158,7 +158,9 @@ def test_toml_is_the_users_own(capfd, tmp_path):
              "COM1.png", "\\\\host\\share\\a.png", "a.png\0", "lpt1 .txt", "a.png ", "x" * 400]
 )  # fmt: skip
 def test_a_recipe_names_pictures_without_folders(name, capfd):
-    assert not is_bare(name)
+    assert not is_bare(name, windows=True)
+    if is_bare(name):
+        return  # a name like others, here
     as_json(recipe([name, "b.png"]))
     line = told(capfd, "--config", "foreign.json", "-o", "o.gif")
     assert "foreign.json names the picture " in line
@@ -170,8 +172,9 @@ def test_a_recipes_pictures_are_beside_it_or_here(tmp_path, capfd):
     there = tmp_path / "there"
     there.mkdir()
     Path("b.png").rename(there / "b.png")
-    assert is_bare("COMMON.png")
-    assert is_bare(".a é.png")
+    for name in ("COMMON.png", ".a é.png"):
+        assert is_bare(name)
+        assert is_bare(name, windows=True)
     as_json(recipe())
     Path("foreign.json").rename(there / "foreign.json")
     assert run("--config", "there/foreign.json", "-o", "o.gif") == 0
@@ -316,6 +319,23 @@ def test_printable():
     assert printable("begin" + "x" * 1000 + "end").startswith("begin")
     assert printable("begin" + "x" * 1000 + "end").endswith("end")
     assert printable(Path("x" * 300)) == "x" * 300
+
+
+def test_spaces_and_joiners_are_no_escapes():
+    """Names of screenshots on macOS, Persian words, emoji of several parts."""
+    assert printable("at 9.41.00\u202fAM\u00a0(1).png") == "at 9.41.00 AM (1).png"
+    assert printable("a\u3000b") == "a b"
+    for text in ("\u0645\u06cc\u200c\u062e\u0648\u0627\u0647\u0645", "\U0001f469\u200d\U0001f52c"):
+        assert printable(text) == text
+    # Lines end by these, and direction turns by those.
+    assert printable("\u2028\u2029\u0085\u200e\u2066") == "\\u2028\\u2029\\x85\\u200e\\u2066"
+
+
+def test_what_errors_say_is_one_line():
+    assert reason_of(FileNotFoundError(2, "No such\nfile", "a.png")) == "No such file"
+    assert reason_of(ValueError("  two\n lines\x1b[2J ")) == "two lines\\x1b[2J"
+    assert reason_of(KeyError()) == "KeyError"
+    assert len(reason_of(ValueError("x" * 5000), 40)) == 40
 
 
 def test_every_error_and_warning_is_printable():

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+import os
 import tomllib
 from pathlib import Path
 
@@ -367,3 +368,25 @@ def test_values_of_files_that_are_no_numbers(name, capfd):
 def test_names_of_files_that_are_none(value, capfd):
     Path("x.toml").write_text(f"output = {value}\n")
     told(capfd, "a.png", "b.png", "--config", "x.toml")
+
+
+def test_a_recipe_that_names_an_output_is_noted(capfd):
+    """The note is seen: what libraries print meanwhile is kept away, not what we do."""
+    options = {"output": "x.gif", "format": "gif", "frames": 3}
+    told = {"clmorph": "1", "options": options, "images": ["a.png", "b.png"]}
+    Path("r.json").write_text(json.dumps(told))
+    assert main(["morph", "--config", "r.json", "--dump-config"]) == 0
+    err = capfd.readouterr().err
+    for name in ("output", "format"):
+        assert f"note: r.json names its own {name}, which a recipe does not choose" in err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no names of files there")
+@pytest.mark.parametrize("name", ["10:30.png", "back\\slash.png", "aux.png", "dots...", "space "])
+def test_a_recipe_of_ours_names_what_files_are_called(name, capfd):
+    Path("a.png").rename(name)
+    few = ["--frames", "2", "--backend", "numpy", "--solve-size", "4"]
+    assert main(["morph", name, "b.png", "-o", "first.gif", *few]) == 0
+    arguments = ["--config", "first.gif", "-o", "again.gif", "--backend", "numpy"]
+    assert main(["morph", *arguments]) == 0, capfd.readouterr().err
+    assert Path("again.gif").read_bytes() == Path("first.gif").read_bytes()

@@ -1,5 +1,6 @@
 """A small share of what ``tools/faults.py`` and ``tools/soak.py`` try."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -49,3 +50,16 @@ def test_morphs_in_threads_are_those_in_a_row(capsys):
     device = USABLE[0].index
     given = ["--morphs", "20", "--sets", "5", "--threads", "4", "--processes", "0"]
     assert soak.main([*given, "--device", device]) == 0, capsys.readouterr().out
+
+
+def test_an_empty_line_is_one_too_many(tmp_path):
+    """Only what an undisturbed run says as well is left out."""
+    import faults
+
+    runs = faults.Runs("numpy", faults.Findings([]))
+    runs.references["gif"] = faults.Reference(1.0, "", frozenset({"device: NumPy", ""}))
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "tmp" / "errors").write_text("device: NumPy\n\nclmorph: interrupted\n")
+    with subprocess.Popen([sys.executable, "-c", ""], start_new_session=True) as process:
+        ended = runs.end(process, tmp_path, "gif")
+    assert ended.lines == ["", "clmorph: interrupted"]

@@ -171,7 +171,7 @@ class Runs:
         mine = ("errors", f"clmorph-{os.getuid()}", ".cache")
         left += [f"tmp/{path.name}" for path in (folder / "tmp").iterdir() if path.name not in mine]
         left += [f"process {name}" for name in _session(process.pid)]
-        lines = [line for line in told if line.strip() and line not in known]
+        lines = [line for line in told if not line.strip() or line not in known]
         return Ended(code, lines, left, digest(output), not "".join(told).strip())
 
     def measure(self, format: str) -> None:

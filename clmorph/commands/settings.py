@@ -13,7 +13,6 @@ import inspect
 import math
 import os
 import re
-import reprlib
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,13 +22,15 @@ from typing import Any
 import click
 
 from clmorph import defaults
+from clmorph.checks import shown
+from clmorph.commands.common import quiet_libraries
 from clmorph.defaults import PRESETS
 from clmorph.errors import InputError
 from clmorph.formats.bounded import MAX_TEXT
 from clmorph.formats.embedding import read_parameters
 from clmorph.images import MAX_PIXELS
 from clmorph.morph import check_options
-from clmorph.printable import printable
+from clmorph.printable import reason_of
 from clmorph.terminal import note
 
 Settings = dict[str, Any]
@@ -83,7 +84,7 @@ class Named:
             digest = None if isinstance(entry, str) else entry.get("sha256")
             if not (self.own or is_bare(name)):
                 raise InputError(
-                    f"{self.file} names the picture {_short(name)}: a recipe may name "
+                    f"{self.file} names the picture {shown(name)}: a recipe may name "
                     "pictures beside it or in the current folder, without any folder; name the "
                     "pictures in the command line"
                 )
@@ -95,16 +96,26 @@ class Named:
             beside = self.file.parent / name
             return beside if beside.exists() else Path(name)
         except OSError as error:
-            raise InputError(f"{self.file}: {_short(name)}: {error.strerror}") from None
+            raise InputError(f"{self.file}: {shown(name)}: {reason_of(error)}") from None
 
 
-def is_bare(name: str) -> bool:
-    """Whether a file name is no more than that, on any system: no folder, drive or device."""
+def is_bare(name: str, *, windows: bool = os.name == "nt") -> bool:
+    """Whether a file name is no more than that: no folder and, on Windows, no drive or device.
+
+    Parameters
+    ----------
+    name : str
+    windows : bool
+        Whether the name is judged as Windows reads it, where backslashes separate folders, a
+        colon ends a drive's name, some names are devices, and dots and spaces at the end are
+        dropped. Elsewhere all of these are parts of names like others.
+    """
+    if len(name) >= 256 or re.search(r"[/\0]", name) or name in ("", ".", ".."):
+        return False
+    if not windows:
+        return True
     return (
-        len(name) < 256
-        and not re.search(r"[/\\:\0]", name)
-        and name.rstrip(". ") == name != ""
-        and not DEVICES.fullmatch(name)
+        not re.search(r"[\\:]", name) and name.rstrip(". ") == name and not DEVICES.fullmatch(name)
     )
 
 
@@ -182,12 +193,12 @@ def read_settings(path: Path, parameters: Sequence[click.Parameter]) -> Settings
         name = key.replace("-", "_")
         if name in OWN and not own:
             if name in (OUTPUT, "format"):  # none that clmorph wrote does
-                note(f"{path} names an {name}, which a recipe does not choose: give -o")
+                note(f"{path} names its own {name}, which a recipe does not choose: give -o")
             continue
         if name not in known and name != IMAGES:
             near = difflib.get_close_matches(name[:99], [*known, IMAGES], 1)
             hint = f"did you mean {near[0]!r}?" if near else "clmorph morph --help lists them"
-            raise InputError(f"{path}: unknown setting {_short(key)}; {hint}")
+            raise InputError(f"{path}: unknown setting {shown(key)}; {hint}")
         if name != IMAGES:
             _check_kind(path, key, value, known[name])
         settings[name] = value
@@ -213,11 +224,12 @@ def _toml(path: Path) -> Settings:
             raise ValueError(f"more than {MAX_TEXT} bytes")
         return tomllib.loads(text.decode())
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not TOML ({' '.join(str(error).split())})") from None
+        raise InputError(f"{path}: not TOML ({reason_of(error)})") from None
 
 
 def _told(path: Path) -> Settings:
-    told = read_parameters(path)
+    with quiet_libraries():  # notes of ours, which are printed, come later
+        told = read_parameters(path)
     options = told.get("options")
     if not isinstance(options, dict):
         raise InputError(
@@ -251,7 +263,7 @@ def _check_kind(path: Path, key: str, value: Any, parameter: click.Parameter) ->
         )
         expected = "a number"
     if not good:
-        raise InputError(f"{path}: {key} = {_short(value)}: expected {expected}")
+        raise InputError(f"{path}: {key} = {shown(value)}: expected {expected}")
 
 
 def _is_finite(value: float) -> bool:
@@ -259,16 +271,6 @@ def _is_finite(value: float) -> bool:
         return math.isfinite(value)
     except OverflowError:  # a whole number beyond what floats hold
         return False
-
-
-def _short(value: Any) -> str:
-    """Return a value as it is written, as far as that is short and not nested deeply."""
-    if isinstance(value, str):
-        return repr(printable(value, 80))
-    try:
-        return reprlib.repr(value)
-    except ValueError:  # Python writes no numbers of thousands of digits
-        return "a number of too many digits"
 
 
 def as_text(settings: Settings) -> Settings:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from clmorph.film import Film
 from clmorph.formats.apng import write_frames
 from clmorph.formats.embedding import as_exif, as_png_info
-from clmorph.formats.limits import check_size, encoding
+from clmorph.formats.limits import check_sides, encoding
 from clmorph.framing import Framing, Look, in_time
 from clmorph.motion import whole_units
 from clmorph.progress import Report, Share, tracked
@@ -35,7 +35,7 @@ def write_webp(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write an animated WebP, lossy unless the look says otherwise."""
     count = len(film.played())
     framing = _framing(film, look)
-    check_size(framing.size, WEBP_MOST, "WebP")
+    check_sides(framing.size, WEBP_MOST, "WebP")
     _reel(film, framing, report).save(
         file, format="WEBP", save_all=True, duration=_milliseconds(film),
         loop=int(film.motion.loop == "once"), lossless=look.lossless, exact=look.lossless,

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from clmorph.checks import check_number, is_path, shown
 from clmorph.errors import InputError
 from clmorph.film import Film
+from clmorph.findings import size_text
 from clmorph.formats.bounded import UNREADABLE, from_text
 from clmorph.formats.embedding import as_text
 from clmorph.formats.npz import Arrays
 from clmorph.framing import Look
 from clmorph.plan import Plan
+from clmorph.printable import reason_of
 from clmorph.progress import Report, tracked
 from clmorph.sampling import Barycentric
 
@@ -145,18 +147,21 @@ def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Archive:
             size = sum(map(arrays.size, arrays.names))
             if size > max_bytes:
                 raise InputError(
-                    f"{path}: its arrays take {size / 1e9:.3g} GB, expected at most "
-                    f"{max_bytes / 1e9:.3g} GB; if you trust the file, load it with "
+                    f"{path}: its arrays take {size_text(size)}, expected at most "
+                    f"{size_text(max_bytes)}; if you trust the file, load it with "
                     f"max_bytes={size}"
                 )
             return _read(arrays)
     except InputError:
         raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({reason_of(error)})") from None
     except UNREADABLE as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(
-            f"{path}: not a morph saved as .npz, or damaged ({reason}); expected a file that "
-            "clmorph has written"
+            f"{path}: not a morph saved as .npz, or damaged ({reason_of(error)}); expected a "
+            "file that clmorph has written"
         ) from None
 
 

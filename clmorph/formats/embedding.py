@@ -2,7 +2,6 @@
 
 import json
 import struct
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from clmorph.errors import InputError
 from clmorph.formats.bounded import MAX_HEAD, MAX_TEXT, UNREADABLE, BoundedFile, from_text
+from clmorph.printable import reason_of
 
 if TYPE_CHECKING:
     from PIL.Image import Exif
@@ -82,8 +82,7 @@ def read_parameters(path: Path) -> dict[str, Any]:
         text = _reader(path)(path)
         found = from_text(text) if text else None
     except UNREADABLE as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: cannot be read ({reason})") from None
+        raise InputError(f"{path}: cannot be read ({reason_of(error)})") from None
     if not isinstance(found, dict) or MARK not in found:
         raise InputError(
             f"{path} holds no parameters of clmorph: expected a file that it has written"
@@ -117,13 +116,11 @@ def _head(reader: "type[ImageFile]", path: Path) -> Iterator["ImageFile"]:
     """Give what Pillow finds in a picture's first parts; pixels, however many, are not decoded."""
     from PIL import Image
 
-    with BoundedFile(path, in_all=MAX_HEAD) as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about damage, of which what matters raises
-        try:
-            with reader(file) as picture:
-                yield picture
-        except Image.DecompressionBombError as error:
-            raise ValueError(str(error)) from None
+    try:
+        with BoundedFile(path, in_all=MAX_HEAD) as file, reader(file) as picture:
+            yield picture
+    except Image.DecompressionBombError as error:
+        raise ValueError(str(error)) from None
 
 
 def _from_webp(path: Path) -> str:

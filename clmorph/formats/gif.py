@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clmorph.film import Film
 from clmorph.formats.deltas import box_of, changed, pieces
 from clmorph.formats.embedding import as_text
-from clmorph.formats.limits import check_size, encoding
+from clmorph.formats.limits import check_sides, encoding
 from clmorph.framing import Framing, Look, in_time
 from clmorph.motion import whole_units
 from clmorph.progress import Report, tracked
@@ -41,7 +41,7 @@ def write(film: Film, look: Look, file: Path, report: Report) -> None:
     """Write an animated GIF; opacity is rounded to all or nothing."""
     seconds = [seconds for _, seconds in film.played()]
     framing = Framing(look, in_time(film.shapes, film.times), film.pixelated, SIDE)
-    check_size(framing.size, MOST, "GIF")
+    check_sides(framing.size, MOST, "GIF")
     palette = _palette(film, framing)
     shown = list(zip((index for index, _ in film.played()), whole_units(seconds, 100), strict=True))
     frames = (

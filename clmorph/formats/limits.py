@@ -5,9 +5,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from clmorph.errors import ClmorphError, InputError, OutputError
+from clmorph.printable import reason_of
 
 
-def check_size(size: tuple[int, int], most: int, words: str) -> None:
+def check_sides(size: tuple[int, int], most: int, words: str) -> None:
     """Raise InputError if pictures are larger than a file can hold.
 
     Parameters
@@ -49,7 +50,7 @@ def encoding(words: str, *kinds: type[Exception]) -> Iterator[None]:
     except (ClmorphError, OSError):
         raise
     except failures as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
         raise OutputError(
-            f"the encoder of {words} failed ({reason}): try another canvas, or another format"
+            f"the encoder of {words} failed ({reason_of(error)}): try another canvas, or "
+            "another format"
         ) from error

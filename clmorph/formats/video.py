@@ -10,7 +10,7 @@ import numpy as np
 from clmorph.errors import OutputError
 from clmorph.film import Film
 from clmorph.formats.embedding import as_text
-from clmorph.formats.limits import check_size, encoding
+from clmorph.formats.limits import check_sides, encoding
 from clmorph.framing import Framing, Look, in_time
 from clmorph.motion import whole_units
 from clmorph.progress import Report, tracked
@@ -59,7 +59,7 @@ def _write(
         opacity=container == "webm",
     )  # fmt: skip
     words, most = LIMITS[container]
-    check_size(framing.size, most, words)
+    check_sides(framing.size, most, words)
     pixels = "yuva420p" if framing.clear else "yuv420p"
     codec, settings = CODECS[container]
     played = film.played()

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from clmorph.checks import check_number
 from clmorph.errors import InputError
 from clmorph.formats.bounded import MAX_HEAD, from_text
-from clmorph.printable import MESSAGE, printable
+from clmorph.printable import MESSAGE, printable, reason_of
 from clmorph.viewer.encoding import Encoder
 from clmorph.viewer.geometry import frame_boxes
 from clmorph.viewer.scene import Scene, as_json
@@ -217,8 +217,9 @@ def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
         with Path(path).open("rb") as file:
             text = file.read(HEAD)
     except (OSError, ValueError, TypeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot be read ({reason}); expected a page of clmorph") from None
+        raise InputError(
+            f"{path}: cannot be read ({reason_of(error)}); expected a page of clmorph"
+        ) from None
     start = text.find(PARAMETERS.encode())
     end = text.find(b"</script>", start)
     block = text[start + len(PARAMETERS) : end] if 0 <= start < end else b""
