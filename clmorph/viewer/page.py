@@ -113,7 +113,7 @@ def _frames(scene: Scene, max_bytes: float) -> Iterator[str]:
         raise InputError(
             f"there are {len(encoder.sizes)} frames and {len(scene.times)} times: expected one each"
         )
-    notes = [*scene.notes, *([encoder.note] if encoder.note else [])]
+    notes = [printable(note, MESSAGE) for note in (*scene.notes, encoder.note) if note]
     known = {
         "times": _numbers(scene.times, 12),
         "fps": float(scene.fps),
