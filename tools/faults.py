@@ -105,7 +105,6 @@ class Ended:
     lines: list[str]
     left: list[str]
     output: str
-    silent: bool = False
 
 
 class Runs:
@@ -172,7 +171,7 @@ class Runs:
         left += [f"tmp/{path.name}" for path in (folder / "tmp").iterdir() if path.name not in mine]
         left += [f"process {name}" for name in _session(process.pid)]
         lines = [line for line in told if not line.strip() or line not in known]
-        return Ended(code, lines, left, digest(output), not "".join(told).strip())
+        return Ended(code, lines, left, digest(output))
 
     def measure(self, format: str) -> None:
         """Run undisturbed."""
@@ -202,14 +201,16 @@ class Runs:
             whole = ended.output == self.references[format].output
             faults = []
             told = [line for line in ended.lines if line.startswith("clmorph: ")]
-            # Before and after clmorph the interpreter, which is not ours, ends by SIGINT itself.
+            # Before and after our `main` the interpreter ends by the signal itself, and before it
+            # prints where Ctrl-C found it.
+            begun = any(line.endswith(" in main") for line in ended.lines)
             python = ended.code == -getattr(signal, name) and (
-                whole or (ended.silent and ended.output == before)
+                whole or (not begun and ended.output == before)
             )
             if not python and ended.code not in (SIGNALS[name], 0):
                 faults.append(f"exit code {ended.code}")
-            if any("Traceback" in line for line in ended.lines):
-                faults.append(f"a traceback ({ended.lines[-1]})")
+            if not python and any("Traceback" in line for line in ended.lines):
+                faults.append(f"a traceback ({ended.lines[0]} … {ended.lines[-1]})")
             elif ended.code > 0 and (len(told) != 1 or len(ended.lines) != 1):
                 faults.append(f"not one line: {ended.lines}")
             if ended.code == 0 and not whole:
