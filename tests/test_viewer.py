@@ -13,6 +13,7 @@ from PIL import Image
 import clmorph
 from clmorph import InputError, OutputError, displacement_statistics, morph
 from clmorph.images import to_bytes
+from clmorph.printable import printable
 from clmorph.rendering import canvas_at
 from clmorph.viewer import (
     Curve,
@@ -155,7 +156,7 @@ def test_everything_foreign_is_escaped(rng, tmp_path):
     path = tmp_path / "page.html"
     path.write_text(text)
     assert read_parameters(path) == parameters
-    assert known(text)["notes"] == [HOSTILE]
+    assert known(text)["notes"] == [printable(HOSTILE)]
     plain = page(Scene(random_frames(rng, 2), [0, 1], title="{{frames}} {{script}}"))
     assert "<title>{{frames}} {{script}}</title>" in plain
 
