@@ -424,6 +424,7 @@ def closed(redirections, *arguments):
     )  # fmt: skip
 
 
+@pytest.mark.full
 def test_streams_that_are_closed(pictures):
     """What is printed is lost, and gets into no file; the file is made."""
     arguments = ["morph", "a.png", "b.jpg", "-o", "x.npz", "--frames", 2, "--backend", "numpy"]
@@ -440,6 +441,7 @@ def test_streams_that_are_closed(pictures):
     assert (done.returncode, done.stdout) == (2, "")
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_streams_that_are_full(pictures):
     """Lost results are an error; lost notes are none."""
@@ -534,6 +536,7 @@ def test_numbers_of_any_length(pictures, capfd, digits):
         assert err.count("\n") == 1
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
 def test_streams_that_lack_characters(pictures, encoding):
     """Help and tables are printed all the same; files of settings are always UTF-8."""

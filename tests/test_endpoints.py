@@ -70,6 +70,7 @@ def test_halfway_a_frame_is_the_papers(device, images):
     assert share(0.0) == share(1.0) == 1
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("sigma", [0.5, 1.2, 3.0])
 @pytest.mark.parametrize("splatting", ["adaptive", "local"])
 def test_first_and_last_steps_are_not_jumps(device, sigma, splatting):

@@ -17,6 +17,7 @@ def tools(monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
 
 
+@pytest.mark.full
 def test_runs_that_are_interrupted(capsys):
     """Ctrl-C while frames are drawn and written, over an old file and without one; a full disk."""
     import faults
@@ -44,6 +45,7 @@ def test_a_fault_is_found(capsys):
     assert "--cache garbage:kernels --device numpy" in out
 
 
+@pytest.mark.full
 def test_morphs_in_threads_are_those_in_a_row(capsys):
     import soak
 
