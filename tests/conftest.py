@@ -99,8 +99,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         variants = [(device, False) for device in TESTED]
         ids = labels
         if metafunc.config.getoption("--full"):
-            variants += [(device, True) for device in TESTED]
-            ids = labels + [f"{label}-swapped" for label in labels]
+            firsts = [device for device in TESTED if not _is_repeated(device)]
+            variants += [(device, True) for device in firsts]
+            ids = labels + [f"{_label(device)}-swapped" for device in firsts]
         metafunc.parametrize("variant", variants, ids=ids, indirect=True, scope="session")
     if "device" in metafunc.fixturenames:
         metafunc.parametrize("device", TESTED, ids=labels, indirect=True, scope="session")
@@ -113,17 +114,38 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Without --full, leave out long tests and most of each grid of parameters.
 
     Of a grid so many combinations are left as its longest axis has values, and each value of every
-    axis is among them.
+    axis is among them. With --full a device that repeats another one is tested so.
     """
-    if config.getoption("--full"):
-        return
+    full = config.getoption("--full")
+    everything = {item for item in items if full and not _is_repeated(_device_of(item))}
     functions: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in items:
         if item.get_closest_marker("full") is None:
             functions[item.nodeid.partition("[")[0]].append(item)
-    chosen = {item for own in functions.values() for item in _share(own)}
+    chosen = {item for own in functions.values() for item in _share(own)} | everything
     config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
     items[:] = [item for item in items if item in chosen]
+
+
+def _is_repeated(device: Device | None) -> bool:
+    """Whether a device before this one is of the same kind and platform.
+
+    So it is with two versions of PoCL, or with two graphics cards.
+    """
+    if device not in TESTED:
+        return False
+    before = TESTED[: TESTED.index(device)]
+    return any((it.platform, it.kind) == (device.platform, device.kind) for it in before)
+
+
+def _device_of(item: pytest.Item) -> Device | None:
+    """Return the device that an item is for; None if for none, or for NumPy."""
+    params = getattr(getattr(item, "callspec", None), "params", {})
+    if "variant" in params:
+        return params["variant"][0]
+    if "any_backend" in params:
+        return next((it for it in TESTED if it.index == params["any_backend"]), None)
+    return params.get("device")
 
 
 def _share(items: list[pytest.Item]) -> list[pytest.Item]:

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from conftest import _share
+from conftest import _is_repeated, _share
 
 
 def items(**parameters):
@@ -55,3 +55,12 @@ def test_tests_without_a_grid_stay():
     assert _share(alone) == alone
     row = items(device="P", a=range(7))
     assert _share(row) == row
+
+
+def test_a_device_that_repeats_another_one_is_known(monkeypatch):
+    devices = [
+        SimpleNamespace(platform=platform, kind=kind)
+        for platform, kind in (("P", "CPU"), ("P", "GPU"), ("Q", "CPU"), ("P", "CPU"))
+    ]
+    monkeypatch.setattr("conftest.TESTED", devices)
+    assert [_is_repeated(device) for device in [*devices, None]] == [False] * 3 + [True, False]

@@ -29,7 +29,7 @@ import numpy as np
 
 TARGETS = ("images", "configs", "api")
 #: Seconds that one case may take before its process is ended.
-PATIENCE = 60
+PATIENCE = 120.0
 #: Seconds in which a process must have made what it needs.
 START = 180.0
 #: Bytes that a process may take beyond what it has when it begins.
