@@ -59,8 +59,10 @@ def test_tests_without_a_grid_stay():
 
 def test_a_device_that_repeats_another_one_is_known(monkeypatch):
     devices = [
-        SimpleNamespace(platform=platform, kind=kind)
-        for platform, kind in (("P", "CPU"), ("P", "GPU"), ("Q", "CPU"), ("P", "CPU"))
+        SimpleNamespace(index=index, platform=platform, kind=kind)
+        for index, (platform, kind) in enumerate(
+            [("P", "CPU"), ("P", "GPU"), ("Q", "CPU"), ("P", "CPU")]
+        )
     ]
     monkeypatch.setattr("conftest.TESTED", devices)
     assert [_is_repeated(device) for device in [*devices, None]] == [False] * 3 + [True, False]
