@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-# One process builds for all.
-pytestmark = [pytest.mark.full, pytest.mark.xdist_group("packaging")]
+pytestmark = pytest.mark.full
 
 
 @pytest.fixture(scope="module")

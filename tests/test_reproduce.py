@@ -52,7 +52,6 @@ def paper(monkeypatch):
 
 
 @pytest.mark.full
-@pytest.mark.xdist_group("reproduction")
 def test_every_file_is_there(made):
     wanted = {f"{name}.{ending}" for name in NAMES for ending in ("png", "csv")}
     wanted |= {"report.html", "source.png", "target.png"}
@@ -67,7 +66,6 @@ def test_every_file_is_there(made):
 
 
 @pytest.mark.full
-@pytest.mark.xdist_group("reproduction")
 def test_the_page_stands_alone(made):
     page = (made / "report.html").read_text(encoding="utf-8")
     assert page.count('src="data:image/png;base64,') == len(NAMES) + 2
@@ -80,7 +78,6 @@ def test_the_page_stands_alone(made):
 
 
 @pytest.mark.full
-@pytest.mark.xdist_group("reproduction")
 def test_table_1(made):
     table = {row["reach"]: row for row in rows(made, "table-1")}
     assert list(table) == ["balanced", "0.5", "0.3", "0.1", "0.05", "0.01"]
@@ -101,7 +98,6 @@ def test_table_1(made):
 
 
 @pytest.mark.full
-@pytest.mark.xdist_group("reproduction")
 def test_table_2(made):
     table = rows(made, "table-2")
     assert {row["rule"] for row in table} == {
@@ -125,7 +121,6 @@ def test_table_2(made):
 
 
 @pytest.mark.full
-@pytest.mark.xdist_group("reproduction")
 def test_frames_converge(made):
     table = rows(made, "convergence")
     for reference in ("frame", "particles"):
