@@ -18,10 +18,16 @@ from .errors import (
     ClmorphError as ClmorphError,
 )
 from .errors import (
+    ClmorphWarning as ClmorphWarning,
+)
+from .errors import (
     ConvergenceWarning as ConvergenceWarning,
 )
 from .errors import (
     DeviceError as DeviceError,
+)
+from .errors import (
+    FileError as FileError,
 )
 from .errors import (
     ImageWarning as ImageWarning,
@@ -110,10 +116,12 @@ __all__ = [
     "Archive",
     "Barycentric",
     "ClmorphError",
+    "ClmorphWarning",
     "ConvergenceWarning",
     "DeviceError",
     "Displacement",
     "Divergence",
+    "FileError",
     "ImageWarning",
     "InputError",
     "Inspection",

@@ -154,8 +154,7 @@ def morph(
         return
     if len(images) < 2:
         raise InputError(
-            f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given: expected two or "
-            "more, as in clmorph morph a.png b.jpg -o out.gif"
+            f"{_counted(images)}: expected two or more, as in clmorph morph a.png b.jpg -o out.gif"
         )
     if not output:
         raise InputError("no output given: expected -o with a name, such as -o out.gif")
@@ -173,6 +172,11 @@ def morph(
     )  # fmt: skip
 
 
+def _counted(images: Sequence[Path]) -> str:
+    """Return how many pictures were given, as the beginning of a message."""
+    return f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given"
+
+
 def _settings(context: click.Context, preset: str | None, given: dict[str, Any]) -> files.Settings:
     """Join the preset, the file of settings and the command line, which wins."""
     said: dict[bool, files.Settings] = {True: {}, False: {}}
@@ -188,7 +192,7 @@ def _settings(context: click.Context, preset: str | None, given: dict[str, Any])
 
 
 @cli.command()
-@click.argument("images", metavar="A B", nargs=2, type=options.FileName())
+@click.argument("images", metavar="A B", nargs=-1, type=options.FileName())
 @click.option(
     "-o", "--output", type=options.OutputName(), panel="File",
     help="Draw a picture too: .png, .svg or .pdf.",
@@ -208,7 +212,7 @@ def _settings(context: click.Context, preset: str | None, given: dict[str, Any])
 @options.max_pixels_option
 @options.device_options
 def inspect(
-    images: tuple[Path, Path],
+    images: tuple[Path, ...],
     output: Path | None,
     as_json: bool,
     preset: str,
@@ -226,6 +230,8 @@ def inspect(
     """  # noqa: D301
     from clmorph.commands.inspect import run_inspect
 
+    if len(images) != 2:
+        raise InputError(f"{_counted(images)}: expected two, as in clmorph inspect a.png b.jpg")
     run_inspect(
         images, output, preset, {name: value for name, value in given.items() if value is not None},
         n_frames=frames, max_pixels=max_pixels, device=device, backend=backend, as_json=as_json,
@@ -339,11 +345,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
+    """Run the command line; tell every error in one line."""
     try:
         code = _run(arguments)
         sys.stdout.flush()
     except click.ClickException as error:
-        message = printable(" ".join(error.format_message().split()), MESSAGE)
+        message = " ".join(error.format_message().split())
         _complain(f"error: {message} (clmorph --help shows the usage)")
         return 2
     except FileError as error:  # a name is not to be taken for an option

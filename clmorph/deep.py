@@ -19,8 +19,8 @@ _DEEP = re.compile(r"(RGBX?|RGBA|RGBa|CMYK);16([BLN])")
 def deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] | None:
     """Decode 16 bits a sample, of which Pillow would keep 8; None if it would not.
 
-    It is told which byte of each to keep by the letter of the byte order: so it keeps the other
-    one if told the wrong order.
+    The letter of the byte order tells Pillow which byte of each sample to keep. Decoding a second
+    time with the other letter yields the other byte.
 
     Parameters
     ----------

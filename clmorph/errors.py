@@ -20,7 +20,7 @@ class InputError(ClmorphError, ValueError):
 
 
 class FileError(InputError):
-    """An image file cannot be used; the message begins with its name."""
+    """An image file cannot be read; the message begins with its name."""
 
 
 class PlanSizeError(InputError):
@@ -65,4 +65,4 @@ class MemoryWarning(ClmorphWarning):
 
 
 class ImageWarning(ClmorphWarning):
-    """A file was read, but not all that it says about its colors was used."""
+    """An image file was read, but not all of it was used: a color profile, bits, later pictures."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from clmorph.arrays import as_array
 from clmorph.checks import check_integer, check_max_pixels, is_path, shown
 from clmorph.errors import FileError, ImageWarning, InputError
+from clmorph.printable import reason_of
 
 #: Pixels above which a file is refused before it is decoded, unless told otherwise.
 MAX_PIXELS = 64_000_000
@@ -199,8 +200,10 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
 
     Raises
     ------
+    InputError
+        If an argument is no path, or no number of pixels.
     FileError
-        If the file is missing, unreadable, too large or not an image.
+        An InputError: if the file is missing, unreadable, too large or not an image.
 
     Warns
     -----
@@ -212,7 +215,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
     if not is_path(path):
         raise InputError(f"path={shown(path)}: expected the path of an image, such as 'photo.png'")
     from clmorph.decoding import decode
-    from clmorph.opening import reason_of
+    from clmorph.opening import REASON_LENGTH
 
     file = Path(path)
     name = str(file)
@@ -232,7 +235,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> ND
     except Exception as error:
         # What decoders raise for a damaged file is without end: nothing but them is run here.
         raise FileError(
-            f"{name} cannot be decoded ({reason_of(error)}); is it complete?"
+            f"{name} cannot be decoded ({reason_of(error, REASON_LENGTH)}); is it complete?"
         ) from error
     for note in notes:
         warnings.warn(f"{name} has {note}", ImageWarning, stacklevel=2)

@@ -22,9 +22,9 @@ FORMATS = (
 #: A format without a signature: only names tell.
 TGA_ENDINGS = (".tga", ".icb", ".vda", ".vst")
 #: Characters that what a library says may take in a message.
-_REASON_LENGTH = 120
-#: Kinds of files that are told by name though nothing here reads them: where their mark begins,
-#: the marks.
+REASON_LENGTH = 120
+#: Kinds of files that are not read, but named in the message: where their signature begins, and
+#: their signatures.
 _UNREAD = (
     ("a HEIC picture", 4, (b"ftyphei", b"ftyphev", b"ftypmif1", b"ftypmsf1")),
     ("a JPEG XL picture", 0, (b"\xff\x0a", b"\0\0\0\x0cJXL ")),
@@ -57,13 +57,6 @@ class Reader(io.BufferedReader):
         return super().read(left if size is None or size < 0 else min(size, left))
 
 
-def reason_of(error: BaseException) -> str:
-    """Return what an error of a library says, in one short line."""
-    told = getattr(error, "strerror", None) or error
-    text = " ".join(str(told).split()) or type(error).__name__
-    return printable(text, _REASON_LENGTH)
-
-
 def check_size(file: Path, size: tuple[int, int], max_pixels: int) -> None:
     """Raise FileError if a picture has too many pixels, or none."""
     width, height = size
@@ -89,7 +82,7 @@ def open_picture(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
         for name in FORMATS + (("TGA",) if file.suffix.lower() in TGA_ENDINGS else ()):
             accepted = _accepts(name, start, unsigned=True)
             if isinstance(accepted, str):  # this build of Pillow lacks it
-                fault = reason_of(ValueError(accepted))
+                fault = printable(accepted, REASON_LENGTH)
             elif accepted:
                 return _opened(name, file, stream, max_pixels)
     kind = _unread_kind(start)
@@ -141,7 +134,7 @@ def _accepts(name: str, start: bytes, unsigned: bool = False) -> bool | str:
 
 
 def _unread_kind(start: bytes) -> str:
-    """Return what a file is that is not read, "" if nobody knows."""
+    """Return the kind of a file that is not read, or "" if it is unknown."""
     from PIL import Image
 
     for kind, place, marks in _UNREAD:

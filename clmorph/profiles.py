@@ -15,9 +15,10 @@ _SPACES = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab": "LAB"}
 _BLACK_POINT_COMPENSATION, _NO_TABLES = 0x2000, 0x0100
 #: PNG's exponent of sRGB, and its primaries: white, red, green, blue.
 _SRGB_GAMMA = 0.45455
-#: As a part of it: encoders mean sRGB by 0.45, 1 / 2.2 and 1 / 2.3 alike, and libpng takes them so.
+#: Relative difference up to which a gamma is taken for sRGB's, as libpng does: encoders write 0.45,
+#: 1 / 2.2 or 1 / 2.3 and mean sRGB.
 _GAMMA_TOLERANCE = 0.05
-#: Levels of 255 that sRGB's own profiles, of many makers, differ by.
+#: Levels of 255 by which sRGB profiles of different makers differ.
 _PROFILE_TOLERANCE = 2
 _SRGB_CHROMATICITY = (0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
 

@@ -2,7 +2,8 @@
 
 ``pytest`` tests the operations on every usable device, in the build that is chosen for it, and what
 is written over them on one device or another, with a share of each grid of parameters;
-``pytest --full`` runs everything; ``--device NAME`` tests one device.
+``pytest --full`` runs everything, but for a device that repeats another one; ``--device NAME``
+tests one device.
 """
 
 import os

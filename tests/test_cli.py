@@ -399,7 +399,7 @@ def test_progress_is_shown_to_people_only(pictures):
     quiet = run(*arguments)
     device, memory = quiet.stderr.splitlines()
     assert device.startswith("device: ")
-    assert re.fullmatch(r"memory: about 0\.\d+ GB", memory)
+    assert re.fullmatch(r"memory: about [\d.]+ [MG]B", memory)
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -593,6 +593,8 @@ def test_mistakes_of_inspect_are_those_of_morph(pictures, capfd):
         (["a.png", "b.jpg", "--max-pixels", "0"], "--max-pixels 0: expected a whole number"),
         (["a.png", "b.jpg", "--max-pixels", "5"], "a.png has 20 x 12 pixels: expected at most 5"),
         (["a.png", "b.jpg", "--frames", "1"], "--frames 1: expected a whole number"),
+        (["a.png"], "1 picture given: expected two, as in clmorph inspect"),
+        (["a.png", "b.jpg", "a.png"], "3 pictures given: expected two"),
     ):
         assert main(["inspect", *arguments, "--backend", "numpy"]) == 2
         assert words in capfd.readouterr().err

@@ -1,9 +1,14 @@
 """What is tested without ``--full``: each value of each parameter."""
 
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from conftest import _is_repeated, _share
+from conftest import TESTED, _is_repeated, _share
+
+ROOT = Path(__file__).parents[1]
 
 
 def items(**parameters):
@@ -55,6 +60,20 @@ def test_tests_without_a_grid_stay():
     assert _share(alone) == alone
     row = items(device="P", a=range(7))
     assert _share(row) == row
+
+
+@pytest.mark.full
+def test_one_device_can_be_named():
+    def collected(*options):
+        command = [sys.executable, "-m", "pytest", "-n", "0", "--collect-only", "-q", *options]
+        return subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+
+    done = collected("--device", TESTED[0].index, "tests/test_check.py")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("test_every_device_passes[") == 1
+    done = collected("--device", "warp-drive", "tests/test_check.py")
+    assert done.returncode == 4
+    assert "no usable OpenCL device matches --device warp-drive" in done.stderr
 
 
 def test_a_device_that_repeats_another_one_is_known(monkeypatch):

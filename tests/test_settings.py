@@ -274,7 +274,7 @@ def test_mistakes_in_files(capfd):
     cases = {
         "colour_weight = 3": "unknown setting 'colour_weight'; did you mean 'color_weight'?",
         "blur = ": "not TOML",
-        'blur = "soft"': "blur = 'soft': expected a number",
+        'blur = "soft"': "blur = 'soft': expected a finite number",
         'splatting = "big"': "--splatting",
         "images = 3": "expected a list",
         'preset = "lovely"': "--preset",

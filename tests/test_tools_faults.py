@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import USABLE
+from conftest import TESTED
 
 TOOLS = Path(__file__).parents[1] / "tools"
 
@@ -22,7 +22,7 @@ def test_runs_that_are_interrupted(capsys):
     """Ctrl-C while frames are drawn and written, over an old file and without one; a full disk."""
     import faults
 
-    runs = faults.Runs(USABLE[0].index, faults.Findings([]))
+    runs = faults.Runs(TESTED[0].index, faults.Findings([]))
     runs.measure("gif")
     seconds = runs.references["gif"].seconds
     for share, old in ((0.6, True), (0.9, False)):
@@ -49,7 +49,7 @@ def test_a_fault_is_found(capsys):
 def test_morphs_in_threads_are_those_in_a_row(capsys):
     import soak
 
-    device = USABLE[0].index
+    device = TESTED[0].index
     given = ["--morphs", "20", "--sets", "5", "--threads", "4", "--processes", "0"]
     assert soak.main([*given, "--device", device]) == 0, capsys.readouterr().out
 

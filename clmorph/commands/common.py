@@ -19,15 +19,15 @@ SILENT = logging.NullHandler()
 
 @contextmanager
 def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
-    """Keep to themselves what Pillow, tifffile and libtiff remark on odd metadata.
+    """Hide what Pillow, tifffile and libtiff print about odd metadata.
 
-    It is not for who morphs: pixels and recipes are judged by themselves. For the command alone,
-    whose process has no other threads.
+    Such remarks do not help the user: pixels and recipes are checked by clmorph itself. Only the
+    command line may use this, because it changes what all threads of the process share.
 
     Yields
     ------
     list of warnings.WarningMessage
-        Those of ours, which are to be printed.
+        Warnings of clmorph itself, for the caller to print.
     """
     # Below Python, libtiff prints by itself.
     kept = os.dup(2) if sys.__stderr__ is not None else None

@@ -31,6 +31,7 @@ from clmorph.estimates import estimate
 from clmorph.export import PACE, SIZES, Output, write_all
 from clmorph.files import check_apart, check_place
 from clmorph.film import Film, recorded
+from clmorph.findings import size_text
 from clmorph.framing import Look
 from clmorph.images import MAX_PIXELS, fit
 from clmorph.morph import check_options
@@ -100,8 +101,8 @@ class _Run:
             for one, other in itertools.pairwise(pictures)
         ]  # fmt: skip
         known = most or any(way.values())
-        size = max(max(need.ram, need.device) for need in needs) / 1e9
-        return f"memory: {'about' if known else 'at least'} {size:.2g} GB"
+        size = size_text(max(max(need.ram, need.device) for need in needs))
+        return f"memory: {'about' if known else 'at least'} {size}"
 
     def morphs(
         self, pictures: Sequence[NDArray[np.float64]], operations: Operations, stages: Stages
@@ -178,7 +179,9 @@ def run_morph(
         ) as film:  # fmt: skip
             if notes and "max_memory" not in settings:
                 # What gave way would not on a larger device: its limit belongs to the recipe.
-                settings["max_memory"] = float(f"{(default_memory(operations) or 0) / 1e9:.6g}")
+                settings["max_memory"] = float(
+                    f"{(default_memory(operations) or 0) / GIGABYTE:.6g}"
+                )
                 film = replace(film, parameters=files.recipe(
                     settings, images, operations.description))  # fmt: skip
             texts = {}
@@ -201,7 +204,7 @@ def _cap_memory(run: _Run, operations: Operations) -> None:
     if run.options.get("max_memory", 0.0) > limit:
         del run.options["max_memory"]
         told = run.settings.pop("max_memory")
-        note(f"the recipe's limit of {told:g} GB is above the device's own, {limit / 1e9:.3g} GB")
+        note(f"the recipe's limit of {told:g} GB is above the device's own, {size_text(limit)}")
 
 
 def _beside(output: Path) -> Path:

@@ -22,7 +22,7 @@ from typing import Any
 import click
 
 from clmorph import defaults
-from clmorph.checks import shown
+from clmorph.checks import as_float, shown
 from clmorph.commands.common import quiet_libraries
 from clmorph.defaults import PRESETS
 from clmorph.errors import InputError
@@ -241,15 +241,13 @@ def _told(path: Path) -> Settings:
 
 def _check_kind(path: Path, key: str, value: Any, parameter: click.Parameter) -> None:
     """Refuse values that would be converted in silence: 4.7 frames, or a blur of true."""
-    kind = parameter.type
-    number = isinstance(value, int | float) and not isinstance(value, bool)
+    kind, number = parameter.type, as_float(value)
     if getattr(parameter, "is_flag", False):
         good, expected = isinstance(value, bool), "true or false"
     elif kind is click.INT:
-        whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
-        good, expected = number and whole, "a whole number"
+        good, expected = number is not None and number.is_integer(), "a whole number"
     elif kind is click.FLOAT:
-        good, expected = number and _is_finite(value), "a number, a finite one"
+        good, expected = number is not None and math.isfinite(number), "a finite number"
     elif parameter.name == OUTPUT:
         names = value if isinstance(value, list) else [value]
         good = all(isinstance(name, str) and name for name in names)
@@ -264,13 +262,6 @@ def _check_kind(path: Path, key: str, value: Any, parameter: click.Parameter) ->
         expected = "a number"
     if not good:
         raise InputError(f"{path}: {key} = {shown(value)}: expected {expected}")
-
-
-def _is_finite(value: float) -> bool:
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # a whole number beyond what floats hold
-        return False
 
 
 def as_text(settings: Settings) -> Settings:
