@@ -36,6 +36,9 @@ SHORT = 20
 STALLED = 25
 #: A residual of so many times the bound on the rounding of one softmin can be due to it.
 ROUNDING_MARGIN = 8.0
+#: Shares of the tolerance that are asked for where the last measurement, which is exact and holds
+#: its own bound, is above it.
+REPEATED = (0.8, 0.4)
 #: Float32 is left for better exponents at so many times its rounding as measured.
 LEAVING_MARGIN = 4.0
 
@@ -75,6 +78,8 @@ class Ascent:
     precision : {"auto", "float32", "float64"}
     report : callable
         Called with the share done.
+    certify : bool
+        Whether the last softmins are `Problem.bounded_softmins`, as certificates need them.
 
     Attributes
     ----------
@@ -101,9 +106,10 @@ class Ascent:
         max_iter: int,
         precision: str,
         report: Callable[[float], None],
+        certify: bool = True,
     ) -> None:
         self.problem = problem
-        self.tol, self.precision = tol, precision
+        self.tol, self.precision, self._certify = tol, precision, certify
         self.residuals: list[float] = []
         self._blur, self._max_iter, self._report = blur, max_iter, report
         self._done, self._level_share, self._told = 0.0, 1.0, 0.0
@@ -160,32 +166,43 @@ class Ascent:
         epsilon, limit = self._blur**2, self._max_iter
         self.precise = needs_more(self.problem, self.precision, epsilon, self.tol)
         operations = self.problem.operations
-        if self.precision != "auto" or operations.exponent_roundoff == operations.precise_roundoff:
-            reached = self._climb(g, epsilon, self.tol, limit, self.precise)
-            self._measure(reached, epsilon, self.precise)
-            return
-        coarse_tol = self.tol
-        if self.precise:
-            coarse_tol = max(self.tol, LEAVING_MARGIN * self._measured_rounding(g, epsilon))
         memory = Anderson()
-        reached = self._climb(g, epsilon, coarse_tol, limit, precise=False, memory=memory)
-        out = self.status == "max_iter" and reached.residual > coarse_tol
-        if out or not self.precise:
-            # Float32 was enough, if precise softmins agree.
-            self._measure(reached, epsilon, precise=True)
-            if out or self.status == "converged":
+        if self.precision == "auto" and operations.exponent_roundoff > operations.precise_roundoff:
+            coarse_tol = self.tol
+            if self.precise:
+                coarse_tol = max(self.tol, LEAVING_MARGIN * self._measured_rounding(g, epsilon))
+            reached = self._climb(
+                g, epsilon, coarse_tol, limit, precise=False, memory=memory, leave=True
+            )
+            out = self.status == "max_iter" and reached.residual > coarse_tol
+            if out or not self.precise:
+                # Float32 was enough, if precise softmins agree.
+                self._measure(reached, epsilon, precise=True)
+                if out or self.status == "converged":
+                    return
+            precise, g = True, reached.g
+        else:
+            precise = self.precise
+        for share in (1.0, *REPEATED):
+            reached = self._climb(g, epsilon, share * self.tol, limit, precise, memory)
+            converged = self.status == "converged"
+            self._measure(reached, epsilon, precise)
+            if self.status == "converged" or not converged or self.n_iter >= limit:
                 return
-        reached = self._climb(reached.g, epsilon, self.tol, limit, precise=True, memory=memory)
-        self._measure(reached, epsilon, precise=True)
+            # Rounding took back what was missing: ask for a little more.
+            g = reached.g
 
     def _measure(self, reached: _Reached, epsilon: float, precise: bool) -> None:
         """Take the softmins of the potentials that are returned, and their residual."""
         f, g, t_columns, _, was_precise = reached
-        t_rows = self.problem.softmin_rows(g, epsilon, precise)
-        self._measured += 1
-        if precise != was_precise:
-            t_columns = self.problem.softmin_columns(f, epsilon, precise)
+        if self._certify:
+            t_rows, t_columns = self.problem.bounded_softmins(f, g, epsilon)
+        else:
+            t_rows = self.problem.softmin_rows(g, epsilon, precise)
             self._measured += 1
+            if precise != was_precise:
+                t_columns = self.problem.softmin_columns(f, epsilon, precise)
+                self._measured += 1
         residual = self.problem.residual(f, g, t_rows, t_columns, epsilon)
         self.residuals.append(residual)
         if residual <= self.tol:
@@ -210,8 +227,13 @@ class Ascent:
         limit: int,
         precise: bool,
         memory: Anderson | None = None,
+        leave: bool = False,
     ) -> _Reached:
-        """Iterate at one epsilon until the residual is `tol`, or `limit` iterations are over."""
+        """Iterate at one epsilon until the residual is `tol`, or `limit` iterations are over.
+
+        Or until it falls no more, for rounding; or, if better exponents can take over (`leave`),
+        whatever the reason: a slow problem falls by less in an iteration than float32 can tell.
+        """
         problem = self.problem
         self.rounding = rounding = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
         memory = memory or Anderson()
@@ -240,7 +262,7 @@ class Ascent:
             since_best = 0 if residual < 0.9 * best else since_best + 1
             best = min(best, residual)
             self._tell(self._done + self._level_share * share_done(first, best, tol))
-            stalled = since_best >= STALLED and residual <= rounding
+            stalled = since_best >= STALLED and (leave or residual <= rounding)
             ended = stalled or self.n_iter >= limit or problem.is_astray(f, epsilon)
             if residual <= tol or ended:
                 self.status = "max_iter"

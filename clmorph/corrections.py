@@ -124,8 +124,10 @@ class StoredSoftmin(Softmin):
         self._stored, self._by_column = stored, by_column
         self._potential, self._softmin, self._start = potential, softmin, start
 
-    def __call__(self, potential: Array, epsilon: float, precise: bool = False) -> Array:
-        """Return T(potential), (N,) for (M,)."""
+    def __call__(
+        self, potential: Array, epsilon: float, precise: bool = False, bounded: bool = False
+    ) -> Array:
+        """Return T(potential), (N,) for (M,); exponents are small here, and nothing is bounded."""
         changes = (potential - self._potential) / epsilon
         logarithms = self.operations.sum_stored(self._stored, changes, self._by_column)
         alone = np.isneginf(logarithms)

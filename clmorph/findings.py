@@ -199,7 +199,7 @@ class Inspection:
     def entries(self) -> list[tuple[str, str]]:
         """Return the main numbers as labels and texts."""
         moved, plan, seconds = self.displacement, self.plan, self.seconds
-        bounds = f"gap {self.potentials.gap:.2g}" if self.potentials.gap is not None else (
+        bounds = f"gap {self.potentials.gap:.2g}" if self.potentials.reach is not None else (
             f"marginals off by {self.potentials.marginal_error:.2g}"
         )  # fmt: skip
         if self.divergence is None:

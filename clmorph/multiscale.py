@@ -156,7 +156,9 @@ class Multiscale:
         problems = [finest]
         problems += [self._cells_problem(one.measure, other.measure) for _, (one, other) in levels]
         for (level, cells), problem in reversed(list(zip(levels, problems[1:], strict=True))):
-            ascent = Ascent(problem, level, LEVEL_TOLERANCE, self._max_iter, "float32", _ignore)
+            ascent = Ascent(
+                problem, level, LEVEL_TOLERANCE, self._max_iter, "float32", _ignore, certify=False
+            )
             ascent.run(g)
             state = ascent.state
             problems.pop()
@@ -224,7 +226,7 @@ class Multiscale:
         precise = not stored and needs_more(grid.problem, self.precision, self._blur**2, tol)
         ascent = Ascent(
             grid.problem, self._blur, tol, done + self._max_iter,
-            "auto" if precise else "float32", _ignore,
+            "auto" if precise else "float32", _ignore, certify=False,
         )  # fmt: skip
         ascent.run(g)
         return ascent.state
@@ -259,12 +261,12 @@ class Multiscale:
             self._tell(0.3 + 0.7 * share_done(self.residuals[0], residual, self.tol))
             rounding = problem.rounding(epsilon, precise)
             self.rounding = ROUNDING_MARGIN * rounding
-            if residual <= self.tol - (0.0 if precise else rounding):
-                self.status = "converged"
-                return
-            if self.n_iter >= self._max_iter:
-                self.status = "max_iter"
-                return
+            done, out = residual <= self.tol - rounding, self.n_iter >= self._max_iter
+            if done or out:
+                self._measure()
+                self.status = "converged" if self.state.residual <= self.tol else "max_iter"
+                if out or self.status == "converged":
+                    return
             image, _, _ = problem.update_g(f, t_columns, epsilon)
             if residual > PROGRESS * before:
                 failures += 1
@@ -278,6 +280,14 @@ class Multiscale:
                 return
             g, reached = self._correct(grid, image)
             before = residual
+
+    def _measure(self) -> None:
+        """Take the softmins of the potentials that are returned, with bounds of their rounding."""
+        f, g, epsilon = self.state.f, self.state.g, self._blur**2
+        softmins = self.problem.bounded_softmins(f, g, epsilon)
+        residual = self.problem.residual(f, g, *softmins, epsilon)
+        self.state = State(f, g, *softmins, residual)
+        self.residuals[-1] = residual
 
     def _correct(self, grid: Grid, image: Array) -> tuple[Array, float]:
         """Return better potentials g than the image of the last iteration.

@@ -269,7 +269,7 @@ def _write_numbers(axes: Any, found: Inspection) -> None:
                 ("residual", f"{potentials.residual:.1e} ε"),
                 ("optimal value", f"{potentials.dual:.5g}"),
                 ("gap", f"{potentials.gap:.2g}")
-                if potentials.gap is not None
+                if potentials.reach is not None
                 else ("marginals off by", f"{potentials.marginal_error:.2g}"),
             ],
         ),

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.certificate import Certificate
 from clmorph.checks import as_float, check_blur, check_flag, shown
 from clmorph.errors import InputError
-from clmorph.problem import Certificate
 from clmorph.strengths import Reach, strengths
 
 Array = NDArray[np.float64]
@@ -43,8 +43,8 @@ class Potentials:
         Iterations, annealing included; one is both updates. Updates that were taken back
         count too.
     residual : float
-        max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon over points of positive mass,
-        for these very potentials.
+        max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon over points of positive mass, for these
+        very potentials: an upper bound, of which rounding and what was left out are part.
     residuals : (k,) array
         The residual after each iteration that was kept, each in units of its own level's
         epsilon: while the blur is annealed they start high at every level.
@@ -55,9 +55,9 @@ class Potentials:
     truncation : float or None
         What pairs could be left out for, see `clmorph.sinkhorn`; None: nothing was.
     truncation_error : float
-        By how many nats the logarithms of the last row and column sums can be too small for what
-        was left out: a proven bound. It is part of `residual`, `primal` and `dual`; `row_mass`,
-        `column_mass` and `transported_mass` can be too small by this share.
+        By how many nats the logarithms of `row_mass`, `column_mass` and `transported_mass` can be
+        off, for what was left out and for the device's rounding: a proven bound. It is part of
+        `residual`, `primal` and `dual`.
     visited : float
         Share of all pairs of points that the last softmins summed.
     """
@@ -107,25 +107,27 @@ class Potentials:
 
     @property
     def primal(self) -> float:
-        """<C, pi> + rho KL(pi 1|a) + rho KL(pi^T 1|b) + epsilon KL(pi|a x b), of the plan.
+        """An upper bound of the optimum, rounding included; see `clmorph.certificate`.
 
-        Without the KL of a balanced side: see `marginal_error` there.
+        <C, pi> + rho KL(pi 1|a) + rho KL(pi^T 1|b) + epsilon KL(pi|a x b) of the plan, or, with a
+        balanced side, of the plan with its rows or columns scaled to the masses given; if both are
+        balanced it follows from `marginal_error`, for equal masses.
         """
         return self.certificate.primal
 
     @property
     def dual(self) -> float:
-        """Dual value D(f, g): a lower bound of the optimum, up to rounding."""
+        """Dual value D(f, g) less its rounding: a lower bound of the optimum."""
         return self.certificate.dual
 
     @property
-    def gap(self) -> float | None:
-        """Primal - dual, how far from the optimum these potentials can be; None if balanced."""
+    def gap(self) -> float:
+        """Primal - dual: how far from the optimum these potentials can be."""
         return self.certificate.gap
 
     @property
     def marginal_error(self) -> float:
-        """Sum over the balanced sides of |pi 1 - a|_1; 0 without any."""
+        """Sum over the balanced sides of |pi 1 - a|_1, at most; 0 without any."""
         return self.certificate.marginal_error
 
     @property

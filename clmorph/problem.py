@@ -1,51 +1,16 @@
-"""One transport problem: its half-steps, its dual and primal values, its certificate.
+"""One transport problem: its half-steps, residual and dual (paper, 2.1 and 3.1)."""
 
-Source of the formulas: the paper, 2.1 and 3.1; Chizat, Peyré, Schmitzer, Vialard, "Scaling
-algorithms for unbalanced optimal transport problems" (2018).
-"""
-
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.certificate import FEW, MAX_EXPONENT, Certificate, Side, certify, marginal_of
 from clmorph.operations import Operations
 from clmorph.points import AnyMeasure
 from clmorph.softmins import Softmin
 
 Array = NDArray[np.float64]
-
-#: Exponents are cut here, so that potentials far from a solution give large numbers, not inf.
-MAX_EXPONENT = 300.0
-
-
-class Certificate(NamedTuple):
-    """What the two marginals of the plan of (f, g) prove.
-
-    Attributes
-    ----------
-    primal, dual : float
-        Values of the plan and of the potentials, cost units times mass. With finite reach on
-        both sides dual <= optimum <= primal.
-    gap : float or None
-        primal - dual, summed from terms that cannot be negative; None if both sides are
-        balanced, as the plan is feasible in the limit only. With one balanced side it bounds
-        the distance to the optimum for the marginal that the plan has there.
-    marginal_error : float
-        |pi 1 - a|_1 + |pi^T 1 - b|_1 over the balanced sides; 0 without any.
-    row_mass, column_mass : (N,) and (M,) arrays
-        Marginals of the plan.
-    transported_mass : float
-        Mass of the plan.
-    """
-
-    primal: float
-    dual: float
-    gap: float | None
-    marginal_error: float
-    row_mass: Array
-    column_mass: Array
-    transported_mass: float
 
 
 class Problem:
@@ -76,6 +41,8 @@ class Problem:
         with np.errstate(divide="ignore"):
             self.log_a, self.log_b = np.log(self.a), np.log(self.b)
         self.rho, self.largest_cost = rho, largest_cost
+        #: Bounds of |C_ij - C_kj| over rows i, k, and of |C_ij - C_il| over columns j, l.
+        self.oscillations = largest_cost, largest_cost
         #: 1 / rho, 0 if balanced: with it one infinite rho is harmless.
         self.inverse_rho = tuple(0.0 if np.isinf(value) else 1.0 / value for value in rho)
         self.masses = float(self.a.sum()), float(self.b.sum())
@@ -104,11 +71,18 @@ class Problem:
         if target is not source:
             columns = operations.upload(target.points, target.weights, target.offsets)
         a, b = source.weights, target.weights
-        return cls(
+        largest = largest_cost(source.points, target.points)
+        problem = cls(
             Softmin(operations, rows, columns, (a, b), truncation),
             Softmin(operations, columns, rows, (b, a), truncation),
-            (a, b), rho, largest_cost(source.points, target.points),
+            (a, b), rho, largest,
         )  # fmt: skip
+        offsets = [
+            0.0 if side.offsets is None else float(np.ptp(side.offsets))
+            for side in (source, target)
+        ]
+        problem.oscillations = largest + offsets[0], largest + offsets[1]
+        return problem
 
     @property
     def operations(self) -> Operations:
@@ -151,8 +125,13 @@ class Problem:
 
     @property
     def truncation_error(self) -> float:
-        """By how many nats the sums of the last softmins can be too small."""
+        """By how many nats the last softmins' sums can be too small for what they left out."""
         return max(self.to_rows.error, self.to_columns.error)
+
+    @property
+    def error(self) -> float:
+        """By how many nats the sums of the last softmins, if bounded, can be off in all."""
+        return max(side.error + side.roundoff for side in (self.to_rows, self.to_columns))
 
     @property
     def visited(self) -> float:
@@ -195,30 +174,47 @@ class Problem:
         excess -= _log_sum_exp(log_new - softmin * new_rate)
         return excess / (new_rate + old_rate)
 
+    def bounded_softmins(self, f: Array, g: Array, epsilon: float) -> tuple[Array, Array]:
+        """T(g) and T(f) with bounds of all that they leave out and round off."""
+        t_rows = self.to_rows(g, epsilon, bounded=True)
+        return t_rows, self.to_columns(f, epsilon, bounded=True)
+
     def residual(
         self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float
     ) -> float:
         """max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon, over points of positive mass.
 
-        With truncation a bound of it, for the softmins taken last.
+        For the softmins taken last: with what these left out it is a bound, and if they were
+        `bounded_softmins` rounding is within it.
         """
-        source, target = self.damping(epsilon)
-        # What is left out can only be missing from the sums behind the softmins.
-        change_f = np.abs(f - source * t_rows)[self.a > 0]
-        change_g = np.abs(g - target * t_columns)[self.b > 0]
-        return float(max(change_f.max(), change_g.max()) / epsilon) + self.truncation_error
+        residuals = []
+        for side, damping in zip(
+            self._sides(f, g, t_rows, t_columns), self.damping(epsilon), strict=True
+        ):
+            massive = side.weights > 0
+            potential, softmin = side.potential[massive], side.softmin[massive]
+            # What is left out can only be missing from the sums behind the softmins.
+            residual = float(np.abs(potential - damping * softmin).max()) / epsilon + side.left_out
+            if side.roundoff:
+                size = float(np.abs(potential).max() + np.abs(softmin).max()) / epsilon
+                residual += side.roundoff + FEW * size
+            residuals.append(residual)
+        return max(residuals)
 
     def row_mass(self, f: Array, t_rows: Array, epsilon: float) -> Array:
         """First marginal of the plan of (f, g), given T(g)."""
-        return _mass(self.a, self.log_a, f, t_rows, epsilon)
+        return marginal_of(self._sides(f, f, t_rows, t_rows)[0], epsilon)
 
     def column_mass(self, g: Array, t_columns: Array, epsilon: float) -> Array:
         """Second marginal of the plan of (f, g), given T(f)."""
-        return _mass(self.b, self.log_b, g, t_columns, epsilon)
+        return marginal_of(self._sides(g, g, t_columns, t_columns)[1], epsilon)
 
     def dual(self, f: Array, g: Array, plan_mass: float, epsilon: float) -> float:
-        """D(f, g), given the mass of its plan."""
-        value = -epsilon * (plan_mass - self.masses[0] * self.masses[1])
+        """D(f, g) less its constant epsilon m_a m_b, given the mass of its plan.
+
+        The constant would swallow the rest where masses are large.
+        """
+        value = -epsilon * plan_mass
         for potential, weights, inverse in (
             (f, self.a, self.inverse_rho[0]),
             (g, self.b, self.inverse_rho[1]),
@@ -234,50 +230,19 @@ class Problem:
     def certificate(
         self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float
     ) -> Certificate:
-        """Return what T(g) and T(f) prove about (f, g).
+        """Return what `bounded_softmins`, taken last, prove about (f, g)."""
+        return certify(*self._sides(f, g, t_rows, t_columns), epsilon)
 
-        With truncation masses can be up to a factor exp(truncation_error) larger; dual and
-        primal are then the least and the greatest that this leaves possible.
-        """
-        missing = self.truncation_error
-        rows = self.row_mass(f, t_rows, epsilon)
-        columns = self.column_mass(g, t_columns, epsilon)
-        plan_mass = float(rows.sum())
-        dual = self.dual(f, g, plan_mass, epsilon)
-        primal, gap, marginal_error = dual, 0.0, 0.0
-        for potential, softmin, weights, marginal, inverse in (
-            (f, t_rows, self.a, rows, self.inverse_rho[0]),
-            (g, t_columns, self.b, columns, self.inverse_rho[1]),
-        ):
-            if inverse:
-                # rho KL(pi 1 | a exp(-f / rho)), term by term
-                excess = (potential - softmin) / epsilon + potential * inverse
-                limit = np.exp(np.minimum(-potential * inverse, MAX_EXPONENT)) * weights
-                terms = _kl_terms(excess)
-                if missing:
-                    terms = np.maximum(terms, _kl_terms(excess + missing))
-                gap += inner(limit, np.maximum(terms, 0.0)) / inverse
-            else:
-                primal += inner(marginal - weights, potential)
-                marginal_error += float(np.abs(marginal - weights).sum())
-                if missing:
-                    more = np.expm1(missing) * marginal
-                    primal += inner(more, np.abs(potential))
-                    marginal_error += float(more.sum())
-        balanced = not any(self.inverse_rho)
-        primal += gap
-        if missing:
-            dual = self.dual(f, g, plan_mass * np.exp(missing), epsilon)
-            gap = primal - dual
-        return Certificate(
-            primal, dual, None if balanced else gap, marginal_error, rows, columns, plan_mass
-        )
-
-
-def _kl_terms(excess: Array) -> Array:
-    """Return x e^x - e^x + 1, which grows with |x|."""
-    excess = np.clip(excess, -MAX_EXPONENT, MAX_EXPONENT)
-    return excess * np.exp(excess) - np.expm1(excess)
+    def _sides(self, f: Array, g: Array, t_rows: Array, t_columns: Array) -> tuple[Side, Side]:
+        rows = Side(
+            self.a, self.log_a, f, t_rows, self.inverse_rho[0],
+            self.to_rows.error, self.to_rows.roundoff, self.oscillations[0],
+        )  # fmt: skip
+        columns = Side(
+            self.b, self.log_b, g, t_columns, self.inverse_rho[1],
+            self.to_columns.error, self.to_columns.roundoff, self.oscillations[1],
+        )  # fmt: skip
+        return rows, columns
 
 
 def inner(x: Array, y: Array) -> float:
@@ -294,13 +259,6 @@ def largest_cost(x: Array, y: Array) -> float:
     low = np.minimum(x.min(axis=0), y.min(axis=0))
     high = np.maximum(x.max(axis=0), y.max(axis=0))
     return float(0.5 * np.sum((high - low) ** 2))
-
-
-def _mass(weights: Array, log_weights: Array, f: Array, softmin: Array, epsilon: float) -> Array:
-    """a_i exp((f_i - T(g)_i) / epsilon), by its logarithm: a alone may underflow."""
-    with np.errstate(invalid="ignore"):
-        exponent = np.minimum((f - softmin) / epsilon + log_weights, MAX_EXPONENT)
-    return np.where(weights > 0, np.exp(exponent), 0.0)
 
 
 def _log_sum_exp(values: Array) -> float:

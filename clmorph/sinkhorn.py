@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from clmorph import defaults, geomloss_schedule
 from clmorph.ascent import SHORT, Ascent, State
 from clmorph.backends import Backend, get_backend
-from clmorph.checks import check_choice, check_flag, check_integer, check_number, check_progress
+from clmorph.checks import (
+    check_choice,
+    check_flag,
+    check_integer,
+    check_number,
+    check_progress,
+    shown,
+)
 from clmorph.errors import ConvergenceWarning, DeviceError, InputError
 from clmorph.multiscale import MANY_PAIRS, Multiscale
 from clmorph.operations import Operations
@@ -86,8 +93,9 @@ def sinkhorn(
     scaling : float in (0, 1)
         Factor between the blurs of "geomloss".
     precision : {"auto", "float32", "float64"}
-        Of exponents. "auto" takes more than float32 only where `tol` needs it, from float64
-        or, on a device without it, from pairs of float32.
+        Of exponents, while it iterates. "auto" takes more than float32 only where `tol` needs it,
+        from float64 or, on a device without it, from pairs of float32. The last softmins, of which
+        residual and certificate are made, are more exact in any case.
     start : Potentials, optional
         Of a similar problem with as many points: where to begin, instead of annealing.
     progress : callable, optional
@@ -97,8 +105,8 @@ def sinkhorn(
         2^27 pairs of points or more. `n_iter` counts the iterations over the points.
     truncation : float, "auto" or None
         Far pairs are left out of the sums as long as this provably lowers no row's or column's
-        logarithm by more than so many nats; `truncation_error` says what was left out at most.
-        "auto": tol / 10 with 2^27 pairs or more, else None, which leaves out nothing.
+        logarithm by more than so many nats, fewer than `tol`; `truncation_error` says what was left
+        out at most. "auto": tol / 10 with 2^27 pairs or more, else None, which leaves out nothing.
     verify : bool
         With truncation: take the last two softmins once more, over all pairs. The residual and
         the certificate are then those without truncation.
@@ -181,7 +189,15 @@ def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
     """Return what pairs may be left out for, in nats; None for nothing."""
     if isinstance(truncation, str) and truncation == "auto":
         return 0.1 * tol if many else None
-    return None if truncation is None else check_number("truncation", truncation, 1e-9, 0.1)
+    if truncation is None:
+        return None
+    limit = check_number("truncation", truncation, 1e-9, 0.1)
+    if limit >= tol:
+        raise InputError(
+            f"truncation={shown(truncation)}: it is part of the residual, so expected less than "
+            f"tol={tol:g}; lower it (a tenth of tol is usual) or raise tol"
+        )
+    return limit
 
 
 def _take_all_pairs(ascent: Ascent | Multiscale, epsilon: float) -> None:
@@ -189,10 +205,9 @@ def _take_all_pairs(ascent: Ascent | Multiscale, epsilon: float) -> None:
     problem, state = ascent.problem, ascent.state
     for softmin in (problem.to_rows, problem.to_columns):
         softmin.release()
-    t_rows = problem.to_rows(state.g, epsilon, ascent.precise)
-    t_columns = problem.to_columns(state.f, epsilon, ascent.precise)
-    residual = problem.residual(state.f, state.g, t_rows, t_columns, epsilon)
-    ascent.state = State(state.f, state.g, t_rows, t_columns, residual)
+    softmins = problem.bounded_softmins(state.f, state.g, epsilon)
+    residual = problem.residual(state.f, state.g, *softmins, epsilon)
+    ascent.state = State(state.f, state.g, *softmins, residual)
     if residual > ascent.tol and ascent.status == "converged":
         ascent.status = "precision"
 
@@ -249,10 +264,7 @@ def _geomloss(
     precise = precision == "float64" or (precision == "auto" and rounding > 0.1 * tol)
     f, g = geomloss_schedule.run(problem, given.blur, scaling, precise, report)
     n_iter = problem.n_softmin // 2
-    softmins = (
-        problem.softmin_rows(g, given.epsilon, precise),
-        problem.softmin_columns(f, given.epsilon, precise),
-    )
+    softmins = problem.bounded_softmins(f, g, given.epsilon)
     residual = problem.residual(f, g, *softmins, given.epsilon)
     return Potentials(
         f, g, given.blur, given.reach,
@@ -261,6 +273,7 @@ def _geomloss(
         "epsilon; method='certified' goes on until it is small",
         n_iter=n_iter, residual=residual, residuals=np.array([residual]),
         certificate=problem.certificate(f, g, *softmins, given.epsilon), precise=precise,
+        truncation_error=problem.error,
     )  # fmt: skip
 
 
@@ -280,7 +293,7 @@ def _finish(ascent: Ascent | Multiscale, given: Strengths, truncation: float | N
         state.f, state.g, given.blur, given.reach, ascent.status, message, ascent.n_iter,
         state.residual, np.array(ascent.residuals),
         problem.certificate(state.f, state.g, state.t_rows, state.t_columns, given.epsilon),
-        ascent.precise, truncation, problem.truncation_error, problem.visited,
+        ascent.precise, truncation, problem.error, problem.visited,
     )  # fmt: skip
 
 

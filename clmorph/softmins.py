@@ -41,7 +41,11 @@ class Softmin:
     guess : (N,) array or None
         About what the next softmin will be; the last one unless set.
     error : float
-        By how many nats the logarithms of the last softmin's sums can be too small: a bound.
+        By how many nats the logarithms of the last softmin's sums can be too small for what it
+        left out: a bound.
+    roundoff : float
+        By how many nats they can be off for rounding: a bound if it was a `bounded` softmin, else
+        unknown and 0.
     near : NearPairs or None
         What the last one summed; None: all pairs.
     proven : bool
@@ -69,31 +73,44 @@ class Softmin:
         self._chosen_for: tuple[float, Array] = (0.0, np.zeros(0))
         self.guess: Array | None = None
         self.near: NearPairs | None = None
-        self.error = 0.0
+        self.error = self.roundoff = 0.0
 
-    def __call__(self, potential: Array, epsilon: float, precise: bool = False) -> Array:
-        """Return T(potential), (N,) for (M,)."""
+    def __call__(
+        self, potential: Array, epsilon: float, precise: bool = False, bounded: bool = False
+    ) -> Array:
+        """Return T(potential), (N,) for (M,).
+
+        Parameters
+        ----------
+        potential : (M,) array, cost units
+        epsilon : float, cost units
+        precise : bool
+            Form exponents in more than float32.
+        bounded : bool
+            Let no rounding go without a bound: `roundoff`.
+        """
+        kind = precise, bounded
         if self.truncation is None:
-            return self._over(None, potential, epsilon, precise)
+            return self._over(None, potential, epsilon, *kind)
         if self._near is not None and self._chosen_for[0] == epsilon:
-            softmin = self._over(self._near, potential, epsilon, precise)
+            softmin = self._over(self._near, potential, epsilon, *kind)
             self.error = self._bound(potential, softmin, epsilon)
             if self.error <= self.truncation:
                 return softmin
             self.reserve = max(LEAST_RESERVE, SCARCER * self.reserve)
         if self.guess is None:
-            self.guess = self._over(None, potential, epsilon, False)
+            self.guess = self._over(None, potential, epsilon, False, False)
         for _ in range(ATTEMPTS):
             near = self._choose(potential, epsilon)
             if near is not None:
-                softmin = near.softmin
-                if precise:
-                    softmin = self._over(near, potential, epsilon, True)
+                softmin, self.roundoff = near.softmin, 0.0
+                if precise or bounded:
+                    softmin = self._over(near, potential, epsilon, *kind)
                 self.near, self.error = near, float(near.skipped.max())
                 return softmin
         # What is left out cannot be bounded: leave out nothing.
         self._near, self.error = None, 0.0
-        return self._over(None, potential, epsilon, precise)
+        return self._over(None, potential, epsilon, *kind)
 
     def release(self) -> None:
         """Sum over all pairs from now on."""
@@ -119,14 +136,17 @@ class Softmin:
         return near
 
     def _over(
-        self, near: NearPairs | None, potential: Array, epsilon: float, precise: bool
+        self, near: NearPairs | None, potential: Array, epsilon: float, precise: bool, bounded: bool
     ) -> Array:
-        arguments = self.rows, self.columns, potential, epsilon, precise
-        if near is None:
-            softmin = _finite(self.operations.softmin(*arguments))
+        arguments = self.rows, self.columns, potential, epsilon
+        self.roundoff = 0.0
+        if bounded:
+            softmin, self.roundoff = self.operations.bounded_softmin(*arguments, near)
+        elif near is None:
+            softmin = self.operations.softmin(*arguments, precise)
         else:
-            softmin = _finite(self.operations.softmin(*arguments, near))
-        self.near, self.guess, self.error = near, softmin, 0.0
+            softmin = self.operations.softmin(*arguments, precise, near)
+        self.near, self.guess, self.error = near, _finite(softmin), 0.0
         return softmin
 
     @property

@@ -34,15 +34,18 @@ def test_certificate_is_that_of_the_dense_plan(any_backend, rng, reach, max_iter
     size = abs(want.primal) + got.epsilon * want.transported_mass
     rounding = 1e-5 * got.epsilon * want.transported_mass + 1e-9 * size
     assert got.dual == pytest.approx(want.dual, abs=rounding)
-    assert got.primal == pytest.approx(want.primal, abs=rounding)
+    if got.rho == np.inf or np.inf in np.ravel(got.rho):
+        # Another feasible plan than the reference's: a bound of its own.
+        assert got.primal >= want.dual - rounding
+        if got.converged:
+            assert got.gap <= 0.02 * got.primal
+    else:
+        assert got.primal == pytest.approx(want.primal, abs=rounding)
     assert got.marginal_error == pytest.approx(want.marginal_error, abs=1e-5 * got.transported_mass)
     assert got.transported_mass == pytest.approx(want.transported_mass, rel=1e-5)
     assert np.allclose(got.row_mass, want.row_mass, rtol=2e-5, atol=1e-30)
     assert np.allclose(got.column_mass, want.column_mass, rtol=2e-5, atol=1e-30)
-    if reach is None:
-        assert got.gap is None
-    else:
-        assert got.gap >= 0
+    assert got.gap == got.primal - got.dual >= 0
     if not isinstance(reach, tuple) and reach is not None:
         assert got.gap == pytest.approx(want.gap, abs=rounding)
 
@@ -51,13 +54,13 @@ def test_certificate_is_that_of_the_dense_plan(any_backend, rng, reach, max_iter
 def test_the_gap_bounds_the_distance_to_the_optimum(rng, reach):
     pair = clouds(rng)
     best = sinkhorn(*pair, 0.2, reach, 1e-12, backend="numpy")
-    assert best.gap < 1e-20
+    assert 0 < best.gap < 1e-11 * best.primal
     for max_iter in (1, 2, 3, 5, 8):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
             got = sinkhorn(*pair, 0.2, reach, 1e-12, max_iter, "numpy")
-        assert got.dual - 1e-13 <= best.dual <= got.primal + 1e-13
-        assert got.gap == pytest.approx(got.primal - got.dual, abs=1e-13)
+        assert got.dual <= best.primal
+        assert best.dual <= got.primal
 
 
 @pytest.mark.parametrize("reach", REACHES, ids=str)

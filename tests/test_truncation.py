@@ -50,13 +50,13 @@ def quietly(*arguments, **options):
 
 
 def exact_residual(pair, got):
-    """Residual, row masses and the problem over all pairs, in float64."""
+    """Residual and certificate over all pairs, in float64."""
     given = strengths(got.blur, got.reach)
     measures = clmorph.points.as_pair(*pair)
     problem = Problem.between(clmorph.get_backend("numpy"), *measures, given.rho)
     softmins = problem.to_rows(got.g, given.epsilon), problem.to_columns(got.f, given.epsilon)
     residual = problem.residual(got.f, got.g, *softmins, given.epsilon)
-    return residual, problem.certificate(got.f, got.g, *softmins, given.epsilon), problem
+    return residual, problem.certificate(got.f, got.g, *softmins, given.epsilon)
 
 
 @pytest.mark.parametrize("backend", ["numpy", "auto"])
@@ -74,32 +74,22 @@ def test_everything_said_holds_over_all_pairs(backend, multiscale, seed, kind, b
         *pair, blur, reach, tol, 60, backend, truncation=budget, multiscale=multiscale
     )  # fmt: skip
     assert got.truncation == budget
-    assert 0 <= got.truncation_error <= budget
+    assert 0 <= got.truncation_error <= budget + 1e-6
     assert 0 < got.visited <= 1
-    residual, certificate, problem = exact_residual(pair, got)
-    rounding = (
-        0.0
-        if backend == "numpy"
-        else 20
-        * Problem.between(
-            clmorph.get_backend(backend), *clmorph.points.as_pair(*pair), problem.rho
-        ).rounding(got.epsilon, got.precise)
-    )
-    rounding += 1e-9
+    residual, certificate = exact_residual(pair, got)
+    # The reference's own, in float64.
+    rounding = 1e-10
     assert residual <= got.residual + rounding
     # Masses are missing by no more than is said.
     missing = np.log(np.maximum(certificate.row_mass, 1e-280) / np.maximum(got.row_mass, 1e-280))
-    assert missing.min() >= -rounding
+    assert missing.min() >= -min(got.truncation_error, 1e-6) - rounding
     assert missing.max() <= got.truncation_error + rounding
-    # Bounds stay bounds.
-    slack = rounding * (abs(got.dual) + abs(got.primal) + got.epsilon * (1 + got.transported_mass))
+    # Bounds stay bounds: the values of these very potentials are within.
+    slack = 1e-12 * (abs(certificate.primal) + abs(certificate.dual) + got.epsilon)
     assert got.dual <= certificate.dual + slack
     assert certificate.primal <= got.primal + slack
-    if got.gap is not None:
-        assert got.gap >= 0
-        assert got.gap == pytest.approx(got.primal - got.dual, abs=1e-9 * max(1, abs(got.primal)))
-    else:
-        assert certificate.marginal_error <= got.marginal_error + rounding
+    assert got.gap == got.primal - got.dual >= 0
+    assert certificate.marginal_error <= got.marginal_error * (1 + rounding) + rounding
 
 
 @pytest.mark.parametrize("kind", CLOUDS)
@@ -129,10 +119,11 @@ def test_far_pairs_are_left_out(device, rng):
 def test_verify_takes_all_pairs(device, rng):
     pair = pair_of("picture", rng, 1500, 1300)
     got = sinkhorn(*pair, 0.02, 0.3, 1e-2, backend=device, truncation=1e-3, verify=True)
-    assert (got.truncation, got.truncation_error, got.visited) == (1e-3, 0.0, 1.0)
-    residual, certificate, _ = exact_residual(pair, got)
-    assert got.residual == pytest.approx(residual, abs=1e-4)
-    assert got.dual == pytest.approx(certificate.dual, rel=1e-5)
+    assert (got.truncation, got.visited) == (1e-3, 1.0)
+    assert got.truncation_error < 1e-8
+    residual, certificate = exact_residual(pair, got)
+    assert residual - 1e-10 <= got.residual <= residual + 1e-7
+    assert got.dual == pytest.approx(certificate.dual, rel=1e-8)
 
 
 def test_lists_serve_until_potentials_have_moved_too_far(rng):
@@ -202,13 +193,13 @@ def test_divergences_of_many_points_are_truncated_and_stay_bounded(device, monke
     got = clmorph.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
     for part in (got.cross, got.source_self, got.target_self):
         assert part.truncation == pytest.approx(1e-5)
-        assert part.truncation_error <= part.truncation
+        assert part.truncation_error <= part.truncation + 1e-8
         assert part.converged
     assert got.interval[0] <= want.interval[1]
     assert want.interval[0] <= got.interval[1]
 
 
-@pytest.mark.parametrize("value", ["much", -1.0, 0.0, 0.5, np.nan, [1e-4]])
+@pytest.mark.parametrize("value", ["much", -1.0, 0.0, 0.5, np.nan, [1e-4], 1e-3, 0.09])
 def test_wrong_options(value):
     one = clmorph.lift(np.zeros((2, 2)))
     with pytest.raises(clmorph.InputError, match="truncation"):

@@ -60,6 +60,8 @@ class Cloud:
     offsets_buffer : (2, D, stride) float32
         Points less their tile's center, and what that rounds off.
     centers_buffer : (tiles, D) float32
+    box : (2, D) array
+        Least and largest coordinates.
     """
 
     order: NDArray[np.intp]
@@ -71,6 +73,7 @@ class Cloud:
     shifts: NDArray[np.float32]
     offsets_buffer: cl.Buffer
     centers_buffer: cl.Buffer
+    box: Float64
 
     def __len__(self) -> int:
         return len(self.order)
@@ -137,6 +140,7 @@ def make_cloud(
         shifts=shifts.astype(np.float32).reshape(n_tiles, tile, dimension),
         offsets_buffer=work.buffer(split(shifts.T)),
         centers_buffer=work.buffer(centers),
+        box=np.stack((points.min(axis=0), points.max(axis=0))),
     )
 
 

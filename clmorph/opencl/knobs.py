@@ -69,10 +69,15 @@ class Knobs:
         return math.gcd(self.tile, 16)
 
     def rows_constants(
-        self, dimension: int, precise: bool = False, listed: bool = False
+        self,
+        dimension: int,
+        precise: bool = False,
+        listed: bool = False,
+        certain: bool = False,
     ) -> dict[str, int | float]:
-        """Return the macros of ``rows.cl``."""
+        """Return the macros of ``rows.cl``; what is certain is precise as well."""
         return {
+            "CERTAIN": int(certain),
             "DIM": dimension,
             "EXP2_BUILTIN": self.exp2_builtin,
             "GROUP": self.group,

@@ -18,8 +18,9 @@ from clmorph.operations import Float64, NearPairs
 UNSEEN = 0.5
 #: Tiles with small terms only are looked for first as long as no more than this share is left.
 WORTHWHILE = 0.5
-#: What float32 may take off a measured share, as a factor.
-MARGIN = 1.05
+#: What float32 may take off a measured share, as a factor; and by how many units of an exponent's
+#: size it may be off, in log2.
+MARGIN, EXPONENT_ERROR = 1.05, 2.0**-22
 
 
 class _Clouds(NamedTuple):
@@ -74,7 +75,8 @@ class NearReductions(Reductions):
             off = np.full((2, len(sums)), [[-np.inf], [np.inf]])
             off[:, : n - section.start] = guess[section] - sums[: n - section.start]
             above, below = off.reshape(2, len(part), tile)
-            factor = MARGIN * np.exp2(np.clip(above.max(axis=1), -900.0, 600.0))
+            off_by = EXPONENT_ERROR * k * _largest_cost(rows, columns, pairs, part)
+            factor = MARGIN * np.exp2(np.clip(above.max(axis=1) + off_by, -900.0, 600.0))
             starts = pairs.starts[part.start : part.stop + 1]
             shares *= np.repeat(factor, np.diff(starts))
             # Where the guess was far below the sum of some row, shares were not told apart.
@@ -88,13 +90,14 @@ class NearReductions(Reductions):
             kept.append(TilePairs(lengths, pairs.tiles[keep], pairs.distances[keep]))
         lengths, tiles, distances = (np.concatenate(arrays) for arrays in zip(*kept, strict=True))
         starts = np.concatenate(([0], np.cumsum(lengths)))
+        listed = TilePairs(starts, tiles, distances)
         return NearPairs(
-            TilePairs(starts, tiles, distances),
+            listed,
             unsort(rows, -found[:n] / k + rows.offsets),
             unsort(rows, np.repeat(skipped, tile)[:n]),
             len(tiles) * tile**2,
             int(lengths.max()) * tile,
-            _largest_cost(rows, columns, lengths, tiles, distances),
+            _largest_cost(rows, columns, listed, range(len(rows.centers))),
         )
 
     def _measured(self, clouds: _Clouds, pairs: TilePairs, part: range) -> tuple[Float64, Float64]:
@@ -161,16 +164,12 @@ class NearReductions(Reductions):
             )  # fmt: skip
 
 
-def _largest_cost(
-    rows: Cloud,
-    columns: Cloud,
-    lengths: NDArray[np.int64],
-    tiles: NDArray[np.uint32],
-    distances: Float64,
-) -> float:
-    """Return a bound of the cost of all pairs of points in pairs of tiles."""
+def _largest_cost(rows: Cloud, columns: Cloud, pairs: TilePairs, part: range) -> float:
+    """Return a bound of the cost of all pairs of points in the pairs of tiles of a part."""
     radii = [
         np.sqrt(np.sum(half_sides(tiles).astype(float) ** 2, axis=1)) for tiles in (rows, columns)
     ]
-    farthest = np.sqrt(2 * distances) + np.repeat(radii[0], lengths) + radii[1][tiles]
-    return 0.5 * float(farthest.max()) ** 2
+    starts = pairs.starts[part.start : part.stop + 1]
+    own = np.repeat(radii[0][part.start : part.stop], np.diff(starts))
+    farthest = np.sqrt(2 * pairs.distances) + own + radii[1][pairs.tiles]
+    return 0.5 * float(farthest.max(initial=0.0)) ** 2

@@ -111,6 +111,18 @@ class OpenCLOperations:
         return self.reductions.softmin(rows, columns, potential, epsilon, precise, near)
 
     @_operation
+    def bounded_softmin(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, float]:
+        """Return T(g), far more exact than float32, and by how many nats it may be off."""
+        return self.reductions.bounded_softmin(rows, columns, potential, epsilon, near)
+
+    @_operation
     def near_pairs(
         self,
         rows: Cloud,

@@ -16,6 +16,11 @@ from clmorph.operations import Float64, NearPairs
 
 LOG2_E = float(np.log2(np.e))
 
+#: Errors of pairs of float32: of an operation, and of a power of two.
+PAIRS_ERRORS = 2.0**-45, 2.0**-31
+#: A larger maximum (log2) is rounded so far, in float32, that no bound holds.
+LARGEST_MAXIMUM = 2.0**28
+
 #: Kept pairs that one launch may write (12 bytes each on the device): a first touch of memory
 #: takes longer than what is written there.
 FILL_PAIRS = 1 << 22
@@ -27,7 +32,7 @@ class Reductions:
     def __init__(self, work: Workspace, knobs: Knobs) -> None:
         self._work, self._knobs = work, knobs
         self._budgets: dict[int, LaunchBudget] = {}
-        self._kernels: dict[tuple[int, bool, bool], dict[str, cl.Kernel]] = {}
+        self._kernels: dict[tuple[int, bool, bool, bool], dict[str, cl.Kernel]] = {}
         self._stored_kernels: dict[str, cl.Kernel] = {}
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
@@ -44,10 +49,53 @@ class Reductions:
         near: NearPairs | None = None,
     ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
-        log2_maxima, sums = self._log_sum_exp(rows, columns, potential, epsilon, precise, near)
+        maxima, sums, constants = self._log_sum_exp(
+            rows, columns, potential, epsilon, precise, near
+        )
         # Of points that float32 cannot hold apart nothing is left; the caller looks at results.
         with np.errstate(invalid="ignore"):
-            return unsort(rows, -epsilon / LOG2_E * (log2_maxima + np.log2(sums)))
+            return unsort(rows, -epsilon / LOG2_E * (maxima + constants + np.log2(sums)))
+
+    def bounded_softmin(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, float]:
+        """Return T(g) by powers and sums far more exact than float32, and a bound of its error."""
+        maxima, sums, constants = self._log_sum_exp(
+            rows, columns, potential, epsilon, True, near, certain=True
+        )
+        error = self._error_bound(rows, columns, potential, epsilon)
+        if np.abs(maxima).max() > LARGEST_MAXIMUM:
+            error = np.inf
+        with np.errstate(invalid="ignore"):
+            softmin = -epsilon / LOG2_E * (maxima + constants + np.log2(sums))
+        return unsort(rows, softmin), error
+
+    def _error_bound(
+        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
+    ) -> float:
+        """By how many nats `bounded_softmin` may be off: every rounding at its worst.
+
+        An exponent adds up products that are no larger than `size`, of numbers that pairs of
+        float32 hold to 2^-49, in 3 D + 6 operations. What is the same for a whole row is at most
+        `constants` large, in float64. See ``cl_kernels/sums.cl`` for powers and additions.
+        """
+        k, n_tiles, dimension = LOG2_E / epsilon, len(columns.centers), columns.centers.shape[1]
+        operation, power = (2.0**-53, 2.0**-44) if self._knobs.precise == 2 else PAIRS_ERRORS
+        low = np.minimum(rows.box[0], columns.box[0])
+        high = np.maximum(rows.box[1], columns.box[1])
+        costs = 0.5 * k * float(np.sum((high - low) ** 2))
+        values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
+        values = values[columns.log2_weights > 0.5 * SENTINEL]
+        size = 8 * costs + 2 * float(np.ptp(values))
+        constants = costs + float(np.abs(values).max()) + k * float(np.abs(rows.offsets).max())
+        exponents = size * ((3 * dimension + 6) * operation + 2.0**-47) + 2.0**-49 * constants
+        sums = power + (self._knobs.tile + n_tiles) * operation + 2.0**-46
+        return float(np.log(2) * exponents + sums)
 
     def row_maxima(
         self,
@@ -58,8 +106,8 @@ class Reductions:
         near: NearPairs | None = None,
     ) -> Float64:
         """Return max_j [(g_j - C_ij) / epsilon + log b_j], in nats."""
-        log2_maxima, _ = self._log_sum_exp(rows, columns, potential, epsilon, False, near)
-        return unsort(rows, log2_maxima / LOG2_E)
+        maxima, _, constants = self._log_sum_exp(rows, columns, potential, epsilon, False, near)
+        return unsort(rows, (maxima + constants) / LOG2_E)
 
     def _log_sum_exp(
         self,
@@ -69,10 +117,11 @@ class Reductions:
         epsilon: float,
         precise: bool,
         near: NearPairs | None = None,
-    ) -> tuple[Float64, Float64]:
-        """Log2 maximum (all constants of the row added) and sum of every sorted row."""
+        certain: bool = False,
+    ) -> tuple[Float64, Float64, Float64]:
+        """Log2 maximum, sum and what to add to the first, of every sorted row."""
         pairs = None if near is None else near.pairs
-        kernel = self._row_kernels(rows, precise, pairs is not None)["log_sum_exp"]
+        kernel = self._row_kernels(rows, precise, pairs is not None, certain)["log_sum_exp"]
         k = LOG2_E / epsilon
         heights, tops = self._column_heights(columns, potential, k)
         tops_of_rows = self._row_tops(rows, columns, tops, k, pairs)
@@ -81,24 +130,24 @@ class Reductions:
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
         for part in self._row_parts(kernel, rows, columns, pairs=pairs):
             n_rows = len(part) * tile
-            out = np.empty((2, shares, n_rows), np.float32)
-            buffers = self._work.empty(out.nbytes // 2), self._work.empty(out.nbytes // 2)
+            found = np.empty((shares, n_rows), np.float32)
+            # The sums, and what their nearest float32 rounds off.
+            planes = np.empty((1 + certain, shares, n_rows), np.float32)
+            buffers = self._work.empty(found.nbytes), self._work.empty(planes.nbytes)
             self._launch_rows(
                 kernel, rows, columns, heights, tops, tops_of_rows, k, part,
                 np.uint32(n_rows), *buffers, shares=shares, precise=precise, pairs=pairs,
             )  # fmt: skip
-            for values, buffer in zip(out, buffers, strict=True):
+            for values, buffer in zip((found, planes), buffers, strict=True):
                 cl.enqueue_copy(self._work.queue, values, buffer)
             section = slice(part.start * tile, part.stop * tile)
-            if shares == 1:
-                maxima[section], sums[section] = out[0, 0], out[1, 0]
-                continue
-            m = out[0].max(axis=0).astype(float)
+            of_shares = planes.astype(float).sum(axis=0)
+            m = found.max(axis=0).astype(float)
             maxima[section] = m
-            sums[section] = np.sum(out[1] * np.exp2(out[0] - m), axis=0)
+            sums[section] = np.sum(of_shares * np.exp2(found - m), axis=0)
         n = len(rows)
-        offsets = np.repeat(tops_of_rows, tile)[:n] - k * rows.own_costs
-        return maxima[:n] + offsets, sums[:n]
+        constants = np.repeat(tops_of_rows, tile)[:n] - k * rows.own_costs
+        return maxima[:n], sums[:n], constants
 
     def _column_heights(
         self, columns: Cloud, potential: Float64, k: float
@@ -227,9 +276,9 @@ class Reductions:
             )  # fmt: skip
 
     def _row_kernels(
-        self, rows: Cloud, precise: bool, listed: bool = False
+        self, rows: Cloud, precise: bool, listed: bool = False, certain: bool = False
     ) -> dict[str, cl.Kernel]:
-        key = rows.centers.shape[1], precise, listed
+        key = rows.centers.shape[1], precise, listed, certain
         if key not in self._kernels:
             constants = self._knobs.rows_constants(*key)
             built = program.build(self._work.context, "rows.cl", constants)
@@ -239,6 +288,8 @@ class Reductions:
             ]  # fmt: skip
             if listed:
                 names += ["largest_shares", "measure_tiles"]
+            if certain:
+                names = ["log_sum_exp"]
             self._kernels[key] = {name: program.kernel(built, name) for name in names}
         return self._kernels[key]
 

@@ -81,6 +81,25 @@ class NumPyOperations:
             result[block] = -epsilon * (largest + np.log(total))
         return result
 
+    def bounded_softmin(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, float]:
+        """Return T(g), and by how many nats the roundings of float64 may leave it off."""
+        softmin = self.softmin(rows, columns, potential, epsilon, near=near)
+        points = np.concatenate((rows.points, columns.points))
+        size = 0.5 * float(np.sum(np.ptp(points, axis=0) ** 2))
+        massive = columns.log_weights > -np.inf
+        size += float(np.abs(potential[massive]).max() + np.abs(columns.offsets).max())
+        size = (size + float(np.abs(rows.offsets).max())) / epsilon
+        size += float(np.abs(columns.log_weights[massive]).max())
+        operations = (points.shape[1] + 12) * size + len(columns.points) + 8
+        return softmin, operations * 2.0**-52
+
     def near_pairs(
         self,
         rows: Cloud,

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph import defaults
+from clmorph.certificate import Certificate
 from clmorph.checks import check_integer, check_number
 from clmorph.errors import InputError
 from clmorph.measures import Measure
 from clmorph.points import AnyMeasure, MeasureLike, as_measures
 from clmorph.potentials import Potentials, check_potentials
-from clmorph.problem import Certificate
 from clmorph.strengths import Reach, Strengths, strengths
 
 Array = NDArray[np.float64]
@@ -109,25 +109,55 @@ def sinkhorn(
 def certificate(
     source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, given: Strengths
 ) -> Certificate:
-    """Evaluate the primal and the dual of 2.1 as they are written, on the dense plan."""
-    epsilon, (rho_a, rho_b) = given.epsilon, given.rho
+    """Evaluate the primal and the dual of 2.1 as they are written, on the dense plan.
+
+    The primal is that of a plan which keeps the balanced marginals: `_feasible`.
+    """
+    epsilon = given.epsilon
     a, b = source.weights, target.weights
     plan = _plan(source, target, f, g, epsilon)
-    r, c, mass = plan.sum(axis=1), plan.sum(axis=0), float(plan.sum())
     reference = np.outer(a, b)
-    primal = float(np.sum(_cost_matrix(source, target) * plan))
-    primal += epsilon * _kullback_leibler(plan, reference)
-    dual = -epsilon * (mass - float(reference.sum()))
+    dual = -epsilon * (float(plan.sum()) - float(reference.sum()))
+    feasible = _feasible(plan, a, b, given)
+    primal = float(np.sum(_cost_matrix(source, target) * feasible))
+    primal += epsilon * _kullback_leibler(feasible, reference)
     marginal_error = 0.0
-    for potential, weights, marginal, rho in ((f, a, r, rho_a), (g, b, c, rho_b)):
+    for axis, (potential, weights, rho) in enumerate(zip((f, g), (a, b), given.rho, strict=True)):
         if np.isinf(rho):
             dual += float(weights @ potential)
-            marginal_error += float(np.abs(marginal - weights).sum())
+            marginal_error += float(np.abs(plan.sum(axis=1 - axis) - weights).sum())
         else:
             dual += rho * float(weights @ (1 - np.exp(-potential / rho)))
-            primal += rho * _kullback_leibler(marginal, weights)
-    gap = None if np.isinf(rho_a) and np.isinf(rho_b) else primal - dual
-    return Certificate(primal, dual, gap, marginal_error, r, c, mass)
+            primal += rho * _kullback_leibler(feasible.sum(axis=1 - axis), weights)
+    return Certificate(
+        primal, dual, primal - dual, marginal_error, plan.sum(axis=1), plan.sum(axis=0),
+        float(plan.sum()),
+    )  # fmt: skip
+
+
+def _feasible(plan: Array, a: Array, b: Array, given: Strengths) -> Array:
+    """Return a plan near this one that has the marginals of balanced sides.
+
+    Source for two: Altschuler, Weed, Rigollet, "Near-linear time approximation algorithms for
+    optimal transport via Sinkhorn iteration" (2017).
+    """
+    balanced = [bool(np.isinf(rho)) for rho in given.rho]
+    if balanced == [True, False]:
+        return plan * _share(a, plan.sum(axis=1))[:, None]
+    if balanced == [False, True]:
+        return plan * _share(b, plan.sum(axis=0))
+    if balanced == [True, True]:
+        plan = plan * np.minimum(1.0, _share(a, plan.sum(axis=1)))[:, None]
+        plan = plan * np.minimum(1.0, _share(b, plan.sum(axis=0)))
+        missing = a - plan.sum(axis=1), b - plan.sum(axis=0)
+        if missing[0].sum() > 0:
+            plan = plan + np.outer(*missing) / missing[0].sum()
+    return plan
+
+
+def _share(weights: Array, marginal: Array) -> Array:
+    """Return weights / marginal, 0 where there is no mass."""
+    return np.divide(weights, marginal, out=np.zeros(len(weights)), where=marginal > 0)
 
 
 def _kullback_leibler(p: Array, q: Array) -> float:

@@ -1,0 +1,112 @@
+// Powers of two and their sums, far more exact than float32: what bounds of a transport value
+// are computed from. In the width of the exponents, which must be more than float32.
+//
+// -D PRECISE  1: unevaluated sums of two float32: a power is exact to 2^-31, and each addition
+//                to 2^-45. 2: float64: powers to 2^-44, additions to 2^-53. See exponents.cl.
+//
+// The reference m of the powers is a whole number, so that what was summed for another one is
+// rescaled without an error.
+
+#if PRECISE == 2
+#if WIDTH == 1
+#define AS_LONGS(v) as_long(v)
+#define AS_DOUBLES(v) as_double(v)
+#else
+#define AS_LONGS(v) CONCAT(as_long, WIDTH)(v)
+#define AS_DOUBLES(v) CONCAT(as_double, WIDTH)(v)
+#endif
+#endif
+
+// A whole number not under what rounds to e.
+static inline vreal whole_above(const vreal e)
+{
+    return ceil(e + fabs(e) * 2.3841858e-7f);
+}
+
+// 2^n for a whole n <= 0; under -125 it is 2^-125.
+static inline vreal whole_power(const vreal n)
+{
+    const float magic = 12582912.0f; // 1.5 * 2^23: its low bits then hold n
+    const vreal shifted = max(n, (vreal)(-125.0f)) + magic;
+    return AS_VREAL((AS_VINT(shifted) << 23) + 0x3f800000);
+}
+
+// 2^(e - m) for e up to m. The series of the exponential, to the
+// term that the width can still tell, in the distance from the nearest whole number.
+static inline ereal power_above(const ereal e, const vreal m)
+{
+#if PRECISE == 2
+    const double magic = 6755399441055744.0; // 1.5 * 2^52
+    const ereal x = max(e - TO_EREAL(m), (ereal)(-1000.0));
+    const ereal shifted = x + magic;
+    const ereal r = x - (shifted - magic);
+    ereal p = (ereal)(4.44553827187081e-10);
+    p = p * r + 7.054911620801121e-09;
+    p = p * r + 1.0178086009239696e-07;
+    p = p * r + 1.3215486790144305e-06;
+    p = p * r + 1.5252733804059838e-05;
+    p = p * r + 0.00015403530393381606;
+    p = p * r + 0.0013333558146428441;
+    p = p * r + 0.009618129107628477;
+    p = p * r + 0.055504108664821576;
+    p = p * r + 0.2402265069591007;
+    p = p * r + 0.6931471805599453;
+    p = p * r + 1.0;
+    return AS_DOUBLES(AS_LONGS(p) + (AS_LONGS(shifted) << 52));
+#else
+    const float magic = 12582912.0f;
+    ereal minus_m;
+    HIGH(minus_m) = -m;
+    LOW(minus_m) = (vreal)(0.0f);
+    const ereal x = e_sum(e, minus_m);
+    const vreal high = max(HIGH(x), (vreal)(-125.0f));
+    const vreal shifted = high + magic;
+    const vreal rest = high - (shifted - magic);
+    // Where high parts have canceled, the low one is no longer small beside it.
+    const vreal low = select(LOW(x), (vreal)(0.0f), HIGH(x) < (vreal)(-125.0f));
+    ereal r;
+    HIGH(r) = rest + low;
+    const vreal t = HIGH(r) - rest;
+    LOW(r) = (rest - (HIGH(r) - t)) + (low - t);
+    vreal tail = (vreal)(1.0178086e-07f);
+    tail = tail * HIGH(r) + 1.3215486e-06f;
+    tail = tail * HIGH(r) + 1.5252734e-05f;
+    tail = tail * HIGH(r) + 1.540353e-04f;
+    tail = tail * HIGH(r) + 1.3333558e-03f;
+    tail = tail * HIGH(r) + 9.618129e-03f;
+    ereal p;
+    HIGH(p) = tail;
+    LOW(p) = (vreal)(0.0f);
+    p = e_sum(e_product(p, r), e_constant(0.05550410971045494f, -1.0456333576769339e-09f));
+    p = e_sum(e_product(p, r), e_constant(0.24022650718688965f, -2.277889543655931e-10f));
+    p = e_sum(e_product(p, r), e_constant(0.6931471824645996f, -1.9046542121259336e-09f));
+    p = e_sum(e_product(p, r), e_constant(1.0f, 0.0f));
+    const vreal scale = AS_VREAL((AS_VINT(shifted) << 23) + 0x3f800000);
+    HIGH(p) *= scale;
+    LOW(p) *= scale;
+    return p;
+#endif
+}
+
+// s 2^n for a whole n <= 0.
+static inline ereal rescaled(const ereal s, const vreal n)
+{
+#if PRECISE == 2
+    return s * TO_EREAL(whole_power(n));
+#else
+    ereal scaled;
+    HIGH(scaled) = HIGH(s) * whole_power(n);
+    LOW(scaled) = LOW(s) * whole_power(n);
+    return scaled;
+#endif
+}
+
+// Both parts of s as float32: the nearest, and what it rounds off.
+static inline vreal sum_low(const ereal s)
+{
+#if PRECISE == 2
+    return TO_VREAL(s - TO_EREAL(TO_VREAL(s)));
+#else
+    return (HIGH(s) - (HIGH(s) + LOW(s))) + LOW(s);
+#endif
+}

@@ -1,0 +1,240 @@
+"""What potentials prove: a lower and an upper bound of the optimal value, rounding included.
+
+For any potentials (f, g) and their plan pi the dual value D(f, g) is at most the optimum. So is
+the optimum at most the primal value of a plan that keeps every balanced marginal. Both follow
+from the two marginals, so from two softmins. These are known up to what was left out of their
+sums and up to their rounding, both bounded in nats; of all values that this leaves possible the
+least dual and the greatest primal are told.
+
+Source of the formulas: Chizat, Peyré, Schmitzer, Vialard, "Scaling algorithms for unbalanced
+optimal transport problems" (2018).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Beyond this exponentials are not taken, so that potentials far from a solution give no inf.
+MAX_EXPONENT = 300.0
+#: Error of a few operations in float64, and of a sum by halves over up to 2^24 terms.
+FEW, MANY = 2.0**-50, 2.0**-46
+
+
+class Certificate(NamedTuple):
+    """What the two marginals of the plan of (f, g) prove.
+
+    Attributes
+    ----------
+    primal, dual : float
+        Bounds of the optimal value, cost units times mass: dual <= optimum <= primal, whatever
+        was left out of sums and rounded; infinite where potentials are so far from a solution
+        that nothing is proven. Without a balanced side the primal value is that of the
+        plan; with one it is that of the plan with rows (or columns) scaled to the masses given;
+        with two it follows from the marginal errors and the oscillation of the cost, is wide
+        unless the potentials are good, and supposes equal masses.
+    gap : float
+        primal - dual.
+    marginal_error : float
+        |pi 1 - a|_1 + |pi^T 1 - b|_1 over the balanced sides at most; 0 without any.
+    row_mass, column_mass : (N,) and (M,) arrays
+        Marginals of the plan.
+    transported_mass : float
+        Mass of the plan.
+    """
+
+    primal: float
+    dual: float
+    gap: float
+    marginal_error: float
+    row_mass: Array
+    column_mass: Array
+    transported_mass: float
+
+
+class Side(NamedTuple):
+    """One measure, its potential, and what is known about the other potential's softmin there.
+
+    Attributes
+    ----------
+    weights, log_weights : (N,) arrays
+    potential, softmin : (N,) arrays
+        f and T(g) of the rows, or g and T(f) of the columns; cost units.
+    inverse_rho : float
+        0 if balanced.
+    left_out : float
+        By how many nats the logarithms of the sums behind the softmin can be too small.
+    roundoff : float
+        By how many nats they can be off.
+    oscillation : float
+        Bound of |C_ij - C_kj| over points i, k of this measure, cost units.
+    """
+
+    weights: Array
+    log_weights: Array
+    potential: Array
+    softmin: Array
+    inverse_rho: float
+    left_out: float
+    roundoff: float
+    oscillation: float
+
+
+class _Bounded:
+    """One side over its points of positive mass, every number with the interval it is within."""
+
+    def __init__(self, side: Side, epsilon: float) -> None:
+        massive = side.weights > 0
+        self.weights = side.weights[massive]
+        self.potential = side.potential[massive]
+        self.inverse_rho, self.oscillation = side.inverse_rho, side.oscillation
+        self.softmin = side.softmin[massive]
+        sizes = (np.abs(self.potential) + np.abs(self.softmin)) / epsilon
+        sizes += np.abs(side.log_weights[massive])
+        self.below = side.roundoff + FEW * sizes
+        self.above = self.below + side.left_out
+        #: Logarithm of marginal over weights.
+        self.ratio = (self.potential - self.softmin) / epsilon
+        self.marginal = marginal_of(side, epsilon)[massive]
+
+    @property
+    def is_tame(self) -> bool:
+        """Whether no exponent is too large to be taken."""
+        largest = self.ratio + self.above + np.abs(self.potential) * self.inverse_rho
+        return bool(np.max(largest + np.log(np.maximum(self.weights, 1.0))) < MAX_EXPONENT)
+
+    @property
+    def mass(self) -> tuple[float, float]:
+        """The least and the greatest mass of the plan that this marginal allows."""
+        low = float(np.sum(self.marginal * np.exp(-self.below)))
+        high = float(np.sum(self.marginal * np.exp(self.above)))
+        return low * (1 - MANY), high * (1 + MANY)
+
+    @property
+    def penalty(self) -> tuple[float, float]:
+        """What the dual gains by this potential, and by how much that may be rounded."""
+        if not self.inverse_rho:
+            terms = self.weights * self.potential
+            return float(terms.sum()), MANY * float(np.abs(terms).sum())
+        scaled = -self.potential * self.inverse_rho
+        # rho (1 - exp(-f / rho)), without the cancellation at large rho
+        gains = np.expm1(scaled)
+        sizes = self.weights * (np.abs(gains) + np.abs(scaled) * (1 + gains))
+        gain = -float(np.sum(self.weights * gains)) / self.inverse_rho
+        return gain, MANY * float(sizes.sum()) / self.inverse_rho
+
+    @property
+    def missed(self) -> float:
+        """|pi 1 - a|_1 at most."""
+        more = self.marginal * np.expm1(self.above)
+        return float(np.sum(np.abs(self.marginal - self.weights) + more)) * (1 + MANY)
+
+    def divergence(self, shrunk: float, grown: float) -> float:
+        """Rho KL(marginal | a exp(-f / rho)) at most, term by term, none of them negative.
+
+        For a marginal whose logarithms are up to `shrunk` less and up to `grown` more.
+        """
+        scaled = self.potential * self.inverse_rho
+        excess = self.ratio + scaled
+        more = FEW * np.abs(scaled)
+        low, high = excess - self.below - more - shrunk, excess + self.above + more + grown
+        if float(high.max()) > MAX_EXPONENT:
+            return np.inf
+        terms = np.maximum(_kl_terms(low), _kl_terms(high))
+        rounding = 1 + MANY + 2 * float(more.max())
+        limit = self.weights * np.exp(-scaled)
+        return float(np.sum(limit * terms)) / self.inverse_rho * rounding
+
+
+def certify(rows: Side, columns: Side, epsilon: float) -> Certificate:
+    """Return what potentials, and their softmins, prove.
+
+    Parameters
+    ----------
+    rows, columns : Side
+    epsilon : float
+        Cost units.
+
+    Returns
+    -------
+    Certificate
+    """
+    of_rows, of_columns = _Bounded(rows, epsilon), _Bounded(columns, epsilon)
+    row_mass, column_mass = marginal_of(rows, epsilon), marginal_of(columns, epsilon)
+    mass = float(row_mass.sum())
+    balanced = [side for side in (of_rows, of_columns) if not side.inverse_rho]
+    if not (of_rows.is_tame and of_columns.is_tame):
+        error = np.inf if balanced else 0.0
+        return Certificate(np.inf, -np.inf, np.inf, error, row_mass, column_mass, mass)
+    intervals = of_rows.mass, of_columns.mass
+    least = max(low for low, _ in intervals)
+    most = max(least, min(high for _, high in intervals))
+    gains, errors = zip(of_rows.penalty, of_columns.penalty, strict=True)
+    constant = epsilon * float(rows.weights.sum()) * float(columns.weights.sum())
+    rounding = sum(errors) + MANY * (epsilon * most + constant)
+    dual = sum(gains) + constant - epsilon * most - rounding
+    greatest = sum(gains) + constant - epsilon * least + rounding
+    if len(balanced) == 2:
+        primal = greatest + _infeasibility(of_rows, of_columns, epsilon)
+    elif balanced:
+        other = of_columns if of_rows is balanced[0] else of_rows
+        primal = _one_side_scaled(balanced[0], other, epsilon, constant)
+    else:
+        primal = greatest + of_rows.divergence(0.0, 0.0) + of_columns.divergence(0.0, 0.0)
+    primal = max(primal, dual)
+    return Certificate(
+        primal, dual, primal - dual, float(sum(side.missed for side in balanced)),
+        row_mass, column_mass, mass,
+    )  # fmt: skip
+
+
+def _one_side_scaled(balanced: _Bounded, other: _Bounded, epsilon: float, constant: float) -> float:
+    """Value at most of the plan whose rows, or columns, are scaled to the masses asked for.
+
+    Its potential there is the softmin itself; its other marginal has changed by no larger a
+    factor than any row has.
+    """
+    scaled = balanced.weights * (balanced.softmin + epsilon * balanced.below)
+    mass = float(balanced.weights.sum())
+    gain, error = other.penalty
+    value = float(scaled.sum()) + gain + constant - epsilon * mass
+    error += MANY * (float(np.abs(scaled).sum()) + constant + epsilon * mass)
+    largest = float(np.max(balanced.ratio + balanced.above))
+    least = float(np.min(balanced.ratio - balanced.below))
+    return value + error + other.divergence(max(largest, 0.0), max(-least, 0.0))
+
+
+def _infeasibility(rows: _Bounded, columns: _Bounded, epsilon: float) -> float:
+    """By how much the optimum of a balanced problem can exceed the dual value.
+
+    The dual is concave with gradient (a - pi 1, b - pi^T 1), so it grows towards optimal
+    potentials (f*, g*) by at most <a - pi 1, f* - f> + <b - pi^T 1, g* - g>. Optimal potentials
+    are softmins, so they oscillate by no more than the cost does; with f* - f between plus and
+    minus half an oscillation, g* = T(f*) is as near to T(f), and that is near to g.
+    """
+    bounds = []
+    missed = rows.missed, columns.missed
+    for one, other, missed_there in (
+        (rows, columns, missed[1]), (columns, rows, missed[0])
+    ):  # fmt: skip
+        oscillation = one.oscillation + float(np.ptp(one.potential))
+        off = float(np.max(np.abs(other.ratio) + other.above))
+        bounds.append(0.5 * sum(missed) * oscillation + missed_there * epsilon * off)
+    return min(bounds) * (1 + MANY)
+
+
+def marginal_of(side: Side, epsilon: float) -> Array:
+    """a_i exp((f_i - T(g)_i) / epsilon), by its logarithm: a alone may underflow."""
+    with np.errstate(invalid="ignore"):
+        exponent = (side.potential - side.softmin) / epsilon + side.log_weights
+        exponent = np.minimum(exponent, MAX_EXPONENT)
+    return np.where(side.weights > 0, np.exp(exponent), 0.0)
+
+
+def _kl_terms(excess: Array) -> Array:
+    """Return x e^x - e^x + 1, which grows with |x|, at most."""
+    excess = np.maximum(excess, -MAX_EXPONENT)
+    growth, powers = np.expm1(excess), excess * np.exp(excess)
+    return np.maximum(powers - growth, 0.0) + FEW * (np.abs(powers) + np.abs(growth))
