@@ -24,6 +24,8 @@ from clmorph.reference.operations import NumPyOperations
 
 #: Unit roundoff of float32.
 UNIT = 2.0**-24
+#: Nats that bounds of a softmin may come to in these comparisons.
+LARGEST_BOUND = 1e-5
 #: Seconds over which the best throughput is taken.
 THROUGHPUT_SECONDS = 0.5
 
@@ -157,7 +159,12 @@ def check(operations: Operations) -> Iterator[Finding]:
             error = float(np.abs(got - want).max() / unit)
             kind = "precise " * len(options) + name
             yield Finding(f"{kind}, blur {blur:g}", error, tolerance, "nats")
-        yield _check_near(operations, ours, pair, g, exact.softmin(*theirs, g, epsilon), blur)
+        want = exact.softmin(*theirs, g, epsilon)
+        got, bound = operations.bounded_softmin(*ours, g, epsilon)
+        error = float(np.abs(got - want).max() / epsilon)
+        bound = min(bound, LARGEST_BOUND) + exact.bounded_softmin(*theirs, g, epsilon)[1]
+        yield Finding(f"bounded_softmin, blur {blur:g}", error, bound, "nats")
+        yield _check_near(operations, ours, pair, g, want, blur)
     yield _check_plan(operations, exact, ours, theirs, pair)
     yield from _check_stored(operations, exact, ours, theirs, pair)
     yield from _check_rows(operations, exact, pair)

@@ -32,7 +32,7 @@ def _potential(rng, n, epsilon):
 def test_twins_have_the_protocols_signatures():
     names = [name for name in vars(Operations) if not name.startswith("_")]
     operations = [name for name in names if callable(getattr(Operations, name, None))]
-    assert len(operations) == 18
+    assert len(operations) == 19
     for name in operations:
         wanted = list(inspect.signature(getattr(Operations, name)).parameters)
         for backend in (NumPyOperations, OpenCLOperations):
@@ -62,6 +62,64 @@ def test_softmin_and_row_maxima(variant, rng, name, blur):
     got = variant.row_maxima(rows, columns, g, epsilon)
     want = REFERENCE.row_maxima(exact_rows, exact_columns, g, epsilon)
     assert np.abs(got - want).max() <= tolerance
+
+
+def _exactly(pair, g, epsilon):
+    """T(g) in long double."""
+    (x, _), (y, b) = pair
+    wide = np.longdouble
+    cost = np.zeros((len(x), len(y)), wide)
+    for d in range(x.shape[1]):
+        cost += (wide(1) * x[:, None, d] - wide(1) * y[:, d]) ** 2 / 2
+    with np.errstate(divide="ignore"):
+        exponents = (wide(1) * g - cost) / wide(epsilon) + np.log(wide(1) * b)
+    largest = exponents.max(axis=1)
+    return -wide(epsilon) * (largest + np.log(np.exp(exponents - largest[:, None]).sum(axis=1)))
+
+
+@pytest.mark.parametrize("blur", BLURS)
+@pytest.mark.parametrize("name", PAIRS)
+def test_bounded_softmin_is_as_near_as_it_says(variant, rng, name, blur):
+    """Nothing but the bound that it tells, which is small."""
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    g = _potential(rng, len(pair[1][0]), epsilon)
+    want = _exactly(pair, g, epsilon)
+    sizes = [np.abs(cloud[0]).max() for cloud in pair]
+    largest = pair[0][0].shape[1] * max(sizes) ** 2 / epsilon
+    for backend in (variant, REFERENCE):
+        got, error = backend.bounded_softmin(*_upload(backend, pair), g, epsilon)
+        assert np.abs(got - want).max() / epsilon <= error
+        assert error <= 1e-8 + 1e-11 * (100 + largest)
+
+
+@pytest.mark.parametrize("dimension", range(1, 12))
+def test_bounded_softmin_in_any_dimension_and_over_near_pairs(variant, rng, dimension):
+    pair = [(rng.random((n, dimension)), rng.random(n) ** 30) for n in (100, 150)]
+    for cloud in pair:
+        cloud[1][::3] = 0
+    epsilon = 0.002
+    g = _potential(rng, 150, epsilon)
+    want = _exactly(pair, g, epsilon)
+    for backend in (variant, REFERENCE):
+        clouds = _upload(backend, pair)
+        got, error = backend.bounded_softmin(*clouds, g, epsilon)
+        assert np.abs(got - want).max() / epsilon <= error
+        near = backend.near_pairs(*clouds, g, got, epsilon, 1e-3)
+        got, error = backend.bounded_softmin(*clouds, g, epsilon, near)
+        missing = (got - want) / epsilon
+        assert missing.min() >= -error
+        assert np.all(missing <= 1.01 * near.skipped + error)
+
+
+@pytest.mark.parametrize("epsilon", [1.0, 1e-3])
+def test_a_softmin_of_numbers_without_a_bound_says_so(variant, rng, epsilon):
+    """Coordinates so large that their exponents leave float32 no digit."""
+    x = np.array([[0.0, 0.0], [1e6, 1e6]])[rng.integers(0, 2, 100)]
+    pair = [(x, np.ones(100)), (x + 0.5 * rng.random((100, 2)), np.ones(100))]
+    got, error = variant.bounded_softmin(*_upload(variant, pair), np.zeros(100), epsilon)
+    assert error > 1e-4
+    assert np.isinf(error) or np.abs(got - _exactly(pair, np.zeros(100), epsilon)).max() <= error
 
 
 @pytest.mark.parametrize("dimension", [1, 2, 3, 8, 11])

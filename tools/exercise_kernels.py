@@ -50,6 +50,8 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         operations.softmin(rows, columns, g, 0.01, True),
         operations.softmin(columns, rows, f, 0.01, True),
         operations.row_maxima(rows, columns, g, 0.01),
+        operations.bounded_softmin(rows, columns, g, 0.01)[0],
+        operations.bounded_softmin(columns, rows, f, 0.01)[0],
     ]
     for clouds, own, potential in (((rows, columns), f, g), ((columns, rows), g, f)):
         guess = operations.softmin(*clouds, potential, 0.01)
@@ -59,6 +61,8 @@ def exercise(operations: Operations) -> list[np.ndarray]:
             over_near = operations.softmin(*clouds, potential, 0.01, precise, near)
             results.append(np.round((over_near - guess) / 0.01, 2) + 0.0)
             results += operations.plan_moments(*clouds, potential, guess, 0.01, precise, near)
+        over_near, _ = operations.bounded_softmin(*clouds, potential, 0.01, near)
+        results.append(np.round((over_near - guess) / 0.01, 2) + 0.0)
         thresholds = np.tile([0.1, 0.4, 0.9], (len(own), 1))
         draws = operations.sample_plan_rows(
             *clouds, potential, guess, 0.01, thresholds, False, near

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from clmorph.check import throughput
+from clmorph.check import LARGEST_BOUND, throughput
 from clmorph.errors import ClmorphError
 from clmorph.opencl.device import raw_devices
 from clmorph.opencl.operations import OpenCLOperations
@@ -37,11 +37,12 @@ def _wrong_result(operations: OpenCLOperations) -> str:
     random = np.random.default_rng(0)
     points = [random.random((n, 5)) for n in (130, 70)]
     potential = 0.1 * random.random(70)
-    values, sums = [], []
+    values, sums, bounded = [], [], []
     backends: tuple[Operations, ...] = (operations, NumPyOperations())
     for backend in backends:
         rows, columns = (backend.upload(cloud, np.full(len(cloud), 0.01)) for cloud in points)
         values.append(backend.softmin(rows, columns, potential, 0.01))
+        bounded.append(backend.bounded_softmin(rows, columns, potential, 0.01))
         splats = backend.upload_splats(
             (40 * points[0][:, :2]).astype(np.float32),
             points[0][:, 2:].astype(np.float32),
@@ -50,6 +51,9 @@ def _wrong_result(operations: OpenCLOperations) -> str:
         sums.append(backend.splat(splats, (33, 40), 1.0, 4.0)[1])
     if not np.allclose(values[0], values[1], rtol=0, atol=1e-5):
         return f"wrong log-sum-exp (off by {np.abs(values[0] - values[1]).max():.2g})"
+    off, bound = np.abs(bounded[0][0] - bounded[1][0]).max(), bounded[0][1] + bounded[1][1]
+    if not off <= 0.01 * bound <= 0.01 * LARGEST_BOUND:
+        return f"a log-sum-exp outside its own bound (off by {off / 0.01:.2g}, bound {bound:.2g})"
     if not np.allclose(sums[0], sums[1], rtol=1e-4, atol=1e-4):
         return f"wrong splat (off by {np.abs(sums[0] - sums[1]).max():.2g})"
     return ""

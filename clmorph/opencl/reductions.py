@@ -18,8 +18,9 @@ LOG2_E = float(np.log2(np.e))
 
 #: Errors of pairs of float32: of an operation, and of a power of two.
 PAIRS_ERRORS = 2.0**-45, 2.0**-31
-#: A larger maximum (log2) is rounded so far, in float32, that no bound holds.
-LARGEST_MAXIMUM = 2.0**28
+#: A larger maximum (log2) is rounded so far, in float32, that no bound holds; up to there the
+#: largest power is not smaller than this.
+LARGEST_MAXIMUM, SMALLEST_SUM = 2.0**28, 2.0**-70
 
 #: Kept pairs that one launch may write (12 bytes each on the device): a first touch of memory
 #: takes longer than what is written there.
@@ -69,9 +70,9 @@ class Reductions:
             rows, columns, potential, epsilon, True, near, certain=True
         )
         error = self._error_bound(rows, columns, potential, epsilon)
-        if np.abs(maxima).max() > LARGEST_MAXIMUM:
+        if not (np.abs(maxima).max() <= LARGEST_MAXIMUM and sums.min() > SMALLEST_SUM):
             error = np.inf
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):
             softmin = -epsilon / LOG2_E * (maxima + constants + np.log2(sums))
         return unsort(rows, softmin), error
 
