@@ -196,3 +196,73 @@ def test_the_blur_that_is_proposed_is_enough(rng):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
         assert sinkhorn((a, 3 * x), (b, 3 * y), proposed, max_iter=1, backend="numpy").n_iter == 1
+
+
+@pytest.mark.parametrize("reach", [(None, 0.3), (0.3, None), None], ids=str)
+def test_a_balanced_side_has_an_upper_bound(any_backend, rng, reach):
+    """Not the value of a plan that misses its masses, which is below the optimum."""
+    pair = clouds(rng, balanced=reach is None)
+    best = sinkhorn(*pair, 0.1, reach, 1e-11, 5000, "numpy")
+    for max_iter in (1, 2, 4, 8, 30):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+            got = sinkhorn(*pair, 0.1, reach, 1e-6, max_iter, any_backend)
+        assert best.dual <= got.primal < np.inf
+        assert got.dual <= best.primal
+        assert got.gap == got.primal - got.dual
+    assert got.gap < 0.02 * best.dual
+
+
+def _optimum(pair, blur, reach):
+    """An interval of the optimum that is far narrower than any device's rounding."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        best = sinkhorn(*pair, blur, reach, 1e-10, 5000, "numpy")
+    assert best.gap <= 1e-10 * abs(best.primal) + 1e-13
+    return best
+
+
+@pytest.mark.parametrize("dimension", range(1, 12))
+def test_bounds_include_the_rounding_of_the_device(device, rng, dimension):
+    """Without it a dual value is above the optimum in half of all problems."""
+    for blur, reach in ((0.03, 0.3), (0.2, 0.3), (1.0, 2.0), (0.2, (0.5, 2.0))):
+        n, m = rng.integers(1, 80, 2)
+        pair = clouds(rng, n + 1, m + 1, dimension)
+        best = _optimum(pair, blur, reach)
+        got = sinkhorn(*pair, blur, reach, 1e-6, 5000, device)
+        assert got.dual <= best.primal
+        assert best.dual <= got.primal
+        exact = certificate(*clmorph.points.as_pair(*pair), got.f, got.g, strengths(blur, reach))
+        assert got.gap <= exact.gap + 2e-6 * got.primal
+
+
+@pytest.mark.parametrize("mass", [1e-20, 1e15, 1e29])
+@pytest.mark.parametrize("multiscale", [False, True])
+def test_balanced_transport_of_any_mass(any_backend, mass, multiscale):
+    """As many iterations as for a mass of one, and the residual that is told."""
+    for seed in (1, 4):
+        rng = np.random.default_rng(seed)
+        n, m = rng.integers(20, 300, 2)
+        dimension = rng.integers(1, 6)
+        a, b = rng.random(n), rng.random(m)
+        x, y = rng.random((n, dimension)), rng.random((m, dimension))
+        pair = (a / a.sum(), x), (b / b.sum(), y)
+        plain = sinkhorn(*pair, 0.02, None, backend=any_backend, multiscale=multiscale)
+        pair = (mass * pair[0][0], x), (mass * pair[1][0], y)
+        got = sinkhorn(*pair, 0.02, None, backend=any_backend, multiscale=multiscale)
+        assert plain.converged
+        assert got.converged
+        assert got.n_iter <= 2 * plain.n_iter
+        exact = clmorph.reference.cost_matrix(*pair)
+        true = [
+            np.abs(got.f + got.epsilon * _log_sums(got.g - exact, pair[1][0], got.epsilon)).max(),
+            np.abs(got.g + got.epsilon * _log_sums(got.f - exact.T, pair[0][0], got.epsilon)).max(),
+        ]
+        assert max(true) / got.epsilon <= got.residual * (1 + 1e-9) <= 1e-3
+        assert np.abs(got.row_mass - pair[0][0]).sum() <= got.marginal_error
+
+
+def _log_sums(values, weights, epsilon):
+    exponents = values / epsilon + np.log(weights)
+    largest = exponents.max(axis=1)
+    return largest + np.log(np.exp(exponents - largest[:, None]).sum(axis=1))
