@@ -150,20 +150,20 @@ class Dense:
     def row_logarithms(self, f: Vector, g: Vector, number: Any) -> tuple[Vector, Vector]:
         """Return l_i, and by how many nats it may be off.
 
-        An exponent z_ij is off by at most unit * (D + 12) * (size of its parts), a sum of n terms
-        in pairs by unit * (24 + log2 n). The errors of the exponents are averaged with the weight
+        A cost is off by at most unit * (D + 4) of itself (and of the offsets), an exponent z_ij so
+        by unit * (D + 12) * (|f_i + g_j| / epsilon + |z_ij| + |log b_j|), and a sum of n terms
+        in pairs by unit * (32 + log2 n). The errors of the exponents are averaged with the weight
         that their pairs have in the sum, and doubled for what the first order leaves out.
         """
         unit, epsilon = unit_of(number), number(self.epsilon)
         logarithm, f_, g_ = self.target.logarithm.astype(number), f.astype(number), g.astype(number)
-        offsets = np.abs(self.target.offsets)
-        columns = (np.abs(g_) + 2 * offsets) / epsilon + np.abs(logarithm)
+        columns = 2 * np.abs(self.target.offsets) / epsilon + np.abs(logarithm)
         result, slack = np.empty(len(f), NUMBER), np.empty(len(f), NUMBER)
         step = max(1, BLOCK // len(g))
         for start in range(0, len(f), step):
             rows = slice(start, start + step)
-            z = f_[rows, None] + g_
-            z -= self.cost(rows, number)
+            both = f_[rows, None] + g_
+            z = both - self.cost(rows, number)
             z /= epsilon
             z += logarithm
             top = z.max(axis=1)
@@ -173,7 +173,9 @@ class Dense:
             result[rows] = top.astype(NUMBER) + np.log(total.astype(NUMBER))
             depth = -np.einsum("ij,ij->i", terms, z) / total
             sizes = (terms @ columns) / total + depth + np.abs(top)
-            sizes += (np.abs(f_[rows]) + 2 * np.abs(self.source.offsets[rows])) / epsilon
+            np.abs(both, out=both)
+            sizes += np.einsum("ij,ij->i", terms, both) / (total * epsilon)
+            sizes += 2 * np.abs(self.source.offsets[rows]) / epsilon
             slack[rows] = 2 * unit * (self.source.points.shape[1] + 12) * sizes
         slack += unit * (32 + np.log2(len(g))) + 4 * unit * np.abs(result)
         return result, slack

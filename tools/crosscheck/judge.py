@@ -237,15 +237,16 @@ def _certified(problem: Dense, cost: Vector, ascent: _Newton) -> Optimum:
         plan = np.exp(logarithms)
         ratio, plan = _feasible(plan, logarithms, source, target, ascent)
         # An exponent's own error is a change of the ratio.
-        size = np.abs(f)[:, None] + np.abs(g) + 2 * np.abs(source.offsets[:, None])
-        size = size + 2 * np.abs(target.offsets) + np.abs(cost)
+        both = f[:, None] + g
+        size = np.abs(both) + np.abs(cost)
+        size = size + 2 * (np.abs(source.offsets[:, None]) + np.abs(target.offsets))
         near = 2 * unit * ((source.points.shape[1] + 12) * size / epsilon + 4 * np.abs(logarithms))
         base = np.where(plan > 0, plan * np.exp(-ratio), 0)
         gap = epsilon * (np.where(ratio < 1e3, base * kl_terms(ratio), plan * (ratio - 1))).sum()
         gap_error = epsilon * (plan * near * (2 * np.abs(ratio) + near) + 16 * unit * plan).sum()
-        # Marginals are met to some roundings; what that can cost, moved along any pairs:
-        mass = min(plan.sum(), source.mass.sum() + target.mass.sum())
-        gap_error += 8 * unit * mass * (size.max() + 64 * epsilon)
+        # Marginals are met to some roundings. Moved along any pairs, so little mass costs:
+        far = np.abs(both - cost).max() + epsilon * (64 + np.abs(logarithms).max())
+        gap_error += 4 * unit * plan.sum() * far
         for side, potential, marginal in (
             (source, f, plan.sum(axis=1)), (target, g, plan.sum(axis=0)),
         ):  # fmt: skip
