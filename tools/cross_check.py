@@ -24,17 +24,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-
-import clmorph
-from clmorph.opencl.device import find_devices
 from crosscheck.claims import CHECKS, Outcome, Told, check, widening_of_the_value
 from crosscheck.exact import EXTENDED, NUMBER, Dense, evaluate
 from crosscheck.judge import Optimum, solve
+from crosscheck.patience import OutOfTimeError, limited
 from crosscheck.problems import SMALL, Problem, make, parts
 from findings import Findings
 
+import clmorph
+from clmorph.opencl.device import find_devices
+
 #: More pairs than this are left out in NumPy, which would take minutes for each.
 MOST_IN_NUMPY = 1 << 20
+#: Seconds of work in which a solve must end, and more of them for each pair of points: 300 s for
+#: 2^27 pairs.
+PATIENCE, PATIENCE_PER_PAIR = 20.0, 300.0 / (1 << 27)
 #: Problems with more pairs than this are judged by sums alone.
 MOST_SOLVED = SMALL * SMALL
 
@@ -66,37 +70,40 @@ class Tally:
 class Judge:
     """Problems with their optima, worked out once for all backends."""
 
-    def __init__(self, seed: int) -> None:
-        self._seed = seed
+    def __init__(self, seed: int, patience: float = PATIENCE) -> None:
+        self._seed, self._patience = seed, patience
         self._number = -1
         self._known: tuple[Problem, Dense, Optimum | None]
-        self.seconds = 0.0
 
     def problem(self, number: int) -> tuple[Problem, Dense, Optimum | None]:
         """Return a problem and what the judge knows of its optimum."""
         if number != self._number:
-            began = time.perf_counter()
             problem = make(self._seed, number)
             dense = problem.dense()
             optimum = None
             if not problem.refused and dense.pairs <= MOST_SOLVED:
                 optimum = solve(dense)
             self._number, self._known = number, (problem, dense, optimum)
-            self.seconds += time.perf_counter() - began
         return self._known
 
-    def hold(self, number: int, backend: Any) -> list[Outcome]:
-        """Solve a problem on a backend, and hold what it tells against the truth."""
-        return self.compare(number, backend)[0]
-
     def compare(self, number: int, backend: Any) -> tuple[list[Outcome], Told | None]:
-        """Do the same, and return the result with the truth too, if there is a result."""
+        """Solve a problem on a backend, and hold what it tells against the truth.
+
+        Returns
+        -------
+        list of Outcome
+        Told or None
+            The result with the truth, if there is a result.
+        """
         problem, dense, optimum = self.problem(number)
         try:
-            result = clmorph.sinkhorn(
-                problem.source, problem.target, problem.blur, problem.reach,
-                backend=backend, **problem.options,
-            )  # fmt: skip
+            with limited(self._patience + PATIENCE_PER_PAIR * problem.pairs):
+                result = clmorph.sinkhorn(
+                    problem.source, problem.target, problem.blur, problem.reach,
+                    backend=backend, **problem.options,
+                )  # fmt: skip
+        except OutOfTimeError as error:
+            return [Outcome("answers", 1.0, True, str(error))], None
         except Exception as error:
             meant = bool(problem.refused) and isinstance(error, clmorph.InputError)
             words = f"{type(error).__name__}: {error}"
@@ -119,6 +126,7 @@ def run(
     numbers: Sequence[int],
     findings: Findings,
     largest: int | None = None,
+    patience: float = PATIENCE,
 ) -> dict[str, Tally]:
     """Hold problems against the truth on some backends.
 
@@ -132,13 +140,15 @@ def run(
     findings : Findings
     largest : int, optional
         Leave out problems with more pairs of points.
+    patience : float
+        Seconds of work for a solve, but for what large problems take.
 
     Returns
     -------
     dict of str to Tally
         By backend.
     """
-    judge, tallies = Judge(seed), {name: Tally() for name in backends}
+    judge, tallies = Judge(seed, patience), {name: Tally() for name in backends}
     for number in numbers:
         pairs = make(seed, number).pairs
         for name, tally in tallies.items():
@@ -154,7 +164,9 @@ def run(
             tally.unsettled += optimum is not None and not optimum.settled
             if told is not None:
                 share = widening_of_the_value(told)
-                tally.widening_of_value = max(tally.widening_of_value, -np.inf if share is None else share)
+                tally.widening_of_value = max(
+                    tally.widening_of_value, -np.inf if share is None else share
+                )
             findings.trial(name)
             tally.violated += any(outcome.broken for outcome in outcomes)
             for outcome in outcomes:
@@ -224,6 +236,8 @@ def main(given: list[str] | None = None) -> int:
     parser.add_argument("--largest", type=int, metavar="PAIRS",
                         help="leave out problems with more pairs of points [default: none, in "
                              f"NumPy more than {MOST_IN_NUMPY}]")  # fmt: skip
+    parser.add_argument("--patience", type=float, default=PATIENCE, metavar="SECONDS",
+                        help=f"of work for a small problem [default: {PATIENCE:g}]")  # fmt: skip
     parser.add_argument("--markdown", action="store_true", help="print the table for the docs")
     arguments = parser.parse_args(given)
     if arguments.count < 1 or arguments.seed < 0 or (arguments.only or 0) < 0:
@@ -241,12 +255,17 @@ def main(given: list[str] | None = None) -> int:
     if arguments.only is not None:
         problem = make(arguments.seed, arguments.only)
         n, m = len(parts(problem.source)[0]), len(parts(problem.target)[0])
-        print(f"{arguments.only}: {problem.words}" + (f"; to be refused: {problem.refused}" if problem.refused else ""))
+        print(
+            f"{arguments.only}: {problem.words}"
+            + (f"; to be refused: {problem.refused}" if problem.refused else "")
+        )
         arguments.largest = arguments.largest or n * m
     findings = Findings(["--seed", str(arguments.seed)])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
-        tallies = run(list(names), arguments.seed, numbers, findings, arguments.largest)
+        tallies = run(
+            list(names), arguments.seed, numbers, findings, arguments.largest, arguments.patience
+        )
     print("\n".join(table(tallies, names, arguments.markdown)))
     return findings.end()
 

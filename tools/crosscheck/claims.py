@@ -169,11 +169,14 @@ def _values(told: Told) -> Iterator[Outcome]:
         yield _excess("P(f, g) <= primal", truth.dual.low + truth.gap.low, primal, value,
                       "P(f, g) is at least", "primal")  # fmt: skip
     # Their difference, rounded, may be some units of the larger one's last place off.
-    gap, last = NUMBER(result.gap), 4 * np.spacing(max(abs(result.primal), abs(result.dual), 1e-300))
+    gap, last = (
+        NUMBER(result.gap),
+        4 * np.spacing(max(abs(result.primal), abs(result.dual), 1e-300)),
+    )
     distance = max(low - dual, primal - high) if np.isfinite(high) else low - dual
     if abs(primal - dual - gap) > last:
-        yield Outcome("gap", float(abs(primal - dual - gap) / value), True,
-                      f"{float(gap):.17g}, but primal - dual is {float(primal - dual):.17g}")  # fmt: skip
+        words = f"{float(gap):.17g}, but primal - dual is {float(primal - dual):.17g}"
+        yield Outcome("gap", float(abs(primal - dual - gap) / value), True, words)
     else:
         yield _excess("gap", distance, gap, value, "the optimum is further, at least", "gap")
     if truth.gap is not None and result.truncation is None:

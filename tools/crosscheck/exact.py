@@ -94,7 +94,7 @@ class Side:
         return NUMBER(0) if self.balanced else 1 / self.rho
 
     def limit(self, potential: Vector) -> Vector:
-        """a exp(-f / rho), what the marginal is at the optimum."""
+        """Return a exp(-f / rho), what the marginal is at the optimum."""
         return self.mass * np.exp(-potential * self.rate)
 
 
@@ -213,7 +213,7 @@ class Truth:
 
 
 def kl_terms(excess: Vector) -> Vector:
-    """x e^x - e^x + 1, which is at least 0."""
+    """Return x e^x - e^x + 1, which is at least 0."""
     small = np.abs(excess) < 1e-3
     with np.errstate(over="ignore", invalid="ignore"):
         large = np.where(small, 0, excess)

@@ -26,6 +26,8 @@ SETTLED = max(1e-15, 1e4 * float(np.finfo(NUMBER).eps))
 ANNEALING = 0.25
 #: Steps at most, on each level and on the last.
 STEPS, LAST_STEPS = 30, 200
+#: Largest correction of a plan that shall meet its marginals, in nats.
+CORRECTION = 1e-6
 #: Largest relative error of a marginal at which a level is left.
 LEVEL_TOLERANCE = 0.05
 
@@ -39,8 +41,8 @@ class Optimum:
     low, high : long double
         Proven bounds.
     scale : long double
-        What a gap is compared with: the value, without its constant epsilon m_a m_b if that makes
-        it smaller, or epsilon times the mass of the plan if that is more.
+        What a gap is compared with: the value, or epsilon times the mass of the plan if that is
+        more.
     f, g : arrays
         Potentials, of points with mass.
     steps : int
@@ -98,8 +100,10 @@ class _Newton:
 
     def best_f(self, g: Vector) -> Vector:
         """Delta_1 T(g)."""
-        return -self.damping()[0] * self.epsilon * _log_sums(
-            (g - self.cost) / self.epsilon + self.target.logarithm, 1
+        return (
+            -self.damping()[0]
+            * self.epsilon
+            * _log_sums((g - self.cost) / self.epsilon + self.target.logarithm, 1)
         )
 
     def shifted(self, f: Vector, g: Vector) -> Vector:
@@ -241,8 +245,9 @@ def _certified(problem: Dense, cost: Vector, ascent: _Newton) -> Optimum:
         size = np.abs(both) + np.abs(cost)
         size = size + 2 * (np.abs(source.offsets[:, None]) + np.abs(target.offsets))
         near = 2 * unit * ((source.points.shape[1] + 12) * size / epsilon + 4 * np.abs(logarithms))
-        base = np.where(plan > 0, plan * np.exp(-ratio), 0)
-        gap = epsilon * (np.where(ratio < 1e3, base * kl_terms(ratio), plan * (ratio - 1))).sum()
+        base = np.exp(logarithms)
+        near_ones = base * kl_terms(np.minimum(ratio, 1))
+        gap = epsilon * np.where(ratio < 1, near_ones, plan * (ratio - 1) + base).sum()
         gap_error = epsilon * (plan * near * (2 * np.abs(ratio) + near) + 16 * unit * plan).sum()
         # Marginals are met to some roundings. Moved along any pairs, so little mass costs:
         far = np.abs(both - cost).max() + epsilon * (64 + np.abs(logarithms).max())
@@ -257,7 +262,7 @@ def _certified(problem: Dense, cost: Vector, ascent: _Newton) -> Optimum:
                 change = 16 * unit * (1 + np.abs(potential) * side.rate)
                 gap_error += side.rho * (marginal * change * (np.abs(excess) + change)).sum()
     value = truth.dual.value
-    scale = max(min(abs(value), abs(value - problem.constant)), epsilon * truth.mass.value)
+    scale = max(abs(value), epsilon * truth.mass.value)
     return Optimum(
         value - error, value + gap + error + gap_error, scale, f, g, ascent.steps
     )  # fmt: skip
@@ -273,9 +278,10 @@ def _feasible(
             ratio -= np.log(plan.sum(axis=0) / target.mass)
             plan = np.exp(logarithms + ratio)
             weights, _, _ = ascent.hessian(ascent.f, plan)
-            wrong = source.mass - plan.sum(axis=1)
-            ratio += solve_laplacian(weights, np.zeros_like(wrong), wrong)[:, None]
+            ratio += _correction(weights, plan.sum(axis=1), source.mass)[:, None]
             plan = np.exp(logarithms + ratio)
+        ratio -= np.log(plan.sum(axis=0) / target.mass)
+        plan = np.exp(logarithms + ratio)
         ratio -= np.log(np.maximum(plan.sum(axis=1) / source.mass, 1))[:, None]
         plan = np.exp(logarithms + ratio)
         ratio -= np.log(np.maximum(plan.sum(axis=0) / target.mass, 1))
@@ -294,3 +300,19 @@ def _feasible(
         ratio -= np.log(plan.sum(axis=0) / target.mass)
         plan = np.exp(logarithms + ratio)
     return ratio, plan
+
+
+def _correction(weights: Vector, rows: Vector, wanted: Vector) -> Vector:
+    """Return by how many nats to raise rows, so that they have the masses wanted.
+
+    Between clusters that hardly exchange mass a rounding of their masses would call for a large
+    step. What remains there is left to the part of rank one.
+    """
+    damping = NUMBER(0)
+    while True:
+        step = solve_laplacian(weights, damping * rows, wanted - rows)
+        if np.abs(step).max() <= CORRECTION:
+            return step
+        damping = max(damping * 100, NUMBER(1e-24))
+        if damping > 1e12:
+            return np.zeros_like(step)

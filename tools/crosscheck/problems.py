@@ -83,7 +83,11 @@ def make(seed: int, number: int) -> Problem:
     # float32 numbers: their squares are exact in float64.
     blur = _log_uniform(rng, 0.003 if most == SMALL else 0.01, 1.0)
     reaches = [_log_uniform(rng, 0.01, 30.0) for _ in range(2)]
-    kind = str(rng.choice(["one", "pair", "source", "target", "balanced"], p=[0.3, 0.2] + [0.1] * 2 + [0.3]))
+    kind = str(
+        rng.choice(
+            ["one", "pair", "source", "target", "balanced"], p=[0.3, 0.2] + [0.1] * 2 + [0.3]
+        )
+    )
     reach = {
         "one": (reaches[0], reaches[0]), "pair": (reaches[0], reaches[1]),
         "source": (None, reaches[1]), "target": (reaches[0], None), "balanced": (None, None),
@@ -92,8 +96,9 @@ def make(seed: int, number: int) -> Problem:
     options, refused = _options(rng, most)
     if kind == "balanced" and rng.random() < REFUSED_MASSES / 0.3:
         source, refused = _heavier(source), "different masses"
+    sizes = [len(parts(measure)[0]) for measure in (source, target)]
     words = (
-        f"{len(parts(source)[0])} x {len(parts(target)[0])} points in {parts(source)[1].shape[1]}D, "
+        f"{sizes[0]} x {sizes[1]} points in {parts(source)[1].shape[1]}D, "
         f"{cloud}, {told}, blur {blur:.4g}, reach {_reach_words(reach)}, "
         + ", ".join(f"{name} {_short(value)}" for name, value in options.items())
     )
@@ -257,9 +262,7 @@ def _totals(rng: np.random.Generator, balanced: bool) -> tuple[float, float]:
     return 2.0 ** round(one), 2.0 ** round(one if balanced else other)
 
 
-def _pictures(
-    rng: np.random.Generator, n: int, m: int, balanced: bool
-) -> tuple[Any, Any, str]:
+def _pictures(rng: np.random.Generator, n: int, m: int, balanced: bool) -> tuple[Any, Any, str]:
     """Draw two pictures, lifted."""
     color_weight = float(rng.choice([0.0, 0.5, 2.0, 3.0]))
     maps = not balanced and rng.random() < 0.4
