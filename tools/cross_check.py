@@ -97,7 +97,13 @@ class Judge:
         """
         problem, dense, optimum = self.problem(number)
         try:
-            with limited(self._patience + PATIENCE_PER_PAIR * problem.pairs):
+            with (
+                limited(self._patience + PATIENCE_PER_PAIR * problem.pairs),
+                warnings.catch_warnings(),
+            ):
+                # NumPy's warnings of overflow and the like are findings.
+                warnings.simplefilter("error")
+                warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
                 result = clmorph.sinkhorn(
                     problem.source, problem.target, problem.blur, problem.reach,
                     backend=backend, **problem.options,
@@ -261,11 +267,9 @@ def main(given: list[str] | None = None) -> int:
         )
         arguments.largest = arguments.largest or n * m
     findings = Findings(["--seed", str(arguments.seed)])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
-        tallies = run(
-            list(names), arguments.seed, numbers, findings, arguments.largest, arguments.patience
-        )
+    tallies = run(
+        list(names), arguments.seed, numbers, findings, arguments.largest, arguments.patience
+    )
     print("\n".join(table(tallies, names, arguments.markdown)))
     return findings.end()
 

@@ -244,7 +244,7 @@ def _certified(problem: Dense, cost: Vector, ascent: _Newton) -> Optimum:
         both = f[:, None] + g
         size = np.abs(both) + np.abs(cost)
         size = size + 2 * (np.abs(source.offsets[:, None]) + np.abs(target.offsets))
-        near = 2 * unit * ((source.points.shape[1] + 12) * size / epsilon + 4 * np.abs(logarithms))
+        near = unit * ((source.points.shape[1] + 8) * size / epsilon + 4 * np.abs(logarithms))
         base = np.exp(logarithms)
         near_ones = base * kl_terms(np.minimum(ratio, 1))
         gap = epsilon * np.where(ratio < 1, near_ones, plan * (ratio - 1) + base).sum()
