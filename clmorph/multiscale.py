@@ -261,7 +261,8 @@ class Multiscale:
             self._tell(0.3 + 0.7 * share_done(self.residuals[0], residual, self.tol))
             rounding = problem.rounding(epsilon, precise)
             self.rounding = ROUNDING_MARGIN * rounding
-            done, out = residual <= self.tol - rounding, self.n_iter >= self._max_iter
+            done = residual <= self.tol - (0.0 if precise else rounding)
+            out = self.n_iter >= self._max_iter
             if done or out:
                 self._measure()
                 self.status = "converged" if self.state.residual <= self.tol else "max_iter"
@@ -270,10 +271,12 @@ class Multiscale:
             image, _, _ = problem.update_g(f, t_columns, epsilon)
             if residual > PROGRESS * before:
                 failures += 1
-            if grid is not None and residual > max(PROGRESS * before, AGREEMENT * reached):
+            if residual > max(PROGRESS * before, AGREEMENT * reached):
                 # Cells serve no longer, or other pairs than the stored ones have come to matter.
                 grid = None
-            if grid is None and failures <= FAILURES:
+            if failures > FAILURES:
+                grid = None
+            elif grid is None:
                 grid = self._stored_grid()
             if grid is None:
                 self._ascend(image)

@@ -325,3 +325,18 @@ def test_small_problems_are_solved_as_ever(device):
     assert np.array_equal(ours.g, plain.g)
     assert (ours.truncation, ours.visited) == (None, 1.0)
     assert ours.truncation_error < 1e-8  # rounding alone
+
+
+@pytest.mark.parametrize("precision", ["auto", "float32"])
+@pytest.mark.parametrize("reach", [0.3, None])
+def test_cycles_end_where_rounding_begins(device, rng, precision, reach):
+    """However small the tolerance, in cells and over stored pairs."""
+    for blur in (0.02, 0.8):
+        pair = [(np.full(30, 1 / 30), rng.random((30, 2))) for _ in range(2)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+            got = sinkhorn(
+                *pair, blur, reach, 1e-9, 3000, device, precision=precision, multiscale=True
+            )  # fmt: skip
+        assert got.n_iter < 1500
+        assert got.status in ("precision", "converged")
