@@ -1,5 +1,7 @@
 """Solving through cells, against solving directly."""
 
+import warnings
+
 import numpy as np
 import pytest
 
