@@ -181,7 +181,8 @@ def _measures(
     a, b = a * totals[0], b * totals[1]
     told = f"{kind} weights of {float(a.sum()):.3g} and {float(b.sum()):.3g}"
     if cloud == "offsets":
-        offsets = [rng.uniform(-0.3, 0.5, len(z)) for z in (a, b)]
+        # No pair costs less than nothing: that would create mass beyond float64.
+        offsets = [rng.uniform(low, 0.5, len(z)) for low, z in ((-0.2, a), (0.2, b))]
         return WeightedPoints(x, a, offsets[0]), WeightedPoints(y, b, offsets[1]), told
     return (a, x), (b, y), told
 
