@@ -384,7 +384,7 @@ def test_errors_and_endless_solves_are_found(monkeypatch):
 
     def ends(number, call):
         monkeypatch.setattr(clmorph, "sinkhorn", call)
-        (outcome,), told = cross_check.Judge(SEED, patience=0.2).compare(number, "numpy")
+        (outcome,), told = cross_check.Judge(SEED, patience=0.02).compare(number, "numpy")
         assert told is None
         assert outcome.check == "answers"
         return outcome
@@ -404,7 +404,7 @@ def test_errors_and_endless_solves_are_found(monkeypatch):
     assert ends(meant, fail).broken
     assert ends(meant, lambda *_, **__: None).words == "not refused: different masses"
     if hasattr(signal, "setitimer"):
-        assert "no answer after 0.2" in ends(usual, loop).words
+        assert "no answer after 0.02" in ends(usual, loop).words
 
 
 def test_a_line_tells_how_to_repeat_it(monkeypatch, capsys):

@@ -93,24 +93,18 @@ class Judge:
         return self._solved[1:]
 
     def _answer(self, problem: Problem, backend: Any) -> Any:
-        """Call the solver, once more if it takes too long: at first kernels may be compiled."""
-        for attempt in (1, 2):
-            try:
-                with (
-                    limited(self._patience + PATIENCE_PER_PAIR * problem.pairs),
-                    warnings.catch_warnings(),
-                ):
-                    # NumPy's warnings of overflow and the like are findings.
-                    warnings.simplefilter("error")
-                    warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
-                    return clmorph.sinkhorn(
-                        problem.source, problem.target, problem.blur, problem.reach,
-                        backend=backend, **problem.options,
-                    )  # fmt: skip
-            except OutOfTimeError:
-                if attempt == 2:
-                    raise
-        return None
+        """Call the solver."""
+        with (
+            limited(self._patience + PATIENCE_PER_PAIR * problem.pairs),
+            warnings.catch_warnings(),
+        ):
+            # NumPy's warnings of overflow and the like are findings.
+            warnings.simplefilter("error")
+            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+            return clmorph.sinkhorn(
+                problem.source, problem.target, problem.blur, problem.reach,
+                backend=backend, **problem.options,
+            )  # fmt: skip
 
     def compare(self, number: int, backend: Any) -> tuple[list[Outcome], Told | None]:
         """Solve a problem on a backend, and hold what it tells against the truth.
@@ -123,7 +117,10 @@ class Judge:
         """
         problem = self.problem(number)
         try:
-            result = self._answer(problem, backend)
+            try:
+                result = self._answer(problem, backend)
+            except OutOfTimeError:  # kernels may have been compiled: once more
+                result = self._answer(problem, backend)
         except OutOfTimeError as error:
             return [Outcome("answers", 1.0, True, str(error))], None
         except Exception as error:
@@ -224,8 +221,8 @@ def table(tallies: dict[str, Tally], names: dict[str, str], markdown: bool) -> l
         lines.append(
             f"{'- ' if markdown else ''}{backend} ({names[backend]}): {tally.problems} problems, "
             f"{tally.violated} with a claim broken, {tally.unsettled} not settled by the judge, "
-            f"{tally.unsolved} judged by sums alone, {tally.left_out} too large and left out, {tally.seconds:.0f} s; the interval is "
-            f"wider than it need be by up to {tally.widening_of_value:.2g} of the value itself"
+            f"{tally.unsolved} judged by sums alone, {tally.left_out} too large and left out, "
+            f"{tally.seconds:.0f} s; the interval is wider than it need be by up to {tally.widening_of_value:.2g} of the value itself"
         )
     return lines
 
