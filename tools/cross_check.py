@@ -222,7 +222,8 @@ def table(tallies: dict[str, Tally], names: dict[str, str], markdown: bool) -> l
             f"{'- ' if markdown else ''}{backend} ({names[backend]}): {tally.problems} problems, "
             f"{tally.violated} with a claim broken, {tally.unsettled} not settled by the judge, "
             f"{tally.unsolved} judged by sums alone, {tally.left_out} too large and left out, "
-            f"{tally.seconds:.0f} s; the interval is wider than it need be by up to {tally.widening_of_value:.2g} of the value itself"
+            f"{tally.seconds:.0f} s; the interval is wider than it need be by up to "
+            f"{tally.widening_of_value:.2g} of the value itself"
         )
     return lines
 
