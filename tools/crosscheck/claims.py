@@ -85,10 +85,10 @@ class Told:
         high = NUMBER(np.inf) if truth.gap is None else truth.dual.high + truth.gap.high
         if self.optimum is not None:
             low, high = max(low, self.optimum.low), min(high, self.optimum.high)
-        return low, high + self._infeasible()
+        return low - self._infeasible(), high + self._infeasible()
 
     def _infeasible(self) -> Any:
-        """By how much balanced masses that differ by roundings can raise a dual value.
+        """By how much balanced masses that differ by roundings can change a value.
 
         The judge's optimum is that of b scaled to the mass of a, by 1 + d. D at any potentials
         differs from that by d (<b, g> - epsilon (mass - m_a m_b)).

@@ -137,7 +137,8 @@ class _Newton:
             g = self.best_g(f)
             plan = self.plan(f, g)
             rows, limit = plan.sum(axis=1), self.source.limit(f)
-            error = np.abs(np.log(rows / limit)).max()
+            held = (rows > 0) & (limit > 0)  # float64 may have neither
+            error = np.abs(np.log(rows[held] / limit[held])).max(initial=0)
             if error < best / 2:
                 best, idle, self.f = error, 0, f
             else:
@@ -256,8 +257,9 @@ def _certified(problem: Dense, cost: Vector, ascent: _Newton) -> Optimum:
             (source, f, plan.sum(axis=1)), (target, g, plan.sum(axis=0)),
         ):  # fmt: skip
             if not side.balanced:
-                limit = side.limit(potential)
-                excess = np.log(marginal / limit)
+                least = np.finfo(NUMBER).tiny  # where float64 underflows
+                limit = np.maximum(side.limit(potential), least)
+                excess = np.log(np.maximum(marginal, least) / limit)
                 gap += side.rho * (limit * kl_terms(excess)).sum()
                 change = 16 * unit * (1 + np.abs(potential) * side.rate)
                 gap_error += side.rho * (marginal * change * (np.abs(excess) + change)).sum()

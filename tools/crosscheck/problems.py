@@ -126,7 +126,7 @@ def _sizes(rng: np.random.Generator, most: int) -> tuple[int, int]:
         n, m = np.exp(rng.uniform(np.log(SMALL), np.log(most), 2))
     else:
         n = np.exp(rng.uniform(np.log(4096), np.log(most)))
-        m = np.exp(rng.uniform(np.log(2048), np.log(PAIRS / n)))
+        m = np.exp(rng.uniform(np.log(2048), np.log(min(most, PAIRS / n))))
         if rng.random() < 0.5:
             n, m = m, n
     return int(n), int(m)
@@ -136,7 +136,7 @@ def _options(rng: np.random.Generator, most: int) -> tuple[dict[str, Any], str]:
     """Draw the solver's options; and say whether they are meant to be refused."""
     tol = _log_uniform(rng, 1e-9 if most == SMALL else 1e-7, 1e-2)
     few = rng.random() < 0.3
-    limit = {SMALL: 2000, MIDDLE: 300, LARGE: 60}[most]
+    limit = {SMALL: 400, MIDDLE: 200, LARGE: 60}[most]
     options: dict[str, Any] = {
         "tol": tol,
         "max_iter": int(rng.integers(1, 31)) if few else limit,
@@ -181,7 +181,8 @@ def _measures(
     a, b = a * totals[0], b * totals[1]
     told = f"{kind} weights of {float(a.sum()):.3g} and {float(b.sum()):.3g}"
     if cloud == "offsets":
-        offsets = [rng.uniform(-0.3, 0.5, len(z)) for z in (a, b)]
+        # No pair costs less than nothing: that would create mass beyond float64.
+        offsets = [rng.uniform(low, 0.5, len(z)) for low, z in ((-0.2, a), (0.2, b))]
         return WeightedPoints(x, a, offsets[0]), WeightedPoints(y, b, offsets[1]), told
     return (a, x), (b, y), told
 
