@@ -70,10 +70,10 @@ def debiasing(setting: Setting) -> list[Section]:
             f"Table 1; all three problems converged to {TOL:g} ε.",
             f"At reach {REACH:g} the debiased potentials give a plan of mass "
             f"{own.debiased_mass:.3g} in place of {own.mass:.3g}, whose marginals are wrong by "
-            f"{100 * own.errors[0]:.0f} % (source) and {100 * own.errors[1]:.0f} % (target). The "
+            f"{100 * own.errors[0]:.3g} % (source) and {100 * own.errors[1]:.3g} % (target). The "
             f"paper's error of more than {100 * CLAIMED:.0f} % is measured {verdict}: "
             + listed(
-                [f"{100 * max(leak.errors):.0f} % {reach_text(r)}" for r, leak in found.items()]
+                [f"{100 * max(leak.errors):.3g} % {reach_text(r)}" for r, leak in found.items()]
             )
             + f". Without log α + log β a plan would have {n * m:.2g} times its mass, as α and β "
             f"are 1 / {n} and 1 / {m} here.",

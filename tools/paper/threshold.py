@@ -122,7 +122,9 @@ def _profile(setting: Setting, reach: float) -> Profile:
         whole += float(mass.sum())
         beyond += float(mass[level >= 1].sum())
         for total, values in zip(sums, (mass, mass * share, mass * formula), strict=True):
-            total += np.histogram(level, EDGES, weights=values)[0]
+            # Equal bins are summed one by one, others by differences of a running sum.
+            bins = len(EDGES) - 1, (0.0, float(EDGES[-1]))
+            total += np.histogram(level, *bins, weights=values)[0]
     with np.errstate(invalid="ignore"):
         return Profile(sums[0] / whole, beyond / whole, sums[1] / sums[0], sums[2] / sums[0])
 
