@@ -44,6 +44,9 @@ from .errors import (
 from .errors import (
     PlanSizeError as PlanSizeError,
 )
+from .errors import (
+    PruningWarning as PruningWarning,
+)
 from .export import (
     save as save,
 )
@@ -133,6 +136,7 @@ __all__ = [
     "Plan",
     "PlanSizeError",
     "Potentials",
+    "PruningWarning",
     "WeightedPoints",
     "barycentric_plan",
     "displacement_statistics",

@@ -28,6 +28,8 @@ SCALING = 0.9
 MAX_ITER = 2000
 #: A pair is kept from this share of its row's or its column's largest on.
 PLAN_RELATIVE = 1e-4
+#: The paper's threshold tau on log pi_ij, below which it leaves pairs out (section 3.1).
+LOG_THRESHOLD = -13.0
 #: The most that the pairs of a plan may take, in bytes.
 MAX_PLAN_BYTES = 4 * 2.0**30
 _PHOTO: dict[str, float | int | str | None] = {
@@ -52,13 +54,14 @@ PRESETS: dict[str, dict[str, float | int | str | None]] = {
     # fade; drawn finer than it is solved, by as many particles as make a frame a matter of
     # tenths of a second.
     "photo": _PHOTO,
-    # Section 4 of the paper, with its axes (each stretched to [0, 1]), its particles (nothing
-    # drawn for unmatched mass) and its blurred ends.
+    # Section 4 of the paper, with its axes (each stretched to [0, 1]), its particles (the pairs
+    # above its threshold, nothing drawn for unmatched mass) and its blurred ends.
     "paper": {
         "size": 48,
         "blur": BLUR,
         "reach": REACH,
         "color_weight": COLOR_WEIGHT,
+        "log_threshold": LOG_THRESHOLD,
         "sigma_start": SIGMA_START,
         "sigma_end": SIGMA_END,
         "gamma": GAMMA,

@@ -64,5 +64,9 @@ class MemoryWarning(ClmorphWarning):
     """Not all pairs of a plan fit into the memory allowed, so fewer particles are drawn."""
 
 
+class PruningWarning(ClmorphWarning):
+    """A threshold on log pi drops much of a plan's mass: it is too high for so many points."""
+
+
 class ImageWarning(ClmorphWarning):
     """An image file was read, but not all of it was used: a color profile, bits, later pictures."""

@@ -13,6 +13,7 @@ from clmorph.errors import InputError
 from clmorph.operations import Operations
 from clmorph.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
 from clmorph.potentials import Potentials
+from clmorph.pruning import check_log_threshold
 from clmorph.sampling import MAX_DRAWS
 
 Array = NDArray[np.float64]
@@ -204,6 +205,7 @@ def predict_pairs(
     potentials: Potentials,
     *,
     relative: float = defaults.PLAN_RELATIVE,
+    log_threshold: float | None = None,
     rows: int = SAMPLED_ROWS,
     seed: int = 0,
     backend: Backend = "auto",
@@ -211,14 +213,14 @@ def predict_pairs(
     """Predict how many pairs `clmorph.transport_plan` will keep, from a sample, in O(N + M).
 
     A pair is kept for its row or for its column. What rows keep follows from some rows, what
-    columns keep from some columns, and what both keep from where these meet. Exact if all rows
-    and columns are in the sample.
+    columns keep from some columns, and what both keep from where these meet. With `log_threshold`
+    some rows are enough. Exact if all rows and columns are in the sample.
 
     Parameters
     ----------
     source, target : Measure, WeightedPoints, or (weights, points)
     potentials : Potentials
-    relative : float
+    relative, log_threshold
         As in `clmorph.transport_plan`.
     rows : int
         So many random rows, and so many columns.
@@ -237,6 +239,8 @@ def predict_pairs(
     """
     source, target = as_pair(source, target)
     relative = check_number("relative", relative, 0.0, 1.0, open_low=True)
+    if log_threshold is not None:
+        log_threshold = check_log_threshold(log_threshold)
     rows = check_integer("rows", rows, 1, 1 << 24)
     rng = np.random.default_rng(check_integer("seed", seed, 0, 2**63))
     operations = get_backend(backend)
@@ -245,6 +249,14 @@ def predict_pairs(
         for measure, potential in ((source, potentials.f), (target, potentials.g))
     ]
     epsilon, precise = potentials.epsilon, potentials.precise
+    if log_threshold is not None:
+        source_side, target_side = sides
+        kept = operations.count_plan_rows(
+            source_side.part, target_side.cloud, source_side.few, target_side.potential, epsilon,
+            np.full(len(source_side.few), log_threshold), np.full(target_side.size, np.inf),
+            precise,
+        )  # fmt: skip
+        return round(source_side.scale * float(kept.sum()))
     none = [np.full(len(side.chosen), np.inf) for side in sides]
     thresholds = [
         operations.row_maxima(own.part, other.cloud, other.potential, epsilon)

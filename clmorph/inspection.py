@@ -19,7 +19,13 @@ from clmorph.measures import Measure
 from clmorph.morph import StageProgress, check_options
 from clmorph.operations import Operations
 from clmorph.plan import Plan, transport_plan
-from clmorph.planning import check_ways, choose_way, finest_pixels, make_plan
+from clmorph.planning import (
+    check_ways,
+    choose_way,
+    finest_pixels,
+    make_plan,
+    warn_if_much_is_dropped,
+)
 from clmorph.points import as_pair
 from clmorph.potentials import Potentials
 from clmorph.refinement import PixelCells, in_cells, refined
@@ -50,6 +56,7 @@ def inspect(
     solve_size: int | None = None,
     max_particles: int | None = None,
     max_memory: float | None = None,
+    log_threshold: float | None = None,
     n_frames: int = defaults.N_FRAMES,
     backend: Backend = "auto",
     divergence: bool = True,
@@ -63,9 +70,9 @@ def inspect(
     image_a, image_b, blur, reach, color_weight, epsilon, rho, tol, max_iter, extent, mass, \
 color_space, color_metric, weights, backend
         As in `clmorph.morph`.
-    solve_size, max_particles, max_memory
-        As in `clmorph.morph`: the first decides what is looked at, the others what a morph
-        would draw.
+    solve_size, max_particles, max_memory, log_threshold
+        As in `clmorph.morph`: the first and the last decide what is looked at, the others what a
+        morph would draw.
     n_frames : int
         For how many frames time is estimated.
     divergence : bool
@@ -94,18 +101,22 @@ color_space, color_metric, weights, backend
         If the solver stops before `tol`.
     MemoryWarning
         If the particles of a morph would not all fit into `max_memory`.
+    PruningWarning
+        If `log_threshold` drops more than a quarter of the plan's mass.
     """
     options = check_options(
         n_frames, blur, reach, color_weight, epsilon=epsilon, rho=rho, tol=tol,
         max_iter=max_iter, extent=extent, mass=mass, color_space=color_space,
         solve_size=solve_size, max_particles=max_particles, max_memory=max_memory,
+        log_threshold=log_threshold,
     )  # fmt: skip
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
-    n_frames, tol, max_iter, solve_size, max_particles, max_memory = (
+    n_frames, tol, max_iter, solve_size, max_particles, max_memory, log_threshold = (
         options[name] for name in (
             "n_frames", "tol", "max_iter", "solve_size", "max_particles", "max_memory",
+            "log_threshold",
         )
     )  # fmt: skip
     images = as_pixels(image_a, "image_a"), as_pixels(image_b, "image_b")
@@ -117,7 +128,7 @@ color_space, color_metric, weights, backend
     cells = in_cells(whole[0], coarsest), in_cells(whole[1], coarsest)
     source, target = cells[0].coarse, cells[1].coarse
     operations = get_backend(backend)
-    check_ways(*cells, operations, max_memory=max_memory)
+    check_ways(*cells, operations, max_memory=max_memory, log_threshold=log_threshold)
     report("transport", 0.0)
     began = time.perf_counter()
     potentials = sinkhorn(
@@ -135,7 +146,11 @@ color_space, color_metric, weights, backend
         )  # fmt: skip
 
     report("plan", 0.0)
-    plan, pairs, plan_seconds = _plan(source, target, potentials, max_bytes, operations)
+    plan, pairs, plan_seconds = _plan(
+        source, target, potentials, max_bytes, log_threshold, operations
+    )
+    if plan is not None and log_threshold is not None:
+        warn_if_much_is_dropped(plan, log_threshold, stacklevel=2)
     if plan is None:
         moved = _streamed_displacement(source, target, potentials, operations)
         plan_seconds += fill_seconds(source, target, potentials, pairs, operations)
@@ -144,7 +159,9 @@ color_space, color_metric, weights, backend
     report("plan", 1.0)
 
     report("timing", 0.0)
-    way = choose_way(*cells, potentials, operations, max_particles, max_memory, stacklevel=2)
+    way = choose_way(
+        *cells, potentials, operations, max_particles, max_memory, log_threshold, stacklevel=2
+    )
     drawn, moving = _drawn(cells, potentials, plan, pairs, way, operations)
     frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations)
     report("timing", 1.0)
@@ -176,6 +193,7 @@ def _plan(
     target: Measure,
     potentials: Potentials,
     max_bytes: float,
+    log_threshold: float | None,
     operations: Operations,
 ) -> tuple[Plan | None, int, float]:
     """Return the plan if it may be built, its number of pairs, and the seconds it took."""
@@ -183,7 +201,8 @@ def _plan(
     plan: Plan | None = None
     try:
         plan = transport_plan(
-            source, target, potentials, max_bytes=max_bytes, backend=operations
+            source, target, potentials, log_threshold=log_threshold, max_bytes=max_bytes,
+            backend=operations,
         )  # fmt: skip
         pairs = len(plan)
     except PlanSizeError as error:

@@ -12,10 +12,16 @@ from clmorph.arrays import as_floats
 from clmorph.backends import Backend, get_backend
 from clmorph.checks import check_choice, check_number, shown
 from clmorph.errors import InputError, PlanSizeError
-from clmorph.operations import PlanRows
 from clmorph.points import MeasureLike, as_pair
 from clmorph.potentials import Potentials, check_origin, check_potentials
 from clmorph.problem import largest_cost
+from clmorph.pruning import (
+    check_log_threshold,
+    no_pair_kept,
+    only,
+    strictly_above,
+    undecided,
+)
 from clmorph.softmins import plan_softmin
 
 if TYPE_CHECKING:
@@ -242,8 +248,9 @@ def transport_plan(
         The largest of its row or of its column, so that faint points keep their pairs at any
         resolution; or the largest of the whole plan (the paper's code).
     log_threshold : float, optional
-        Keep the pairs with log pi_ij above this instead (the paper's tau = -13, which
-        scales with 1 / N^2 and drops everything for large images).
+        Keep the pairs with log pi_ij above this instead (the paper's tau = -13; log pi_ij falls
+        with 1 / N^2, so it drops everything between large images). Pairs within rounding of it
+        are decided in float64, so that every device keeps the same ones.
     max_bytes : float
         The most that the pairs may take, 12 bytes each; checked before they are written.
     backend : str or Operations
@@ -265,7 +272,7 @@ def transport_plan(
     check_choice("relative_to", relative_to, RELATIVE_TO)
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
     if log_threshold is not None:
-        log_threshold = check_number("log_threshold", log_threshold, -1e4, 1e4)
+        log_threshold = check_log_threshold(log_threshold)
     check_potentials("potentials", potentials, (len(source), len(target)))
     f, g, epsilon = potentials.f, potentials.g, potentials.epsilon
     operations = get_backend(backend)
@@ -278,7 +285,8 @@ def transport_plan(
         softmin = to_rows(g, epsilon, potentials.precise)
         whole = np.exp((f - softmin) / epsilon + log_a)
     largest = largest_cost(source.points, target.points)
-    check_origin(potentials, whole, to_rows.rounding(len(g), largest, epsilon, potentials.precise))
+    rounding = to_rows.rounding(len(g), largest, epsilon, potentials.precise)
+    check_origin(potentials, whole, rounding)
     total = float(whole.sum())
     if not total <= 1e3 * max(source.mass, target.mass):
         raise InputError(
@@ -286,8 +294,10 @@ def transport_plan(
             f"solution (residual {potentials.residual:.1e} epsilon); raise max_iter, or use a "
             "larger blur or a smaller color_weight"
         )
+    margin = 0.0
     if log_threshold is not None:
-        row_thresholds = np.full(len(f), log_threshold)
+        margin = undecided(log_threshold, rounding)
+        row_thresholds = np.full(len(f), log_threshold - margin)
         column_thresholds = np.full(len(g), np.inf)
     else:
         row_maxima = operations.row_maxima(rows, columns, g, epsilon, to_rows.near)
@@ -317,19 +327,11 @@ def transport_plan(
             "smaller blur, draw from its rows (sample=8), or take their means (barycentric=True)",
             kept,
         )
-    if log_threshold is not None and not kept:
-        raise InputError(
-            f"log_threshold={log_threshold}: no pair of the plan exceeds it; lower it, or use "
-            "the default relative threshold"
-        )
     pairs = operations.plan_rows(*arguments, counts)
-    return _without_empty_pairs(pairs, (len(source), len(target)), whole)
-
-
-def _without_empty_pairs(
-    rows: PlanRows, shape: tuple[int, int], whole: NDArray[np.float64]
-) -> Plan:
-    """Drop pairs whose mass is smaller than any number, as all are at a tiny reach."""
-    massive = rows.mass > 0
-    before = np.concatenate(([0], np.cumsum(massive, dtype=np.int64)))
-    return Plan(before[rows.indptr], rows.indices[massive], rows.mass[massive], shape, whole)
+    if log_threshold is not None:
+        pairs = strictly_above(pairs, source, target, potentials, log_threshold, margin)
+        if not len(pairs.mass):
+            row_maxima = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon + log_a
+            raise no_pair_kept(log_threshold, float(row_maxima.max()))
+    # The mass of a pair can be smaller than any number, as all are at a tiny reach.
+    return Plan(*only(pairs, pairs.mass > 0), (len(source), len(target)), whole)

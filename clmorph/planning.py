@@ -3,16 +3,20 @@
 import warnings
 from typing import Any
 
-from clmorph.errors import InputError, MemoryWarning
+from clmorph.errors import InputError, MemoryWarning, PruningWarning
 from clmorph.estimates import affordable, estimate, predict_pairs
 from clmorph.operations import Operations
 from clmorph.plan import Plan, transport_plan
+from clmorph.points import as_pair
 from clmorph.potentials import Potentials
+from clmorph.pruning import REMEDY, check_reachable
 from clmorph.refinement import PixelCells, drawn, refined
 from clmorph.sampling import MAX_DRAWS, Barycentric, barycentric_plan, sample_plan
 
 #: Share of a device's memory that a morph may take, unless told otherwise.
 MEMORY_SHARE = 0.5
+#: Share of a plan's mass from which on a threshold that drops it is warned of.
+MUCH_DROPPED = 0.25
 
 
 def default_memory(operations: Operations) -> float | None:
@@ -32,6 +36,7 @@ def make_plan(
     seed: int = 0,
     max_particles: int | None = None,
     max_memory: float | None = None,
+    log_threshold: float | None = None,
 ) -> Plan | Barycentric:
     """Return the plan between two images' pixels in the form that was asked for, or that fits.
 
@@ -47,28 +52,67 @@ def make_plan(
         If there are more pairs, about so many are drawn, but at least one a pixel.
     max_memory : float, optional
         Bytes that the morph may take; None is `default_memory`.
+    log_threshold : float, optional
+        Which pairs are kept, if pairs are, see `clmorph.transport_plan`. Draws and means are of
+        the whole plan.
+
+    Raises
+    ------
+    InputError
+        If no pair is above `log_threshold`.
 
     Warns
     -----
     MemoryWarning
         If not all pairs fit; it says what is done in their place.
+    PruningWarning
+        If `log_threshold` drops much of the plan's mass.
     """
     measures = source.coarse, target.coarse
     if sample is None and not barycentric:
         way = choose_way(
-            source, target, potentials, operations, max_particles, max_memory, stacklevel=3
+            source, target, potentials, operations, max_particles, max_memory, log_threshold,
+            stacklevel=3,
         )  # fmt: skip
         sample, barycentric = way.get("sample"), way.get("barycentric", False)
     if barycentric:
         means = barycentric_plan(*measures, potentials, backend=operations)
         return refined(means, source, target)
     if sample is None:
-        plan = transport_plan(*measures, potentials, backend=operations)
+        plan = transport_plan(
+            *measures, potentials, log_threshold=log_threshold, backend=operations
+        )
+        if log_threshold is not None:
+            warn_if_much_is_dropped(plan, log_threshold, stacklevel=3)
         return refined(plan, source, target)
     # Each pixel of a cell has draws of its own.
     draws = sample * finest_pixels(source, target)
     plan = sample_plan(*measures, potentials, draws, seed=seed, backend=operations)
     return plan if draws == sample else drawn(plan, source, target, draws)
+
+
+def warn_if_much_is_dropped(plan: Plan, log_threshold: float, stacklevel: int = 2) -> None:
+    """Warn of a threshold that is too high for so many points.
+
+    Parameters
+    ----------
+    plan : Plan
+    log_threshold : float
+        With which it was built.
+    stacklevel : int
+        As in `warnings.warn` by the caller.
+
+    Warns
+    -----
+    PruningWarning
+    """
+    if plan.dropped_mass > MUCH_DROPPED:
+        warnings.warn(
+            f"log_threshold={log_threshold:g} drops {100 * plan.dropped_mass:.0f} % of the plan's "
+            f"mass between {plan.shape[0]} and {plan.shape[1]} points; {REMEDY}",
+            PruningWarning,
+            stacklevel=stacklevel + 1,
+        )
 
 
 def finest_pixels(source: PixelCells, target: PixelCells) -> int:
@@ -84,20 +128,23 @@ def check_ways(
     sample: int | None = None,
     barycentric: bool = False,
     max_memory: float | None = None,
+    log_threshold: float | None = None,
 ) -> None:
     """Check, before anything is solved, that the particles can be made as is asked for.
 
     Parameters
     ----------
-    source, target, operations, sample, barycentric, max_memory
+    source, target, operations, sample, barycentric, max_memory, log_threshold
         As in `make_plan`.
 
     Raises
     ------
     InputError
         If there would be too many draws from a cell, or not even the least would fit into
-        `max_memory`.
+        `max_memory`, or no pair could exceed `log_threshold`.
     """
+    if log_threshold is not None:
+        check_reachable(log_threshold, *as_pair(source.coarse, target.coarse))
     finest = finest_pixels(source, target)
     if sample is not None and sample * finest > MAX_DRAWS:
         raise InputError(
@@ -141,13 +188,14 @@ def choose_way(
     operations: Operations,
     max_particles: int | None,
     max_memory: float | None,
+    log_threshold: float | None = None,
     stacklevel: int = 2,
 ) -> dict[str, Any]:
     """Return options of `make_plan` within both limits; none if all pairs may be kept.
 
     Parameters
     ----------
-    source, target, potentials, operations, max_particles, max_memory
+    source, target, potentials, operations, max_particles, max_memory, log_threshold
         As in `make_plan`.
     stacklevel : int
         Of the warning, as in `warnings.warn` by the caller.
@@ -170,7 +218,9 @@ def choose_way(
     few = max_particles is None or most <= max_particles
     if few and (limit is None or max(need.ram, need.device) <= limit):
         return {}  # whatever it keeps
-    pairs = finest * predict_pairs(source.coarse, target.coarse, potentials, backend=operations)
+    pairs = finest * predict_pairs(
+        source.coarse, target.coarse, potentials, log_threshold=log_threshold, backend=operations
+    )
     wanted: dict[str, Any] = {}
     particles, points = pairs, len(source.coarse) * finest
     if max_particles is not None and pairs > max_particles:

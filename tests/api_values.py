@@ -141,10 +141,11 @@ def cases() -> dict[str, dict[str, Any]]:
         "morph": images | STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | {
             "n_frames": 2, "splatting": "adaptive", "sigma": None, "endpoints": "exact",
             "unmatched": "fade", "path_space": "srgb", "barycentric": False, "sample": None,
-            "seed": 0, "ease": "linear", "max_memory": None,
+            "seed": 0, "ease": "linear", "max_memory": None, "log_threshold": None,
         },
         "inspect": images | STRENGTHS | SOLVER | LIFTING | shared | {
             "n_frames": 2, "divergence": True, "max_bytes": 1e9, "max_memory": None,
+            "log_threshold": None,
         },
         "sinkhorn": measures | STRENGTHS | SOLVER | {
             "backend": "numpy", "method": "certified", "scaling": 0.9, "precision": "auto",
@@ -205,9 +206,12 @@ def cases() -> dict[str, dict[str, Any]]:
         "ChannelMorph.iter_frames": {"self": some["channels"]},
         "reference.morph": images | STRENGTHS | SOLVER | WIDTHS | {
             "n_frames": 2, "color_weight": 2.0, "extent": "true", "unmatched": "fade",
+            "log_threshold": None,
         },
         "reference.sinkhorn": measures | STRENGTHS | SOLVER,
-        "reference.transport_plan": measures | {"potentials": some["potentials"]},
+        "reference.transport_plan": measures | {
+            "potentials": some["potentials"], "log_threshold": None,
+        },
         "reference.cost_matrix": measures,
         "reference.render": measures | {
             "plan": some["reference"].plan, "t": 0.5, "sigma": 1.0, "unmatched": "fade",

@@ -50,7 +50,8 @@ def test_choices_are_shown_in_one_line():
 @pytest.mark.parametrize(
     "name",
     ["n_frames", "blur", "reach", "rho", "epsilon", "tol", "max_iter", "color_weight", "seed",
-     "sigma_start", "sigma_end", "gamma", "sample", "solve_size", "max_particles", "max_memory"],
+     "sigma_start", "sigma_end", "gamma", "sample", "solve_size", "max_particles", "max_memory",
+     "log_threshold"],
 )  # fmt: skip
 def test_options_of_the_library(name, value):
     with pytest.raises(clmorph.InputError, match=name.split("_")[0]) as caught:

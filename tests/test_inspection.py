@@ -277,16 +277,28 @@ class TestPairs:
         predicted = predict_pairs(source, target, potentials, rows=600, backend="numpy")
         # What rounds to either side of its own threshold.
         assert predicted == pytest.approx(len(plan), rel=1e-3, abs=1)
+        tau = float(np.log(np.median(plan.mass))) - 1e-6
+        few = clmorph.transport_plan(source, target, potentials, log_threshold=tau, backend="numpy")
+        predicted = predict_pairs(
+            source, target, potentials, log_threshold=tau, rows=600, backend="numpy"
+        )
+        assert 0 < len(few) <= len(plan)
+        assert predicted == pytest.approx(len(few), abs=1)
 
+    @pytest.mark.parametrize("tau", [None, -13.0])
     @pytest.mark.parametrize("options", [PHOTO, {"blur": 0.05, "reach": 0.3, "color_weight": 2.0}])
-    def test_predicted_from_few_rows(self, device, options):
+    def test_predicted_from_few_rows(self, device, options, tau):
         source, target = (clmorph.lift(image, options["color_weight"]) for image in _photos(48))
         potentials = clmorph.sinkhorn(
             source, target, options["blur"], options["reach"], backend=device
         )
-        kept = len(clmorph.transport_plan(source, target, potentials, backend=device))
+        kept = len(
+            clmorph.transport_plan(source, target, potentials, log_threshold=tau, backend=device)
+        )
         predicted = [
-            predict_pairs(source, target, potentials, rows=256, seed=seed, backend=device)
+            predict_pairs(
+                source, target, potentials, log_threshold=tau, rows=256, seed=seed, backend=device
+            )
             for seed in range(8)
         ]
         assert np.mean(predicted) == pytest.approx(kept, rel=0.06)
@@ -609,6 +621,8 @@ class TestWhatAMorphWouldDraw:
             {"max_particles": 700},
             {"max_particles": 700, "solve_size": 8},
             {"max_particles": 1, "solve_size": 8},
+            {"log_threshold": -11.0},
+            {"log_threshold": -10.0, "solve_size": 8},
         ],
     )
     def test_with_limits(self, options):

@@ -40,6 +40,7 @@ NUMBERS = {
     "--solve-size": ["0", "1", "2.5", "nan", "small"],
     "--max-particles": ["0", "-1", "nan", "few"],
     "--max-memory": ["0", "-1", "nan", "inf", "much"],
+    "--log-threshold": ["nan", "inf", "-1e9", "low", "0"],
     "--fps": ["0", "-1", "nan", "inf", "1000", "fast"],
     "--duration": ["0", "-1", "nan", "inf", "1e9", "long"],
     "--hold": ["-1", "nan", "inf", "1e9", "long"],
@@ -100,6 +101,10 @@ OPTIONS = [
     ("a.png b.jpg -o x.gif --sigma optimal --splatting none", "--sigma"),
     ("a.png b.jpg -o x.gif --sigma optimal --reach 0.3,balanced", "one reach"),
     ("a.png b.jpg -o x.gif --barycentric --sample 2", "contradict"),
+    ("a.png b.jpg -o x.gif --log-threshold -13 --sample 2", "--log-threshold -13 and --sample 2"),
+    ("a.png b.jpg -o x.gif --log-threshold -13 --barycentric", "of the whole plan"),
+    ("a.png b.jpg -o x.gif --log-threshold -7", "can exceed it, log pi is below -7.6"),
+    ("a.png b.jpg -o x.gif --log-threshold -7.61", "no pair of the plan exceeds it"),
     ("clear.png b.jpg -o x.gif", "clear.png: every pixel is transparent"),
 ]
 CASES = FILES + OUTPUTS + OPTIONS

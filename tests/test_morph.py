@@ -7,7 +7,8 @@ import pytest
 import skimage.data
 
 import clmorph
-from clmorph import InputError, fit, morph, reference
+from clmorph import InputError, PruningWarning, fit, morph, reference
+from clmorph.defaults import PRESETS
 from clmorph.images import as_rgb
 from clmorph.rendering import HOLE_COVERAGE, uniform_density
 
@@ -50,6 +51,57 @@ def test_paper_parameters_agree_with_the_reference(device, photographs, expected
         covered = density / even >= HOLE_COVERAGE
         assert covered.mean() > 0.99
         assert np.abs(frame - exact)[covered].max() <= 2 / 255
+
+
+@pytest.mark.parametrize("tau", [-9.0, -8.0])
+def test_the_papers_threshold_agrees_with_the_reference(device, rng, tau):
+    images = _small(rng, (10, 9)), _small(rng, (8, 12))
+    options = {"extent": "unit", "unmatched": "drop", "log_threshold": tau, "blur": 0.15}
+    got = morph(*images, n_frames=4, tol=1e-5, endpoints="paper", backend=device, **options)
+    want = reference.morph(*images, n_frames=4, tol=1e-6, **options)
+    whole = reference.transport_plan(want.source, want.target, want.potentials)
+    assert 0.02 < 1 - want.plan.sum() / whole.sum() < 0.25  # the threshold acts
+    assert np.allclose(got.sigma, want.sigma, rtol=1e-3)
+    for t, frame, exact in zip(got.times, got.frames, want.frames, strict=True):
+        covered = got.coverage(t) >= HOLE_COVERAGE
+        assert covered.mean() > 0.9
+        assert np.abs(frame - exact)[covered].max() <= 2 / 255
+
+
+@pytest.mark.parametrize("size", [24, pytest.param(48, marks=pytest.mark.full)])
+def test_the_papers_preset_keeps_the_pairs_of_the_dense_rule(device, size):
+    """All of them and no others, with uniform weights 1 / N."""
+    images = [fit(as_rgb(skimage.data.astronaut()), size)]
+    images.append(fit(as_rgb(skimage.data.chelsea()[:, 75:375]), size))
+    options = {name: value for name, value in PRESETS["paper"].items() if name != "size"}
+    got = morph(*images, 2, backend=device, **options)
+    assert np.all(got.source.weights == 1 / size**2)
+    want = reference.transport_plan(got.source, got.target, got.potentials, log_threshold=-13.0)
+    kept = np.zeros(want.shape, bool)
+    kept[got.plan.rows, got.plan.indices] = True
+    assert np.array_equal(kept, want > 0)
+    whole = reference.transport_plan(got.source, got.target, got.potentials)
+    assert np.array_equal(kept, whole > np.exp(-13.0))
+    relative = morph(*images, 2, backend=device, **options | {"log_threshold": None})
+    assert len(relative.plan) > 1.2 * len(got.plan)
+
+
+def test_an_absolute_threshold_at_many_pixels(device, rng):
+    """It says so in one line: before the work where that is certain, and never draws nothing."""
+    small = _small(rng, (16, 16)), _small(rng, (16, 16))
+    few = {"n_frames": 2, "backend": device}
+    with pytest.warns(PruningWarning, match=r"=-6.5 drops \d\d % .* 256 and 256 points"):
+        morph(*small, log_threshold=-6.5, **few)
+    with pytest.raises(InputError, match=r"no pair of the plan exceeds it.*; lower it"):
+        morph(*small, log_threshold=-5.55, **few)
+    large = np.zeros((665, 666, 3)), np.zeros((666, 665, 3))  # log(1 / N) just below -13
+    with pytest.raises(InputError, match=r"no pair .* can exceed it.*; lower it") as caught:
+        morph(*large, log_threshold=-13.0, **few)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="can exceed it"):
+        clmorph.inspect(*large, log_threshold=-13.0, backend=device)
+    # Transport between cells of pixels is small again.
+    assert len(morph(*small, log_threshold=-7.0, solve_size=8, blur=0.1, **few).plan) > 100
 
 
 def _small(rng, shape):
@@ -159,7 +211,8 @@ def test_public_signatures_are_mirrored():
         {"n_frames": 1}, {"n_frames": 2.5}, {"n_frames": "many"}, {"blur": 0}, {"reach": 0},
         {"color_weight": -1}, {"sigma_start": 0}, {"sigma_end": -1}, {"gamma": -1},
         {"gamma": np.nan}, {"tol": 0}, {"max_iter": 0}, {"extent": "x"}, {"splatting": "x"},
-        {"unmatched": "x"},
+        {"unmatched": "x"}, {"log_threshold": "x"}, {"log_threshold": -1e9},
+        {"log_threshold": -13, "sample": 2}, {"log_threshold": -13, "barycentric": True},
     ],
 )  # fmt: skip
 def test_wrong_options(options):

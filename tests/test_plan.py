@@ -5,6 +5,7 @@ import pytest
 
 from clmorph import (
     InputError,
+    WeightedPoints,
     displacement_statistics,
     lift,
     particles,
@@ -12,6 +13,7 @@ from clmorph import (
     sinkhorn,
     transport_plan,
 )
+from clmorph.pruning import check_reachable
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +59,59 @@ def test_the_papers_threshold(device, pair):
     got = plan.to_scipy().toarray() > 0
     clear = np.abs(np.log(dense) + 9) > 1e-3
     assert np.array_equal(got[clear], (np.log(dense) > -9)[clear])
-    with pytest.raises(InputError, match="lower it"):
+    largest = f"{np.log(dense).max():.4g}"
+    with pytest.raises(InputError, match=f"the largest log pi is {largest}; lower it"):
         transport_plan(source, target, potentials, log_threshold=5.0, backend=device)
+    with pytest.raises(InputError, match=f"the largest log pi is {largest}; lower it"):
+        reference.transport_plan(source, target, potentials, log_threshold=5.0)
+
+
+def test_no_rounding_decides_about_the_papers_threshold(device, pair):
+    """Pairs whose log pi is the threshold itself, or next to it, are on the side of float64."""
+    source, target, potentials, dense = pair
+    order = np.argsort(dense, axis=None)
+    for place in (order.size // 3, order.size // 2, order.size - 20):
+        i, j = np.unravel_index(order[place], dense.shape)
+        cost = 0.5 * np.sum((source.points[i] - target.points[j]) ** 2)
+        exactly = (potentials.f[i] + potentials.g[j] - cost) / potentials.epsilon
+        exactly += np.log(source.weights[i]) + np.log(target.weights[j])
+        for tau in (exactly, np.nextafter(exactly, -np.inf), exactly + 1e-9):
+            plan = transport_plan(source, target, potentials, log_threshold=tau, backend=device)
+            want = reference.transport_plan(source, target, potentials, log_threshold=tau)
+            assert np.array_equal(plan.to_scipy().toarray() > 0, want > 0)
+            assert (want[i, j] > 0) == (tau < exactly)
+
+
+def test_a_threshold_of_a_cost_with_a_map_of_metrics(device, rng):
+    """Such a cost has offsets beside the distance of points."""
+    metrics = np.eye(3) + 0.3 * rng.random((6, 7, 1, 1)) * np.ones((3, 3))
+    source, target = lift(rng.random((6, 7, 3)), color_metric=metrics), lift(rng.random((5, 8, 3)))
+    potentials = sinkhorn(source, target, 0.2, 0.4, backend=device)
+    plan = transport_plan(source, target, potentials, log_threshold=-8.0, backend=device)
+    want = reference.transport_plan(source, target, potentials, log_threshold=-8.0)
+    assert 20 < (want > 0).sum() < want.size - 20
+    assert np.array_equal(plan.to_scipy().toarray() > 0, want > 0)
+
+
+def test_what_no_pair_can_exceed_is_known_beforehand(rng):
+    """For any masses and strengths: log pi stays below the bound, and gets near it."""
+    nearness = []
+    for reach in (0.05, 1.0, None, (0.1, None), (None, 0.1)):
+        for factor in (1.0, 0.1, 30.0):
+            points = rng.random((5, 2))
+            weights = [rng.random(5) for _ in range(2)]
+            measures = [WeightedPoints(points, factor * part / part.sum()) for part in weights]
+            potentials = sinkhorn(*measures, 0.02, reach, 1e-6, 10_000, backend="numpy")
+            dense = reference.transport_plan(*measures, potentials)
+            largest = np.log(dense.max())
+            check_reachable(largest - 1e-6, *measures)
+            masses = [np.log(measure.weights.max()) for measure in measures]
+            bound = max(*masses, sum(masses))
+            assert largest < bound + 1e-6
+            nearness.append(bound - largest)
+            with pytest.raises(InputError, match=r"log pi is below .*; lower it"):
+                check_reachable(bound + 1e-9, *measures)
+    assert min(nearness) < 0.3
 
 
 def test_relative_to_the_whole_plan(device, pair):

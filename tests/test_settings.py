@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import clmorph
 from clmorph.cli import NOT_SETTINGS, main, morph
 from clmorph.commands.settings import layered
 from clmorph.defaults import PRESETS
@@ -73,6 +74,54 @@ def test_what_decides(capfd):
     assert found["reach"] == "balanced"
     assert found["frames"] == 4
     assert dumped(capfd, "--config", "x.toml", "--epsilon", "0.01").keys().isdisjoint({"blur"})
+
+
+def test_the_papers_threshold_is_a_setting(capfd, monkeypatch):
+    """Of the preset, the command line, TOML and recipes, through to `clmorph.morph`."""
+    assert dumped(capfd, "--preset", "paper")["log_threshold"] == -13
+    assert "log_threshold" not in dumped(capfd)
+    assert dumped(capfd, "--log-threshold", "-11.5")["log_threshold"] == -11.5
+    Path("x.toml").write_text('preset = "paper"\nlog-threshold = -12\n')
+    assert dumped(capfd, "--config", "x.toml")["log_threshold"] == -12
+    seen = []
+    make = clmorph.morph
+
+    def spy(*arguments, **options):
+        seen.append(options.get("log_threshold"))
+        return make(*arguments, **options)
+
+    monkeypatch.setattr("clmorph.commands.morph.make_morph", spy)
+    few = ["a.png", "b.png", "--frames", "2", "--preset", "paper"]
+    assert main(["morph", *few, "-o", "first.gif"]) == 0
+    assert main(["morph", "--config", "first.gif", "-o", "again.gif"]) == 0
+    assert main(["morph", *few, "--log-threshold", "relative", "-o", "other.gif"]) == 0
+    assert main(["morph", "--config", "other.gif", "-o", "same.gif"]) == 0
+    assert read_parameters(Path("same.gif"))["options"]["log_threshold"] == "relative"
+    assert seen == [-13, -13, None, None]
+
+
+def test_draws_and_means_are_of_the_whole_plan():
+    """They take the place of the preset's threshold, and it theirs; "relative" takes no place."""
+    preset = {"log_threshold": -13}
+    assert layered([preset, {"sample": 3}]) == {"sample": 3}
+    assert layered([preset, {"barycentric": True}]) == {"barycentric": True}
+    assert layered([preset, {"barycentric": False}]) == {"barycentric": False, **preset}
+    assert layered([{"sample": 3}, preset]) == preset
+    off = {"log_threshold": "relative"}
+    assert layered([{"sample": 3}, off]) == {"sample": 3, **off}
+
+
+def test_a_threshold_that_drops_much_is_noted(capfd, rng):
+    for name in "de":
+        Image.fromarray(rng.integers(0, 255, (24, 24, 3), np.uint8)).save(f"{name}.png")
+    arguments = ["d.png", "e.png", "--frames", "2", "--preset", "paper", "--json"]
+    arguments += ["--log-threshold", "-7", "-o", "o.gif", "--backend", "numpy"]
+    assert main(["morph", *arguments]) == 0
+    out, err = capfd.readouterr()
+    assert "note: log_threshold=-7 drops" in err
+    (noted,) = json.loads(out)["notes"]
+    assert "'relative'" in noted
+    assert "max_memory" not in json.loads(out)["options"]  # no memory gave way
 
 
 def test_a_dump_is_a_file_of_settings(capfd):
@@ -297,8 +346,6 @@ def test_mistakes_in_files(capfd):
 
 
 def test_a_file_saved_from_python_holds_no_settings(capfd, rng):
-    import clmorph
-
     clmorph.morph(*rng.random((2, 5, 5, 3)), 2).save("p.gif")
     assert "saved from Python" in told(capfd, "--config", "p.gif", "-o", "o.gif")
 

@@ -85,9 +85,9 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     return pixels
 
 
-def note_warning(notes: list[str], message: Warning | str, *others: Any, **more: Any) -> None:
+def note_warning(notes: list[Warning], message: Any, *others: Any, **more: Any) -> None:
     """Print a warning as a note and keep it; the rest stands in for `warnings.showwarning`."""
-    notes.append(str(message))
+    notes.append(message)
     note(message)
 
 

@@ -5,12 +5,11 @@ import warnings
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 
 from clmorph.commands.common import note_warning, open_backend, read_picture
-from clmorph.commands.options import GIGABYTE
+from clmorph.commands.options import for_library
 from clmorph.commands.settings import Settings, layered, preset
 from clmorph.errors import ConvergenceWarning
 from clmorph.files import check_apart
@@ -23,7 +22,7 @@ from clmorph.terminal import Stages
 #: Settings of a preset that decide about the transport.
 TRANSPORT = (
     "blur", "reach", "epsilon", "rho", "color_weight", "color_space", "mass", "extent", "tol",
-    "max_iter", "solve_size", "max_particles", "max_memory",
+    "max_iter", "solve_size", "max_particles", "max_memory", "log_threshold",
 )  # fmt: skip
 
 
@@ -60,9 +59,7 @@ def run_inspect(
         check_apart([output], images)
     settings = layered((preset(chosen), given))
     size = settings.get("size")
-    options: dict[str, Any] = {name: settings[name] for name in TRANSPORT if name in settings}
-    if "max_memory" in options:
-        options["max_memory"] *= GIGABYTE
+    options = for_library({name: settings[name] for name in TRANSPORT if name in settings})
     most = MAX_PIXELS if max_pixels is None else max_pixels
     pictures = [read_picture(path, most) for path in images]
     if size is not None:

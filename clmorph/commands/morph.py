@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from clmorph import defaults
 from clmorph.commands import settings as files
 from clmorph.commands.common import note_warning, open_backend, read_picture
-from clmorph.commands.options import GIGABYTE
+from clmorph.commands.options import GIGABYTE, for_library
 from clmorph.commands.settings import Settings
 from clmorph.errors import (
     ConvergenceWarning,
@@ -26,6 +26,7 @@ from clmorph.errors import (
     InputError,
     MemoryWarning,
     OutputError,
+    PruningWarning,
 )
 from clmorph.estimates import estimate
 from clmorph.export import PACE, SIZES, Output, write_all
@@ -65,9 +66,7 @@ class _Run:
     def __post_init__(self) -> None:
         said = self.settings
         own = {*MOTION, *LOOK, *RUN}
-        self.options = {name: value for name, value in said.items() if name not in own}
-        if "max_memory" in self.options:
-            self.options["max_memory"] *= GIGABYTE
+        self.options = for_library({name: value for name, value in said.items() if name not in own})
         self.n_frames = said.get("frames", defaults.N_FRAMES)
         check_options(n_frames=self.n_frames, **self.options)
         self.look = Look(**{name: said[name] for name in LOOK if name in said})
@@ -163,11 +162,12 @@ def run_morph(
         _cap_memory(run, operations)
     say(run.memory(pictures, operations))
     told = files.recipe(settings, images, operations.description)
-    notes: list[str] = []
+    notes: list[Warning] = []
     with Stages() as stages, warnings.catch_warnings():
         # Said in the last line.
         warnings.simplefilter("ignore", ConvergenceWarning)
-        warnings.simplefilter("always", MemoryWarning)
+        for kind in (MemoryWarning, PruningWarning):
+            warnings.simplefilter("always", kind)
         warnings.showwarning = partial(note_warning, notes)
         with recorded(
             run.morphs(pictures, operations, stages), run.motion, n_morphs=len(pictures) - 1,
@@ -177,7 +177,8 @@ def run_morph(
             pixelated=all(map(is_pixel_art, pictures)), parameters=told,
             folder=places[0].folder, progress=stages,
         ) as film:  # fmt: skip
-            if notes and "max_memory" not in settings:
+            gave_way = any(isinstance(each, MemoryWarning) for each in notes)
+            if gave_way and "max_memory" not in settings:
                 # What gave way would not on a larger device: its limit belongs to the recipe.
                 settings["max_memory"] = float(
                     f"{(default_memory(operations) or 0) / GIGABYTE:.6g}"
@@ -220,7 +221,7 @@ def _read(path: Path, settings: Settings) -> NDArray[np.float64]:
     return picture if size is None else fit(picture, size)
 
 
-def _summary(run: _Run, film: Film, stages: Stages, notes: list[str]) -> dict[str, Any]:
+def _summary(run: _Run, film: Film, stages: Stages, notes: list[Warning]) -> dict[str, Any]:
     """Return what was made, for programs."""
     return {
         "outputs": [{"path": str(output.path), "format": output.name} for output in run.outputs],
@@ -239,7 +240,7 @@ def _summary(run: _Run, film: Film, stages: Stages, notes: list[str]) -> dict[st
             for potentials in run.solved
         ],
         "particles": run.particles,
-        "notes": notes,
+        "notes": list(map(str, notes)),
         "seconds": {name: round(value, 3) for name, value in stages.seconds.items()},
         **film.parameters,
     }

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,6 +24,8 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 #: Value of ``--reach`` that stands for no creation or destruction of mass.
 BALANCED = "balanced"
+#: Value of ``--log-threshold`` that stands for none: pairs are kept relative to the largest ones.
+RELATIVE = "relative"
 
 
 class _Reach(click.ParamType):
@@ -48,18 +50,19 @@ class _Reach(click.ParamType):
         return number
 
 
-class _Sigma(click.ParamType):
-    """A number, or "auto"."""
+class _NumberOr(click.ParamType):
+    """A number, or one word."""
 
-    name = "number|auto"
+    def __init__(self, word: str) -> None:
+        self.word, self.name = word, f"number|{word}"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        if value == "auto":
+        if value == self.word:
             return value
         try:
             return float(value)
         except (TypeError, ValueError, OverflowError):
-            self.fail(f"{shown(value)} is neither a number nor 'auto'.", param, ctx)
+            self.fail(f"{shown(value)} is neither a number nor {self.word!r}.", param, ctx)
 
 
 class FileName(click.Path):
@@ -108,6 +111,22 @@ class _Gigabytes(click.ParamType):
         if not 0 < number < 1e9:
             self.fail(f"{shown(value)}: expected gigabytes, such as 4.", param, ctx)
         return number
+
+
+def for_library(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings of the command line as `clmorph.morph` takes them.
+
+    Parameters
+    ----------
+    settings : mapping
+        By the names of `clmorph.morph`.
+    """
+    options = dict(settings)
+    if "max_memory" in options:
+        options["max_memory"] *= GIGABYTE
+    if options.get("log_threshold") == RELATIVE:
+        del options["log_threshold"]
+    return options
 
 
 def _together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
@@ -176,6 +195,13 @@ problem_options = _together(
         help="Gigabytes; if the plan needs more, fewer particles are drawn.  [default: half of "
         "the device's]",
     ),
+    _option(
+        "Transport",
+        "--log-threshold",
+        type=_NumberOr(RELATIVE),
+        help="Keep the plan's pairs with log pi above this (the paper's is -13), or those "
+        "relative to the largest of their row or column.",
+    ),
 )
 
 plan_options = _together(
@@ -195,9 +221,13 @@ drawing_options = _together(
         help="Kernel width: each particle's own (local), the paper's (adaptive), fixed, or none.",
     ),
     _option(
-        "Drawing", "--sigma-start", type=_Sigma(), help="Kernel width at the start, in pixels."
+        "Drawing", "--sigma-start", type=_NumberOr("auto"),
+        help="Kernel width at the start, in pixels.",
     ),
-    _option("Drawing", "--sigma-end", type=_Sigma(), help="Kernel width at the end, in pixels."),
+    _option(
+        "Drawing", "--sigma-end", type=_NumberOr("auto"),
+        help="Kernel width at the end, in pixels.",
+    ),
     _option("Drawing", "--gamma", type=float, help="Its bulge in between (adaptive splatting)."),
     _option(
         "Drawing", "--sigma", type=click.Choice(["optimal"]), help="Find the widths instead; slow."

@@ -24,6 +24,7 @@ import click
 from clmorph import defaults
 from clmorph.checks import as_float, shown
 from clmorph.commands.common import quiet_libraries
+from clmorph.commands.options import RELATIVE
 from clmorph.defaults import PRESETS
 from clmorph.errors import InputError
 from clmorph.formats.bounded import MAX_TEXT
@@ -41,7 +42,11 @@ ALTERNATIVES = (
     ("reach", "rho"),
     ("fps", "duration"),
     ("sample", "barycentric"),
+    ("log_threshold", "sample"),
+    ("log_threshold", "barycentric"),
 )
+#: Values that choose nothing, so that alternatives of an earlier layer stay.
+OFF = (False, RELATIVE)
 #: What a file of settings may hold beside options.
 IMAGES, OUTPUT, PRESET = "images", "output", "preset"
 #: What only the user decides, in the command line or in TOML; in recipes it stands for nothing.
@@ -131,7 +136,7 @@ def layered(layers: Iterable[Mapping[str, Any]]) -> Settings:
     for layer in layers:
         for pair in ALTERNATIVES:
             for name, other in (pair, pair[::-1]):
-                if name in layer and other not in layer:
+                if name in layer and other not in layer and not _is_off(layer[name]):
                     settings.pop(other, None)
         settings |= layer
         if "gamma" in layer:
@@ -144,6 +149,10 @@ def layered(layers: Iterable[Mapping[str, Any]]) -> Settings:
         elif "splatting" in layer and layer["splatting"] != "adaptive":
             settings.pop("gamma", None)
     return settings
+
+
+def _is_off(value: Any) -> bool:
+    return any(type(value) is type(off) and value == off for off in OFF)
 
 
 def preset(name: str) -> Settings:

@@ -228,6 +228,7 @@ def morph(
     max_iter: int = defaults.MAX_ITER,
     extent: str = "true",
     unmatched: str = "fade",
+    log_threshold: float | None = None,
 ) -> ReferenceMorph:
     """Morph one image into another; parameters as `clmorph.morph`."""
     sigma_start = check_sigma("sigma_start", sigma_start)
@@ -235,7 +236,7 @@ def morph(
     options = check_options(
         n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
         epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
-        unmatched=unmatched,
+        unmatched=unmatched, log_threshold=log_threshold,
     )  # fmt: skip
     n_frames, color_weight, gamma, tol, max_iter = (
         options[name] for name in ("n_frames", "color_weight", "gamma", "tol", "max_iter")
@@ -245,7 +246,7 @@ def morph(
         for name, image in (("image_a", image_a), ("image_b", image_b))
     )
     potentials = sinkhorn(source, target, blur, reach, tol, max_iter, epsilon=epsilon, rho=rho)
-    plan = transport_plan(source, target, potentials)
+    plan = transport_plan(source, target, potentials, log_threshold=log_threshold)
     times = np.linspace(0, 1, n_frames)
     return ReferenceMorph(
         source, target, potentials, plan, times, sigma_start, sigma_end, gamma, unmatched

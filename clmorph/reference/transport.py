@@ -13,6 +13,7 @@ from clmorph.errors import InputError
 from clmorph.measures import Measure
 from clmorph.points import AnyMeasure, MeasureLike, as_measures
 from clmorph.potentials import Potentials, check_potentials
+from clmorph.pruning import check_log_threshold, no_pair_kept
 from clmorph.strengths import Reach, Strengths, strengths
 
 Array = NDArray[np.float64]
@@ -167,15 +168,41 @@ def _kullback_leibler(p: Array, q: Array) -> float:
     return float(np.sum(p[positive] * np.log(p[positive] / q[positive]))) + linear
 
 
-def transport_plan(source: MeasureLike, target: MeasureLike, potentials: Potentials) -> Array:
-    """Return the whole plan, Eq. 2: (N, M) array."""
+def transport_plan(
+    source: MeasureLike,
+    target: MeasureLike,
+    potentials: Potentials,
+    *,
+    log_threshold: float | None = None,
+) -> Array:
+    """Return the plan, Eq. 2: (N, M) array.
+
+    The whole one, or with `log_threshold`, the paper's tau, with 0 where log pi_ij is not above it.
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used, or no pair is above the threshold.
+    """
+    if log_threshold is not None:
+        log_threshold = check_log_threshold(log_threshold)
     source, target = as_measures(source, target)
     check_potentials("potentials", potentials, (len(source), len(target)))
-    return _plan(source, target, potentials.f, potentials.g, potentials.epsilon)
+    log_plan = _log_plan(source, target, potentials.f, potentials.g, potentials.epsilon)
+    if log_threshold is not None:
+        largest = float(log_plan.max())
+        if largest <= log_threshold:
+            raise no_pair_kept(log_threshold, largest)
+        log_plan[log_plan <= log_threshold] = -np.inf
+    with np.errstate(over="ignore"):  # far from a solution, where the caller says so
+        return np.exp(log_plan)
 
 
 def _plan(source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, epsilon: float) -> Array:
+    with np.errstate(over="ignore"):
+        return np.exp(_log_plan(source, target, f, g, epsilon))
+
+
+def _log_plan(source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, epsilon: float) -> Array:
     log_plan = (f[:, None] + g - _cost_matrix(source, target)) / epsilon
-    log_plan += _log(source.weights)[:, None] + _log(target.weights)
-    with np.errstate(over="ignore"):  # far from a solution, where the caller says so
-        return np.exp(log_plan)
+    return log_plan + (_log(source.weights)[:, None] + _log(target.weights))

@@ -34,7 +34,9 @@ COUNTED_SHARE = 0.8
 #: Residual of converged solves here, in units of epsilon.
 TOL = 1e-5
 
-#: Table 1: reach, largest and mean displacement in pixels, at 48 x 48.
+#: Side of the images of the published tables, in pixels.
+PUBLISHED_SIZE = 48
+#: Table 1: reach, largest and mean displacement in pixels.
 PUBLISHED_DISPLACEMENTS: dict[float | None, tuple[float, float]] = {
     None: (28.85, 7.58),
     0.5: (29.32, 9.08),
@@ -128,6 +130,11 @@ class Section:
 def reach_name(reach: float | None) -> str:
     """Name a reach as the paper's tables do."""
     return "balanced" if reach is None else f"{reach:g}"
+
+
+def reach_text(reach: float | None) -> str:
+    """Name a reach in a sentence."""
+    return "balanced" if reach is None else f"at reach {reach:g}"
 
 
 def listed(parts: Sequence[str]) -> str:

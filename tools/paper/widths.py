@@ -34,6 +34,7 @@ STYLES = {
     "fixed": (f"fixed σ {FIXED_SIGMA:g}", drawing.RED, "s--"),
     "adaptive": ("adaptive as in Table 2", drawing.BLUE, "o-"),
     "adaptive-text": ("adaptive as in Section 4", drawing.SKY, "D-"),
+    "none": ("none (nearest pixel)", drawing.ORANGE, "x:"),
     "local": ("local", drawing.GREEN, "^-"),
     "optimal": ("optimal σ(t)", drawing.PURPLE, "v-"),
 }
@@ -89,6 +90,7 @@ def _widths(start: clmorph.Morph) -> dict[str, KernelWidth]:
         "fixed": KernelWidth(*ends, 0.0, text.n_start, text.n_end, "fixed"),
         "adaptive": KernelWidth(*ends, GAMMA, counted, counted),
         "adaptive-text": text,
+        "none": KernelWidth(*ends, 0.0, text.n_start, text.n_end, "none"),
         "local": KernelWidth(*ends, 0.0, text.n_start, text.n_end, "local"),
     }
 
