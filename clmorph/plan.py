@@ -41,8 +41,8 @@ class Plan:
     mass : (kept,) array
         Mass pi_ij of each pair.
     shape : (N, M)
-    whole_row_mass : (N,) array
-        First marginal of the whole plan, dropped pairs included.
+    whole_row_mass, whole_column_mass : (N,) and (M,) arrays
+        Marginals of the whole plan: pairs that were dropped, or that draws missed, included.
     """
 
     indptr: NDArray[np.int64]
@@ -50,6 +50,7 @@ class Plan:
     mass: NDArray[np.float64]
     shape: tuple[int, int]
     whole_row_mass: NDArray[np.float64]
+    whole_column_mass: NDArray[np.float64]
 
     def __repr__(self) -> str:
         return (
@@ -71,6 +72,11 @@ class Plan:
         """Mass of the whole plan, dropped pairs included."""
         return float(self.whole_row_mass.sum())
 
+    @property
+    def marginals(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(N,) and (M,) masses that leave and arrive in the whole plan, not in the kept pairs."""
+        return self.whole_row_mass, self.whole_column_mass
+
     @cached_property
     def rows(self) -> NDArray[np.int64]:
         """(kept,) source point of each pair."""
@@ -78,12 +84,12 @@ class Plan:
 
     @cached_property
     def row_mass(self) -> NDArray[np.float64]:
-        """(N,) kept mass that leaves each source point: the first marginal."""
+        """(N,) mass of the kept pairs of each source point; see `marginals` for the plan's."""
         return np.asarray(np.bincount(self.rows, self.mass, self.shape[0]), float)
 
     @cached_property
     def column_mass(self) -> NDArray[np.float64]:
-        """(M,) kept mass that arrives at each target point: the second marginal."""
+        """(M,) mass of the kept pairs of each target point; see `marginals` for the plan's."""
         return np.asarray(np.bincount(self.indices, self.mass, self.shape[1]), float)
 
     @property
@@ -93,7 +99,10 @@ class Plan:
 
     @property
     def dropped_row_mass(self) -> NDArray[np.float64]:
-        """(N,) the same for each row; 0 where nothing leaves."""
+        """(N,) the same for each row; 0 where nothing leaves.
+
+        Of draws: the share by which those of a row fall short of its mass, by chance.
+        """
         return _share_dropped(self.row_mass, self.whole_row_mass)
 
     @property
@@ -193,17 +202,18 @@ def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
         (value.indices, "i"),
         (value.mass, "f"),
         (value.whole_row_mass, "f"),
+        (value.whole_column_mass, "f"),
     )
     usable = all(type(array) is np.ndarray and array.dtype.kind == kind for array, kind in kinds)
     if usable:
         kept = len(value.mass)
         shapes = [array.shape for array, _ in kinds]
-        usable = shapes == [(n + 1,), (kept,), (kept,), (n,)]
+        usable = shapes == [(n + 1,), (kept,), (kept,), (n,), (m,)]
         usable = usable and value.indptr[0] == 0 and value.indptr[-1] == kept
         usable = usable and bool(np.all(np.diff(value.indptr) >= 0))
         # NaN is within no range, and no array is made as long as all pairs.
         usable = usable and not (kept and not 0 <= value.indices.min() <= value.indices.max() < m)
-        for masses in (value.mass, value.whole_row_mass):
+        for masses in (value.mass, *value.marginals):
             usable = usable and not (len(masses) and not 0 <= masses.min() <= masses.max() < np.inf)
     if not usable:
         raise InputError(
@@ -323,13 +333,17 @@ def transport_plan(
             "the default relative threshold"
         )
     pairs = operations.plan_rows(*arguments, counts)
-    return _without_empty_pairs(pairs, (len(source), len(target)), whole)
+    # The columns' marginal is the one that came with the potentials: another pass for it.
+    return _without_empty_pairs(pairs, whole, potentials.column_mass)
 
 
 def _without_empty_pairs(
-    rows: PlanRows, shape: tuple[int, int], whole: NDArray[np.float64]
+    rows: PlanRows, row_mass: NDArray[np.float64], column_mass: NDArray[np.float64]
 ) -> Plan:
     """Drop pairs whose mass is smaller than any number, as all are at a tiny reach."""
     massive = rows.mass > 0
     before = np.concatenate(([0], np.cumsum(massive, dtype=np.int64)))
-    return Plan(before[rows.indptr], rows.indices[massive], rows.mass[massive], shape, whole)
+    shape = len(row_mass), len(column_mass)
+    return Plan(
+        before[rows.indptr], rows.indices[massive], rows.mass[massive], shape, row_mass, column_mass
+    )
