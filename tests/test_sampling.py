@@ -51,7 +51,7 @@ def test_draws_average_to_the_plan(backend, pair, draws):
     assert np.all(np.abs(mean - dense) <= 5 * np.sqrt(one * dense / 60) + 2 * one / 60)
     for axis in (0, 1):
         assert np.allclose(mean.sum(axis=axis), dense.sum(axis=axis), rtol=0.5 / np.sqrt(draws))
-    assert np.abs(mean - dense).sum() < 0.3 / np.sqrt(draws) * dense.sum()
+    assert np.abs(mean - dense).sum() < 0.4 / np.sqrt(draws) * dense.sum()
 
 
 @pytest.mark.parametrize("reach", [None, 0.3, (0.1, None)])
@@ -99,14 +99,17 @@ def disc(center, size=24, radius=4):
 def test_no_ghost_of_the_target_stands_there_from_the_start(backend, options):
     """Balanced, nothing is born: where a disc arrives is background until it comes."""
     one, two = disc((6, 6)), disc((17, 17))
-    result = morph(
-        one, two, 3, 0.03, None, 0.5, backend=backend, splatting="local", endpoints="paper",
-        sigma_start=0.5, sigma_end=0.5, **options,
-    )  # fmt: skip
-    arrival = np.all(two == two[17, 17], axis=-1)
-    for t, place in ((0.15, arrival), (0.85, np.all(one == one[6, 6], axis=-1))):
-        red = result.frame(t)[place, 0]
-        assert np.abs(red - 0.1).max() < 0.03
+    given = {
+        "blur": 0.03, "reach": None, "splatting": "local", "endpoints": "paper",
+        "sigma_start": 0.5, "sigma_end": 0.5, "backend": backend,
+    }  # fmt: skip
+    result = morph(one, two, 3, **given, **options)
+    whole = morph(one, two, 3, **given, solve_size=options.get("solve_size"))
+    for t, center in ((0.15, (17, 17)), (0.85, (6, 6))):
+        place = disc(center, radius=2.5)[..., 0] == 1
+        red, without_draws = (each.frame(t)[place, 0] for each in (result, whole))
+        assert np.abs(red - without_draws).max() < 0.02
+        assert red.max() < 0.17  # background, or nearly: cells mix the disc's border with it
     moving = result.particles
     rests = moving.links[:, 0] == moving.links[:, 1]
     assert moving.weights[rests].sum(axis=0).max() < 2e-3
