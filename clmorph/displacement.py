@@ -99,7 +99,7 @@ def displacement_statistics(
     )
     check_plan("plan", plan, (len(source), len(target)))
     destinations, _ = plan.mean_destinations(source.positions, target.positions)
-    return displacement_of(source, target, destinations, plan.row_mass, plan.column_mass, mask)
+    return displacement_of(source, target, destinations, *plan.marginals, mask)
 
 
 def displacement_of(

@@ -210,7 +210,7 @@ def make_details(
         With "drop" nothing stays behind.
     """
     source, target = measures
-    masses = plan.row_mass, plan.column_mass
+    masses = plan.marginals
     destinations = mean_destinations(source, target, plan)
     result: list[Details | None] = []
     for end, measure in enumerate(measures):

@@ -14,7 +14,7 @@ from clmorph.operations import Operations
 from clmorph.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
 from clmorph.potentials import Potentials
 from clmorph.pruning import check_log_threshold
-from clmorph.sampling import MAX_DRAWS
+from clmorph.sampling import MAX_DRAWS, n_draws
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ def estimate(
         Kept pairs of the plan, counted or predicted (`predict_pairs`). None: of the transport
         alone, as if nothing came after the potentials.
     sample : int, optional
-        Draws from each row in place of kept pairs; `pairs` may then be None.
+        Draws a pixel in place of kept pairs, see `clmorph.sample_plan`; `pairs` may then be None.
     barycentric : bool
         One particle for each source pixel in their place.
     alpha : bool
@@ -120,7 +120,7 @@ def estimate(
     if barycentric:
         drawn = n
     elif sample is not None:
-        drawn = n * check_integer("sample", sample, 1, MAX_DRAWS)
+        drawn = _n_drawn(check_integer("sample", sample, 1, MAX_DRAWS), n, m)
     else:
         drawn = None if pairs is None else check_number("pairs", pairs, 0.0, 1e18)
     levels = min(LEVELS, (-(-n // TILE)) * (-(-m // TILE)))
@@ -184,8 +184,8 @@ def affordable(
 
     if need(pairs=pairs) <= limit:
         return {}
-    n = _points("source", source_shape)
-    draws = [k for k in 2 ** np.arange(13) if k * n < pairs]
+    n, m = _points("source", source_shape), _points("target", target_shape)
+    draws = [k for k in 2 ** np.arange(13) if _n_drawn(int(k), n, m) < pairs]
     ways: list[dict[str, Any]] = [{"sample": int(k)} for k in draws[::-1]]
     # Fewer draws are grainier than means are smooth, but take less.
     ways.insert(sum(int(k) >= FEWEST_DRAWS for k in draws), {"barycentric": True})
@@ -313,6 +313,12 @@ def part_of(measure: AnyMeasure, chosen: NDArray[np.intp]) -> WeightedPoints:
         weights=whole.weights[chosen],
         offsets=None if whole.offsets is None else whole.offsets[chosen],
     )
+
+
+def _n_drawn(sample: int, n: int, m: int) -> int:
+    """Return how many pairs are drawn between so many pixels."""
+    by_row, by_column = n_draws(sample)
+    return by_row * n + by_column * m
 
 
 def _points(name: str, shape: tuple[int, int]) -> int:

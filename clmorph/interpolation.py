@@ -78,6 +78,11 @@ def particles(
     what the plan leaves, (a_i - r_i)_+, dies at its place, and (b_j - c_j)_+ is born.
     So every source pixel has its mass at t = 0 and every target pixel at t = 1.
 
+    The marginals are those of the whole plan (`Plan.marginals`). What pruning has dropped of a
+    row, or draws have missed, is shared out among the row's kept pairs at t = 0, and likewise
+    among a column's at t = 1: how many pairs were drawn decides about grain, never about what
+    dies or is born. A point none of whose pairs was kept rests.
+
     Parameters
     ----------
     source, target : Measure
@@ -85,6 +90,7 @@ def particles(
         With the latter each source point is one particle, which ends at its mean destination
         in its mean color; so the frame at t = 1 is not quite the target.
     unmatched : {"fade", "drop"}
+        With "drop" nothing rests: r_i leaves a source pixel and c_j reaches a target pixel.
     path_space : {"srgb", "linear", "lab", "luv", "oklab"}
         In which colors change evenly between both ends.
 
@@ -127,14 +133,17 @@ def particles(
         j, mass = len(target) + i, plan.row_mass[i]
     table = np.concatenate([np.column_stack(end) for end in ends])
     links = np.column_stack((i, n + j))
-    weights = np.column_stack((mass, mass))
+    # By the plan's own marginals: what pruning dropped and draws missed travels as the rest does.
+    sent, received = plan.marginals
     if unmatched == "fade":
-        r, c = plan.row_mass, plan.column_mass
-        weights[:, 0] *= _share(source.weights, r)[i]
-        if isinstance(plan, Plan):
-            weights[:, 1] *= _share(target.weights, c)[j]
-        dying = np.maximum(0.0, source.weights - r)
-        born = np.maximum(0.0, target.weights - c)
+        sent, received = np.minimum(source.weights, sent), np.minimum(target.weights, received)
+    sent, starting = _shared_out(sent, i, mass)
+    arriving = mass
+    if isinstance(plan, Plan):
+        received, arriving = _shared_out(received, j, mass)
+    weights = np.column_stack((starting, arriving))
+    if unmatched == "fade":
+        dying, born = source.weights - sent, target.weights - received
         dies, comes = np.flatnonzero(dying), np.flatnonzero(born)
         resting = np.concatenate((dies, n + comes))
         links = np.concatenate((links, np.column_stack((resting, resting))))
@@ -145,6 +154,19 @@ def particles(
     return Particles(table, links.astype(np.uint32), weights, path_space)
 
 
-def _share(wanted: NDArray[np.float64], moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return min(1, wanted / moved), without dividing where nothing moves."""
-    return np.divide(wanted, moved, out=np.ones_like(wanted), where=moved > wanted)
+def _shared_out(
+    moved: NDArray[np.float64], owners: NDArray[np.int64], mass: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Share out what points move among their pairs, by the pairs' masses.
+
+    Returns
+    -------
+    (N,) array
+        `moved`, but 0 for a point without pairs.
+    (K,) array
+        Each pair's part of it.
+    """
+    kept = np.bincount(owners, mass, len(moved))
+    moved = np.where(kept > 0, moved, 0.0)
+    share = np.divide(mass, kept[owners], out=np.zeros(len(mass)), where=mass > 0)
+    return moved, share * moved[owners]

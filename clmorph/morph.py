@@ -367,4 +367,5 @@ def _effective_counts(
     """N_eff at both ends (Eq. 3), of what is drawn there: with "drop" the plan's marginals."""
     if unmatched == "fade":
         return effective_count(source.weights), effective_count(target.weights)
-    return effective_count(plan.row_mass), effective_count(plan.column_mass)
+    row_mass, column_mass = plan.marginals
+    return effective_count(row_mass), effective_count(column_mass)

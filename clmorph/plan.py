@@ -47,8 +47,8 @@ class Plan:
     mass : (kept,) array
         Mass pi_ij of each pair.
     shape : (N, M)
-    whole_row_mass : (N,) array
-        First marginal of the whole plan, dropped pairs included.
+    whole_row_mass, whole_column_mass : (N,) and (M,) arrays
+        Marginals of the whole plan: pairs that were dropped, or that draws missed, included.
     """
 
     indptr: NDArray[np.int64]
@@ -56,6 +56,7 @@ class Plan:
     mass: NDArray[np.float64]
     shape: tuple[int, int]
     whole_row_mass: NDArray[np.float64]
+    whole_column_mass: NDArray[np.float64]
 
     def __repr__(self) -> str:
         return (
@@ -77,6 +78,11 @@ class Plan:
         """Mass of the whole plan, dropped pairs included."""
         return float(self.whole_row_mass.sum())
 
+    @property
+    def marginals(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(N,) and (M,) masses that leave and arrive in the whole plan, not in the kept pairs."""
+        return self.whole_row_mass, self.whole_column_mass
+
     @cached_property
     def rows(self) -> NDArray[np.int64]:
         """(kept,) source point of each pair."""
@@ -84,12 +90,12 @@ class Plan:
 
     @cached_property
     def row_mass(self) -> NDArray[np.float64]:
-        """(N,) kept mass that leaves each source point: the first marginal."""
+        """(N,) mass of the kept pairs of each source point; see `marginals` for the plan's."""
         return np.asarray(np.bincount(self.rows, self.mass, self.shape[0]), float)
 
     @cached_property
     def column_mass(self) -> NDArray[np.float64]:
-        """(M,) kept mass that arrives at each target point: the second marginal."""
+        """(M,) mass of the kept pairs of each target point; see `marginals` for the plan's."""
         return np.asarray(np.bincount(self.indices, self.mass, self.shape[1]), float)
 
     @property
@@ -99,7 +105,10 @@ class Plan:
 
     @property
     def dropped_row_mass(self) -> NDArray[np.float64]:
-        """(N,) the same for each row; 0 where nothing leaves."""
+        """(N,) the same for each row; 0 where nothing leaves.
+
+        Of draws: the share by which those of a row fall short of its mass, by chance.
+        """
         return _share_dropped(self.row_mass, self.whole_row_mass)
 
     @property
@@ -199,17 +208,18 @@ def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
         (value.indices, "i"),
         (value.mass, "f"),
         (value.whole_row_mass, "f"),
+        (value.whole_column_mass, "f"),
     )
     usable = all(type(array) is np.ndarray and array.dtype.kind == kind for array, kind in kinds)
     if usable:
         kept = len(value.mass)
         shapes = [array.shape for array, _ in kinds]
-        usable = shapes == [(n + 1,), (kept,), (kept,), (n,)]
+        usable = shapes == [(n + 1,), (kept,), (kept,), (n,), (m,)]
         usable = usable and value.indptr[0] == 0 and value.indptr[-1] == kept
         usable = usable and bool(np.all(np.diff(value.indptr) >= 0))
         # NaN is within no range, and no array is made as long as all pairs.
         usable = usable and not (kept and not 0 <= value.indices.min() <= value.indices.max() < m)
-        for masses in (value.mass, value.whole_row_mass):
+        for masses in (value.mass, *value.marginals):
             usable = usable and not (len(masses) and not 0 <= masses.min() <= masses.max() < np.inf)
     if not usable:
         raise InputError(
@@ -334,4 +344,6 @@ def transport_plan(
             row_maxima = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon + log_a
             raise no_pair_kept(log_threshold, float(row_maxima.max()))
     # The mass of a pair can be smaller than any number, as all are at a tiny reach.
-    return Plan(*only(pairs, pairs.mass > 0), (len(source), len(target)), whole)
+    shape = len(source), len(target)
+    # The columns' marginal is the one that came with the potentials: another pass for it.
+    return Plan(*only(pairs, pairs.mass > 0), shape, whole, potentials.column_mass)

@@ -3,6 +3,8 @@
 import warnings
 from typing import Any
 
+import numpy as np
+
 from clmorph.errors import InputError, MemoryWarning, PruningWarning
 from clmorph.estimates import affordable, estimate, predict_pairs
 from clmorph.operations import Operations
@@ -11,7 +13,14 @@ from clmorph.points import as_pair
 from clmorph.potentials import Potentials
 from clmorph.pruning import REMEDY, check_reachable
 from clmorph.refinement import PixelCells, drawn, refined
-from clmorph.sampling import MAX_DRAWS, Barycentric, barycentric_plan, sample_plan
+from clmorph.sampling import (
+    MAX_DRAWS,
+    Barycentric,
+    barycentric_plan,
+    draw_pairs,
+    n_draws,
+    sample_plan,
+)
 
 #: Share of a device's memory that a morph may take, unless told otherwise.
 MEMORY_SHARE = 0.5
@@ -49,7 +58,8 @@ def make_plan(
     sample, barycentric, seed
         See `clmorph.morph`; without either all pairs are kept, if they fit.
     max_particles : int, optional
-        If there are more pairs, about so many are drawn, but at least one a pixel.
+        If there are more pairs, about so many are drawn, but at least one for each pixel of both
+        images.
     max_memory : float, optional
         Bytes that the morph may take; None is `default_memory`.
     log_threshold : float, optional
@@ -85,10 +95,13 @@ def make_plan(
         if log_threshold is not None:
             warn_if_much_is_dropped(plan, log_threshold, stacklevel=3)
         return refined(plan, source, target)
+    finest = finest_pixels(source, target)
+    if finest == 1:
+        return sample_plan(*measures, potentials, sample, seed=seed, backend=operations)
     # Each pixel of a cell has draws of its own.
-    draws = sample * finest_pixels(source, target)
-    plan = sample_plan(*measures, potentials, draws, seed=seed, backend=operations)
-    return plan if draws == sample else drawn(plan, source, target, draws)
+    by_row, by_column = (count * finest for count in n_draws(sample))
+    draws = draw_pairs(*measures, potentials, (by_row, by_column), seed=seed, backend=operations)
+    return drawn(draws, source, target)
 
 
 def warn_if_much_is_dropped(plan: Plan, log_threshold: float, stacklevel: int = 2) -> None:
@@ -222,10 +235,12 @@ def choose_way(
         source.coarse, target.coarse, potentials, log_threshold=log_threshold, backend=operations
     )
     wanted: dict[str, Any] = {}
-    particles, points = pairs, len(source.coarse) * finest
+    particles = pairs
     if max_particles is not None and pairs > max_particles:
-        wanted = _drawn(max_particles // points, finest)
-        particles = wanted.get("sample", 1) * points
+        points = [len(cells.coarse) * finest for cells in (source, target)]
+        # One of the draws is each target pixel's.
+        wanted = _drawn((max_particles - points[1]) // points[0] + 1, finest)
+        particles = int(np.dot(n_draws(wanted.get("sample", 1)), points))
     if limit is None:
         return wanted
     way = affordable(limit, *shapes, particles, **kind)

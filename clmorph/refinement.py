@@ -10,7 +10,7 @@ from clmorph.errors import InputError
 from clmorph.images import resized
 from clmorph.measures import Measure
 from clmorph.plan import Plan
-from clmorph.sampling import Barycentric
+from clmorph.sampling import Barycentric, Draws
 
 Array = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ def refined(
     Returns
     -------
     Plan or Barycentric
-        Rows have what their cell's row has, by mass.
+        Its marginals are those of the cells, shared out by mass.
     """
     if source.side == target.side == 1:
         return plan
@@ -141,7 +141,7 @@ def refined(
     rows = np.concatenate((rows, source.heaviest[i[lone]]))
     columns = np.concatenate((columns, target.heaviest[j[lone]]))
     mass = np.concatenate((mass, plan.mass[lone]))
-    return _as_plan(rows, columns, mass, plan, source, target)
+    return _as_plan(rows, columns, mass, plan.marginals, source, target)
 
 
 def _places(source: PixelCells, target: PixelCells) -> list[tuple[int, int]]:
@@ -176,33 +176,46 @@ def _pixels(
     return pairs, found[0][pairs], found[1][pairs]
 
 
-def drawn(plan: Plan, source: PixelCells, target: PixelCells, draws: int) -> Plan:
+def drawn(draws: Draws, source: PixelCells, target: PixelCells) -> Plan:
     """Return draws from a plan between cells as pairs of pixels, each draw once.
 
-    A row's draws, in the order of a Z-curve over the target's cells, go in turn to the cell's
+    The draws of a row, in the order of a Z-curve over the target's cells, go in turn to the cell's
     pixels, in the same order and by mass: every pixel gets some from all over the row, pixels
-    nearby go to cells nearby, and each to the pixel at its own place in that cell.
+    nearby go to cells nearby, and each to the pixel at its own place in that cell. So do the draws
+    of a column, with both images swapped.
 
     Parameters
     ----------
-    plan : Plan
-        From `clmorph.sample_plan`.
+    draws : Draws
+        Between `source.coarse` and `target.coarse`.
     source, target : PixelCells
-    draws : int
-        Draws of each row.
+
+    Returns
+    -------
+    Plan
+        Its marginals are those of the cells, shared out by mass.
     """
-    times = np.rint(
-        plan.mass * draws / np.maximum(plan.row_mass, np.finfo(float).tiny)[plan.rows]
-    ).astype(np.int64)
-    along = z_order(*np.divmod(np.arange(len(target.coarse)), target.coarse.shape[1]))
-    order = np.lexsort((along[plan.indices], plan.rows))
-    order = np.repeat(order, times[order])
-    i, j = plan.rows[order], plan.indices.astype(np.int64)[order]
-    mass = (plan.mass / np.maximum(times, 1))[order]
-    rank = np.arange(len(i)) - np.searchsorted(i, i)  # among the draws of its row
-    pixels, place = _in_turn(source, i, rank, draws, max(source.side, target.side))
-    columns = _at_place(target, j, place, max(source.side, target.side))
-    return _as_plan(pixels, columns, mass, plan, source, target)
+    by_row, by_column = draws.masses()
+    own, other, mass = _to_pixels(draws.targets, by_row, source, target)
+    back, forth, arriving = _to_pixels(draws.sources, by_column, target, source)
+    rows, columns = np.concatenate((own, forth)), np.concatenate((other, back))
+    marginals = draws.row_mass, draws.column_mass
+    return _as_plan(rows, columns, np.concatenate((mass, arriving)), marginals, source, target)
+
+
+def _to_pixels(
+    drawn: NDArray[np.int32], masses: Array, own: PixelCells, other: PixelCells
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Return draws of one side's cells as pairs of pixels: own, others', and their mass."""
+    n, count = drawn.shape
+    along = z_order(*np.divmod(np.arange(len(other.coarse)), other.coarse.shape[1]))
+    order = np.argsort(along[drawn], axis=1, kind="stable")
+    cells, others = np.repeat(np.arange(n), count), np.take_along_axis(drawn, order, axis=1).ravel()
+    mass = np.take_along_axis(masses, order, axis=1).ravel()
+    travels = np.flatnonzero(mass > 0)
+    rank, finest = np.tile(np.arange(count), n)[travels], max(own.side, other.side)
+    pixels, place = _in_turn(own, cells[travels], rank, count, finest)
+    return pixels, _at_place(other, others[travels].astype(np.int64), place, finest), mass[travels]
 
 
 def z_order(row: NDArray[np.int64], column: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -265,24 +278,63 @@ def _as_plan(
     rows: NDArray[np.int64],
     columns: NDArray[np.int64],
     mass: Array,
-    coarse: Plan,
+    marginals: tuple[Array, Array],
     source: PixelCells,
     target: PixelCells,
 ) -> Plan:
-    """Return pairs of pixels as a plan; pairs that were dropped are shared out as those kept."""
+    """Return pairs of pixels as a plan whose marginals are those of the cells, by mass."""
     shape = len(source.fine), len(target.fine)
+    row_mass, column_mass = (
+        _by_mass(cells, total) for cells, total in zip((source, target), marginals, strict=True)
+    )
+    rows, columns, mass = _with_all_pixels(rows, columns, mass, source, row_mass)
+    columns, rows, mass = _with_all_pixels(columns, rows, mass, target, column_mass)
     matrix = coo_array((mass, (rows, columns)), shape=shape).tocsr()  # sums what is twice there
     matrix.sort_indices()
     matrix.eliminate_zeros()
-    kept = np.asarray(matrix.sum(axis=1), float).ravel()
-    ratio = np.divide(
-        coarse.whole_row_mass, coarse.row_mass,
-        out=np.ones(coarse.shape[0]), where=coarse.row_mass > 0,
-    )  # fmt: skip
     return Plan(
         matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32),
-        np.asarray(matrix.data, float), shape, kept * ratio[source.owners],
+        np.asarray(matrix.data, float), shape, row_mass, column_mass,
     )  # fmt: skip
+
+
+def _by_mass(cells: PixelCells, total: Array) -> Array:
+    """Share out what cells have among their pixels, by mass."""
+    weights = cells.coarse.weights[cells.owners]
+    return np.divide(
+        total[cells.owners] * cells.fine.weights, weights,
+        out=np.zeros(len(cells.fine)), where=weights > 0,
+    )  # fmt: skip
+
+
+def _with_all_pixels(
+    own: NDArray[np.int64],
+    other: NDArray[np.int64],
+    mass: Array,
+    cells: PixelCells,
+    wanted: Array,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Let pixels that move without a pair of their own share their cell's heaviest one.
+
+    Those are light beside others of their cell, or have none at their place in the cells that
+    theirs moves to. Without a pair they would stay behind.
+    """
+    missed = np.flatnonzero((wanted > 0) & (np.bincount(own, mass, len(wanted)) == 0))
+    if not len(missed):
+        return own, other, mass
+    owners = cells.owners
+    near = np.flatnonzero(np.isin(owners[own], owners[missed]) & (mass > 0))
+    order = near[np.lexsort((mass[near], owners[own[near]]))]
+    heaviest = np.full(len(cells.coarse), -1)
+    heaviest[owners[own[order]]] = order  # the last of each cell stays
+    missed = missed[heaviest[owners[missed]] >= 0]
+    pairs = heaviest[owners[missed]]
+    mass = mass / (1 + np.bincount(pairs, minlength=len(mass)))
+    return (
+        np.concatenate((own, missed)),
+        np.concatenate((other, other[pairs])),
+        np.concatenate((mass, mass[pairs])),
+    )
 
 
 def _refined_means(plan: Barycentric, source: PixelCells, target: PixelCells) -> Barycentric:
@@ -296,12 +348,8 @@ def _refined_means(plan: Barycentric, source: PixelCells, target: PixelCells) ->
         return whole[: fine.shape[0], : fine.shape[1]].reshape(len(fine), -1)
 
     rows, columns = (
-        np.divide(
-            mass[cells.owners] * cells.fine.weights, cells.coarse.weights[cells.owners],
-            out=np.zeros(len(cells.fine)), where=cells.coarse.weights[cells.owners] > 0,
-        )
-        for cells, mass in ((source, plan.row_mass), (target, plan.column_mass))
-    )  # fmt: skip
+        _by_mass(cells, mass) for cells, mass in zip((source, target), plan.marginals, strict=True)
+    )
     return replace(
         plan, positions=fine.positions + between(plan.positions - coarse.positions),
         colors=np.clip(between(plan.colors), 0.0, 1.0), covariance=plan.covariance[owners],

@@ -23,6 +23,13 @@ HOLE_COVERAGE = 1e-3
 HOLE_SHARE, HOLE_SURROUNDINGS = 0.1, 3.0
 #: The same from which on a pixel is closed: closing others raises what is around it.
 CLOSED_SHARE = 0.15
+#: Share of the coverage from which on a pixel is left as it is, under which it is filled
+#: altogether; in between it is both, so that nothing depends on which side of a threshold it is.
+OPEN = 0.5
+#: Share of a color that 8 bits do not show.
+UNSEEN = 1 / 1024
+#: Change of what is to be filled that ends the cascade below.
+SETTLED = 1 / 256
 #: Factor by which the kernel widens until a hole is filled.
 WIDENING = 2.0
 #: How often, at most, pixels that others leave torn by being filled are filled by the same kernel.
@@ -153,35 +160,121 @@ def render(
         shaped = operations.adapt_widths(splats, distances, sigma)
     numerator, denominator = operations.splat(shaped, canvas.shape, sigma, CUT * sigma)
     coverage = denominator / uniform_density(mass, canvas, sigma)
+    filling = _Filling(coverage, widths.closed, fill)
+    colors = _mean(numerator, denominator)
     density = denominator / kernel_sum(sigma)
-    width = sigma
-    open_pixels = is_torn(coverage, CLOSED_SHARE) if widths.closed else coverage < HOLE_COVERAGE
-    open_pixels &= fill
-    relative = np.zeros(canvas.shape)
-    while sigma > 0 and width < max(canvas.shape) and open_pixels.any():
+    sums = np.dstack((colors, density)) * (1.0 - filling.wanted)[..., None]
+    own, width = np.dstack((colors, density)), sigma
+    while sigma > 0 and width < max(canvas.shape) and filling.missing > UNSEEN:
         width *= WIDENING
         wider_numerator, wider = operations.splat(splats, canvas.shape, width, CUT * width)
         share = wider / uniform_density(mass, canvas, width)
-        torn = is_torn(share, CLOSED_SHARE) if widths.closed else share < HOLE_COVERAGE
-        if width >= max(canvas.shape):
-            torn &= wider <= 0  # the last that is tried
-        for _ in range(CASCADE):
-            filled = open_pixels & ~torn
-            if not filled.any():
-                break
-            numerator[filled], denominator[filled] = wider_numerator[filled], wider[filled]
-            density[filled] = wider[filled] / kernel_sum(width)
-            open_pixels &= torn
-            if not widths.closed:
-                break
-            # As covered, beside its surroundings, as it is with the kernel that covers it; this
-            # raises what surrounds others, which the same kernel may close.
-            relative[filled] = (share / np.maximum(surroundings(share), HOLE_COVERAGE))[filled]
-            closed = relative > 0
-            coverage[closed] = (relative * surroundings(coverage))[closed]
-            open_pixels |= is_torn(coverage, CLOSED_SHARE) & ~closed & fill
+        # Of the last that is tried, whatever there is.
+        whole = wider > 0 if width >= max(canvas.shape) else None
+        before = filling.wanted
+        given = filling.fill(share, whole)
+        colors, density = _mean(wider_numerator, wider), wider / kernel_sum(width)
+        sums += given[..., None] * np.dstack((colors, density))
+        sums -= (filling.wanted - before)[..., None] * own
+    # What no kernel could fill keeps what it has.
+    sums += filling.left[..., None] * own
+    return Sums(sums[..., :3], filling.coverage, sums[..., 3])
+
+
+class _Filling:
+    """How much of each pixel wider kernels decide, and how much of that is still to be filled.
+
+    All of it depends continuously on the kernels' masses: a pixel at a threshold, where rounding
+    or a pair that the plan has dropped would tip it, has the same color on both sides.
+
+    Parameters
+    ----------
+    coverage : (H, W) array
+        By the frame's own kernel.
+    closed : bool
+        Whether pixels are filled that are only torn out of their surroundings.
+    where : bool or (H, W) array of bool
+        Which pixels may be filled.
+
+    Attributes
+    ----------
+    wanted : (H, W) array
+        Share of a pixel's color that is to come from wider kernels.
+    given : (H, W) array
+        Share that has.
+    coverage : (H, W) array
+        With what is closed as covered as the kernels that close it say.
+    """
+
+    def __init__(
+        self, coverage: NDArray[np.float64], closed: bool, where: bool | NDArray[np.bool_]
+    ) -> None:
+        self._own, self._closed, self._where = coverage, closed, where
+        self.coverage = coverage
+        self._around = surroundings(coverage) if closed else coverage
+        self.wanted = self._openness(coverage, self._around) * where
+        self.given = np.zeros_like(coverage)
+        #: Coverage of what was given beside its surroundings, times its share.
+        self._relative = np.zeros_like(coverage)
+
+    @property
+    def left(self) -> NDArray[np.float64]:
+        """(H, W) share that is still to be filled."""
+        return self.wanted - self.given
+
+    @property
+    def missing(self) -> float:
+        """The largest share that is still to be filled."""
+        return float(self.left.max())
+
+    def _openness(
+        self, own: NDArray[np.float64], around: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return how torn pixels are, from 0 at the threshold to 1 at `OPEN` of it."""
+        needed: NDArray[np.float64] | float = HOLE_COVERAGE
+        if self._closed:
+            needed = np.maximum(CLOSED_SHARE * around, HOLE_COVERAGE)
+        return np.asarray(np.clip((1.0 - own / needed) / (1.0 - OPEN), 0.0, 1.0))
+
+    def fill(
+        self, share: NDArray[np.float64], whole: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float64]:
+        """Fill what a wider kernel covers: return its share of each pixel, (H, W).
+
+        Parameters
+        ----------
+        share : (H, W) array
+            Coverage by that kernel.
+        whole : (H, W) array of bool, optional
+            Pixels that it is to fill, and no others, however torn.
+        """
+        around = surroundings(share) if self._closed else share
+        covers = 1.0 - self._openness(share, around) if whole is None else whole.astype(float)
+        before, relative_before = self.given, self._relative
+        given = (self.wanted - before) * covers
+        if self._closed:
+            relative = share / np.maximum(around, HOLE_COVERAGE)
+            for _ in range(CASCADE):
+                self.given = before + given
+                # As covered, beside its surroundings, as it is with the kernel that covers it;
+                # this raises what surrounds others, which the same kernel may close.
+                self._relative = relative_before + given * relative
+                self.coverage = (1.0 - self.given) * self._own + self._relative * self._around
+                self._around = surroundings(self.coverage)
+                wanted = self._openness(self._own, self._around) * self._where
+                change = np.maximum(wanted - self.wanted, 0.0)
+                if change.max() <= SETTLED:
+                    break
+                self.wanted = self.wanted + change
+                given = (self.wanted - before) * covers
+        self.given = before + given
+        return given
+
+
+def _mean(numerator: NDArray[np.float64], denominator: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return numerator / denominator, 0 where there is nothing."""
     tiny = np.finfo(np.float64).tiny
-    return Sums(numerator / np.maximum(denominator, tiny)[..., None], coverage, density)
+    return np.asarray(numerator / np.maximum(denominator, tiny)[..., None])
 
 
 def is_torn(coverage: NDArray[np.float64], least: float = HOLE_SHARE) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""Summaries of a plan that is too large to keep: draws from its rows, or their moments."""
+"""Summaries of a plan that is too large to keep: draws from it, or moments of its rows."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -57,6 +57,58 @@ class Barycentric:
     def __len__(self) -> int:
         return len(self.row_mass)
 
+    @property
+    def marginals(self) -> tuple[Array, Array]:
+        """(N,) and (M,) masses that leave and arrive, as those of a `Plan`."""
+        return self.row_mass, self.column_mass
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Pairs drawn from a plan: as many from each row, and as many from each column.
+
+    Attributes
+    ----------
+    targets : (N, k) array of int
+        Target points drawn from each row, pi_ij / r_i.
+    sources : (M, l) array of int
+        Source points drawn from each column, pi_ij / c_j.
+    row_mass, column_mass : (N,) and (M,) arrays
+        Marginals r and c of the plan.
+    """
+
+    targets: NDArray[np.int32]
+    sources: NDArray[np.int32]
+    row_mass: Array
+    column_mass: Array
+
+    def masses(self) -> tuple[Array, Array]:
+        """Return the mass of each draw from a row, (N, k), and from a column, (M, l).
+
+        A pair is drawn k pi_ij / r_i times from its row and l pi_ij / c_j times from its column
+        on average, so that draws of mass 1 / (k / r_i + l / c_j) add up to pi_ij on average
+        (the balance heuristic of Veach and Guibas 1995). All are scaled to the plan's whole mass.
+        """
+        with np.errstate(divide="ignore", over="ignore"):
+            rows = self.targets.shape[1] / self.row_mass
+            columns = self.sources.shape[1] / self.column_mass
+            found = (
+                1.0 / (rows[:, None] + columns[self.targets]),
+                1.0 / (rows[self.sources] + columns[:, None]),
+            )
+        drawn = float(found[0].sum() + found[1].sum())
+        scale = float(self.row_mass.sum()) / drawn if drawn > 0 else 0.0
+        return found[0] * scale, found[1] * scale
+
+
+def n_draws(draws: int) -> tuple[int, int]:
+    """Return how many of so many draws a point are taken from each row and from each column.
+
+    All but one from rows: finer strata of one side spread more evenly than coarse ones of both,
+    and one is enough for every target point to be reached.
+    """
+    return max(1, draws - 1), 1
+
 
 def sample_plan(
     source: MeasureLike,
@@ -67,22 +119,25 @@ def sample_plan(
     seed: int = 0,
     backend: Backend = "auto",
 ) -> Plan:
-    """Draw targets from each row of a plan, in streaming and without bias.
+    """Draw pairs from the rows and the columns of a plan, in streaming and without bias.
 
     Where potentials come with a truncation, what it leaves out is never drawn.
 
-    Each draw carries the same share of its row's mass. Thresholds are stratified: draw s falls
-    into the s-th of equal parts of the row, so that few draws already spread as the row does.
+    Draws are stratified: draw s falls into the s-th of equal parts of its row, so that few draws
+    already spread as the row does. One draw of each column lets mass arrive wherever the plan
+    brings some, however few the draws. Their masses add up to the plan's on average, in each
+    pair, row and column, and exactly in all; the plan's own marginals are `Plan.marginals`.
 
     Parameters
     ----------
     source, target : Measure, WeightedPoints, or (weights, points)
     potentials : Potentials
     draws : int
-        From each row; a target drawn twice is one pair of twice the mass.
+        For each point: all but one from its row, but at least one, and one from each column. A
+        pair that is drawn twice is one of the sum of both masses.
     seed : int
     backend : str or Operations
-        See `clmorph.get_backend`. Backends order targets differently, so the same seed draws
+        See `clmorph.get_backend`. Backends order points differently, so the same seed draws
         others.
 
     Returns
@@ -98,25 +153,70 @@ def sample_plan(
 
     source, target = as_pair(source, target)
     draws = check_integer("draws", draws, 1, MAX_DRAWS)
-    seed = check_integer("seed", seed, 0, 2**63)
-    operations, clouds, to_rows, softmin = _rows(source, target, potentials, backend)
-    whole = _row_mass(source.weights, potentials, softmin)
-    rng = np.random.default_rng(seed)
-    thresholds = (np.arange(draws) + rng.random((len(source), draws))) / draws
-    # Dividing can round up to 1.
-    thresholds = np.minimum(thresholds, np.nextafter(1.0, 0.0))
-    columns = operations.sample_plan_rows(
-        *clouds, potentials.g, softmin, potentials.epsilon, thresholds, potentials.precise,
-        to_rows.near,
-    )  # fmt: skip
-    rows = np.repeat(np.arange(len(source)), draws)
-    mass = np.repeat(whole / draws, draws)
-    shape = (len(source), len(target))
-    travels = mass > 0
-    plan = coo_array((mass[travels], (rows[travels], columns.ravel()[travels])), shape).tocsr()
+    drawn = draw_pairs(source, target, potentials, n_draws(draws), seed=seed, backend=backend)
+    (n, by_row), (m, by_column) = drawn.targets.shape, drawn.sources.shape
+    rows = np.concatenate((np.repeat(np.arange(n), by_row), drawn.sources.ravel()))
+    columns = np.concatenate((drawn.targets.ravel(), np.repeat(np.arange(m), by_column)))
+    mass = np.concatenate([part.ravel() for part in drawn.masses()])
+    pairs = rows.astype(np.int64), columns.astype(np.int64)
+    plan = coo_array((mass, pairs), shape=(n, m)).tocsr()  # sums what is twice there
     plan.sort_indices()
+    plan.eliminate_zeros()
     return Plan(
-        plan.indptr.astype(np.int64), plan.indices.astype(np.int32), plan.data, shape, whole
+        plan.indptr.astype(np.int64), plan.indices.astype(np.int32), plan.data, (n, m),
+        drawn.row_mass, drawn.column_mass,
+    )  # fmt: skip
+
+
+def draw_pairs(
+    source: AnyMeasure,
+    target: AnyMeasure,
+    potentials: Potentials,
+    draws: tuple[int, int],
+    *,
+    seed: int = 0,
+    backend: Backend = "auto",
+) -> Draws:
+    """Draw so many pairs from each row of a plan, and so many from each column.
+
+    Parameters
+    ----------
+    source, target : Measure or WeightedPoints
+    potentials : Potentials
+    draws : (from each row, from each column)
+    seed, backend
+        As in `sample_plan`.
+
+    Returns
+    -------
+    Draws
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+    """
+    seed = check_integer("seed", seed, 0, 2**63)
+    rng = np.random.default_rng(seed)
+    pair, swapped = as_pair(source, target), potentials.swapped()
+    operations, clouds, to_rows, by_row = _rows(*pair, potentials, backend)
+    to_columns = plan_softmin(operations, clouds[::-1], pair[::-1], swapped)
+    epsilon, precise = potentials.epsilon, potentials.precise
+    by_column = to_columns(potentials.f, epsilon, precise)
+
+    def draw(own: Potentials, softmin: Softmin, sums: Array, count: int) -> NDArray[np.int32]:
+        thresholds = (np.arange(count) + rng.random((len(sums), count))) / count
+        # Dividing can round up to 1.
+        thresholds = np.minimum(thresholds, np.nextafter(1.0, 0.0))
+        return operations.sample_plan_rows(
+            softmin.rows, softmin.columns, own.g, sums, epsilon, thresholds, precise, softmin.near
+        )
+
+    return Draws(
+        draw(potentials, to_rows, by_row, draws[0]),
+        draw(swapped, to_columns, by_column, draws[1]),
+        _row_mass(pair[0].weights, potentials, by_row),
+        _row_mass(pair[1].weights, swapped, by_column),
     )
 
 
@@ -188,14 +288,12 @@ def barycentric_plan(
     )
     to_columns = plan_softmin(operations, clouds[::-1], pair[::-1], potentials.swapped())
     columns = to_columns(potentials.f, epsilon, precise)
-    with np.errstate(divide="ignore"):
-        column_mass = np.exp((potentials.g - columns) / epsilon + np.log(pair[1].weights))
     return Barycentric(
         positions=mean[:, :2] if images else mean,
         colors=to_colors(mean),
         covariance=covariance,
         row_mass=_row_mass(pair[0].weights, potentials, softmin),
-        column_mass=column_mass,
+        column_mass=_row_mass(pair[1].weights, potentials.swapped(), columns),
     )
 
 

@@ -197,7 +197,7 @@ def _thinned(plan: Plan, count: int) -> Plan:
         plan.indices[chosen],
         times * (total[-1] / count),
         plan.shape,
-        plan.whole_row_mass,
+        *plan.marginals,
     )
 
 

@@ -135,6 +135,7 @@ def test_reports(device, pair):
     assert plan.worst_dropped_row_mass == pytest.approx(rows.max(), abs=1e-4)
     assert plan.worst_dropped_row_mass > plan.dropped_mass > 1e-3
     assert np.allclose(plan.whole_row_mass, dense.sum(axis=1), rtol=1e-4)
+    assert np.allclose(plan.whole_column_mass, dense.sum(axis=0), rtol=1e-4)
     assert plan.nbytes == 12 * len(plan) + 8 * (len(source) + 1)
     assert "dropped" in repr(plan)
 
@@ -173,9 +174,9 @@ def test_displacements(device, pair):
 def test_the_mask_of_table_1(pair):
     source, target, potentials, _ = pair
     plan = transport_plan(source, target, potentials, backend="numpy")
-    cut = float(np.median(plan.row_mass))
+    cut = float(np.median(plan.whole_row_mass))
     got = displacement_statistics(source, target, plan, mask=cut)
-    rests = plan.row_mass.reshape(source.shape) <= cut
+    rests = plan.whole_row_mass.reshape(source.shape) <= cut
     assert 0 < rests.sum() < rests.size
     assert np.all(got.length[rests] == 0)
     assert np.all(got.length[~rests] > 0)

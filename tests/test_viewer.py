@@ -303,7 +303,7 @@ def test_curves_are_those_of_the_particles(rng, unmatched):
     scene = scene_of(result)
     curves = {curve.name: curve for curve in scene.curves}
     assert np.allclose(curves["kernel width"].values, result.sigma)
-    r, c = result.plan.row_mass, result.plan.column_mass
+    r, c = result.plan.marginals
     dying = np.maximum(result.source.weights - r, 0).sum() if unmatched == "fade" else 0.0
     born = np.maximum(result.target.weights - c, 0).sum() if unmatched == "fade" else 0.0
     for k, t in enumerate(result.times):

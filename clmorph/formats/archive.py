@@ -25,7 +25,7 @@ from clmorph.sampling import Barycentric
 #: Arrays of either kind of plan, as they are called there: axes and kind of numbers.
 PLAN_ARRAYS = {
     "indptr": (1, "i"), "indices": (1, "i"), "mass": (1, "f"), "shape": (1, "i"),
-    "whole_row_mass": (1, "f"),
+    "whole_row_mass": (1, "f"), "whole_column_mass": (1, "f"),
 }  # fmt: skip
 BARYCENTRIC_ARRAYS = {
     "positions": (2, "f"), "colors": (2, "f"), "covariance": (3, "f"), "row_mass": (1, "f"),
@@ -196,6 +196,7 @@ def _read_plan(arrays: Arrays, number: int) -> Plan | Barycentric:
     indptr, indices = found["indptr"], found["indices"]
     sound = (
         len(indptr) == rows + 1 == len(found["whole_row_mass"]) + 1
+        and columns == len(found["whole_column_mass"])
         and len(indices) == len(found["mass"])
         and indptr[0] == 0
         and indptr[-1] == len(indices)

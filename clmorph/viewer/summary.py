@@ -174,7 +174,7 @@ def arrow_field(morph: Morph, most: int = ARROWS) -> Field | None:
     columns = -(-width // side)
     rows, column = np.divmod(np.arange(height * width), width)
     place = rows // side * columns + column // side
-    mass = plan.row_mass
+    mass = plan.marginals[0]
     total = np.bincount(place, mass)
     kept = total > FAINTEST * total.max(initial=0.0)
     if not kept.any():
