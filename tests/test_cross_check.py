@@ -25,7 +25,7 @@ from findings import Findings  # noqa: E402
 
 SEED = 20261122
 #: Seconds of work for one solve.
-PATIENCE = 10.0
+PATIENCE = 20.0
 #: Relative, in long double or in float64.
 CLOSE = 1e-17 if EXTENDED else 1e-13
 INF = float("inf")

@@ -38,7 +38,7 @@ from clmorph.opencl.device import find_devices
 MOST_IN_NUMPY = 1 << 20
 #: Seconds of work in which a solve must end, and more of them for each pair of points: 300 s for
 #: 2^27 pairs.
-PATIENCE, PATIENCE_PER_PAIR = 20.0, 300.0 / (1 << 27)
+PATIENCE, PATIENCE_PER_PAIR = 60.0, 300.0 / (1 << 27)
 #: Problems with more pairs than this are judged by sums alone.
 MOST_SOLVED = SMALL * SMALL
 

@@ -144,6 +144,9 @@ def _options(rng: np.random.Generator, most: int) -> tuple[dict[str, Any], str]:
         "multiscale": [True, False, "auto", "auto"][rng.integers(4)],
         "verify": bool(rng.random() < 0.3),
     }
+    if most == SMALL and options["multiscale"] is True:
+        # Each iteration over the points may take hundreds over cells, which are not counted.
+        options["max_iter"] = min(50, options["max_iter"])
     way, refused = rng.random(), ""
     if way < REFUSED_TRUNCATION:
         options["truncation"] = float(max(tol, _log_uniform(rng, 1e-8, 0.1)))
