@@ -241,6 +241,10 @@ def transport_plan(
     of the plan that provably hold none above its threshold are not looked at; where potentials
     come with a truncation, largest pairs are sought, and row masses summed, with that as well.
 
+    By default frames of the kept pairs are, to about 0.01/255, those of all pairs: what is
+    dropped could decide a pixel only where kernels hardly reach, and there wider ones fill it (see
+    `clmorph.rendering.render`; measured by ``tools/measure_pruning.py``).
+
     Parameters
     ----------
     source, target : Measure, WeightedPoints, or (weights, points)
