@@ -168,7 +168,8 @@ def _share_dropped(kept: Any, whole: Any) -> Any:
     """Return 1 - kept / whole, within [0, 1], 0 where there is nothing."""
     whole = np.asarray(whole, float)
     share = np.divide(kept, whole, out=np.ones_like(whole), where=whole > 0)
-    return np.clip(1.0 - share, 0.0, 1.0)
+    lost = np.clip(1.0 - share, 0.0, 1.0)
+    return np.where(lost > 1e-12, lost, 0.0)  # a sum's rounding is no loss
 
 
 def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
