@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: Beyond this exponentials are not taken, so that potentials far from a solution give no inf.
 MAX_EXPONENT = 300.0
+#: From here on e^x is e^x - 1.
+FAR = 50.0
 #: Error of a few operations in float64, and of a sum by halves over up to 2^24 terms.
 FEW, MANY = 2.0**-50, 2.0**-46
 
@@ -87,12 +89,12 @@ class _Bounded:
 
     def __init__(self, side: Side, epsilon: float) -> None:
         massive = side.weights > 0
-        self.weights = side.weights[massive]
+        self.weights, self.log_weights = side.weights[massive], side.log_weights[massive]
         self.potential = side.potential[massive]
         self.inverse_rho, self.oscillation = side.inverse_rho, side.oscillation
         self.softmin = side.softmin[massive]
         sizes = (np.abs(self.potential) + np.abs(self.softmin)) / epsilon
-        sizes += np.abs(side.log_weights[massive])
+        sizes += np.abs(self.log_weights)
         self.below = side.roundoff + FEW * sizes
         self.above = self.below + side.left_out
         #: Logarithm of marginal over weights.
@@ -102,7 +104,7 @@ class _Bounded:
     @property
     def is_tame(self) -> bool:
         """Whether no exponent is too large to be taken."""
-        largest = self.ratio + self.above + np.abs(self.potential) * self.inverse_rho
+        largest = np.maximum(self.ratio + self.above, -self.potential * self.inverse_rho)
         return bool(np.max(largest + np.log(np.maximum(self.weights, 1.0))) < MAX_EXPONENT)
 
     @property
@@ -140,12 +142,17 @@ class _Bounded:
         excess = self.ratio + scaled
         more = FEW * np.abs(scaled)
         low, high = excess - self.below - more - shrunk, excess + self.above + more + grown
-        if float(high.max()) > MAX_EXPONENT:
-            return np.inf
-        terms = np.maximum(_kl_terms(low), _kl_terms(high))
-        rounding = 1 + MANY + 2 * float(more.max())
         limit = self.weights * np.exp(-scaled)
-        return float(np.sum(limit * terms)) / self.inverse_rho * rounding
+        terms = np.maximum(_kl_terms(limit, low), _kl_terms(limit, high))
+        # Where the marginal is far above the limit, e^x may be no number, but their product is.
+        far = high > FAR
+        if far.any():
+            logarithms = (self.log_weights - scaled + high)[far]
+            if float(logarithms.max()) > 2 * MAX_EXPONENT:
+                return np.inf
+            terms[far] = np.exp(logarithms) * high[far] + limit[far]
+        rounding = 1 + MANY + 2 * float(more.max())
+        return float(np.sum(terms)) / self.inverse_rho * rounding
 
 
 def certify(rows: Side, columns: Side, epsilon: float) -> Certificate:
@@ -233,8 +240,9 @@ def marginal_of(side: Side, epsilon: float) -> Array:
     return np.where(side.weights > 0, np.exp(exponent), 0.0)
 
 
-def _kl_terms(excess: Array) -> Array:
-    """Return x e^x - e^x + 1, which grows with |x|, at most."""
-    excess = np.maximum(excess, -MAX_EXPONENT)
+def _kl_terms(limit: Array, excess: Array) -> Array:
+    """Return (x e^x - e^x + 1) limit, which grows with |x|, at most; as far as numbers go."""
+    excess = np.clip(excess, -MAX_EXPONENT, FAR)
     growth, powers = np.expm1(excess), excess * np.exp(excess)
-    return np.maximum(powers - growth, 0.0) + FEW * (np.abs(powers) + np.abs(growth))
+    terms = np.maximum(powers - growth, 0.0) + FEW * (np.abs(powers) + np.abs(growth))
+    return limit * terms

@@ -226,7 +226,8 @@ def morph(
         One particle for each source pixel, to its mean destination, in place of one for each
         kept pair of the plan; for images whose plan is too large.
     sample : int, optional
-        So many pairs drawn from each row of the plan, in place of all kept ones.
+        So many pairs a pixel drawn from the plan, in place of all kept ones: one from each column
+        and the others, but at least one, from each row.
     seed : int
         Of these draws.
     ease : {"linear", "smooth", "in", "out"}
@@ -235,7 +236,8 @@ def morph(
         Solve between square cells of pixels, at most so many along the longer side, and draw
         with the pixels themselves, which move as their cells do.
     max_particles : int, optional
-        If the plan has more pairs, about so many are drawn from it, but at least one a pixel.
+        If the plan has more pairs, about so many are drawn from it, but at least one for each
+        pixel of both images.
     max_memory : float, optional
         Bytes that it may take; by default half of the device's. If the plan's pairs would need
         more, draws from it or mean destinations take their place, with a warning.

@@ -133,6 +133,11 @@ def render(
 ) -> Sums:
     """Reconstruct one frame from particles (Nadaraya-Watson regression, 3.3).
 
+    A pixel's color can be trusted to be that mean from a coverage of `HOLE_COVERAGE` on, and if
+    torn pixels are closed, from `CLOSED_SHARE` of what surrounds it on. From the `OPEN` part of
+    that down wider kernels decide, and in between both, continuously: neither rounding nor pairs
+    that a plan has dropped tip a pixel from one color to another.
+
     Parameters
     ----------
     operations : Operations

@@ -198,8 +198,9 @@ def draw_pairs(
     """
     seed = check_integer("seed", seed, 0, 2**63)
     rng = np.random.default_rng(seed)
-    pair, swapped = as_pair(source, target), potentials.swapped()
+    pair = as_pair(source, target)
     operations, clouds, to_rows, by_row = _rows(*pair, potentials, backend)
+    swapped = potentials.swapped()
     to_columns = plan_softmin(operations, clouds[::-1], pair[::-1], swapped)
     epsilon, precise = potentials.epsilon, potentials.precise
     by_column = to_columns(potentials.f, epsilon, precise)

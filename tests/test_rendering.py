@@ -1,9 +1,13 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
+import clmorph
 from clmorph import InputError, lift, morph
 from clmorph.rendering import HOLE_COVERAGE, Canvas, Widths, canvas_at, render
-from clmorph.widths import KernelWidth
+from clmorph.widths import KernelWidth, effective_count
 
 
 @pytest.mark.parametrize("sides", [(48, 48), (64, 16), (16, 64), (3, 1000), (1, 7)])
@@ -101,6 +105,69 @@ def test_holes_are_filled(device):
     frame, coverage, _ = render(device, moving, 1.0, 0.0, canvas, Widths(0.7))
     assert coverage[-1, -1] < HOLE_COVERAGE
     assert np.abs(frame - [0.8, 0.4, 0.2]).max() < 1e-4
+
+
+@pytest.mark.parametrize("backend", ["numpy", "device"])
+@pytest.mark.parametrize("closed", [False, True])
+def test_no_pixel_tips_at_a_threshold(device, backend, closed):
+    """Left red, right green and ever fainter: colors follow, none jumps as its pixel is filled."""
+    operations = clmorph.get_backend("numpy" if backend == "numpy" else device)
+    measure = lift(np.zeros((20, 20, 3)))
+    right = measure.positions[:, 0] > 0.5
+    colors = np.where(right[:, None], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0])
+    table = np.column_stack((measure.positions, colors, np.full(400, measure.spacing)))
+    links = np.column_stack((np.arange(400), np.arange(400))).astype(np.uint32)
+    canvas = canvas_at(0.0, (20, 20), (20, 20))
+
+    def picture(faint):
+        weights = np.where(right, faint, 1.0) / 200
+        particles = operations.upload_particles(table, links, np.column_stack((weights, weights)))
+        widths = Widths(0.6, closed=closed)
+        return render(operations, particles, weights.sum(), 0.0, canvas, widths).colors
+
+    low, high = 1e-5, 1.0
+    ends = picture(low), picture(high)
+    assert np.abs(ends[0] - ends[1])[:, 12:].max() > 0.9  # it is filled with red at last
+    for _ in range(4):  # ever closer to where most happens
+        steps = np.geomspace(low, high, 12)
+        frames = [picture(faint) for faint in steps]
+        jumps = [np.abs(b - a).max() for a, b in pairwise(frames)]
+        worst = int(np.argmax(jumps))
+        low, high = steps[worst], steps[worst + 1]
+    assert high / low < 1.002
+    assert jumps[worst] < 2 / 255
+
+
+@pytest.mark.parametrize("unmatched", ["drop", "fade"])
+@pytest.mark.parametrize("splatting", ["adaptive", "local"])
+def test_no_pixel_depends_on_pairs_that_were_dropped(device, splatting, unmatched):
+    """Frames of the kept pairs are those of the whole plan, torn and empty pixels included."""
+    images = []
+    for seed in (0, 1):
+        image = gaussian_filter(np.random.default_rng(seed).random((24, 24, 3)), (3, 3, 0))
+        images.append((image - image.min()) / np.ptp(image))
+    source, target = (lift(image, 2.0) for image in images)
+    potentials = clmorph.sinkhorn(source, target, 0.02, 0.15, 1e-4, backend=device)
+    kept, whole = (
+        clmorph.transport_plan(source, target, potentials, backend=device, **options)
+        for options in ({}, {"log_threshold": -80.0})
+    )
+    assert len(whole) > 3 * len(kept)
+    width = KernelWidth(
+        1.2, 0.5, 0.5, *(effective_count(mass) for mass in whole.marginals), splatting
+    )
+    for t in (0.1, 0.35, 0.6, 0.9):
+        canvas = canvas_at(t, source.shape, target.shape)
+        frames = []
+        for plan in (kept, whole):
+            moving = clmorph.particles(source, target, plan, unmatched=unmatched)
+            uploaded = device.upload_particles(moving.table, moving.links, moving.weights)
+            frames.append(
+                render(device, uploaded, moving.mass(t), t, canvas, width.widths(t, canvas))
+            )
+        assert np.abs(frames[0].colors - frames[1].colors).max() <= 2 / 255
+        if (t, splatting, unmatched) == (0.9, "adaptive", "drop"):
+            assert frames[0].coverage.min() < HOLE_COVERAGE
 
 
 def test_without_a_kernel_holes_stay_black(device):

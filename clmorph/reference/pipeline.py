@@ -192,7 +192,8 @@ class ReferenceMorph:
         shape = canvas_shape(t, self.source, self.target)
         masses = self.source.weights, self.target.weights
         if self.unmatched == "drop":
-            masses = self.plan.sum(axis=1), self.plan.sum(axis=0)
+            # The transport's own, whatever pairs are kept.
+            masses = self.potentials.row_mass, self.potentials.column_mass
         return kernel_width(t, shape, masses, self.sigma_start, self.sigma_end, self.gamma)
 
     def frame(self, t: float) -> Array:
