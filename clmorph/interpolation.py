@@ -78,8 +78,8 @@ def particles(
     what the plan leaves, (a_i - r_i)_+, dies at its place, and (b_j - c_j)_+ is born.
     So every source pixel has its mass at t = 0 and every target pixel at t = 1.
 
-    The marginals are those of the whole plan (`Plan.marginals`). What pruning has dropped of a
-    row, or draws have missed, is shared out among the row's kept pairs at t = 0, and likewise
+    The marginals there are those of the whole plan (`Plan.marginals`). What pruning has dropped of
+    a row, or draws have missed, is shared out among the row's kept pairs at t = 0, and likewise
     among a column's at t = 1: how many pairs were drawn decides about grain, never about what
     dies or is born. A point none of whose pairs was kept rests.
 
@@ -90,7 +90,7 @@ def particles(
         With the latter each source point is one particle, which ends at its mean destination
         in its mean color; so the frame at t = 1 is not quite the target.
     unmatched : {"fade", "drop"}
-        With "drop" nothing rests: r_i leaves a source pixel and c_j reaches a target pixel.
+        With "drop" nothing rests, and a kept pair has its pi_ij throughout, as in the paper's code.
     path_space : {"srgb", "linear", "lab", "luv", "oklab"}
         In which colors change evenly between both ends.
 
@@ -133,16 +133,15 @@ def particles(
         j, mass = len(target) + i, plan.row_mass[i]
     table = np.concatenate([np.column_stack(end) for end in ends])
     links = np.column_stack((i, n + j))
-    # By the plan's own marginals: what pruning dropped and draws missed travels as the rest does.
-    sent, received = plan.marginals
+    weights = np.column_stack((mass, mass))
     if unmatched == "fade":
-        sent, received = np.minimum(source.weights, sent), np.minimum(target.weights, received)
-    sent, starting = _shared_out(sent, i, mass)
-    arriving = mass
-    if isinstance(plan, Plan):
-        received, arriving = _shared_out(received, j, mass)
-    weights = np.column_stack((starting, arriving))
-    if unmatched == "fade":
+        # By the plan's own marginals: what pruning dropped and draws missed travels as the rest.
+        sent, received = plan.marginals
+        sent, starting = _shared_out(np.minimum(source.weights, sent), i, mass)
+        received, arriving = np.minimum(target.weights, received), mass
+        if isinstance(plan, Plan):
+            received, arriving = _shared_out(received, j, mass)
+        weights = np.column_stack((starting, arriving))
         dying, born = source.weights - sent, target.weights - received
         dies, comes = np.flatnonzero(dying), np.flatnonzero(born)
         resting = np.concatenate((dies, n + comes))
