@@ -181,7 +181,7 @@ static inline ereal add_tile(
 #pragma unroll
         for (int c = 0; c < UNROLL; ++c) {
             e[c] = exponent(u, staged, j + c);
-            m_new = max(m_new, whole_above(e_nearest(e[c])));
+            m_new = max(m_new, whole_above(e[c]));
         }
         s = rescaled(s, m - m_new);
         s_tile = rescaled(s_tile, m - m_new);

@@ -17,10 +17,15 @@
 #endif
 #endif
 
-// A whole number not under what rounds to e.
-static inline vreal whole_above(const vreal e)
+// A whole number not under e, but for what is no more than a rounding of e's parts.
+static inline vreal whole_above(const ereal e)
 {
-    return ceil(e + fabs(e) * 2.3841858e-7f);
+#if PRECISE == 2
+    const vreal high = TO_VREAL(e);
+#else
+    const vreal high = HIGH(e); // the sum of both parts stops a simulator (Oclgrind 21.10)
+#endif
+    return ceil(high + fabs(high) * 2.3841858e-7f);
 }
 
 // 2^n for a whole n <= 0; under -125 it is 2^-125.
@@ -31,7 +36,7 @@ static inline vreal whole_power(const vreal n)
     return AS_VREAL((AS_VINT(shifted) << 23) + 0x3f800000);
 }
 
-// 2^(e - m) for e up to m. The series of the exponential, to the
+// 2^(e - m) for e up to about m. The series of the exponential, to the
 // term that the width can still tell, in the distance from the nearest whole number.
 static inline ereal power_above(const ereal e, const vreal m)
 {

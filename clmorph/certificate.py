@@ -150,7 +150,8 @@ class _Bounded:
             logarithms = (self.log_weights - scaled + high)[far]
             if float(logarithms.max()) > 2 * MAX_EXPONENT:
                 return np.inf
-            terms[far] = np.exp(logarithms) * high[far] + limit[far]
+            masses = np.exp(logarithms) * (1 + FEW * np.abs(logarithms))
+            terms[far] = masses * (high[far] - 1) * (1 + FEW) + limit[far]
         rounding = 1 + MANY + 2 * float(more.max())
         return float(np.sum(terms)) / self.inverse_rho * rounding
 

@@ -5,6 +5,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.certificate import MAX_EXPONENT
 from clmorph.operations import StoredPairs
 from clmorph.problem import Problem
 from clmorph.softmins import Softmin
@@ -47,6 +48,9 @@ class CorrectedProblem(Problem):
 
     def correct(self, rows: Array, columns: Array, epsilon: float) -> None:
         """Set the corrections tau of T(g), (N,), and of T(f), (M,)."""
+        # What is off by more is no correction of anything: the points' residual will tell.
+        most = MAX_EXPONENT * epsilon
+        rows, columns = np.clip(rows, -most, most), np.clip(columns, -most, most)
         if not any(self.inverse_rho):
             # Balanced: the masses asked for must stay equal.
             total = float((self._own[0] * np.exp(rows / epsilon)).sum())
