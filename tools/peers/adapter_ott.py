@@ -4,8 +4,8 @@
 of its cost, tau = rho / (rho + epsilon), and the entropy is that against the counting measure, not
 against a x b: f = tau (epsilon log a - epsilon log sum_j exp((g_j - C_ij) / epsilon)). That is
 clmorph's problem with epsilon (log a_i + log b_j) added to the cost, and the same potentials. In
-balanced transport the plan is the same either way; otherwise it is not. Under jit and vmap clmorph is
-called back from the compiled program; a gradient through the loop is declined.
+balanced transport the plan is the same either way; otherwise it is not. Under jit and vmap
+clmorph is called back from the compiled program; a gradient through the loop is declined.
 """
 
 from typing import Any

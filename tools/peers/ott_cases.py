@@ -3,6 +3,7 @@
 Each problem is solved by OTT's own loop, to a small threshold, and by the adapter.
 """
 
+import functools
 from typing import Any
 
 import jax
@@ -66,7 +67,9 @@ ORIGINALS: list[tuple[Any, Any]] = []
 def adapter() -> Any:
     """Put the adapter in place, and remember what it stands for."""
     given = [(sinkhorn.iterations, 0), (sinkhorn._iterations_implicit, 1)]
-    stand_ins = [lambda *args: new(*args) for new in replacements().values()]
+    stand_ins = [
+        functools.partial(new) for new in replacements().values()
+    ]  # told apart by identity
     ORIGINALS[:] = [(old, stand_ins[number]) for old, number in given]
     with bridge.replaced("ott", dict(ORIGINALS)):
         yield
