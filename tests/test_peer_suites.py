@@ -105,6 +105,7 @@ def test_costs_of_low_rank():
         ({"rho": (0.0, 1.0)}, "marginal strength"),
         ({"rho": (np.inf, np.inf)}, "different masses"),
         ({"cost": np.full((5, 4), np.inf)}, "infinities"),
+        ({"cost": np.diag(np.full(5, 1e13))[:, :4]}, "forbidden"),
         ({"reference": np.zeros((5, 4))}, "zeros"),
         ({"cost": np.full((5, 4), -30.0)}, "far more mass"),
     ],

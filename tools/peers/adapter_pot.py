@@ -47,12 +47,14 @@ def numbers(*arrays: Any) -> tuple[Any, list[Any]]:
 def strengths(reg: Any, reg_m: Any = np.inf) -> tuple[float, tuple[float, float]]:
     """Return reg and the pair of reg_m as numbers, whatever library's they are."""
     pair = ot.utils.get_parameter_pair(reg_m)
-    source, target = (float(_plain(value)) for value in pair)
-    return float(_plain(reg)), (source, target)
+    source, target = (_plain(value) for value in pair)
+    return float(_plain(reg)), (float(source), float(target))
 
 
 def _plain(value: Any) -> Any:
-    return numbers(value)[1][0] if hasattr(value, "shape") else value
+    if isinstance(value, int | float | np.generic | np.ndarray):
+        return np.asarray(value).item()
+    return numbers(value)[1][0].item()
 
 
 def _histograms(a: Array, b: Array, M: Array) -> tuple[Array, Array]:

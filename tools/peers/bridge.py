@@ -139,6 +139,8 @@ def solve_matrix(
     if not np.all(np.isfinite(cost)):
         raise Declined("the cost holds infinities or NaN")
     check_strengths(epsilon, rho)
+    if np.abs(cost).max() > MAX_SPREAD * epsilon:
+        raise Declined("costs beyond 1e12 epsilon, which stand for pairs that are forbidden")
     x, y, r, s = factorize(cost)
     error = np.abs(0.5 * _squares(x, y) + r[:, None] + s - cost).max()
     allowed = COST_ERROR * epsilon
