@@ -34,7 +34,9 @@ def numbers(*arrays: Any) -> tuple[Any, list[Any]]:
     Declined
         If a gradient is asked of one, or its value is not known yet.
     """
-    arrays = tuple(ot.utils.list_to_array(*arrays))
+    # Of a single array it makes no list.
+    found = ot.utils.list_to_array(*arrays)
+    arrays = tuple(found) if len(arrays) > 1 else (found,)
     nx = ot.backend.get_backend(*arrays)
     for array in arrays:
         if getattr(array, "requires_grad", False):
