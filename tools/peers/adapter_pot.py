@@ -161,7 +161,7 @@ def sinkhorn_unbalanced(
         result, logu, logv = answers[0].plan, logu[:, 0], logv[:, 0]
     values = {"logu": logu, "logv": logv}
     if not many:
-        values |= costs(result, cost, a, b, reg, rho, reference)
+        values |= costs(result, cost, a, b, reg, rho, reference, mass=False)
     result = nx.from_numpy(result, type_as=M)
     if not log:
         return result
@@ -170,23 +170,26 @@ def sinkhorn_unbalanced(
     return result, told
 
 
-def kl(p: Array, q: Array) -> float:
-    """Return KL(p|q) = sum p log(p / q) - p + q."""
+def kl(p: Array, q: Array, mass: bool) -> float:
+    """Return sum p log(p / q), and with the masses sum p log(p / q) - p + q."""
     with np.errstate(divide="ignore", invalid="ignore"):
         terms = np.where(p > 0, p * np.log(np.where(p > 0, p, 1.0) / q), 0.0)
-    return float(np.sum(terms - p + q))
+    return float(np.sum(terms - p + q) if mass else np.sum(terms))
 
 
 def costs(
     plan: Array, M: Array, a: Array, b: Array, reg: float, rho: tuple[float, float],
-    c: Array | None,
+    c: Array | None, mass: bool,
 ) -> dict[str, float]:  # fmt: skip
-    """Return POT's linear and total cost of a plan."""
+    """Return POT's linear and total cost of a plan.
+
+    The total cost of POT's Sinkhorn solvers has no terms of masses, that of its others has them.
+    """
     linear = float(np.sum(plan * M))
-    total = linear + reg * kl(plan, a[:, None] * b if c is None else c)
+    total = linear + reg * kl(plan, a[:, None] * b if c is None else c, mass)
     for strength, marginal, weights in ((rho[0], plan.sum(1), a), (rho[1], plan.sum(0), b)):
         if np.isfinite(strength):
-            total += strength * kl(marginal, weights)
+            total += strength * kl(marginal, weights, mass)
     return {"cost": linear, "total_cost": total}
 
 
@@ -215,7 +218,7 @@ def _generic(
         return plan
     told: dict[str, Any] = {
         name: nx.from_numpy(np.asarray(value), type_as=M)
-        for name, value in costs(answer.plan, cost, a, b, reg, rho, reference).items()
+        for name, value in costs(answer.plan, cost, a, b, reg, rho, reference, mass=True).items()
     }
     told["res"], told["err"] = None, [float(each) for each in answer.potentials.residuals]
     return plan, told
