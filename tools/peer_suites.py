@@ -96,6 +96,9 @@ def make_suites(library: str, cache: Path, work: Path, extra: Path | None) -> li
         name = f"{sdist.package} {sdist.version}"
         suites.append((name, library, fixtures, root, files))
     cases = TOOLS / "peers"
+    if library == "pot":
+        # Both sides of each comparison are called by name: nothing is replaced.
+        suites.append(("POT: problems of ours", "", "", cases, [cases / "pot_cases.py"]))
     if library == "ott":
         # It puts the adapter in place itself, to have OTT's own answers as well.
         name = "OTT-JAX: problems of ours"
