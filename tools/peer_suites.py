@@ -93,7 +93,8 @@ def make_suites(library: str, cache: Path, work: Path, extra: Path | None) -> li
         if library == "geomloss":
             root = _with_stand_ins(root, work / "geomloss")
         files = [root / test for test in sdist.tests]
-        name = f"{sdist.package} {sdist.version}"
+        ours = ", on problems of ours" if library == "geomloss" else ""
+        name = f"{sdist.package} {sdist.version}{ours}"
         suites.append((name, library, fixtures, root, files))
     cases = TOOLS / "peers"
     if library == "pot":
