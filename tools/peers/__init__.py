@@ -1,0 +1,1 @@
+"""Adapters through which other libraries' tests of entropic transport run on clmorph."""

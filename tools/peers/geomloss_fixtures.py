@@ -1,0 +1,14 @@
+"""How many problems GeomLoss's tests draw: always the same ones, and none is made smaller."""
+
+from typing import Any
+
+from hypothesis import HealthCheck, Phase, settings
+
+
+def prepare(config: Any) -> None:
+    """Set hypothesis's profile."""
+    settings.register_profile(
+        "peers", derandomize=True, database=None, deadline=None, print_blob=False,
+        phases=(Phase.explicit, Phase.generate), suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
+    settings.load_profile("peers")
