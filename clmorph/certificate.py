@@ -104,8 +104,9 @@ class _Bounded:
     @property
     def is_tame(self) -> bool:
         """Whether no exponent is too large to be taken."""
-        largest = np.maximum(self.ratio + self.above, -self.potential * self.inverse_rho)
-        return bool(np.max(largest + np.log(np.maximum(self.weights, 1.0))) < MAX_EXPONENT)
+        scaled = -self.potential * self.inverse_rho
+        logarithms = np.maximum(self.ratio + self.above, scaled) + self.log_weights
+        return bool(logarithms.max() < MAX_EXPONENT and scaled.max() < 2 * MAX_EXPONENT)
 
     @property
     def mass(self) -> tuple[float, float]:

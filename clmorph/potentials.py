@@ -192,7 +192,7 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     usable = all(number is not None and number >= 0 for number in floats)
     usable = usable and isinstance(value.status, str) and isinstance(value.message, str)
     usable = usable and isinstance(value.residuals, np.ndarray) and value.residuals.dtype == float
-    if not usable or np.isnan(value.residuals).any() or value.truncation_error == np.inf:
+    if not usable or np.isnan(value.residuals).any():
         raise InputError(
             f"{name}: parts of it are not what they should be; expected Potentials as "
             "clmorph.sinkhorn returns them"
