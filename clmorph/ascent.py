@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.anderson import Anderson
-from clmorph.problem import Problem
+from clmorph.problem import Problem, inner
 from clmorph.progress import Share
 
 Array = NDArray[np.float64]
@@ -277,6 +277,11 @@ class Ascent:
             guess = None
             if self.n_iter + 1 < limit and self._max_iter >= SHORT:
                 guess = memory.extrapolate(g, image, column_mass)
+            if guess is not None and not any(problem.inverse_rho):
+                # Balanced potentials are free up to a constant, along which nothing holds an
+                # extrapolation back; far out float64 has no digits left for the rest.
+                mean = inner(column_mass, guess - image) / float(column_mass.sum())
+                guess = guess - mean
             g, fallback = (image, None) if guess is None else (guess, image)
 
 

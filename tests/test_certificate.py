@@ -266,3 +266,24 @@ def _log_sums(values, weights, epsilon):
     exponents = values / epsilon + np.log(weights)
     largest = exponents.max(axis=1)
     return largest + np.log(np.exp(exponents - largest[:, None]).sum(axis=1))
+
+
+@pytest.mark.parametrize("excess", [0.0, 5e-7])
+@pytest.mark.parametrize("mass", [1.0, 1e15])
+def test_balanced_potentials_do_not_drift(any_backend, rng, mass, excess):
+    """They are free up to a constant, along which extrapolation ran off below rounding."""
+    for n, m in ((1, 5), (30, 40)):
+        pair = (
+            (np.full(n, mass / n), rng.random((n, 3))),
+            (
+                np.full(m, mass * (1 + excess) / m),
+                rng.random((m, 3)),
+            ),
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+            got = sinkhorn(*pair, 0.1, None, 1e-10, 300, any_backend)
+        size = 1.5 + got.epsilon * abs(np.log(mass))
+        assert np.abs(got.f).max() <= 2 * size
+        assert np.abs(got.g).max() <= 2 * size
+        assert got.residual <= 1e-5
