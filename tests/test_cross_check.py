@@ -426,9 +426,9 @@ def test_a_line_tells_how_to_repeat_it(monkeypatch, capsys):
 
 @pytest.mark.parametrize("share", range(4))
 def test_what_is_told_is_true(any_backend, share, capsys, monkeypatch):
-    """Forty problems on each backend."""
+    """Twenty problems a share, on each backend."""
     monkeypatch.setattr(sys, "argv", ["cross_check.py"])  # what lines tell to repeat
     findings = Findings(["--seed", str(SEED)])
-    numbers = range(40 * share, 40 * share + 40)
+    numbers = range(20 * share, 20 * share + 20)
     cross_check.run([any_backend], SEED, numbers, findings, 1 << 16, PATIENCE)
     assert findings.end() == 0, capsys.readouterr().out
