@@ -33,7 +33,7 @@ def test_the_wheel_is_complete(built):
         for ending in ("html", "css", "js")
         for path in (ROOT / "clmorph" / "viewer").glob(f"*.{ending}")
     }
-    assert len(kernels) == 6
+    assert len(kernels) == 7
     assert len(viewer) == 9
     assert kernels | modules | viewer | {"clmorph/py.typed", "clmorph/data/cat.png"} <= names
     assert any(name.endswith("licenses/LICENSE") for name in names)
