@@ -22,8 +22,7 @@
 // -D GROUP   work-items of a work-group along dimension 0
 // -D UNROLL  columns taken together in the inner loop, divides TILE (speed only)
 // -D PRECISE arithmetic of the exponents, and PLANES of their inputs: see exponents.cl
-// -D CERTAIN 1: nothing but log_sum_exp, with powers and sums as exact as the exponents, which
-//            must be PRECISE: see sums.cl
+// -D BOUNDED 1: nothing but log_sum_exp, with powers and sums that have a bound: see sums.cl
 // -D LISTED  0 (default): rows see all column tiles; 1: those listed for their own tile, the
 //            levels in the list's order
 
@@ -46,14 +45,8 @@
 #define LISTED 0
 #endif
 
-#ifndef CERTAIN
-#define CERTAIN 0
-#endif
-
 #include "exponents.cl"
-#if CERTAIN
 #include "sums.cl"
-#endif
 
 // A work-group of one needs no barrier, and CPU compilers vectorize better without.
 #if GROUP > 1
@@ -130,73 +123,35 @@ static inline void load_rows(
         u[d] = e_load(row_offsets + (size_t)d * row_stride + row, (size_t)DIM * row_stride);
 }
 
-#if !CERTAIN
-typedef vreal sum_real;
-#define NO_SUM ((vreal)(0.0f))
-#define SUM_PLANES 1
-
-// Add the staged columns to m = max_j e_ij and s = sum_j 2^(e_ij - m), but for the sum over
-// these columns themselves, which is returned: sums of sums round less than one long sum.
-static inline vreal add_tile(
-    const ereal* u, const __local staged_real* staged, vreal* maximum, vreal* sum)
+// Add the staged columns to m = max_j reference_of(e_ij) and s = sum_j 2^(e_ij - m), but for the
+// sum over these columns themselves, which is returned: sums of sums round less than one long sum.
+static inline sreal add_tile(
+    const ereal* u, const __local staged_real* staged, vreal* maximum, sreal* sum)
 {
     vreal m = *maximum;
-    vreal s = *sum;
-    vreal s_tile = (vreal)(0.0f);
+    sreal s = *sum;
+    sreal s_tile = NO_SUM;
     for (uint j = 0; j < TILE; j += UNROLL) {
         ereal e[UNROLL];
         vreal m_new = m;
 #pragma unroll
         for (int c = 0; c < UNROLL; ++c) {
             e[c] = exponent(u, staged, j + c);
-            m_new = max(m_new, e_nearest(e[c]));
-        }
-        const vreal rescale = exp2_nonpositive(m - m_new);
-        s *= rescale;
-        s_tile *= rescale;
-#pragma unroll
-        for (int c = 0; c < UNROLL; ++c)
-            s_tile += exp2_nonpositive(e_above(e[c], m_new));
-        m = m_new;
-    }
-    *maximum = m;
-    *sum = s;
-    return s_tile;
-}
-#else
-typedef ereal sum_real;
-#define NO_SUM e_constant(0.0f, 0.0f)
-#define SUM_PLANES 2
-
-// The same with a whole m, not under the largest e_ij and hardly more than 1 above it.
-static inline ereal add_tile(
-    const ereal* u, const __local staged_real* staged, vreal* maximum, ereal* sum)
-{
-    vreal m = *maximum;
-    ereal s = *sum;
-    ereal s_tile = NO_SUM;
-    for (uint j = 0; j < TILE; j += UNROLL) {
-        ereal e[UNROLL];
-        vreal m_new = m;
-#pragma unroll
-        for (int c = 0; c < UNROLL; ++c) {
-            e[c] = exponent(u, staged, j + c);
-            m_new = max(m_new, whole_above(e[c]));
+            m_new = max(m_new, reference_of(e[c]));
         }
         s = rescaled(s, m - m_new);
         s_tile = rescaled(s_tile, m - m_new);
 #pragma unroll
         for (int c = 0; c < UNROLL; ++c)
-            s_tile = e_sum(s_tile, power_above(e[c], m_new));
+            s_tile = sum_of(s_tile, power_above(e[c], m_new));
         m = m_new;
     }
     *maximum = m;
     *sum = s;
     return s_tile;
 }
-#endif
 
-// Online maximum m_i = max_j e_ij and s_i = sum_j 2^(e_ij - m_i), over the column tiles
+// Online maximum m_i = max_j reference_of(e_ij) and s_i = sum_j 2^(e_ij - m_i), over the column tiles
 // of this share; the host joins the shares.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void log_sum_exp(
@@ -219,30 +174,22 @@ void log_sum_exp(
     load_rows(row_offsets, row_stride, row, u);
     // Above columns without mass: the difference of two sentinels is no exponent.
     vreal m = (vreal)(0.5f * SENTINEL);
-    sum_real s = NO_SUM;
+    sreal s = NO_SUM;
     for (uint n = n_begin; n < n_end; ++n) {
         const uint q = TILE_AT(n);
         stage_columns(q, row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),
                       row_centers, column_offsets, column_centers, column_potentials,
                       own_levels + n, staged);
         GROUP_BARRIER();
-        const sum_real s_tile = add_tile(u, staged, &m, &s);
-#if CERTAIN
-        s = e_sum(s, s_tile);
-#else
-        s += s_tile;
-#endif
+        const sreal s_tile = add_tile(u, staged, &m, &s);
+        s = sum_of(s, s_tile);
         GROUP_BARRIER();
     }
     VSTORE(m, (size_t)share * n_rows + local_row, maxima);
-#if CERTAIN
-    VSTORE(e_nearest(s), (size_t)share * n_rows + local_row, sums);
-    VSTORE(sum_low(s), ((size_t)shares + share) * n_rows + local_row, sums);
-}
-#else
-    VSTORE(s, (size_t)share * n_rows + local_row, sums);
+    store_sum(s, (size_t)share * n_rows + local_row, (size_t)shares * n_rows, sums);
 }
 
+#if !BOUNDED // the other kernels do without bounds
 #if LISTED
 #ifndef LARGEST_SHARE
 #error "LARGEST_SHARE (log2 of the largest share that measure_tiles tells apart) must be given"
@@ -555,4 +502,4 @@ void sample_plan_rows(
         GROUP_BARRIER();
     }
 }
-#endif
+#endif // !BOUNDED

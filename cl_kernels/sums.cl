@@ -1,11 +1,51 @@
-// Powers of two and their sums, far more exact than float32: what bounds of a transport value
-// are computed from. In the width of the exponents, which must be more than float32.
+// Powers of two and their sums, in float32 or far more exact, as bounds of a transport value need.
 //
-// -D PRECISE  1: unevaluated sums of two float32: a power is exact to 2^-31, and each addition
-//                to 2^-45. 2: float64: powers to 2^-44, additions to 2^-53. See exponents.cl.
-//
-// The reference m of the powers is a whole number, so that what was summed for another one is
-// rescaled without an error.
+// -D BOUNDED 0 (default): float32.
+//            1: in the width of the exponents, which must be PRECISE (see exponents.cl). With
+//            float64 powers are exact to 2^-44 and additions to 2^-53, with unevaluated sums of
+//            two float32 to 2^-31 and to 2^-45. The reference m of the powers is a whole number,
+//            so that sums for another one are rescaled without an error.
+
+#ifndef BOUNDED
+#define BOUNDED 0
+#endif
+
+#if !BOUNDED
+typedef vreal sreal;
+#define NO_SUM ((vreal)(0.0f))
+#define SUM_PLANES 1
+
+// What powers of e are taken from, at least: e itself.
+static inline vreal reference_of(const ereal e)
+{
+    return e_nearest(e);
+}
+
+// 2^(e - m) for e up to m.
+static inline sreal power_above(const ereal e, const vreal m)
+{
+    return exp2_nonpositive(e_above(e, m));
+}
+
+// s 2^n for n <= 0.
+static inline sreal rescaled(const sreal s, const vreal n)
+{
+    return s * exp2_nonpositive(n);
+}
+
+static inline sreal sum_of(const sreal a, const sreal b)
+{
+    return a + b;
+}
+
+static inline void store_sum(const sreal s, const size_t at, const size_t plane, __global float* p)
+{
+    VSTORE(s, at, p);
+}
+#else
+typedef ereal sreal;
+#define NO_SUM e_constant(0.0f, 0.0f)
+#define SUM_PLANES 2
 
 #if PRECISE == 2
 #if WIDTH == 1
@@ -17,8 +57,8 @@
 #endif
 #endif
 
-// A whole number not under e, but for what is no more than a rounding of e's parts.
-static inline vreal whole_above(const ereal e)
+// What powers of e are taken from, at least: a whole number not under e, but for a rounding.
+static inline vreal reference_of(const ereal e)
 {
 #if PRECISE == 2
     const vreal high = TO_VREAL(e);
@@ -36,9 +76,9 @@ static inline vreal whole_power(const vreal n)
     return AS_VREAL((AS_VINT(shifted) << 23) + 0x3f800000);
 }
 
-// 2^(e - m) for e up to about m. The series of the exponential, to the
-// term that the width can still tell, in the distance from the nearest whole number.
-static inline ereal power_above(const ereal e, const vreal m)
+// 2^(e - m) for e up to about m: the series of the exponential, to the term that the width can
+// still tell, in the distance from the nearest whole number.
+static inline sreal power_above(const ereal e, const vreal m)
 {
 #if PRECISE == 2
     const double magic = 6755399441055744.0; // 1.5 * 2^52
@@ -94,7 +134,7 @@ static inline ereal power_above(const ereal e, const vreal m)
 }
 
 // s 2^n for a whole n <= 0.
-static inline ereal rescaled(const ereal s, const vreal n)
+static inline sreal rescaled(const sreal s, const vreal n)
 {
 #if PRECISE == 2
     return s * TO_EREAL(whole_power(n));
@@ -106,12 +146,20 @@ static inline ereal rescaled(const ereal s, const vreal n)
 #endif
 }
 
-// Both parts of s as float32: the nearest, and what it rounds off.
-static inline vreal sum_low(const ereal s)
+static inline sreal sum_of(const sreal a, const sreal b)
 {
+    return e_sum(a, b);
+}
+
+// Both parts of s as float32: the nearest, and in the next plane what it rounds off.
+static inline void store_sum(const sreal s, const size_t at, const size_t plane, __global float* p)
+{
+    const vreal high = e_nearest(s);
+    VSTORE(high, at, p);
 #if PRECISE == 2
-    return TO_VREAL(s - TO_EREAL(TO_VREAL(s)));
+    VSTORE(TO_VREAL(s - TO_EREAL(high)), at + plane, p);
 #else
-    return (HIGH(s) - (HIGH(s) + LOW(s))) + LOW(s);
+    VSTORE((HIGH(s) - high) + LOW(s), at + plane, p);
 #endif
 }
+#endif // BOUNDED

@@ -36,8 +36,8 @@ SHORT = 20
 STALLED = 25
 #: A residual of so many times the bound on the rounding of one softmin can be due to it.
 ROUNDING_MARGIN = 8.0
-#: Shares of the tolerance that are asked for where the last measurement, which is exact and holds
-#: its own bound, is above it.
+#: Shares of the tolerance to iterate to, one after the other, where the residual as measured in
+#: the end, with the bound of its rounding, is above the tolerance.
 REPEATED = (0.8, 0.4)
 #: Float32 is left for better exponents at so many times its rounding as measured.
 LEAVING_MARGIN = 4.0
@@ -51,6 +51,12 @@ class State(NamedTuple):
     t_rows: Array
     t_columns: Array
     residual: float
+
+
+def measured(problem: Problem, f: Array, g: Array, epsilon: float) -> State:
+    """Return potentials with softmins, and a residual, of which every rounding is bounded."""
+    softmins = problem.bounded_softmins(f, g, epsilon)
+    return State(f, g, *softmins, problem.residual(f, g, *softmins, epsilon))
 
 
 class _Reached(NamedTuple):
@@ -196,21 +202,21 @@ class Ascent:
         """Take the softmins of the potentials that are returned, and their residual."""
         f, g, t_columns, _, was_precise = reached
         if self._certify:
-            t_rows, t_columns = self.problem.bounded_softmins(f, g, epsilon)
+            self.state = measured(self.problem, f, g, epsilon)
         else:
             t_rows = self.problem.softmin_rows(g, epsilon, precise)
             self._measured += 1
             if precise != was_precise:
                 t_columns = self.problem.softmin_columns(f, epsilon, precise)
                 self._measured += 1
-        residual = self.problem.residual(f, g, t_rows, t_columns, epsilon)
-        self.residuals.append(residual)
-        if residual <= self.tol:
+            residual = self.problem.residual(f, g, t_rows, t_columns, epsilon)
+            self.state = State(f, g, t_rows, t_columns, residual)
+        self.residuals.append(self.state.residual)
+        if self.state.residual <= self.tol:
             self.status = "converged"
         elif self.status == "converged":
             # Exactly, the last half-step can only have lowered the residual.
             self.status = "precision"
-        self.state = State(f, g, t_rows, t_columns, residual)
 
     def _measured_rounding(self, g: Array, epsilon: float) -> float:
         """Difference that precise exponents make to T(g), in units of epsilon."""
@@ -248,7 +254,7 @@ class Ascent:
                 mass = float(problem.row_mass(f, t_rows, epsilon).sum())
                 dual = problem.dual(f, g_shifted, mass, epsilon)
                 slack = 1e-12 * abs(floor) + 1e-2 * rounding * epsilon * mass
-                slack += problem.truncation_error * epsilon * mass
+                slack += problem.left_out * epsilon * mass
                 if not dual >= floor - slack:
                     g, fallback = fallback, None
                     memory.rejected()

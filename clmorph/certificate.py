@@ -1,10 +1,10 @@
 """What potentials prove: a lower and an upper bound of the optimal value, rounding included.
 
-For any potentials (f, g) and their plan pi the dual value D(f, g) is at most the optimum. So is
-the optimum at most the primal value of a plan that keeps every balanced marginal. Both follow
-from the two marginals, so from two softmins. These are known up to what was left out of their
-sums and up to their rounding, both bounded in nats; of all values that this leaves possible the
-least dual and the greatest primal are told.
+The dual value D(f, g) of any potentials is at most the optimum. The primal value of any plan that
+keeps every balanced marginal is at least the optimum. Both values follow from the two marginals of
+the plan, and these from two softmins. A softmin is known up to what was left out of its sums and
+up to its rounding, and both are bounded in nats. `certify` returns the least dual value and the
+greatest primal value that these bounds leave possible.
 
 Source of the formulas: Chizat, Peyré, Schmitzer, Vialard, "Scaling algorithms for unbalanced
 optimal transport problems" (2018).
@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Beyond this exponentials are not taken, so that potentials far from a solution give no inf.
+#: Largest exponent of an exponential: potentials far from a solution then overflow nowhere.
 MAX_EXPONENT = 300.0
-#: From here on e^x is e^x - 1.
+#: From this exponent on float64 cannot tell e^x from e^x - 1.
 FAR = 50.0
-#: Error of a few operations in float64, and of a sum by halves over up to 2^24 terms.
-FEW, MANY = 2.0**-50, 2.0**-46
+#: Relative errors in float64: of a few operations, and of NumPy's pairwise sum of 2^24 terms.
+STEPS_ERROR, SUM_ERROR = 2.0**-50, 2.0**-46
 
 
 class Certificate(NamedTuple):
@@ -83,6 +83,10 @@ class Side(NamedTuple):
     roundoff: float
     oscillation: float
 
+    def marginal(self, epsilon: float) -> Array:
+        """Return the marginal of the plan on this side."""
+        return marginal(self.weights, self.log_weights, self.potential, self.softmin, epsilon)
+
 
 class _Bounded:
     """One side over its points of positive mass, every number with the interval it is within."""
@@ -95,53 +99,54 @@ class _Bounded:
         self.softmin = side.softmin[massive]
         sizes = (np.abs(self.potential) + np.abs(self.softmin)) / epsilon
         sizes += np.abs(self.log_weights)
-        self.below = side.roundoff + FEW * sizes
+        self.below = side.roundoff + STEPS_ERROR * sizes
         self.above = self.below + side.left_out
         #: Logarithm of marginal over weights.
         self.ratio = (self.potential - self.softmin) / epsilon
-        self.marginal = marginal_of(side, epsilon)[massive]
+        self.marginal = side.marginal(epsilon)[massive]
 
     @property
-    def is_tame(self) -> bool:
-        """Whether no exponent is too large to be taken."""
+    def is_representable(self) -> bool:
+        """Whether no exponential overflows."""
         scaled = -self.potential * self.inverse_rho
         logarithms = np.maximum(self.ratio + self.above, scaled) + self.log_weights
         return bool(logarithms.max() < MAX_EXPONENT and scaled.max() < 2 * MAX_EXPONENT)
 
     @property
     def mass(self) -> tuple[float, float]:
-        """The least and the greatest mass of the plan that this marginal allows."""
+        """Return the least and the greatest mass of the plan that this marginal allows."""
         low = float(np.sum(self.marginal * np.exp(-self.below)))
         high = float(np.sum(self.marginal * np.exp(self.above)))
-        return low * (1 - MANY), high * (1 + MANY)
+        return low * (1 - SUM_ERROR), high * (1 + SUM_ERROR)
 
     @property
     def penalty(self) -> tuple[float, float]:
-        """What the dual gains by this potential, and by how much that may be rounded."""
+        """Return this potential's term of the dual, and a bound of its rounding."""
         if not self.inverse_rho:
             terms = self.weights * self.potential
-            return float(terms.sum()), MANY * float(np.abs(terms).sum())
+            return float(terms.sum()), SUM_ERROR * float(np.abs(terms).sum())
         scaled = -self.potential * self.inverse_rho
         # rho (1 - exp(-f / rho)), without the cancellation at large rho
         gains = np.expm1(scaled)
         sizes = self.weights * (np.abs(gains) + np.abs(scaled) * (1 + gains))
         gain = -float(np.sum(self.weights * gains)) / self.inverse_rho
-        return gain, MANY * float(sizes.sum()) / self.inverse_rho
+        return gain, SUM_ERROR * float(sizes.sum()) / self.inverse_rho
 
     @property
     def missed(self) -> float:
-        """|pi 1 - a|_1 at most."""
+        """Return an upper bound of |pi 1 - a|_1."""
         more = self.marginal * np.expm1(self.above)
-        return float(np.sum(np.abs(self.marginal - self.weights) + more)) * (1 + MANY)
+        return float(np.sum(np.abs(self.marginal - self.weights) + more)) * (1 + SUM_ERROR)
 
     def divergence(self, shrunk: float, grown: float) -> float:
-        """Rho KL(marginal | a exp(-f / rho)) at most, term by term, none of them negative.
+        """Return an upper bound of rho KL(r | a exp(-f / rho)), whose terms cannot be negative.
 
-        For a marginal whose logarithms are up to `shrunk` less and up to `grown` more.
+        The logarithms of r may be up to `shrunk` less than those of the marginal, and up to
+        `grown` more.
         """
         scaled = self.potential * self.inverse_rho
         excess = self.ratio + scaled
-        more = FEW * np.abs(scaled)
+        more = STEPS_ERROR * np.abs(scaled)
         low, high = excess - self.below - more - shrunk, excess + self.above + more + grown
         limit = self.weights * np.exp(-scaled)
         terms = np.maximum(_kl_terms(limit, low), _kl_terms(limit, high))
@@ -151,9 +156,9 @@ class _Bounded:
             logarithms = (self.log_weights - scaled + high)[far]
             if float(logarithms.max()) > 2 * MAX_EXPONENT:
                 return np.inf
-            masses = np.exp(logarithms) * (1 + FEW * np.abs(logarithms))
-            terms[far] = masses * (high[far] - 1) * (1 + FEW) + limit[far]
-        rounding = 1 + MANY + 2 * float(more.max())
+            masses = np.exp(logarithms) * (1 + STEPS_ERROR * np.abs(logarithms))
+            terms[far] = masses * (high[far] - 1) * (1 + STEPS_ERROR) + limit[far]
+        rounding = 1 + SUM_ERROR + 2 * float(more.max())
         return float(np.sum(terms)) / self.inverse_rho * rounding
 
 
@@ -171,10 +176,10 @@ def certify(rows: Side, columns: Side, epsilon: float) -> Certificate:
     Certificate
     """
     of_rows, of_columns = _Bounded(rows, epsilon), _Bounded(columns, epsilon)
-    row_mass, column_mass = marginal_of(rows, epsilon), marginal_of(columns, epsilon)
+    row_mass, column_mass = rows.marginal(epsilon), columns.marginal(epsilon)
     mass = float(row_mass.sum())
     balanced = [side for side in (of_rows, of_columns) if not side.inverse_rho]
-    if not (of_rows.is_tame and of_columns.is_tame):
+    if not (of_rows.is_representable and of_columns.is_representable):
         error = np.inf if balanced else 0.0
         return Certificate(np.inf, -np.inf, np.inf, error, row_mass, column_mass, mass)
     intervals = of_rows.mass, of_columns.mass
@@ -182,7 +187,7 @@ def certify(rows: Side, columns: Side, epsilon: float) -> Certificate:
     most = max(least, min(high for _, high in intervals))
     gains, errors = zip(of_rows.penalty, of_columns.penalty, strict=True)
     constant = epsilon * float(rows.weights.sum()) * float(columns.weights.sum())
-    rounding = sum(errors) + MANY * (epsilon * most + constant)
+    rounding = sum(errors) + SUM_ERROR * (epsilon * most + constant)
     dual = sum(gains) + constant - epsilon * most - rounding
     greatest = sum(gains) + constant - epsilon * least + rounding
     if len(balanced) == 2:
@@ -200,23 +205,23 @@ def certify(rows: Side, columns: Side, epsilon: float) -> Certificate:
 
 
 def _one_side_scaled(balanced: _Bounded, other: _Bounded, epsilon: float, constant: float) -> float:
-    """Value at most of the plan whose rows, or columns, are scaled to the masses asked for.
+    """Return an upper bound of the primal of the plan with its rows scaled to the masses given.
 
-    Its potential there is the softmin itself; its other marginal has changed by no larger a
-    factor than any row has.
+    The scaled plan has the softmin itself as its potential there. Its other marginal changes by at
+    most the largest factor of a row. The same holds for columns.
     """
     scaled = balanced.weights * (balanced.softmin + epsilon * balanced.below)
     mass = float(balanced.weights.sum())
     gain, error = other.penalty
     value = float(scaled.sum()) + gain + constant - epsilon * mass
-    error += MANY * (float(np.abs(scaled).sum()) + constant + epsilon * mass)
+    error += SUM_ERROR * (float(np.abs(scaled).sum()) + constant + epsilon * mass)
     largest = float(np.max(balanced.ratio + balanced.above))
     least = float(np.min(balanced.ratio - balanced.below))
     return value + error + other.divergence(max(largest, 0.0), max(-least, 0.0))
 
 
 def _infeasibility(rows: _Bounded, columns: _Bounded, epsilon: float) -> float:
-    """By how much the optimum of a balanced problem can exceed the dual value.
+    """Return by how much the optimum of a balanced problem can exceed the dual value.
 
     The dual is concave with gradient (a - pi 1, b - pi^T 1), so it grows towards optimal
     potentials (f*, g*) by at most <a - pi 1, f* - f> + <b - pi^T 1, g* - g>. Optimal potentials
@@ -231,20 +236,21 @@ def _infeasibility(rows: _Bounded, columns: _Bounded, epsilon: float) -> float:
         oscillation = one.oscillation + float(np.ptp(one.potential))
         off = float(np.max(np.abs(other.ratio) + other.above))
         bounds.append(0.5 * sum(missed) * oscillation + missed_there * epsilon * off)
-    return min(bounds) * (1 + MANY)
+    return min(bounds) * (1 + SUM_ERROR)
 
 
-def marginal_of(side: Side, epsilon: float) -> Array:
-    """a_i exp((f_i - T(g)_i) / epsilon), by its logarithm: a alone may underflow."""
+def marginal(
+    weights: Array, log_weights: Array, potential: Array, softmin: Array, epsilon: float
+) -> Array:
+    """Return a_i exp((f_i - T(g)_i) / epsilon), by its logarithm, as a alone may underflow."""
     with np.errstate(invalid="ignore"):
-        exponent = (side.potential - side.softmin) / epsilon + side.log_weights
-        exponent = np.minimum(exponent, MAX_EXPONENT)
-    return np.where(side.weights > 0, np.exp(exponent), 0.0)
+        exponent = np.minimum((potential - softmin) / epsilon + log_weights, MAX_EXPONENT)
+    return np.where(weights > 0, np.exp(exponent), 0.0)
 
 
 def _kl_terms(limit: Array, excess: Array) -> Array:
-    """Return (x e^x - e^x + 1) limit, which grows with |x|, at most; as far as numbers go."""
+    """Return an upper bound of (x e^x - e^x + 1) limit for x up to FAR; it grows with |x|."""
     excess = np.clip(excess, -MAX_EXPONENT, FAR)
     growth, powers = np.expm1(excess), excess * np.exp(excess)
-    terms = np.maximum(powers - growth, 0.0) + FEW * (np.abs(powers) + np.abs(growth))
+    terms = np.maximum(powers - growth, 0.0) + STEPS_ERROR * (np.abs(powers) + np.abs(growth))
     return limit * terms

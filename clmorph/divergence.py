@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clmorph import defaults
 from clmorph.ascent import REPEATED, ROUNDING_MARGIN
 from clmorph.backends import Backend, get_backend
-from clmorph.certificate import MANY
+from clmorph.certificate import SUM_ERROR
 from clmorph.checks import check_progress, shown
 from clmorph.errors import InputError
 from clmorph.multiscale import MANY_PAIRS
@@ -123,7 +123,7 @@ def sinkhorn_divergence(
     Raises
     ------
     InputError
-        If an argument cannot be used.
+        If an argument cannot be used, or nothing is proven about a part of the result.
 
     Warns
     -----
@@ -164,10 +164,16 @@ def sinkhorn_divergence(
         )  # fmt: skip
     report(1.0)
 
+    if not all(np.isfinite(part.gap) for part in (cross, *parts)):
+        raise InputError(
+            "the divergence has no bound: points are too far apart for this blur on this device, "
+            "or the solver was stopped too far from a solution; raise blur or max_iter, scale the "
+            "points, or use backend='numpy'"
+        )
     extra = 0.5 * given.epsilon * (pair[0].mass - pair[1].mass) ** 2
     duals = [part.dual for part in (cross, *parts)]
     value = duals[0] - 0.5 * (duals[1] + duals[2]) + extra
-    rounding = MANY * (extra + sum(abs(dual) for dual in duals))
+    rounding = SUM_ERROR * (extra + sum(abs(dual) for dual in duals))
     low = value - 0.5 * (parts[0].gap + parts[1].gap) - rounding
     high = value + cross.gap + rounding
     # S >= 0 is a theorem: what rounding puts below is 0.

@@ -21,7 +21,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.ascent import ROUNDING_MARGIN, TOP, Ascent, State, needs_more, share_done
+from clmorph.ascent import (
+    ROUNDING_MARGIN,
+    TOP,
+    Ascent,
+    State,
+    measured,
+    needs_more,
+    share_done,
+)
 from clmorph.cells import Cells, make_cells
 from clmorph.corrections import CorrectedProblem, Grid, StoredProblem, stored_grid
 from clmorph.points import AnyMeasure
@@ -264,7 +272,8 @@ class Multiscale:
             done = residual <= self.tol - (0.0 if precise else rounding)
             out = self.n_iter >= self._max_iter
             if done or out:
-                self._measure()
+                self.state = measured(problem, f, g, epsilon)
+                self.residuals[-1] = self.state.residual
                 self.status = "converged" if self.state.residual <= self.tol else "max_iter"
                 if out or self.status == "converged":
                     return
@@ -283,14 +292,6 @@ class Multiscale:
                 return
             g, reached = self._correct(grid, image)
             before = residual
-
-    def _measure(self) -> None:
-        """Take the softmins of the potentials that are returned, with bounds of their rounding."""
-        f, g, epsilon = self.state.f, self.state.g, self._blur**2
-        softmins = self.problem.bounded_softmins(f, g, epsilon)
-        residual = self.problem.residual(f, g, *softmins, epsilon)
-        self.state = State(f, g, *softmins, residual)
-        self.residuals[-1] = residual
 
     def _correct(self, grid: Grid, image: Array) -> tuple[Array, float]:
         """Return better potentials g than the image of the last iteration.

@@ -130,10 +130,10 @@ class Operations(Protocol):
         epsilon: float,
         near: NearPairs | None = None,
     ) -> tuple[Float64, float]:
-        """Return the soft minimum with powers and sums in float64, or pairs of float32.
+        """Return the soft minimum with exponentials and sums in float64, or pairs of float32.
 
-        What bounds of a transport value are made of. It takes two to three times as long as
-        `softmin` where there is float64, else about ten times.
+        What bounds of a transport value are made of. It takes about three times as long as
+        `softmin` where there is float64, else about nine times.
 
         Parameters
         ----------

@@ -5,7 +5,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.certificate import FEW, MAX_EXPONENT, Certificate, Side, certify, marginal_of
+from clmorph.certificate import MAX_EXPONENT, STEPS_ERROR, Certificate, Side, certify, marginal
 from clmorph.operations import Operations
 from clmorph.points import AnyMeasure
 from clmorph.softmins import Softmin
@@ -124,14 +124,14 @@ class Problem:
         return self.to_columns(f, epsilon, precise)
 
     @property
-    def truncation_error(self) -> float:
+    def left_out(self) -> float:
         """By how many nats the last softmins' sums can be too small for what they left out."""
-        return max(self.to_rows.error, self.to_columns.error)
+        return max(self.to_rows.left_out, self.to_columns.left_out)
 
     @property
     def error(self) -> float:
         """By how many nats the sums of the last softmins, if bounded, can be off in all."""
-        return max(side.error + side.roundoff for side in (self.to_rows, self.to_columns))
+        return max(side.left_out + side.roundoff for side in (self.to_rows, self.to_columns))
 
     @property
     def visited(self) -> float:
@@ -175,7 +175,7 @@ class Problem:
         return excess / (new_rate + old_rate)
 
     def bounded_softmins(self, f: Array, g: Array, epsilon: float) -> tuple[Array, Array]:
-        """T(g) and T(f) with bounds of all that they leave out and round off."""
+        """Return T(g) and T(f); `left_out` and `roundoff` of both then bound their errors."""
         t_rows = self.to_rows(g, epsilon, bounded=True)
         return t_rows, self.to_columns(f, epsilon, bounded=True)
 
@@ -197,17 +197,17 @@ class Problem:
             residual = float(np.abs(potential - damping * softmin).max()) / epsilon + side.left_out
             if side.roundoff:
                 size = float(np.abs(potential).max() + np.abs(softmin).max()) / epsilon
-                residual += side.roundoff + FEW * size
+                residual += side.roundoff + STEPS_ERROR * size
             residuals.append(residual)
         return max(residuals)
 
     def row_mass(self, f: Array, t_rows: Array, epsilon: float) -> Array:
         """First marginal of the plan of (f, g), given T(g)."""
-        return marginal_of(self._sides(f, f, t_rows, t_rows)[0], epsilon)
+        return marginal(self.a, self.log_a, f, t_rows, epsilon)
 
     def column_mass(self, g: Array, t_columns: Array, epsilon: float) -> Array:
         """Second marginal of the plan of (f, g), given T(f)."""
-        return marginal_of(self._sides(g, g, t_columns, t_columns)[1], epsilon)
+        return marginal(self.b, self.log_b, g, t_columns, epsilon)
 
     def dual(self, f: Array, g: Array, plan_mass: float, epsilon: float) -> float:
         """D(f, g) less its constant epsilon m_a m_b, given the mass of its plan.
@@ -236,11 +236,11 @@ class Problem:
     def _sides(self, f: Array, g: Array, t_rows: Array, t_columns: Array) -> tuple[Side, Side]:
         rows = Side(
             self.a, self.log_a, f, t_rows, self.inverse_rho[0],
-            self.to_rows.error, self.to_rows.roundoff, self.oscillations[0],
+            self.to_rows.left_out, self.to_rows.roundoff, self.oscillations[0],
         )  # fmt: skip
         columns = Side(
             self.b, self.log_b, g, t_columns, self.inverse_rho[1],
-            self.to_columns.error, self.to_columns.roundoff, self.oscillations[1],
+            self.to_columns.left_out, self.to_columns.roundoff, self.oscillations[1],
         )  # fmt: skip
         return rows, columns
 

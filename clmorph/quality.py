@@ -13,10 +13,11 @@ from clmorph.checks import check_choice, check_integer, check_number, check_prog
 from clmorph.colors import from_space
 from clmorph.divergence import Divergence, sinkhorn_divergence
 from clmorph.errors import InputError
+from clmorph.filling import is_torn
 from clmorph.images import resized
 from clmorph.measures import LUMINANCE, Measure
 from clmorph.points import WeightedPoints
-from clmorph.rendering import Canvas, Sums, is_torn
+from clmorph.rendering import Canvas, Sums
 from clmorph.result import Morph
 from clmorph.strengths import strengths
 

@@ -97,7 +97,7 @@ class Morph:
         """Render the frame at time t.
 
         A pixel is the weighted mean of Eq. 4 where `coverage` is at least
-        `clmorph.rendering.HOLE_COVERAGE` (with "local" splatting, and where it is not torn out of
+        `clmorph.filling.HOLE_COVERAGE` (with "local" splatting, and where it is not torn out of
         its surroundings). From half of that down, where mostly the kernels' tails would decide, it
         is filled by wider kernels; between the two it is both. So it follows particles nearby,
         rather than pairs that the plan has dropped.

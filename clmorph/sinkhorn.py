@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph import defaults, geomloss_schedule
-from clmorph.ascent import SHORT, Ascent, State
+from clmorph.ascent import SHORT, Ascent, measured
 from clmorph.backends import Backend, get_backend
 from clmorph.checks import (
     check_choice,
@@ -205,10 +205,8 @@ def _take_all_pairs(ascent: Ascent | Multiscale, epsilon: float) -> None:
     problem, state = ascent.problem, ascent.state
     for softmin in (problem.to_rows, problem.to_columns):
         softmin.release()
-    softmins = problem.bounded_softmins(state.f, state.g, epsilon)
-    residual = problem.residual(state.f, state.g, *softmins, epsilon)
-    ascent.state = State(state.f, state.g, *softmins, residual)
-    if residual > ascent.tol and ascent.status == "converged":
+    ascent.state = measured(problem, state.f, state.g, epsilon)
+    if ascent.state.residual > ascent.tol and ascent.status == "converged":
         ascent.status = "precision"
 
 
@@ -264,15 +262,16 @@ def _geomloss(
     precise = precision == "float64" or (precision == "auto" and rounding > 0.1 * tol)
     f, g = geomloss_schedule.run(problem, given.blur, scaling, precise, report)
     n_iter = problem.n_softmin // 2
-    softmins = problem.bounded_softmins(f, g, given.epsilon)
-    residual = problem.residual(f, g, *softmins, given.epsilon)
+    state = measured(problem, f, g, given.epsilon)
+    residual = state.residual
     return Potentials(
         f, g, given.blur, given.reach,
         status="converged" if residual <= tol else "schedule",
         message=f"GeomLoss's schedule, {n_iter} iterations, left a residual of {residual:.1e} "
         "epsilon; method='certified' goes on until it is small",
         n_iter=n_iter, residual=residual, residuals=np.array([residual]),
-        certificate=problem.certificate(f, g, *softmins, given.epsilon), precise=precise,
+        certificate=problem.certificate(f, g, state.t_rows, state.t_columns, given.epsilon),
+        precise=precise,
         truncation_error=problem.error,
     )  # fmt: skip
 

@@ -40,7 +40,7 @@ class Softmin:
     truncation : float or None
     guess : (N,) array or None
         About what the next softmin will be; the last one unless set.
-    error : float
+    left_out : float
         By how many nats the logarithms of the last softmin's sums can be too small for what it
         left out: a bound.
     roundoff : float
@@ -73,7 +73,7 @@ class Softmin:
         self._chosen_for: tuple[float, Array] = (0.0, np.zeros(0))
         self.guess: Array | None = None
         self.near: NearPairs | None = None
-        self.error = self.roundoff = 0.0
+        self.left_out = self.roundoff = 0.0
 
     def __call__(
         self, potential: Array, epsilon: float, precise: bool = False, bounded: bool = False
@@ -94,8 +94,8 @@ class Softmin:
             return self._over(None, potential, epsilon, *kind)
         if self._near is not None and self._chosen_for[0] == epsilon:
             softmin = self._over(self._near, potential, epsilon, *kind)
-            self.error = self._bound(potential, softmin, epsilon)
-            if self.error <= self.truncation:
+            self.left_out = self._bound(potential, softmin, epsilon)
+            if self.left_out <= self.truncation:
                 return softmin
             self.reserve = max(LEAST_RESERVE, SCARCER * self.reserve)
         if self.guess is None:
@@ -106,10 +106,10 @@ class Softmin:
                 softmin, self.roundoff = near.softmin, 0.0
                 if precise or bounded:
                     softmin = self._over(near, potential, epsilon, *kind)
-                self.near, self.error = near, float(near.skipped.max())
+                self.near, self.left_out = near, self._bound(potential, softmin, epsilon)
                 return softmin
         # What is left out cannot be bounded: leave out nothing.
-        self._near, self.error = None, 0.0
+        self._near, self.left_out = None, 0.0
         return self._over(None, potential, epsilon, *kind)
 
     def release(self) -> None:
@@ -146,7 +146,7 @@ class Softmin:
             softmin = self.operations.softmin(*arguments, precise)
         else:
             softmin = self.operations.softmin(*arguments, precise, near)
-        self.near, self.guess, self.error = near, _finite(softmin), 0.0
+        self.near, self.guess, self.left_out = near, _finite(softmin), 0.0
         return softmin
 
     @property

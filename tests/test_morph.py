@@ -9,8 +9,9 @@ import skimage.data
 import clmorph
 from clmorph import InputError, PruningWarning, fit, morph, reference
 from clmorph.defaults import PRESETS
+from clmorph.filling import HOLE_COVERAGE
 from clmorph.images import as_rgb
-from clmorph.rendering import HOLE_COVERAGE, uniform_density
+from clmorph.rendering import uniform_density
 
 
 @pytest.fixture(scope="session")

@@ -178,7 +178,7 @@ def test_stored_pairs_stand_for_the_points(device, rng):
     epsilon = blur**2
     problem, f, g, t_rows, t_columns, grid = stored_near(device, 32, blur, rho)
     near = grid.problem
-    assert near.to_rows.error == 0
+    assert near.to_rows.left_out == 0
     pairs = near.to_rows._stored.n_pairs
     assert pairs < 0.9 * len(f) * len(g)
     rounding = 20 * problem.rounding(epsilon, True) + near.rounding(epsilon, False) + 1e-5

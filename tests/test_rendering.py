@@ -6,7 +6,8 @@ from scipy.ndimage import gaussian_filter
 
 import clmorph
 from clmorph import InputError, lift, morph
-from clmorph.rendering import HOLE_COVERAGE, Canvas, Widths, canvas_at, render
+from clmorph.filling import HOLE_COVERAGE
+from clmorph.rendering import Canvas, Widths, canvas_at, render
 from clmorph.widths import KernelWidth, effective_count
 
 

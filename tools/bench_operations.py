@@ -1,13 +1,16 @@
 """Time the two operations that matter on every usable device: ``python tools/bench_operations.py``.
 
 Prints a Markdown table: point pairs per second through the log-sum-exp, as a share of
-the device's measured multiply-add peak, and splats per second. One pair costs about 18
-multiply-add slots: 5 for the dot product, 1 for the maximum, 11 for the exponential, 1 sum.
+the device's measured multiply-add peak; how many times as long it takes with more than float32, in
+the exponents alone (precise) and in powers and sums too (with a bound), by float64 and by pairs
+of float32; and splats per second. One pair costs about 18 multiply-add slots: 5 for the dot
+product, 1 for the maximum, 11 for the exponential, 1 sum.
 """
 
 import argparse
 import time
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pyopencl as cl
@@ -64,6 +67,26 @@ def multiply_add_peak(operations: OpenCLOperations) -> float:
     return items * n * 16 * width / best_and_median(run, 7)[0]
 
 
+def slowdowns(operations: OpenCLOperations, n: int, repeats: int) -> str:
+    """How many times as long precise and bounded log-sum-exps take, by float64 and by pairs."""
+    told = []
+    for precise in (2, 1) if operations.has_float64 else (1,):
+        knobs = replace(operations.knobs, precise=precise)
+        wider = OpenCLOperations(operations.device, knobs)
+        cloud = wider.upload(np.random.default_rng(0).random((n, 5)), np.full(n, 1 / n))
+        arguments = cloud, cloud, np.zeros(n), 0.0025
+        kinds = (
+            lambda: wider.softmin(*arguments),  # noqa: B023
+            lambda: wider.softmin(*arguments, True),  # noqa: B023
+            lambda: wider.bounded_softmin(*arguments),  # noqa: B023
+        )
+        for kind in kinds:
+            kind()
+        plain, *others = (best_and_median(kind, repeats)[0] for kind in kinds)
+        told.append(" / ".join(f"{other / plain:.1f}" for other in others))
+    return "; ".join(told)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--points", type=int, default=4096)
@@ -74,9 +97,9 @@ def main() -> None:
     n, k = options.points, options.particles
     print(
         f"| device | log-sum-exp {n}², 10⁹ pairs/s: median (best) | share of peak | "
-        f"{k} splats, σ 1.4, 64×64: ms |"
+        f"times as long, precise / with a bound: float64; pairs | {k} splats, σ 1.4, 64×64: ms |"
     )
-    print("|---|---|---|---|")
+    print("|---|---|---|---|---|")
     for device in find_devices():
         if not device.usable:
             continue
@@ -103,7 +126,8 @@ def main() -> None:
         share = n * n * SLOTS_PER_PAIR / best / multiply_add_peak(operations)
         print(
             f"| {device.name}, {device.platform} {device.driver} | {n * n / median / 1e9:.1f} "
-            f"({n * n / best / 1e9:.1f}) | {100 * share:.0f} % | {1e3 * splatting:.0f} |"
+            f"({n * n / best / 1e9:.1f}) | {100 * share:.0f} % | "
+            f"{slowdowns(operations, n, options.repeats)} | {1e3 * splatting:.0f} |"
         )
 
 

@@ -73,11 +73,11 @@ class Knobs:
         dimension: int,
         precise: bool = False,
         listed: bool = False,
-        certain: bool = False,
+        bounded: bool = False,
     ) -> dict[str, int | float]:
-        """Return the macros of ``rows.cl``; what is certain is precise as well."""
+        """Return the macros of ``rows.cl``; bounded sums need precise exponents."""
         return {
-            "CERTAIN": int(certain),
+            "BOUNDED": int(bounded),
             "DIM": dimension,
             "EXP2_BUILTIN": self.exp2_builtin,
             "GROUP": self.group,

@@ -65,9 +65,9 @@ class Reductions:
         epsilon: float,
         near: NearPairs | None = None,
     ) -> tuple[Float64, float]:
-        """Return T(g) by powers and sums far more exact than float32, and a bound of its error."""
+        """Return T(g), far more exact than float32, and a bound of its error in nats."""
         maxima, sums, constants = self._log_sum_exp(
-            rows, columns, potential, epsilon, True, near, certain=True
+            rows, columns, potential, epsilon, True, near, bounded=True
         )
         error = self._error_bound(rows, columns, potential, epsilon)
         if not (np.abs(maxima).max() <= LARGEST_MAXIMUM and sums.min() > SMALLEST_SUM):
@@ -118,11 +118,11 @@ class Reductions:
         epsilon: float,
         precise: bool,
         near: NearPairs | None = None,
-        certain: bool = False,
+        bounded: bool = False,
     ) -> tuple[Float64, Float64, Float64]:
         """Log2 maximum, sum and what to add to the first, of every sorted row."""
         pairs = None if near is None else near.pairs
-        kernel = self._row_kernels(rows, precise, pairs is not None, certain)["log_sum_exp"]
+        kernel = self._row_kernels(rows, precise, pairs is not None, bounded)["log_sum_exp"]
         k = LOG2_E / epsilon
         heights, tops = self._column_heights(columns, potential, k)
         tops_of_rows = self._row_tops(rows, columns, tops, k, pairs)
@@ -133,7 +133,7 @@ class Reductions:
             n_rows = len(part) * tile
             found = np.empty((shares, n_rows), np.float32)
             # The sums, and what their nearest float32 rounds off.
-            planes = np.empty((1 + certain, shares, n_rows), np.float32)
+            planes = np.empty((1 + bounded, shares, n_rows), np.float32)
             buffers = self._work.empty(found.nbytes), self._work.empty(planes.nbytes)
             self._launch_rows(
                 kernel, rows, columns, heights, tops, tops_of_rows, k, part,
@@ -277,9 +277,9 @@ class Reductions:
             )  # fmt: skip
 
     def _row_kernels(
-        self, rows: Cloud, precise: bool, listed: bool = False, certain: bool = False
+        self, rows: Cloud, precise: bool, listed: bool = False, bounded: bool = False
     ) -> dict[str, cl.Kernel]:
-        key = rows.centers.shape[1], precise, listed, certain
+        key = rows.centers.shape[1], precise, listed, bounded
         if key not in self._kernels:
             constants = self._knobs.rows_constants(*key)
             built = program.build(self._work.context, "rows.cl", constants)
@@ -289,7 +289,7 @@ class Reductions:
             ]  # fmt: skip
             if listed:
                 names += ["largest_shares", "measure_tiles"]
-            if certain:
+            if bounded:
                 names = ["log_sum_exp"]
             self._kernels[key] = {name: program.kernel(built, name) for name in names}
         return self._kernels[key]

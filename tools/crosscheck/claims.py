@@ -17,6 +17,8 @@ from crosscheck.judge import Optimum
 WIDENING = 2e-6
 #: Logarithm of the smallest and the largest mass that float64 holds to its full precision.
 LEAST, MOST = np.log(np.finfo(np.float64).tiny), np.log(np.finfo(np.float64).max)
+#: Largest logarithm of a mass that the certificate's exponentials go to.
+MOST_MASS = 299.0
 
 #: What is checked, and what its worst figure is.
 CHECKS = {
@@ -35,10 +37,6 @@ CHECKS = {
     "transported_mass": "error in nats / truncation_error, broken above 1",
     "marginal_error": "true one / marginal_error, broken above 1; balanced sides",
 }
-
-
-#: Largest logarithm of a mass that the certificate's exponentials go to.
-MOST_MASS = 299.0
 
 
 @dataclass(frozen=True)
