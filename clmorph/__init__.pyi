@@ -1,18 +1,15 @@
 from . import reference as reference
-from .backends import (
+from ._shared.version import (
+    __version__ as __version__,
+)
+from .analysis.inspect import (
+    Inspection as Inspection,
+)
+from .analysis.inspect import (
+    inspect as inspect,
+)
+from .backends.select import (
     get_backend as get_backend,
-)
-from .displacement import (
-    Displacement as Displacement,
-)
-from .displacement import (
-    displacement_statistics as displacement_statistics,
-)
-from .divergence import (
-    Divergence as Divergence,
-)
-from .divergence import (
-    sinkhorn_divergence as sinkhorn_divergence,
 )
 from .errors import (
     ClmorphError as ClmorphError,
@@ -47,70 +44,73 @@ from .errors import (
 from .errors import (
     PruningWarning as PruningWarning,
 )
-from .export import (
-    save as save,
-)
-from .formats.archive import (
-    Archive as Archive,
-)
-from .formats.archive import (
-    load as load,
-)
-from .images import (
-    fit as fit,
-)
-from .images import (
-    read_image as read_image,
-)
-from .inspection import (
-    Inspection as Inspection,
-)
-from .inspection import (
-    inspect as inspect,
-)
-from .interpolation import (
+from .frames.particles import (
     Particles as Particles,
 )
-from .interpolation import (
+from .frames.particles import (
     particles as particles,
 )
-from .measures import (
+from .images.pixels import (
+    fit as fit,
+)
+from .images.pixels import (
+    read_image as read_image,
+)
+from .measures.lift import (
     Measure as Measure,
 )
-from .measures import (
+from .measures.lift import (
     lift as lift,
 )
-from .morph import (
-    morph as morph,
-)
-from .plan import (
-    Plan as Plan,
-)
-from .plan import (
-    transport_plan as transport_plan,
-)
-from .points import (
+from .measures.points import (
     WeightedPoints as WeightedPoints,
 )
-from .potentials import (
-    Potentials as Potentials,
+from .output.formats.archive import (
+    Archive as Archive,
 )
-from .release import (
-    __version__ as __version__,
+from .output.formats.archive import (
+    load as load,
 )
-from .result import (
+from .output.save import (
+    save as save,
+)
+from .pipeline.morph import (
+    morph as morph,
+)
+from .pipeline.result import (
     Morph as Morph,
 )
-from .sampling import (
+from .transport.displacement import (
+    Displacement as Displacement,
+)
+from .transport.displacement import (
+    displacement_statistics as displacement_statistics,
+)
+from .transport.divergence import (
+    Divergence as Divergence,
+)
+from .transport.divergence import (
+    sinkhorn_divergence as sinkhorn_divergence,
+)
+from .transport.plan import (
+    Plan as Plan,
+)
+from .transport.plan import (
+    transport_plan as transport_plan,
+)
+from .transport.plan_sampling import (
     Barycentric as Barycentric,
 )
-from .sampling import (
+from .transport.plan_sampling import (
     barycentric_plan as barycentric_plan,
 )
-from .sampling import (
+from .transport.plan_sampling import (
     sample_plan as sample_plan,
 )
-from .sinkhorn import (
+from .transport.potentials import (
+    Potentials as Potentials,
+)
+from .transport.sinkhorn import (
     sinkhorn as sinkhorn,
 )
 

@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 
-from clmorph.signals import Terminated, farewell, terminable
+from clmorph._shared.signals import Terminated, farewell, terminable
 
 
 def _open_streams() -> None:
@@ -32,7 +32,7 @@ def main() -> int:
         sys.stdout.reconfigure(errors="replace")
     with terminable() as ending:
         try:
-            from clmorph.cli import main as run
+            from clmorph.cli.main import main as run
 
             return run()
         except KeyboardInterrupt:

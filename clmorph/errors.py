@@ -5,7 +5,7 @@ names and values that it quotes may be foreign: whatever they hold, the message 
 of bounded length.
 """
 
-from clmorph.printable import MESSAGE, printable
+from clmorph._shared.printable import MESSAGE, printable
 
 
 class ClmorphError(Exception):

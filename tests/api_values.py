@@ -36,9 +36,9 @@ from PIL import Image
 from scipy.sparse import csr_array
 
 import clmorph
-import clmorph.baseline
-import clmorph.quality
-from clmorph.opencl.device import find_devices
+import clmorph.analysis.channel_baseline
+import clmorph.analysis.metrics
+from clmorph.backends.opencl.devices.find import find_devices
 
 #: Seconds that a call may take at most; the tiniest morph takes a hundredth of one.
 PATIENCE = 20.0
@@ -50,8 +50,8 @@ LONGEST_MESSAGE = 1000
 #: Modules that are documented beside the package's own names.
 MODULES = {
     "clmorph": clmorph,
-    "quality": clmorph.quality,
-    "baseline": clmorph.baseline,
+    "quality": clmorph.analysis.metrics,
+    "baseline": clmorph.analysis.channel_baseline,
     "reference": clmorph.reference,
 }
 
@@ -113,7 +113,7 @@ def examples() -> dict[str, Any]:
         "plan": clmorph.transport_plan(source, target, potentials, backend="numpy"),
         "morph": morph,
         "sums": morph.sums(0.5),
-        "channels": clmorph.baseline.channel_morph(a, b, 2, backend="numpy"),
+        "channels": clmorph.analysis.channel_baseline.channel_morph(a, b, 2, backend="numpy"),
         "reference": reference,
         "divergence": divergence,
         "inspection": clmorph.inspect(a, b, n_frames=2, backend="numpy"),

@@ -17,9 +17,9 @@ import pytest
 from programs import PROGRAMS
 
 import clmorph
-from clmorph.opencl.device import Device, find_devices
-from clmorph.opencl.knobs import apply_quirks, cpu_knobs, gpu_knobs
-from clmorph.opencl.operations import OpenCLOperations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build.constants import apply_quirks, cpu_knobs, gpu_knobs
+from clmorph.backends.opencl.devices.find import Device, find_devices
 
 DEVICES = find_devices()
 USABLE = [device for device in DEVICES if device.usable]
@@ -231,6 +231,6 @@ def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
         probed.append(index)
         return {"usable": True, "reason": "", "pairs_per_second": 1.0}
 
-    monkeypatch.setattr("clmorph.opencl.storage.cache_folder", lambda: tmp_path)
-    monkeypatch.setattr("clmorph.opencl.device.run_probe", probe)
+    monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("clmorph.backends.opencl.devices.find.run_probe", probe)
     return probed

@@ -7,7 +7,7 @@ import pytest
 
 import clmorph
 from clmorph import reference, sinkhorn
-from clmorph.anderson import Anderson
+from clmorph.transport._solver.anderson import Anderson
 
 
 def clouds(kind, rng):

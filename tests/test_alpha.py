@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from clmorph import fit, lift, morph, read_image
-from clmorph.images import to_bytes
+from clmorph.images.pixels import to_bytes
 
 
 def _disc(size, center, radius, color):

@@ -15,8 +15,8 @@ from api_values import Hostile, OnDevice, cases, check, public_functions, single
 
 import clmorph
 from clmorph import InputError
-from clmorph.operations import MAX_DIMENSION
-from clmorph.optimal_width import optimal_curve
+from clmorph.backends.interface import MAX_DIMENSION
+from clmorph.pipeline.optimal_width import optimal_curve
 
 FUNCTIONS = public_functions()
 
@@ -254,7 +254,7 @@ MASKED = {
     "rows of an image": lambda: clmorph.lift(list(HOLES)),
     "image_a": lambda: clmorph.morph(HOLES, B, backend="numpy"),
     "image_b": lambda: clmorph.inspect(A, HOLES, backend="numpy"),
-    "channels": lambda: clmorph.baseline.channel_morph(A, HOLES, backend="numpy"),
+    "channels": lambda: clmorph.analysis.channel_baseline.channel_morph(A, HOLES, backend="numpy"),
     "the reference's": lambda: clmorph.reference.morph(A, HOLES),
     "weights": lambda: clmorph.lift(A, weights=FLAT),
     "a pair's weights": lambda: clmorph.morph(A, B, weights=(FLAT, None), backend="numpy"),
@@ -262,10 +262,12 @@ MASKED = {
     "a pair's metric": lambda: clmorph.morph(A, B, color_metric=FLAT, backend="numpy"),
     "masses": lambda: clmorph.sinkhorn((FLAT[0], OTHERS), PLAIN[1], backend="numpy"),
     "points": lambda: clmorph.sinkhorn((np.ones(3), FLAT), PLAIN[1], backend="numpy"),
-    "coverage": lambda: clmorph.quality.hole_fraction(FLAT),
-    "frame": lambda: clmorph.quality.sharpness(HOLES),
-    "frames": lambda: clmorph.quality.step_sizes([A, HOLES]),
-    "times": lambda: clmorph.quality.path_divergence(api_values.examples()["morph"], FLAT[0]),
+    "coverage": lambda: clmorph.analysis.metrics.hole_fraction(FLAT),
+    "frame": lambda: clmorph.analysis.metrics.sharpness(HOLES),
+    "frames": lambda: clmorph.analysis.metrics.step_sizes([A, HOLES]),
+    "times": lambda: clmorph.analysis.metrics.path_divergence(
+        api_values.examples()["morph"], FLAT[0]
+    ),
     "the reference's plan": lambda: clmorph.reference.render(
         clmorph.lift(A[0]), clmorph.lift(B[0]), np.ma.array(np.ones((9, 9)), mask=True), 0.5, 1.0
     ),
@@ -286,8 +288,8 @@ def test_dimensions_are_as_many_as_is_said(rng):
     words = {11: "eleven"}[most]
     readme = (Path(__file__).parents[1] / "README.md").read_text("utf-8")
     assert f"one to {words} dimensions" in readme
-    assert f"D from 1 to {most}." in clmorph.sinkhorn.__doc__
-    assert f"any dimension up to {most}" in clmorph.points.__doc__
+    assert f"D from 1 to {most}." in clmorph.transport.sinkhorn.__doc__
+    assert f"any dimension up to {most}" in clmorph.measures.points.__doc__
     for dimension in (1, most):
         pair = [(np.ones(5), rng.random((5, dimension))) for _ in range(2)]
         assert clmorph.sinkhorn(*pair, 0.5, backend="numpy").converged
@@ -339,7 +341,7 @@ def test_progress_must_be_callable(progress):
         lambda: clmorph.inspect(A, B, backend="numpy", progress=progress),
         lambda: clmorph.sinkhorn(*PLAIN, backend="numpy", progress=progress),
         lambda: clmorph.sinkhorn_divergence(*PLAIN, backend="numpy", progress=progress),
-        lambda: clmorph.quality.path_divergence(morph, [0.5], progress=progress),
+        lambda: clmorph.analysis.metrics.path_divergence(morph, [0.5], progress=progress),
         lambda: optimal_curve(morph, progress=progress),
         lambda: morph.save("x.png", progress=progress),
     ):

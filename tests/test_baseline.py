@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clmorph import InputError
-from clmorph.baseline import channel_morph
+from clmorph.analysis.channel_baseline import channel_morph
 
 
 def test_equal_images_stay(device):

@@ -13,15 +13,15 @@ import pytest
 from conftest import TESTED, USABLE
 
 from clmorph import InputError
-from clmorph.check import Finding, check
-from clmorph.cli import main
-from clmorph.installation import LINUX_PACKAGES, advice
-from clmorph.opencl import device as devices
-from clmorph.opencl.device import find_devices
-from clmorph.opencl.knobs import apply_quirks, choose_knobs, cpu_knobs, gpu_knobs
-from clmorph.opencl.operations import OpenCLOperations
-from clmorph.opencl.quirks import QUIRKS, find_quirks
-from clmorph.operations import Operations
+from clmorph.backends.interface import Operations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build.constants import apply_quirks, choose_knobs, cpu_knobs, gpu_knobs
+from clmorph.backends.opencl.devices import find as devices
+from clmorph.backends.opencl.devices.find import find_devices
+from clmorph.backends.opencl.devices.install_hints import LINUX_PACKAGES, advice
+from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
+from clmorph.cli.conformance import Finding, check
+from clmorph.cli.main import main
 from clmorph.reference import NumPyOperations
 
 ROOT = Path(__file__).parents[1]
@@ -76,7 +76,9 @@ def test_check_of_one_device(capfd):
 
 
 def test_a_failed_check_ends_with_1(monkeypatch, capfd):
-    monkeypatch.setattr("clmorph.check.check", lambda operations: [Finding("x", 2.0, 1.0, "u")])
+    monkeypatch.setattr(
+        "clmorph.cli.conformance.check", lambda operations: [Finding("x", 2.0, 1.0, "u")]
+    )
     assert main(["check", "--device", TESTED[0].index]) == 1
     assert "FAIL" in capfd.readouterr().out
 
@@ -86,7 +88,7 @@ def test_a_failing_driver_is_told_in_one_line(monkeypatch, capfd):
         raise RuntimeError("out of\nresources")
         yield
 
-    monkeypatch.setattr("clmorph.check.check", fail)
+    monkeypatch.setattr("clmorph.cli.conformance.check", fail)
     assert main(["check", "--device", TESTED[0].index]) == 2
     err = capfd.readouterr().err
     assert err.count("\n") == 1
@@ -110,7 +112,7 @@ def test_devices_table(capfd):
 
 def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path):
     """What pip's PoCL is on processors it does not know: listed, with its reason, not chosen."""
-    monkeypatch.setattr("clmorph.opencl.storage.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
     broken, real = TESTED[0].index, devices.run_probe
     crashed = {"usable": False, "reason": "crashed (signal 6)", "pairs_per_second": 0.0}
     monkeypatch.setattr(
@@ -118,7 +120,7 @@ def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path):
     )
     found = find_devices.__wrapped__()
     monkeypatch.setattr(devices, "find_devices", lambda: found)
-    monkeypatch.setattr("clmorph.device_commands.find_devices", lambda: found)
+    monkeypatch.setattr("clmorph.cli.devices.find_devices", lambda: found)
     others = [d.index for d in found if d.usable]
     assert broken not in others
     assert main(["devices", "--json"]) == (0 if others else 1)
@@ -159,8 +161,8 @@ def test_advice(system, machine, family, first):
 
 def test_without_devices_advice_is_printed():
     environment = dict(os.environ, OCL_ICD_VENDORS="/nowhere")
-    code = "import clmorph.opencl.device as d; d.raw_devices = lambda: ();"
-    code += "import clmorph.cli as c; raise SystemExit(c.main(['devices']))"
+    code = "import clmorph.backends.opencl.devices.find as d; d.raw_devices = lambda: ();"
+    code += "import clmorph.cli.main as c; raise SystemExit(c.main(['devices']))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment
     )

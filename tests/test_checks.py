@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 import clmorph
-from clmorph.checks import SHOWN_LENGTH, as_float, check_choice, check_integer, check_number, shown
+from clmorph._shared.validation import (
+    SHOWN_LENGTH,
+    as_float,
+    check_choice,
+    check_integer,
+    check_number,
+    shown,
+)
 from clmorph.errors import InputError
 
 SMALL = np.zeros((3, 4, 3))

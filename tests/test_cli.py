@@ -18,9 +18,9 @@ import pytest
 from PIL import Image
 
 import clmorph
-from clmorph.cli import main
-from clmorph.export import FORMATS
-from clmorph.opencl.device import find_devices
+from clmorph.backends.opencl.devices.find import find_devices
+from clmorph.cli.main import main
+from clmorph.output.save import FORMATS
 
 COMMAND = Path(sys.executable).with_name("clmorph")
 
@@ -105,7 +105,7 @@ def test_options_reach_the_morph(pictures, monkeypatch):
         seen.update(options, shapes=(source.shape, target.shape), n_frames=n_frames)
         raise clmorph.InputError("seen")
 
-    monkeypatch.setattr("clmorph.commands.morph.make_morph", spy)
+    monkeypatch.setattr("clmorph.cli.morph.make_morph", spy)
     arguments = "morph a.png b.jpg -o x.gif --backend numpy --frames 7 --size 6 --blur 0.1"
     arguments += " --reach balanced --color-weight 3 --sigma-start 2 --sigma-end 1 --gamma 0.1"
     assert main(arguments.split()) == 2
@@ -185,7 +185,7 @@ def test_ctrl_c_while_the_second_file_is_written(pictures, monkeypatch, capfd):
 
 
 def test_what_cannot_be_written_is_said_before_anything_is_solved(pictures, monkeypatch, capfd):
-    monkeypatch.setattr("clmorph.commands.morph.make_morph", None)
+    monkeypatch.setattr("clmorph.cli.morph.make_morph", None)
     Path("r.gif.json").mkdir()
     Image.new("RGBA", (5, 5)).save("void.png")
     for arguments, words in (
@@ -216,7 +216,7 @@ def test_ctrl_c_while_loading(monkeypatch, capfd):
     usual = builtins.__import__
 
     def interrupt(name, *arguments, **options):
-        if name == "clmorph.cli":
+        if name == "clmorph.cli.main":
             raise KeyboardInterrupt
         return usual(name, *arguments, **options)
 
@@ -229,7 +229,7 @@ def test_importing_is_light():
     """Names are there without what they stand for; a function wins over its module's name."""
     told = subprocess.run(
         [sys.executable, "-c", "import sys, clmorph; print('numpy' in sys.modules, dir(clmorph));"
-         "import clmorph.morph, clmorph.sinkhorn; print(callable(clmorph.morph), "
+         "import clmorph.pipeline.morph, clmorph.transport.sinkhorn; print(callable(clmorph.morph), "
          "callable(clmorph.sinkhorn), clmorph.__version__)"],
         capture_output=True, text=True, check=True,
     ).stdout.splitlines()  # fmt: skip
@@ -243,15 +243,15 @@ def test_interruption_leaves_nothing(pictures, monkeypatch, capfd):
     def interrupt(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("clmorph.film.Film.picture", interrupt)
+    monkeypatch.setattr("clmorph.output.recording.Film.picture", interrupt)
     assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3"]) == 130
     assert sorted(path.name for path in pictures.iterdir()) == ["a.png", "b.jpg"]
 
 
 def test_demo(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("clmorph.demo.PHOTO_SIDE", 24)
-    monkeypatch.setattr("clmorph.demo.SPRITE_ZOOM", 1)
+    monkeypatch.setattr("clmorph.cli.demo.PHOTO_SIDE", 24)
+    monkeypatch.setattr("clmorph.cli.demo.SPRITE_ZOOM", 1)
     assert main(["demo"]) == 0
     out, err = capfd.readouterr()
     for words in ("parameters: ", "blur 0.04", "times: transport ", "frames ", "clmorph-demo.gif"):
@@ -289,7 +289,7 @@ def test_an_input_is_never_overwritten(pictures, capfd):
 
 
 def test_options_are_checked_before_devices_are_sought(pictures, capfd, monkeypatch):
-    monkeypatch.setattr("clmorph.commands.morph.open_backend", None)
+    monkeypatch.setattr("clmorph.cli.morph.open_backend", None)
     assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "0"]) == 2
     assert capfd.readouterr().err.startswith("clmorph: error: --frames 0: expected")
 

@@ -3,7 +3,7 @@ import pytest
 import skimage.color
 
 from clmorph import InputError
-from clmorph.colors import COLOR_SPACES, as_metric, from_space, square_root, to_space
+from clmorph.images.color import COLOR_SPACES, as_metric, from_space, square_root, to_space
 
 CORNERS = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0]), -1).reshape(-1, 3)
 

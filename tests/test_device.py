@@ -11,11 +11,14 @@ import pytest
 from conftest import TESTED, USABLE
 
 import clmorph
-from clmorph import DeviceError, InputError, backends
-from clmorph.opencl import device as devices
-from clmorph.opencl import program, runtimes, storage, verdicts
-from clmorph.opencl.device import Device, choose_device, find_devices, run_probe
-from clmorph.opencl.operations import OpenCLOperations
+from clmorph import DeviceError, InputError
+from clmorph.backends import select as backends
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build import program
+from clmorph.backends.opencl.devices import cache as storage
+from clmorph.backends.opencl.devices import find as devices
+from clmorph.backends.opencl.devices import runtimes, verdicts
+from clmorph.backends.opencl.devices.find import Device, choose_device, find_devices, run_probe
 from clmorph.reference import NumPyOperations
 
 
@@ -157,8 +160,10 @@ def test_every_listed_device_has_a_verdict():
 def test_pip_runtimes_hide_nothing():
     """Platforms with Intel's registered are those without it, and Intel's."""
     listing = "print(sorted({d.platform.version for _, d in raw_devices()}))"
-    import_it = "from clmorph.opencl.device import raw_devices;"
-    without = "import clmorph.opencl.runtimes as r; r.intel_runtime = lambda: None;"
+    import_it = "from clmorph.backends.opencl.devices.find import raw_devices;"
+    without = (
+        "import clmorph.backends.opencl.devices.runtimes as r; r.intel_runtime = lambda: None;"
+    )
     found = [
         set(eval(subprocess.check_output([sys.executable, "-c", code + listing], text=True)))
         for code in (import_it, without + import_it)
@@ -169,7 +174,7 @@ def test_pip_runtimes_hide_nothing():
 
 def test_a_users_vendor_folder_is_respected(tmp_path):
     """Who names a folder of drivers gets those, and not Intel's from pip as well."""
-    code = "from clmorph.opencl.device import raw_devices;"
+    code = "from clmorph.backends.opencl.devices.find import raw_devices;"
     code += "print([d.platform.name for _, d in raw_devices()])"
     environment = dict(os.environ, OCL_ICD_VENDORS=str(tmp_path))
     names = subprocess.check_output([sys.executable, "-c", code], text=True, env=environment)
@@ -183,7 +188,7 @@ def test_import_needs_no_driver():
 
 
 def test_without_any_driver_the_answer_is_one_line(tmp_path):
-    code = "import clmorph.cli as c; c.main(['demo'])"
+    code = "import clmorph.cli.main as c; c.main(['demo'])"
     block = "import sys; sys.modules['pyopencl'] = None;"
     done = subprocess.run(
         [sys.executable, "-c", block + code], capture_output=True, text=True, check=False,

@@ -7,9 +7,9 @@ import pytest
 import skimage.data
 
 from clmorph import fit, morph, read_image
-from clmorph.endpoints import share
-from clmorph.images import as_rgb
-from clmorph.quality import step_sizes
+from clmorph.analysis.metrics import step_sizes
+from clmorph.frames.endpoints import share
+from clmorph.images.pixels import as_rgb
 
 
 def _psnr(frame, image):
@@ -75,7 +75,7 @@ def test_halfway_a_frame_is_the_papers(device, images):
 @pytest.mark.parametrize("splatting", ["adaptive", "local"])
 def test_first_and_last_steps_are_not_jumps(device, sigma, splatting):
     """At most 1.5 times the median step, in 30 frames, of photographs and to and from a sprite."""
-    with resources.as_file(resources.files("clmorph.data") / "cat.png") as file:
+    with resources.as_file(resources.files("clmorph.cli.samples") / "cat.png") as file:
         sprite = read_image(file)
     first, second = (
         fit(as_rgb(picture), 32)

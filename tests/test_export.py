@@ -19,14 +19,14 @@ from programs import program
 
 import clmorph
 from clmorph import InputError, OutputError
-from clmorph.export import FORMATS, Output, save, write_all
-from clmorph.film import Film
-from clmorph.formats.embedding import read_parameters
-from clmorph.formats.video import CODECS
-from clmorph.framing import Look
-from clmorph.images import to_bytes
-from clmorph.motion import Motion, resting
-from clmorph.spool import Spool
+from clmorph.images.pixels import to_bytes
+from clmorph.output.formats.video import CODECS
+from clmorph.output.framing import Look
+from clmorph.output.playback import Motion, resting
+from clmorph.output.provenance import read_parameters
+from clmorph.output.recording import Film
+from clmorph.output.save import FORMATS, Output, save, write_all
+from clmorph.output.spool import Spool
 
 #: The least peak signal-to-noise ratio of lossy files, in decibels, on small photographs: of
 #: GIF and WebP at the frames' own size, where WebP halves the resolution of hues; of videos four
@@ -571,10 +571,10 @@ def test_the_same_film_gives_the_same_bytes(tmp_path, growing, written_before, n
 SQUARES = """
 import sys
 import numpy as np
-from clmorph.export import Output, write_all
-from clmorph.film import Film
-from clmorph.framing import Look
-from clmorph.motion import Motion
+from clmorph.output.save import Output, write_all
+from clmorph.output.recording import Film
+from clmorph.output.framing import Look
+from clmorph.output.playback import Motion
 
 squares = np.random.default_rng(0).integers(0, 255, (8, 17, 22, 3), np.uint8)
 frames = list(np.kron(squares, np.ones((1, 16, 16, 1), np.uint8)))
@@ -681,7 +681,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, na
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Film, "picture", full)
-    monkeypatch.setattr("clmorph.formats.archive._write_array", full)
+    monkeypatch.setattr("clmorph.output.formats.archive._write_array", full)
     with pytest.raises(OutputError, match="No space left"):
         save(growing, path, format=name)
     assert [file.name for file in tmp_path.iterdir()] == ([] if folder else [path.name])
@@ -710,7 +710,7 @@ def test_frames_are_not_held(tmp_path, monkeypatch, name):
     render, read = clmorph.Morph.frame, Spool.__getitem__
     monkeypatch.setattr(clmorph.Morph, "frame", lambda self, t: watched(render(self, t)))
     monkeypatch.setattr(Spool, "__getitem__", lambda self, index: watched(read(self, index)))
-    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 1000)
+    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 1000)
     save(result, tmp_path / name, loop="ping-pong")
     assert len(most) >= 40
     assert max(most) <= 3
@@ -721,11 +721,11 @@ def test_frames_are_not_held(tmp_path, monkeypatch, name):
 GROWTH = """
 import pathlib, sys
 import numpy as np
-from clmorph.export import Output, write_all
-from clmorph.film import Film
-from clmorph.formats.video import CODECS
-from clmorph.framing import Look
-from clmorph.motion import Motion
+from clmorph.output.save import Output, write_all
+from clmorph.output.recording import Film
+from clmorph.output.formats.video import CODECS
+from clmorph.output.framing import Look
+from clmorph.output.playback import Motion
 
 def most():
     status = pathlib.Path("/proc/self/status").read_text()
@@ -839,7 +839,7 @@ def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):
     """Of a hundred frames of 256 x 256, 20 MB, only samples are in memory."""
     import tracemalloc
 
-    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 1000)
+    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 1000)
     rng = np.random.default_rng(7)
     with Spool(np.uint8, tmp_path) as spool:
         for _ in range(100):
@@ -939,7 +939,7 @@ def test_refusals(tmp_path, growing, monkeypatch):
     for nothing in ([], None, [1]):
         with pytest.raises(InputError, match="expected a Morph"):
             save(nothing, tmp_path / "out.gif")
-    monkeypatch.setattr("clmorph.formats.video.find_spec", lambda name: None)
+    monkeypatch.setattr("clmorph.output.formats.video.find_spec", lambda name: None)
     for name in ("out.mp4", "out.webm"):
         with pytest.raises(OutputError, match=r"pip install \"clmorph\[video\]\""):
             save(growing, tmp_path / name)

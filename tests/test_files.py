@@ -3,8 +3,8 @@ import stat
 
 import pytest
 
+from clmorph._shared.files import atomic_path, check_place
 from clmorph.errors import OutputError
-from clmorph.files import atomic_path, check_place
 
 
 @pytest.fixture

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from clmorph.framing import Framing, Look, as_canvas, in_time
-from clmorph.spool import Spool
-from clmorph.widths import is_pixel_art
+from clmorph.frames.kernel_width import is_pixel_art
+from clmorph.output.framing import Framing, Look, as_canvas, in_time
+from clmorph.output.spool import Spool
 
 SHAPES = [(6, 8, 3), (9, 8, 3), (12, 8, 3)]
 
@@ -118,7 +118,7 @@ def test_what_is_pixel_art(rng):
 def test_a_spool_gives_back_what_it_took(rng, tmp_path, monkeypatch):
     arrays = [rng.random((n, 3)).astype(np.float32) for n in (1, 4, 2)]
     for limit in (10, 1 << 20):  # on disk, in memory
-        monkeypatch.setattr("clmorph.spool.IN_MEMORY", limit)
+        monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", limit)
         with Spool(np.float32, tmp_path) as spool:
             for array in arrays:
                 spool.append(array)

@@ -6,7 +6,7 @@ import tifffile
 from PIL import Image
 
 from clmorph import ImageWarning, InputError, fit, read_image
-from clmorph.images import as_pixels, as_rgb, block_size
+from clmorph.images.pixels import as_pixels, as_rgb, block_size
 
 
 @pytest.mark.parametrize(

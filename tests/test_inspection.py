@@ -12,8 +12,12 @@ from PIL import Image
 from skimage import data
 
 import clmorph
-from clmorph.cli import main
-from clmorph.defaults import PRESETS
+from clmorph.analysis.figures import check_plotting, draw_inspection
+from clmorph.analysis.inspect import Inspection, inspect
+from clmorph.analysis.report import percent, size_text, time_text
+from clmorph.analysis.timing import frame_seconds
+from clmorph.backends.opencl.kernels import launches
+from clmorph.cli.main import main
 from clmorph.errors import (
     ConvergenceWarning,
     InputError,
@@ -21,14 +25,10 @@ from clmorph.errors import (
     OutputError,
     PlanSizeError,
 )
-from clmorph.estimates import affordable, estimate, predict_pairs
-from clmorph.findings import percent, size_text, time_text
-from clmorph.images import as_rgb
-from clmorph.inspection import Inspection, inspect
-from clmorph.interpolation import particles
-from clmorph.opencl import launches
-from clmorph.plots import check_plotting, draw_inspection
-from clmorph.timing import frame_seconds
+from clmorph.frames.particles import particles
+from clmorph.images.pixels import as_rgb
+from clmorph.pipeline.memory import affordable, estimate, predict_pairs
+from clmorph.pipeline.presets import PRESETS
 
 OPTIONS = {"blur": 0.05, "reach": 0.3, "color_weight": 0.5}
 PHOTO = {"blur": 0.03, "reach": 0.3, "color_weight": 0.5}
@@ -434,7 +434,7 @@ class TestTime:
 
     @pytest.fixture(autouse=True)
     def _own_time(self, monkeypatch):
-        monkeypatch.setattr("clmorph.timing.perf_counter", time.process_time)
+        monkeypatch.setattr("clmorph.analysis.timing.perf_counter", time.process_time)
 
     @pytest.mark.parametrize(("side", "blur"), [(32, 0.03), (64, 0.015), (64, 0.03)])
     def test_of_frames_is_about_what_they_take(self, device, side, blur):
@@ -466,7 +466,7 @@ class TestTime:
         for _ in range(4):
             whole = frame_seconds(*arguments, found.plan, found.pairs, 30, device)
             with monkeypatch.context() as patch:
-                patch.setattr("clmorph.timing.SAMPLED_PAIRS", found.pairs // 3)
+                patch.setattr("clmorph.analysis.timing.SAMPLED_PAIRS", found.pairs // 3)
                 part = frame_seconds(*arguments, found.plan, found.pairs, 30, device)
                 drawn = frame_seconds(*arguments, None, found.pairs, 30, device)
             ratios.append((part / whole, drawn / whole))
@@ -534,7 +534,7 @@ class TestPicture:
     def test_has_few_arrows_and_none_where_nothing_moves(self, device):
         from matplotlib.figure import Figure
 
-        from clmorph.drawing import draw_field
+        from clmorph.analysis.drawing import draw_field
 
         clear = np.dstack((_picture((60, 80)), np.tile(np.arange(80) >= 40, (60, 1))))
         found = inspect(clear, _picture((20, 20), 1.0), backend=device, **OPTIONS)
@@ -638,7 +638,7 @@ class TestWhatAMorphWouldDraw:
             inspect(*_photos(8), backend="numpy", max_memory=Decimal("3e5"))
 
     def test_means_where_cells_are_too_large_for_draws(self, monkeypatch, device):
-        monkeypatch.setattr("clmorph.planning.MAX_DRAWS", 8)
+        monkeypatch.setattr("clmorph.pipeline.budget.MAX_DRAWS", 8)
         images = _photos(16)
         options = {"blur": 0.1, "max_particles": 10, "solve_size": 4}
         for backend in ("numpy", device):

@@ -8,8 +8,8 @@ import pyopencl as cl
 import pytest
 
 from clmorph import DeviceError
-from clmorph.opencl import launches
-from clmorph.opencl.launches import LAUNCH_PARTICLES, TARGET_SECONDS, LaunchBudget
+from clmorph.backends.opencl.kernels import launches
+from clmorph.backends.opencl.kernels.launches import LAUNCH_PARTICLES, TARGET_SECONDS, LaunchBudget
 
 
 @pytest.mark.parametrize("rate", [1e5, 1e8, 1e12])
@@ -39,7 +39,7 @@ def test_one_slow_launch_is_survived(monkeypatch):
 
 def test_no_launch_looks_at_more_than_its_share(device, monkeypatch):
     """A wide kernel over one crowded spot: cut over blocks and over particles."""
-    monkeypatch.setattr("clmorph.opencl.launches.LAUNCH_PARTICLES", 1000)
+    monkeypatch.setattr("clmorph.backends.opencl.kernels.launches.LAUNCH_PARTICLES", 1000)
     splatting = device.splatting
     monkeypatch.setattr(splatting, "method", "gather")
     monkeypatch.setattr(splatting, "_budget", LaunchBudget(first=1))
@@ -69,7 +69,7 @@ def test_no_launch_looks_at_more_than_its_share(device, monkeypatch):
 
 def test_no_launch_sums_more_than_its_share(device, monkeypatch):
     """The same by moments: cut over bins, over particles, and over rows."""
-    monkeypatch.setattr("clmorph.opencl.launches.LAUNCH_PARTICLES", 1000)
+    monkeypatch.setattr("clmorph.backends.opencl.kernels.launches.LAUNCH_PARTICLES", 1000)
     splatting, sizes, launch = device.splatting, [], device.work.launch
     monkeypatch.setattr(splatting, "method", "moments")
     for budget in splatting._moments._budgets.values():

@@ -19,13 +19,13 @@ import pytest
 from PIL import Image
 
 import clmorph
-from clmorph import files, signals, staging
-from clmorph.cli import main
+from clmorph._shared import files, signals, staging
+from clmorph._shared.files import atomic_path, atomic_paths, check_place
+from clmorph._shared.staging import OWNER, PREFIX, clear_leftovers, staging_folder
+from clmorph.cli.main import main
 from clmorph.errors import InputError, OutputError
-from clmorph.export import FORMATS
-from clmorph.files import atomic_path, atomic_paths, check_place
-from clmorph.spool import Spool
-from clmorph.staging import OWNER, PREFIX, clear_leftovers, staging_folder
+from clmorph.output.save import FORMATS
+from clmorph.output.spool import Spool
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals, locks and rights of POSIX")
 FEW = ["--frames", "2", "--backend", "numpy", "--solve-size", "4"]
@@ -101,7 +101,7 @@ def test_signals_at_other_moments(moment, monkeypatch, capfd):
         os.kill(os.getpid(), signal.SIGTERM)
         pytest.fail("the signal was not heard")
 
-    monkeypatch.setattr(f"clmorph.commands.morph.{moment}", kill)
+    monkeypatch.setattr(f"clmorph.cli.morph.{moment}", kill)
     assert run("-o", "x.npz") == 143
     assert capfd.readouterr().err.splitlines()[-1] == "clmorph: terminated, nothing was written"
     assert names() == []
@@ -122,8 +122,8 @@ def test_signals_at_other_moments(moment, monkeypatch, capfd):
 def test_ctrl_c_ends_with_its_exit_code_wherever_it_comes(where):
     code = f"""if True:
         import enum, os, signal, sys
-        import clmorph.__main__ as program, clmorph.cli as cli
-        from clmorph.opencl import runtimes
+        import clmorph.__main__ as program, clmorph.cli.main as cli
+        from clmorph.backends.opencl.devices import runtimes
 
         def send():
             os.kill(os.getpid(), signal.SIGINT)
@@ -240,7 +240,7 @@ WAITING = """
 import dataclasses, sys, time
 from pathlib import Path
 from clmorph.__main__ import main
-from clmorph.export import FORMATS
+from clmorph.output.save import FORMATS
 
 def write(film, look, file, report):
     file.write_bytes(b"half")
@@ -484,7 +484,7 @@ def test_a_full_disk_leaves_nothing(name, monkeypatch, capfd):
 @posix
 def test_frames_that_find_no_room_are_told(monkeypatch, capfd):
     resource = pytest.importorskip("resource")
-    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 64)
+    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 64)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
     try:
@@ -502,7 +502,7 @@ def test_frames_that_find_no_room_are_told(monkeypatch, capfd):
 
 @posix
 def test_a_spool_has_no_name(monkeypatch):
-    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 64)
+    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 64)
     with Spool(np.uint8, Path()) as spool:
         spool.append(np.zeros(60, np.uint8))
         assert names() == []  # still in memory
@@ -518,7 +518,7 @@ def test_a_spool_has_no_name(monkeypatch):
 @pytest.mark.parametrize("at", ["frames", "../out"])
 def test_frames_that_wait_beside_a_folder_are_not_in_it(at, monkeypatch, capfd):
     """As on Windows, and on network disks: the file that they wait in has a name."""
-    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 64)
+    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 64)
     monkeypatch.setattr("tempfile.TemporaryFile", tempfile.NamedTemporaryFile)
     Path(at).mkdir(exist_ok=True)
     assert run("-o", at) == 0, capfd.readouterr().err
@@ -719,14 +719,14 @@ def test_no_other_folder_is_needed(morph, monkeypatch):
         raise FileNotFoundError(2, "No usable temporary directory found")
 
     monkeypatch.setattr("tempfile.gettempdir", gettempdir)
-    monkeypatch.setattr("clmorph.spool.IN_MEMORY", 64)
+    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 64)
     for name in ("x.gif", "x.webp", "x.npz", "x.tif", "x.html", "x.png", "frames", "x.mp4"):
         morph.save(name)
     assert not [name for name in names() if name.startswith(PREFIX)]
 
 
 def test_an_output_that_is_a_full_folder_is_refused_before_any_work(monkeypatch):
-    monkeypatch.setattr("clmorph.commands.morph.make_morph", None)
+    monkeypatch.setattr("clmorph.cli.morph.make_morph", None)
     Path("frames").mkdir()
     Path("frames/mine").write_text("kept")
     assert run("-o", "frames") == 2

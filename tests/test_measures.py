@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from clmorph import InputError, lift
-from clmorph.colors import COLOR_SPACES, to_space
-from clmorph.measures import pixel_positions
+from clmorph.images.color import COLOR_SPACES, to_space
+from clmorph.measures.lift import pixel_positions
 
 
 def test_square_images_span_the_unit_square():

@@ -5,7 +5,7 @@ import pytest
 
 import clmorph
 from clmorph import InputError, lift, reference, sinkhorn, transport_plan
-from clmorph.points import as_pair
+from clmorph.measures.points import as_pair
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 import clmorph
-import clmorph.quality
-from clmorph.cli import main
+import clmorph.analysis.metrics
+from clmorph.cli.main import main
 
 NUMBERS = {
     "--frames": ["0", "1", "-3", "2.5", "nan", "inf", "1e9", "many", "1000000000"],
@@ -179,8 +179,8 @@ def test_one_line(folder, monkeypatch, capfd, arguments, words):
     ],
 )
 def test_the_environment(folder, monkeypatch, capfd, environment, words):
-    clmorph.backends._named_backend.cache_clear()
-    clmorph.backends._opened.cache_clear()
+    clmorph.backends.select._named_backend.cache_clear()
+    clmorph.backends.select._opened.cache_clear()
     monkeypatch.delenv("CLMORPH_DEVICE", raising=False)
     monkeypatch.chdir(folder)
     for name, value in environment.items():
@@ -228,9 +228,9 @@ LIBRARY = [
     (lambda: clmorph.morph(SMALL, SMALL, sigma_end=1e-20), "sigma_end=1e-20"),
     (lambda: clmorph.morph(SMALL, SMALL, "5"), "n_frames='5'"),
     (lambda: clmorph.reference.morph(SMALL, SMALL, sigma_start="auto"), "sigma_start='auto'"),
-    (lambda: clmorph.quality.step_sizes([]), "0 frames"),
-    (lambda: clmorph.quality.sharpness(np.zeros((3, 3))), "shape"),
-    (lambda: clmorph.quality.hole_fraction("x"), "no array"),
+    (lambda: clmorph.analysis.metrics.step_sizes([]), "0 frames"),
+    (lambda: clmorph.analysis.metrics.sharpness(np.zeros((3, 3))), "shape"),
+    (lambda: clmorph.analysis.metrics.hole_fraction("x"), "no array"),
     (lambda: clmorph.sinkhorn(FAR, FAR, 0.03), "too far apart"),
     (lambda: clmorph.read_image("missing.png"), "no such file"),
     (lambda: clmorph.read_image("a.png", max_pixels=0), "max_pixels"),

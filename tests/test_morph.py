@@ -8,10 +8,10 @@ import skimage.data
 
 import clmorph
 from clmorph import InputError, PruningWarning, fit, morph, reference
-from clmorph.defaults import PRESETS
-from clmorph.filling import HOLE_COVERAGE
-from clmorph.images import as_rgb
-from clmorph.rendering import uniform_density
+from clmorph.frames.filling import HOLE_COVERAGE
+from clmorph.frames.render import uniform_density
+from clmorph.images.pixels import as_rgb
+from clmorph.pipeline.presets import PRESETS
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import pytest
 
 import clmorph
 from clmorph import InputError
-from clmorph.motion import EASES, Motion, eased, resting, whole_units
+from clmorph.output.playback import EASES, Motion, eased, resting, whole_units
 
 EVEN = np.linspace(0, 1, 11)
 

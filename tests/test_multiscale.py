@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 import clmorph
-from clmorph import corrections, multiscale, reference, sinkhorn
-from clmorph.cells import make_cells
-from clmorph.corrections import CorrectedProblem, stored_grid
-from clmorph.points import WeightedPoints
-from clmorph.problem import Problem
+from clmorph import reference, sinkhorn
+from clmorph.measures.cluster import make_cells
+from clmorph.measures.points import WeightedPoints
+from clmorph.transport._solver import coarse_grid as corrections
+from clmorph.transport._solver import multiscale
+from clmorph.transport._solver.coarse_grid import CorrectedProblem, stored_grid
+from clmorph.transport._solver.problem import Problem
 
 
 def pictures(side, noise=0.0, color_weight=1.0):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from clouds import PAIRS
 
-from clmorph.check import UNIT, log_sum_exp_tolerance, splat_excess, splat_tolerance
-from clmorph.opencl.knobs import MOMENT_CHUNK
-from clmorph.opencl.launches import LaunchBudget
-from clmorph.opencl.moments import cell_side, make_cells, moments_pay
-from clmorph.opencl.operations import OpenCLOperations
-from clmorph.operations import BASE_RUNG, KERNEL_ERROR, RUNGS_PER_OCTAVE, Operations
+from clmorph.backends.interface import BASE_RUNG, KERNEL_ERROR, RUNGS_PER_OCTAVE, Operations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build.constants import MOMENT_CHUNK
+from clmorph.backends.opencl.kernels.gauss_transform import cell_side, make_cells, moments_pay
+from clmorph.backends.opencl.kernels.launches import LaunchBudget
+from clmorph.cli.conformance import UNIT, log_sum_exp_tolerance, splat_excess, splat_tolerance
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()
@@ -224,8 +224,8 @@ def test_groups_of_tiles_are_bounded_first(variant, monkeypatch, rng, blur):
     thresholds = [np.log(1e-5) + np.full(3600, -np.log(3600)), np.full(3600, np.inf)]
     kept, counts = [], []
     for limit in (1 << 60, 0):
-        monkeypatch.setattr("clmorph.opencl.candidates.WIDE_FROM", limit)
-        monkeypatch.setattr("clmorph.opencl.plan_reductions.LISTED_FROM", 0)
+        monkeypatch.setattr("clmorph.backends.opencl.kernels.candidates.WIDE_FROM", limit)
+        monkeypatch.setattr("clmorph.backends.opencl.kernels.plan_rows.LISTED_FROM", 0)
         near = variant.near_pairs(*clouds, g, whole, epsilon, 1e-5)
         missing = (near.softmin - whole) / epsilon
         assert near.skipped.max() <= 1.5e-5
@@ -370,7 +370,7 @@ def test_stored_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rn
     f, g, thresholds = _solved(pair, epsilon, rng)
     results = []
     for most in (1 << 22, 5000):
-        monkeypatch.setattr("clmorph.opencl.reductions.FILL_PAIRS", most)
+        monkeypatch.setattr("clmorph.backends.opencl.kernels.log_sum_exp.FILL_PAIRS", most)
         clouds = _upload(variant, pair)
         stored = variant.store_pairs(*clouds, f, g, epsilon, *thresholds, 10**9)
         results.append([variant.sum_stored(stored, x, by) for x, by in ((g, False), (f, True))])
@@ -441,7 +441,7 @@ def test_plan_rows_by_lists_are_the_same(variant, monkeypatch, rng, name, blur, 
     ):
         results = []
         for smallest in (1 << 62, 0):
-            monkeypatch.setattr("clmorph.opencl.plan_reductions.LISTED_FROM", smallest)
+            monkeypatch.setattr("clmorph.backends.opencl.kernels.plan_rows.LISTED_FROM", smallest)
             counts = variant.count_plan_rows(*clouds, f, g, epsilon, *thresholds, precise)
             rows = variant.plan_rows(*clouds, f, g, epsilon, *thresholds, precise, counts)
             results.append((counts, *rows[:2]))
@@ -566,7 +566,7 @@ def test_strips_change_nothing_but_rounding(variant, monkeypatch, rng):
     monkeypatch.setattr(variant.splatting, "method", "moments")
     shape = 100, 41
     whole = variant.splat(splats, shape, 0.8, 3.6)
-    monkeypatch.setattr("clmorph.opencl.moments.STRIP_BYTES", 1)
+    monkeypatch.setattr("clmorph.backends.opencl.kernels.gauss_transform.STRIP_BYTES", 1)
     strips = variant.splat(splats, shape, 0.8, 3.6)
     for sums in (whole, strips):
         relative = splat_tolerance(len(exact.weights))

@@ -31,11 +31,11 @@ def test_the_wheel_is_complete(built):
     viewer = {
         str(path.relative_to(ROOT))
         for ending in ("html", "css", "js")
-        for path in (ROOT / "clmorph" / "viewer").glob(f"*.{ending}")
+        for path in (ROOT / "clmorph" / "output" / "html").glob(f"*.{ending}")
     }
     assert len(kernels) == 7
     assert len(viewer) == 9
-    assert kernels | modules | viewer | {"clmorph/py.typed", "clmorph/data/cat.png"} <= names
+    assert kernels | modules | viewer | {"clmorph/py.typed", "clmorph/cli/samples/cat.png"} <= names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not any(name.startswith(("tests/", "tools/", "cl_kernels/")) for name in names)
 
@@ -43,9 +43,17 @@ def test_the_wheel_is_complete(built):
 def test_the_sdist_is_complete(built):
     with tarfile.open(built[0]) as sdist:
         names = {name.split("/", 1)[-1] for name in sdist.getnames()}
-    wanted = {"LICENSE", "README.md", "pyproject.toml", "clmorph/py.typed", "clmorph/data/cat.png"}
+    wanted = {
+        "LICENSE",
+        "README.md",
+        "pyproject.toml",
+        "clmorph/py.typed",
+        "clmorph/cli/samples/cat.png",
+    }
     wanted |= {f"cl_kernels/{path.name}" for path in (ROOT / "cl_kernels").glob("*")}
-    wanted |= {f"clmorph/viewer/{path.name}" for path in (ROOT / "clmorph/viewer").glob("*.*")}
+    wanted |= {
+        f"clmorph/output/html/{path.name}" for path in (ROOT / "clmorph/output/html").glob("*.*")
+    }
     assert {name for name in wanted if "__pycache__" not in name} <= names
 
 

@@ -7,8 +7,9 @@ import ot
 import pytest
 
 import clmorph
-from clmorph import geomloss_schedule, reference, sinkhorn
+from clmorph import reference, sinkhorn
 from clmorph.reference.transport import cost_matrix
+from clmorph.transport._solver import geomloss as geomloss_schedule
 
 GEOMLOSS = np.load(Path(__file__).parent / "data" / "geomloss.npz")
 
@@ -100,7 +101,7 @@ def test_pot(any_backend, rng, reach, squared):
     got = sinkhorn((a, x), (b, y), 0.2, reach, 1e-5, backend=any_backend)
     plan = clmorph.transport_plan((a, x), (b, y), got, relative=1e-12, backend=any_backend)
     factor = 2.0 if squared else 1.0
-    cost = factor * cost_matrix(*clmorph.points.as_pair((a, x), (b, y)))
+    cost = factor * cost_matrix(*clmorph.measures.points.as_pair((a, x), (b, y)))
     rho = np.broadcast_to(got.rho, 2)
     theirs = ot.unbalanced.sinkhorn_unbalanced(
         a, b, cost, factor * got.epsilon, tuple(factor * rho), reg_type="kl",
@@ -114,7 +115,7 @@ def test_pot_balanced(any_backend, rng):
     x, y = rng.random((40, 3)), rng.random((50, 3))
     a, b = np.full(40, 1 / 40), np.full(50, 1 / 50)
     got = sinkhorn((a, x), (b, y), 0.2, None, 1e-6, backend=any_backend)
-    cost = cost_matrix(*clmorph.points.as_pair((a, x), (b, y)))
+    cost = cost_matrix(*clmorph.measures.points.as_pair((a, x), (b, y)))
     theirs = ot.sinkhorn(a, b, cost, got.epsilon, numItermax=20_000, stopThr=1e-12)
     ours = reference.transport_plan((a, x), (b, y), got)
     assert np.abs(ours - theirs).max() < 1e-5 * theirs.max()

@@ -13,7 +13,7 @@ from clmorph import (
     sinkhorn,
     transport_plan,
 )
-from clmorph.pruning import check_reachable
+from clmorph.transport.pruning import check_reachable
 
 
 @pytest.fixture(scope="module")

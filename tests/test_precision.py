@@ -7,9 +7,9 @@ import pytest
 
 import clmorph
 from clmorph import ConvergenceWarning, DeviceError, lift, sinkhorn
-from clmorph.check import log_sum_exp_tolerance
-from clmorph.opencl.knobs import apply_quirks, choose_knobs
-from clmorph.opencl.operations import OpenCLOperations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build.constants import apply_quirks, choose_knobs
+from clmorph.cli.conformance import log_sum_exp_tolerance
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()
@@ -55,7 +55,7 @@ def test_one_log_sum_exp(precise_device, rng, blur, color_weight):
     ]
     want = REFERENCE.softmin(*pairs[1], g, epsilon)
     coarse = precise_device.softmin(*pairs[0], g, epsilon)
-    largest = clmorph.problem.largest_cost(source.points, target.points) / epsilon
+    largest = clmorph.transport._solver.problem.largest_cost(source.points, target.points) / epsilon
     assert np.abs(coarse - want).max() / epsilon <= 1e-4 + 3e-8 * largest
     fine = precise_device.softmin(*pairs[0], g, epsilon, True)
     bound = log_sum_exp_tolerance(

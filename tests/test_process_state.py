@@ -16,12 +16,15 @@ import pytest
 from conftest import TESTED, USABLE
 
 import clmorph
-from clmorph import DeviceError, InputError, colors
+from clmorph import DeviceError, InputError
+from clmorph.backends.opencl.build import program
+from clmorph.backends.opencl.devices import cache as storage
+from clmorph.backends.opencl.devices import find as devices
+from clmorph.backends.opencl.devices import probe, process, runtimes, verdicts
+from clmorph.backends.opencl.devices.find import choose_device, find_devices
+from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import PlanSizeError
-from clmorph.opencl import device as devices
-from clmorph.opencl import probe, process, program, runtimes, storage, verdicts
-from clmorph.opencl.device import choose_device, find_devices
-from clmorph.opencl.process import Once
+from clmorph.images import color as colors
 
 WORKS = {"usable": True, "reason": "", "pairs_per_second": 1.0}
 
@@ -62,7 +65,7 @@ def test_threads_share_one_trial_of_a_device(asked, monkeypatch):
 
 
 def test_threads_share_one_backend(monkeypatch):
-    from clmorph import backends
+    from clmorph.backends import select as backends
 
     made = []
 
@@ -186,7 +189,8 @@ def test_no_probe_outlives_its_parent():
     code = (
         "import subprocess, sys, os; r, w = os.pipe();"
         "p = subprocess.Popen([sys.executable, '-c', 'import time;"
-        "from clmorph.opencl.probe import end_with_parent; end_with_parent(); print(1, flush=True);"
+        "from clmorph.backends.opencl.devices.probe import end_with_parent;"
+        "end_with_parent(); print(1, flush=True);"
         "time.sleep(60)'], stdin=r); print(p.pid, flush=True); p.wait()"
     )
     command = [sys.executable, "-c", code]
@@ -255,7 +259,7 @@ def test_writers_at_once_keep_each_others_verdicts(monkeypatch, tmp_path):
         for name in names:
             verdicts.save_verdict(name, WORKS)
 
-    code = "from clmorph.opencl import verdicts as v\n"
+    code = "from clmorph.backends.opencl import verdicts as v\n"
     code += f"for n in range(64, 128): v.save_verdict(str(n), {WORKS})"
     environment = dict(os.environ, XDG_CACHE_HOME=str(tmp_path.parent))
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path.parent / "clmorph")

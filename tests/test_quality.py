@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from clmorph import InputError, morph, sinkhorn_divergence
-from clmorph.quality import (
+from clmorph.analysis.metrics import (
     frame_measure,
     hole_fraction,
     particle_measure,

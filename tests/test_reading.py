@@ -500,7 +500,7 @@ def test_whatever_a_decoder_raises_is_told_as_ours(tmp_path, monkeypatch):
         def fail(*arguments, error=error):
             raise error
 
-        monkeypatch.setattr("clmorph.decoding.open_picture", fail)
+        monkeypatch.setattr("clmorph.images.reading.decoding.open_picture", fail)
         with pytest.raises(FileError) as caught:
             read_image(file)
         assert caught.value.__cause__ is error
@@ -509,7 +509,7 @@ def test_whatever_a_decoder_raises_is_told_as_ours(tmp_path, monkeypatch):
     def interrupt(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("clmorph.decoding.open_picture", interrupt)
+    monkeypatch.setattr("clmorph.images.reading.decoding.open_picture", interrupt)
     with pytest.raises(KeyboardInterrupt):
         read_image(file)
 
@@ -608,7 +608,7 @@ def test_threads_leave_no_trace(tmp_path):
 
 def test_the_command_prints_notes_and_no_remarks_of_libraries(tmp_path, capfd, monkeypatch):
     """Our warnings are notes; what Pillow remarks on damaged metadata is not printed."""
-    from clmorph.cli import main
+    from clmorph.cli.main import main
 
     monkeypatch.chdir(tmp_path)
     frames = [Image.new("RGB", (5, 4), color) for color in ("red", "blue")]
@@ -776,7 +776,7 @@ def test_sparse_tiffs_are_refused_by_name(read):
 def test_small_pieces_are_inflated_once(tmp_path, rng, monkeypatch):
     array = rng.integers(0, 256, (64, 64, 3), np.uint8)
     tifffile.imwrite(tmp_path / "a.tif", array, compression="zlib", photometric="rgb")
-    monkeypatch.setattr("clmorph.tiff.zlib", None)
+    monkeypatch.setattr("clmorph.images.reading.tiff.zlib", None)
     assert np.array_equal(read_image(tmp_path / "a.tif"), array / 255)
 
 
@@ -807,7 +807,7 @@ def test_kinds_that_are_not_read_are_told(read, start, kind):
 
 def test_scans_are_counted_by_what_is_allowed(tmp_path, monkeypatch):
     """Ten scans are ordinary: of any picture that is not too large, they are read."""
-    monkeypatch.setattr("clmorph.opening.MAX_SCANNED", 1000)
+    monkeypatch.setattr("clmorph.images.reading.opening.MAX_SCANNED", 1000)
     Image.linear_gradient("L").convert("RGB").save(tmp_path / "a.jpg", progressive=True)
     data = (tmp_path / "a.jpg").read_bytes()
     assert data.count(b"\xff\xda") > 5

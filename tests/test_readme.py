@@ -20,8 +20,10 @@ from PIL import Image
 from skimage import data
 
 import clmorph
-from clmorph import defaults, inspection, planning
-from clmorph.cli import cli, main
+from clmorph.analysis import inspect as inspection
+from clmorph.cli.main import cli, main
+from clmorph.pipeline import budget as planning
+from clmorph.pipeline import presets as defaults
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
@@ -71,7 +73,7 @@ def write_pictures(longer=None):
             picture.thumbnail((longer, longer))
         picture.save(name)
     for name, sprite in (("cat.png", "cat"), ("dog.png", "toadstool")):
-        with Image.open(ROOT / f"clmorph/data/{sprite}.png") as picture:
+        with Image.open(ROOT / f"clmorph/cli/samples/{sprite}.png") as picture:
             picture.save(name)
 
 

@@ -8,10 +8,10 @@ import pytest
 
 import clmorph
 from clmorph import InputError, MemoryWarning, lift
-from clmorph.estimates import estimate
-from clmorph.images import to_bytes
-from clmorph.refinement import drawn, in_cells, refined
-from clmorph.sampling import draw_pairs
+from clmorph.images.pixels import to_bytes
+from clmorph.pipeline.memory import estimate
+from clmorph.transport.plan_sampling import draw_pairs
+from clmorph.transport.refine_plan import drawn, in_cells, refined
 
 SHAPES = [((16, 16), (16, 16)), ((13, 22), (9, 7)), ((8, 30), (21, 21)), ((5, 5), (20, 12))]
 

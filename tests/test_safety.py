@@ -17,16 +17,16 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 import clmorph
-from clmorph import files
-from clmorph.cli import main
-from clmorph.commands.settings import is_bare, read_settings
+from clmorph._shared import files
+from clmorph._shared.printable import printable, reason_of
+from clmorph.cli.config import is_bare, read_settings
+from clmorph.cli.main import main
 from clmorph.errors import ClmorphWarning, InputError, OutputError
-from clmorph.export import Output, write_all
-from clmorph.film import recorded
-from clmorph.formats.bounded import MAX_TEXT, BoundedFile, from_text
-from clmorph.formats.embedding import as_exif, as_text, read_parameters
-from clmorph.motion import Motion
-from clmorph.printable import printable, reason_of
+from clmorph.output.bounded import MAX_TEXT, BoundedFile, from_text
+from clmorph.output.playback import Motion
+from clmorph.output.provenance import as_exif, as_text, read_parameters
+from clmorph.output.recording import recorded
+from clmorph.output.save import Output, write_all
 
 #: What a name out of a foreign file may hold: a terminal's commands, a line's end, a reversal.
 HOSTILE = "a\x1b]0;owned\x07\n\u202e.png"
@@ -200,8 +200,8 @@ def test_a_recipe_may_lower_the_limit_of_memory_but_not_raise_it(capfd, monkeypa
         seen.append(options.get("max_memory"))
         raise InputError("seen")
 
-    monkeypatch.setattr("clmorph.commands.morph.make_morph", spy)
-    monkeypatch.setattr("clmorph.commands.morph.default_memory", lambda operations: 2e9)
+    monkeypatch.setattr("clmorph.cli.morph.make_morph", spy)
+    monkeypatch.setattr("clmorph.cli.morph.default_memory", lambda operations: 2e9)
     for file, amount, want in (
         ("x.json", 1.5, 1.5e9),
         ("x.json", 900, None),
@@ -291,9 +291,9 @@ def test_python_and_the_other_commands_check_too(morph, capfd):
 
 @pytest.mark.skipif(os.name == "nt", reason="devices of POSIX")
 def test_a_report_replaces_no_device(capfd, monkeypatch):
-    from clmorph.device_commands import check_devices
+    from clmorph.cli.devices import check_devices
 
-    monkeypatch.setattr("clmorph.device_commands._choose", lambda *choice: [])
+    monkeypatch.setattr("clmorph.cli.devices._choose", lambda *choice: [])
     for place, words in ((os.devnull, "neither a file nor a folder"), (".", "is a folder")):
         with pytest.raises(OutputError, match=words):
             check_devices(None, False, Path(place))

@@ -13,12 +13,12 @@ import pytest
 from PIL import Image
 
 import clmorph
-from clmorph.cli import NOT_SETTINGS, main, morph
-from clmorph.commands.settings import layered
-from clmorph.defaults import PRESETS
+from clmorph.cli.config import layered
+from clmorph.cli.main import NOT_SETTINGS, main, morph
 from clmorph.errors import InputError
-from clmorph.export import FORMATS
-from clmorph.formats.embedding import read_parameters
+from clmorph.output.provenance import read_parameters
+from clmorph.output.save import FORMATS
+from clmorph.pipeline.presets import PRESETS
 
 
 @pytest.fixture(autouse=True)
@@ -90,7 +90,7 @@ def test_the_papers_threshold_is_a_setting(capfd, monkeypatch):
         seen.append(options.get("log_threshold"))
         return make(*arguments, **options)
 
-    monkeypatch.setattr("clmorph.commands.morph.make_morph", spy)
+    monkeypatch.setattr("clmorph.cli.morph.make_morph", spy)
     few = ["a.png", "b.png", "--frames", "2", "--preset", "paper"]
     assert main(["morph", *few, "-o", "first.gif"]) == 0
     assert main(["morph", "--config", "first.gif", "-o", "again.gif"]) == 0
@@ -199,7 +199,7 @@ def test_memory_that_gave_way_is_recorded(capfd, monkeypatch):
     assert "note: " in err
     assert summary["options"]["max_memory"] == 0.03
     with monkeypatch.context() as patch:
-        for module in ("clmorph.planning", "clmorph.commands.morph"):
+        for module in ("clmorph.pipeline.budget", "clmorph.cli.morph"):
             patch.setattr(f"{module}.default_memory", lambda operations: 0.03e9)
         assert main(["morph", *arguments, "-o", "p.npz", "--json"]) == 0
     told = json.loads(capfd.readouterr().out)

@@ -6,8 +6,8 @@ from scipy.special import logsumexp
 
 import clmorph
 from clmorph import ConvergenceWarning, InputError, lift, reference, sinkhorn
-from clmorph.measures import Measure
-from clmorph.problem import Problem
+from clmorph.measures.lift import Measure
+from clmorph.transport._solver.problem import Problem
 
 
 def measure(points, weights):

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 import clmorph
 from clmorph import sinkhorn
-from clmorph.problem import Problem
-from clmorph.softmins import Softmin
-from clmorph.strengths import strengths
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.softmin import Softmin
+from clmorph.transport.regularization import strengths
 
 MANY = settings(max_examples=60, deadline=None, derandomize=True)
 BLURS = [0.005, 0.02, 0.05, 0.15, 0.5]
@@ -52,7 +52,7 @@ def quietly(*arguments, **options):
 def exact_residual(pair, got):
     """Residual and certificate over all pairs, in float64."""
     given = strengths(got.blur, got.reach)
-    measures = clmorph.points.as_pair(*pair)
+    measures = clmorph.measures.points.as_pair(*pair)
     problem = Problem.between(clmorph.get_backend("numpy"), *measures, given.rho)
     softmins = problem.to_rows(got.g, given.epsilon), problem.to_columns(got.f, given.epsilon)
     residual = problem.residual(got.f, got.g, *softmins, given.epsilon)
@@ -156,12 +156,12 @@ def test_lists_serve_until_potentials_have_moved_too_far(rng):
 
 def test_plans_of_truncated_potentials(device, monkeypatch, rng):
     """The same pairs as without, up to those at the threshold; draws and means alike."""
-    monkeypatch.setattr("clmorph.opencl.plan_reductions.LISTED_FROM", 0)
+    monkeypatch.setattr("clmorph.backends.opencl.kernels.plan_rows.LISTED_FROM", 0)
     y, x = np.mgrid[:40, :40] / 40
     one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
     source, target = clmorph.lift(one), clmorph.lift(one[::-1] ** 2)
     potentials = sinkhorn(source, target, 0.05, 0.3, backend=device, truncation=1e-6)
-    whole = clmorph.potentials.replace(potentials, truncation=None)
+    whole = clmorph.transport.potentials.replace(potentials, truncation=None)
     plans = [
         clmorph.transport_plan(source, target, each, backend=device).to_scipy()
         for each in (potentials, whole)

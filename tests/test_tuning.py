@@ -3,17 +3,23 @@
 import numpy as np
 import pytest
 
-from clmorph.cli import main
-from clmorph.opencl import tuning
-from clmorph.opencl.knobs import choose_knobs, cpu_knobs, gpu_knobs
-from clmorph.opencl.operations import OpenCLOperations
-from clmorph.opencl.storage import load_record, save_record
-from clmorph.opencl.tuning import CANDIDATES, forget_tuning, is_possible, tune, tuned_knobs
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build import tuner as tuning
+from clmorph.backends.opencl.build.constants import choose_knobs, cpu_knobs, gpu_knobs
+from clmorph.backends.opencl.build.tuner import (
+    CANDIDATES,
+    forget_tuning,
+    is_possible,
+    tune,
+    tuned_knobs,
+)
+from clmorph.backends.opencl.devices.cache import load_record, save_record
+from clmorph.cli.main import main
 
 
 @pytest.fixture(autouse=True)
 def empty_cache(monkeypatch, tmp_path):
-    monkeypatch.setattr("clmorph.opencl.storage.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
 
 
 @pytest.fixture

@@ -12,10 +12,10 @@ from PIL import Image
 
 import clmorph
 from clmorph import InputError, OutputError, displacement_statistics, morph
-from clmorph.images import to_bytes
-from clmorph.printable import printable
-from clmorph.rendering import canvas_at
-from clmorph.viewer import (
+from clmorph._shared.printable import printable
+from clmorph.frames.render import canvas_at
+from clmorph.images.pixels import to_bytes
+from clmorph.output.html import (
     Curve,
     Field,
     Scene,
@@ -25,8 +25,8 @@ from clmorph.viewer import (
     scene_of,
     write_page,
 )
-from clmorph.viewer.encoding import QUALITIES, Encoder
-from clmorph.viewer.geometry import frame_boxes
+from clmorph.output.html.encoding import QUALITIES, Encoder
+from clmorph.output.html.geometry import frame_boxes
 
 HOSTILE = '</script><img src="http://127.0.0.1/x" onerror=alert(1)>&amp;\'"\u2028\u00e9\U0001f431\0'
 

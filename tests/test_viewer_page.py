@@ -11,10 +11,10 @@ from PIL import Image
 from programs import program
 
 from clmorph import morph
-from clmorph.export import save
-from clmorph.images import to_bytes
-from clmorph.printable import printable
-from clmorph.viewer import Curve, Field, Scene, page, repr_html, scene_of
+from clmorph._shared.printable import printable
+from clmorph.images.pixels import to_bytes
+from clmorph.output.html import Curve, Field, Scene, page, repr_html, scene_of
+from clmorph.output.save import save
 
 FLAGS = [
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",

@@ -5,10 +5,10 @@ import pytest
 import skimage.data
 
 from clmorph import InputError, fit, morph
-from clmorph.images import as_rgb
-from clmorph.optimal_width import WIDTHS
-from clmorph.quality import hole_fraction, path_divergence
-from clmorph.widths import auto_sigma, intrinsic_spacing
+from clmorph.analysis.metrics import hole_fraction, path_divergence
+from clmorph.frames.kernel_width import auto_sigma, intrinsic_spacing
+from clmorph.images.pixels import as_rgb
+from clmorph.pipeline.optimal_width import WIDTHS
 
 
 def test_a_sprites_width_is_half_its_block(rng):

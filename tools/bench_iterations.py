@@ -11,13 +11,13 @@ import numpy as np
 from skimage import data
 from skimage.transform import resize
 
-from clmorph.backends import get_backend
-from clmorph.demo import demo_images
-from clmorph.images import as_rgb
-from clmorph.measures import Measure, lift
-from clmorph.opencl.device import find_devices
-from clmorph.problem import Problem
-from clmorph.sinkhorn import sinkhorn
+from clmorph.backends.opencl.devices.find import find_devices
+from clmorph.backends.select import get_backend
+from clmorph.cli.demo import demo_images
+from clmorph.images.pixels import as_rgb
+from clmorph.measures.lift import Measure, lift
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport.sinkhorn import sinkhorn
 
 SIDE = 64
 #: blur, reach, and the most iterations that are accepted.

@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 
-from clmorph.opencl.device import find_devices
-from clmorph.opencl.operations import OpenCLOperations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.devices.find import find_devices
 
 SLOTS_PER_PAIR = 18
 

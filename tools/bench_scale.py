@@ -30,10 +30,10 @@ import numpy as np
 import pyopencl as cl
 
 import clmorph
-from clmorph.opencl.launches import LaunchBudget
-from clmorph.opencl.operations import OpenCLOperations
-from clmorph.plan import Plan
-from clmorph.problem import Problem
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.kernels.launches import LaunchBudget
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport.plan import Plan
 
 REACH = 0.3
 #: Blur (a length, or in pixels) and color weight.

@@ -21,11 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from clmorph.backends import get_backend
-from clmorph.measures import lift
-from clmorph.opencl.device import find_devices
-from clmorph.problem import Problem
-from clmorph.sinkhorn import sinkhorn
+from clmorph.backends.opencl.devices.find import find_devices
+from clmorph.backends.select import get_backend
+from clmorph.measures.lift import lift
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport.sinkhorn import sinkhorn
 
 BLUR, REACH = 0.05, 0.3
 EPSILON, RHO = BLUR**2, REACH**2
@@ -285,8 +285,8 @@ def compare(n: int, names: list[str], devices) -> list[tuple[str, int, float]]:
 
 def geomloss_iterations(pair) -> int:
     """Return the number of GeomLoss's iterations, first and last steps included."""
-    from clmorph.geomloss_schedule import blurs
-    from clmorph.problem import largest_cost
+    from clmorph.transport._solver.geomloss import blurs
+    from clmorph.transport._solver.problem import largest_cost
 
     diameter = (2 * largest_cost(pair[0].points, pair[1].points)) ** 0.5
     return len(blurs(diameter, BLUR, 0.9)) + 2
@@ -296,7 +296,7 @@ def print_memory(devices) -> None:
     """Print the bytes of buffers that a solve holds at once, for growing clouds."""
     import pyopencl as cl
 
-    from clmorph.opencl.operations import OpenCLOperations
+    from clmorph.backends.opencl.backend import OpenCLOperations
 
     class CountedBuffer(cl.Buffer):
         now = most = 0

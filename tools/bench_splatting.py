@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 import clmorph
-from clmorph.defaults import PRESETS
-from clmorph.images import as_rgb
-from clmorph.opencl.device import find_devices
-from clmorph.opencl.operations import OpenCLOperations
-from clmorph.rendering import CUT
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.devices.find import find_devices
+from clmorph.frames.render import CUT
+from clmorph.images.pixels import as_rgb
+from clmorph.pipeline.presets import PRESETS
 
 SIGMA = 1.4
 PARTICLES, SIDE = 300_000, 64

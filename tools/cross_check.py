@@ -32,7 +32,7 @@ from crosscheck.problems import SMALL, Problem, make, parts
 from findings import Findings
 
 import clmorph
-from clmorph.opencl.device import find_devices
+from clmorph.backends.opencl.devices.find import find_devices
 
 #: More pairs than this are left out in NumPy, which would take minutes for each.
 MOST_IN_NUMPY = 1 << 20

@@ -12,7 +12,7 @@ from evaluate_splatting import picture
 from PIL import Image, ImageDraw, ImageFont
 
 import clmorph
-from clmorph.images import to_bytes
+from clmorph.images.pixels import to_bytes
 
 SIDE, GAP, LABEL = 240, 10, 24
 #: What both sides of a row share beside what they differ in.

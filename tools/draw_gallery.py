@@ -12,9 +12,9 @@ import numpy as np
 from PIL import Image
 from skimage import data
 
-from clmorph.cli import main as clmorph
+from clmorph.cli.main import main as clmorph
 
-DATA = Path(__file__).parents[1] / "clmorph" / "data"
+DATA = Path(__file__).parents[1] / "clmorph" / "cli" / "samples"
 #: Frames of each row of the README's picture, and the height of its pictures.
 COLUMNS, HEIGHT = 7, 160
 BEST = ("photo-photo", "sprite-photo", "sprite-sprite")

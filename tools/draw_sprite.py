@@ -1,6 +1,6 @@
 """Draw the bundled pixel art, a ginger cat and a toadstool: ``python tools/draw_sprite.py``.
 
-Drawn for this project; the pictures are under CC0 1.0 (see clmorph/data/LICENSE).
+Drawn for this project; the pictures are under CC0 1.0 (see clmorph/cli/samples/LICENSE).
 """
 
 from pathlib import Path
@@ -116,7 +116,7 @@ def sprite(left_half: str, colors: dict[str, tuple[int, ...]]) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    folder = Path(__file__).parents[1] / "clmorph" / "data"
+    folder = Path(__file__).parents[1] / "clmorph" / "cli" / "samples"
     for name, half, colors in (
         ("cat", CAT_LEFT_HALF, CAT_COLORS),
         ("toadstool", TOADSTOOL_LEFT_HALF, TOADSTOOL_COLORS),

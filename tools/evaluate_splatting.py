@@ -18,8 +18,8 @@ from rich.progress import track
 from skimage import data
 
 import clmorph
-from clmorph.images import as_rgb
-from clmorph.quality import hole_fraction, path_divergence, sharpness
+from clmorph.analysis.metrics import hole_fraction, path_divergence, sharpness
+from clmorph.images.pixels import as_rgb
 
 TIMES = (0.0, 0.25, 0.5, 0.75, 1.0)
 #: Name in the table -> options of `clmorph.morph`; the paper's widths where nothing else is said.
@@ -56,7 +56,7 @@ POINTS = 4096
 def picture(name: str, size: int) -> np.ndarray:
     """Return a picture's middle square, reduced; the sprite as it is."""
     if name == "cat":
-        with resources.as_file(resources.files("clmorph.data") / "cat.png") as file:
+        with resources.as_file(resources.files("clmorph.cli.samples") / "cat.png") as file:
             return clmorph.fit(clmorph.read_image(file), size)
     pixels = as_rgb(getattr(data, "colorwheel" if name == "color" else name)())
     side = min(pixels.shape[:2])

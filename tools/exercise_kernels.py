@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from clmorph.opencl import knobs
-from clmorph.opencl.device import raw_devices
-from clmorph.opencl.knobs import cpu_knobs, gpu_knobs
-from clmorph.opencl.launches import Workspace
-from clmorph.opencl.operations import OpenCLOperations
-from clmorph.operations import Operations
+from clmorph.backends.interface import Operations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build import constants as knobs
+from clmorph.backends.opencl.build.constants import cpu_knobs, gpu_knobs
+from clmorph.backends.opencl.devices.find import raw_devices
+from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.reference import NumPyOperations
 
 #: Both kinds of devices, with float64 and without.

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from findings import Findings, digest, pictures
 
-from clmorph.export import FOLDERS, FORMATS
+from clmorph.output.save import FOLDERS, FORMATS
 
 #: Signals, and the exit codes of runs that they end.
 SIGNALS = {"SIGINT": 130, "SIGTERM": 143, "SIGKILL": -9}
@@ -52,7 +52,7 @@ PLACES: dict[str, Callable[[Path], dict[str, str | None]]] = {
 FORK = """
 import os, sys
 import numpy as np, clmorph
-from clmorph.opencl.device import raw_devices
+from clmorph.backends.opencl.devices.find import raw_devices
 picture = np.random.default_rng(0).random((8, 8, 3))
 raw_devices() if sys.argv[1] == "listed" else clmorph.get_backend(sys.argv[2])
 for backend in (sys.argv[2], "numpy"):
@@ -264,7 +264,7 @@ class Runs:
         """Run with a cache whose files are damaged; part: "devices" or "kernels"."""
 
         def prepare(folder: Path) -> dict[str, str | None]:
-            from clmorph.opencl.storage import cache_folder
+            from clmorph.backends.opencl.devices.cache import cache_folder
 
             known = cache_folder()
             place = folder / "cache" / "clmorph"

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from geomloss import SamplesLoss
 
-from clmorph.demo import demo_images
-from clmorph.images import fit
-from clmorph.measures import lift
+from clmorph.cli.demo import demo_images
+from clmorph.images.pixels import fit
+from clmorph.measures.lift import lift
 
 BLUR = 0.05
 REACHES = (None, 0.01, 0.05, 0.1, 0.3, 0.5)

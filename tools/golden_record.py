@@ -155,8 +155,8 @@ def commands(backend: str, folder: Path) -> Iterator[tuple[str, Any]]:
 def calls(backend: str, folder: Path) -> Iterator[tuple[str, Any]]:
     """Call the library; every option whose default could differ is given."""
     import clmorph
-    from clmorph.baseline import channel_morph
-    from clmorph.quality import hole_fraction, path_divergence, sharpness
+    from clmorph.analysis.channel_baseline import channel_morph
+    from clmorph.analysis.metrics import hole_fraction, path_divergence, sharpness
 
     found = pictures(folder)
     a, b, c = (clmorph.fit(found[name] / 255.0, 20) for name in "abc")

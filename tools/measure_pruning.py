@@ -17,8 +17,8 @@ from scipy.ndimage import gaussian_filter
 
 import clmorph
 from clmorph import ConvergenceWarning, Measure, Plan, reference
-from clmorph.rendering import Sums, canvas_at, render
-from clmorph.widths import KernelWidth, effective_count
+from clmorph.frames.kernel_width import KernelWidth, effective_count
+from clmorph.frames.render import Sums, canvas_at, render
 
 SIDE = 12
 TIMES = (0.2, 0.5, 0.85)

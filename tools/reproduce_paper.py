@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import NoReturn
 
 import clmorph
+from clmorph.cli.terminal import NOTES, Stages
 from clmorph.errors import ClmorphError, InputError, OutputError
-from clmorph.terminal import NOTES, Stages
 
 NAME = "reproduce_paper"
 #: Pixels of ``--quick``, and the paper's.

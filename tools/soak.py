@@ -28,9 +28,9 @@ import numpy as np
 from findings import Findings, digest
 
 import clmorph
-from clmorph.defaults import PRESETS
-from clmorph.export import FORMATS
-from clmorph.opencl.operations import OpenCLOperations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.output.save import FORMATS
+from clmorph.pipeline.presets import PRESETS
 
 #: Values that options are drawn from, beside those of a preset.
 CHOICES: dict[str, list[Any]] = {
@@ -46,7 +46,7 @@ CHOICES: dict[str, list[Any]] = {
     "sample": [None, 3],
 }
 #: What a morph takes of a preset.
-KEYWORDS = tuple(clmorph.morph.__annotations__)
+KEYWORDS = tuple(clmorph.pipeline.morph.__annotations__)
 #: Bytes by which this process may grow after every set was worked out once.
 GROWTH = 64 << 20
 #: A set of options: of the morph, its pictures and its file.

@@ -5,7 +5,7 @@ method in the textbook way, dense, without truncation and without anything borro
 accelerated path. A reader of the paper may well begin with them.
 """
 
-from clmorph.reference.operations import NumPyOperations
+from clmorph.backends.numpy import NumPyOperations
 from clmorph.reference.pipeline import ReferenceMorph, morph, render
 from clmorph.reference.transport import cost_matrix, sinkhorn, transport_plan
 

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clmorph import defaults
-from clmorph.arrays import as_floats
-from clmorph.checks import check_choice, check_number, check_sigma
+from clmorph._shared.arrays import as_floats
+from clmorph._shared.validation import check_choice, check_number, check_sigma
 from clmorph.errors import InputError
-from clmorph.images import as_rgb
-from clmorph.interpolation import UNMATCHED
-from clmorph.measures import Measure
-from clmorph.morph import check_options
-from clmorph.points import as_image_measure
-from clmorph.potentials import Potentials
+from clmorph.frames.particles import UNMATCHED
+from clmorph.images.pixels import as_rgb
+from clmorph.measures.lift import Measure
+from clmorph.measures.points import as_image_measure
+from clmorph.pipeline import presets as defaults
+from clmorph.pipeline.morph import check_options
 from clmorph.reference.transport import sinkhorn, transport_plan
-from clmorph.strengths import Reach
+from clmorph.transport.potentials import Potentials
+from clmorph.transport.regularization import Reach
 
 Array = NDArray[np.float64]
 

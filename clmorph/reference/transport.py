@@ -6,15 +6,15 @@ Plain Sinkhorn iteration from zero, the whole plan, values by their definitions.
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph import defaults
-from clmorph.certificate import Certificate
-from clmorph.checks import check_integer, check_number
+from clmorph._shared.validation import check_integer, check_number
 from clmorph.errors import InputError
-from clmorph.measures import Measure
-from clmorph.points import AnyMeasure, MeasureLike, as_measures
-from clmorph.potentials import Potentials, check_potentials
-from clmorph.pruning import check_log_threshold, no_pair_kept
-from clmorph.strengths import Reach, Strengths, strengths
+from clmorph.measures.lift import Measure
+from clmorph.measures.points import AnyMeasure, MeasureLike, as_measures
+from clmorph.pipeline import presets as defaults
+from clmorph.transport.certificate import Certificate
+from clmorph.transport.potentials import Potentials, check_potentials
+from clmorph.transport.pruning import check_log_threshold, no_pair_kept
+from clmorph.transport.regularization import Reach, Strengths, strengths
 
 Array = NDArray[np.float64]
 

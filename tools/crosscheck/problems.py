@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 import clmorph
-from clmorph.points import WeightedPoints
+from clmorph.measures.points import WeightedPoints
 from crosscheck.exact import NUMBER, Dense, make_side
 
 #: Points a side of most problems, of some, and of few; at most so many pairs of the last.

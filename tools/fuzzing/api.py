@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from clmorph import ConvergenceWarning
-from clmorph.opencl.device import find_devices
+from clmorph.backends.opencl.devices.find import find_devices
 
 SOURCE = Path(__file__).parents[2] / "tests" / "api_values.py"
 

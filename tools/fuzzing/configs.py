@@ -14,9 +14,9 @@ import numpy as np
 import tomli_w
 from PIL import Image
 
-from clmorph.cli import main
-from clmorph.cli import morph as command
-from clmorph.formats.embedding import (
+from clmorph.cli.main import main
+from clmorph.cli.main import morph as command
+from clmorph.output.provenance import (
     as_exif,
     as_png_info,
     read_parameters,

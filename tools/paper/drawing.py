@@ -8,7 +8,18 @@ import matplotlib
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clmorph.drawing import BLUE, ENLARGED, GRAY, GREEN, ORANGE, PURPLE, RED, SKY, STYLE, show
+from clmorph.analysis.drawing import (
+    BLUE,
+    ENLARGED,
+    GRAY,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    STYLE,
+    show,
+)
 
 matplotlib.use("Agg")
 from matplotlib import pyplot

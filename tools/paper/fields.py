@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 import clmorph
-from clmorph.displacement import Displacement
-from clmorph.drawing import draw_field, ordinal, step_of
+from clmorph.analysis.drawing import draw_field, ordinal, step_of
+from clmorph.transport.displacement import Displacement
 from paper import drawing
 from paper.setting import (
     AS_PAPER,

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import clmorph
-from clmorph.images import as_rgb
+from clmorph.images.pixels import as_rgb
 
 Image = NDArray[np.float64]
 
-#: Columns of the photograph that make it square, as in `clmorph.demo`.
+#: Columns of the photograph that make it square, as in `clmorph.cli.demo`.
 CROP = slice(85, 385)
 #: Width of the Gaussian that smooths pictures before they are sampled, in sides, and the pixels
 #: that they have at least meanwhile.
@@ -69,7 +69,7 @@ def load_pair(source: Path | None, target: Path | None) -> Pair:
         return Pair(*images, (source.name, target.name))
     from skimage.data import chelsea
 
-    with resources.as_file(resources.files("clmorph.data") / "cat.png") as file:
+    with resources.as_file(resources.files("clmorph.cli.samples") / "cat.png") as file:
         sprite = clmorph.read_image(file)
     names = "the bundled sprite (cat.png)", "scikit-image's chelsea"
     return Pair(sprite, chelsea()[:, CROP] / 255.0, names, bundled=True)

@@ -1,7 +1,7 @@
 """Section 3.1: what the threshold tau = -13 keeps of the plan, by the size of the images."""
 
 import clmorph
-from clmorph.defaults import LOG_THRESHOLD, PLAN_RELATIVE
+from clmorph.pipeline.presets import LOG_THRESHOLD, PLAN_RELATIVE
 from paper import drawing
 from paper.report import html_table
 from paper.setting import BLUR, COLOR_WEIGHT, REACH, Section, Setting, listed, signed

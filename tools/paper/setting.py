@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import clmorph
-from clmorph.operations import Operations
+from clmorph.backends.interface import Operations
 from paper.pair import Pair
 
 #: Section 4 of the paper; its axes are each stretched to [0, 1].

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import clmorph
-from clmorph.displacement import Displacement
+from clmorph.transport.displacement import Displacement
 from paper import drawing, geomloss
 from paper.recognition import Recognition, recognize
 from paper.report import html_table

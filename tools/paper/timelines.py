@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 import clmorph
-from clmorph.baseline import channel_morph
-from clmorph.quality import hole_fraction, sharpness
-from clmorph.widths import KernelWidth
+from clmorph.analysis.channel_baseline import channel_morph
+from clmorph.analysis.metrics import hole_fraction, sharpness
+from clmorph.frames.kernel_width import KernelWidth
 from paper import drawing
 from paper.setting import (
     AS_PAPER,

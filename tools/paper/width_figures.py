@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from clmorph.optimal_width import WIDTHS
-from clmorph.quality import REFERENCES
+from clmorph.analysis.metrics import REFERENCES
+from clmorph.pipeline.optimal_width import WIDTHS
 from paper import drawing
 from paper.report import html_table
 from paper.setting import (

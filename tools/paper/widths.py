@@ -6,9 +6,9 @@ from functools import cache
 import numpy as np
 
 import clmorph
-from clmorph.optimal_width import optimal_curve
-from clmorph.quality import REFERENCES, path_divergence
-from clmorph.widths import KernelWidth
+from clmorph.analysis.metrics import REFERENCES, path_divergence
+from clmorph.frames.kernel_width import KernelWidth
+from clmorph.pipeline.optimal_width import optimal_curve
 from paper import drawing
 from paper.setting import (
     AS_PAPER,

@@ -18,8 +18,8 @@ import pytest
 from numpy.typing import NDArray
 
 import clmorph
-from clmorph.operations import MAX_DIMENSION
-from clmorph.sinkhorn import MAX_SPREAD
+from clmorph.backends.interface import MAX_DIMENSION
+from clmorph.transport.sinkhorn import MAX_SPREAD
 from peers.outcomes import DECLINED
 
 Array = NDArray[np.float64]

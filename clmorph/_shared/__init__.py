@@ -1,0 +1,1 @@
+"""What every room uses: validation, atomic files, progress, signals, text in messages."""

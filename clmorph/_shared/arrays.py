@@ -1,0 +1,118 @@
+"""Arrays as callers give them, made arrays of ours in one way everywhere.
+
+Everything that NumPy makes an array of is taken: lists, arrays of any order and byte order,
+read-only ones, data frames, tensors on the host. What NumPy would convert by losing something is
+refused, with a word of what to do: masked entries, imaginary parts, texts, sparse matrices.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.printable import printable
+from clmorph._shared.validation import as_float
+from clmorph.errors import InputError
+
+#: Kinds of dtypes (see `numpy.dtype.kind`) that are numbers: truth values, integers, floats.
+NUMBERS = "biuf"
+
+
+def as_array(name: str, value: Any, expected: str = "an array of numbers") -> NDArray[Any]:
+    """Return a value as an array of numbers, of its own dtype, in this machine's byte order.
+
+    Parameters
+    ----------
+    name : str
+        What messages call it.
+    value : array_like
+    expected : str
+        What messages say was expected.
+
+    Returns
+    -------
+    array of bool, integers or floats
+        It can share memory with `value`.
+
+    Raises
+    ------
+    InputError
+        If it is no array of real numbers, or any of it is masked.
+    """
+    if hasattr(value, "getbands") and getattr(value, "mode", "RGB") not in _PLAIN_MODES:
+        raise InputError(
+            f"{name} is a Pillow image of mode {value.mode!r}, whose values are not RGB: convert "
+            "it with .convert('RGBA'), or use clmorph.read_image"
+        )
+    if isinstance(value, str | bytes | bytearray | dict | set | frozenset):
+        raise _no_array(name, value, expected)
+    if hasattr(value, "tocoo") and hasattr(value, "toarray"):
+        raise InputError(
+            f"{name} is a sparse matrix: expected {expected}; make it dense with .toarray()"
+        )
+    if _is_masked(value):
+        raise InputError(
+            f"{name} has masked entries: expected {expected}, all of them given; replace them "
+            "with .filled(value)"
+        )
+    try:
+        array = np.asarray(value)
+    except Exception as error:
+        # Foreign types raise what they like, such as tensors that live on a device.
+        ragged = isinstance(value, list | tuple) and isinstance(error, ValueError)
+        reason = "its rows differ in length" if ragged else printable(str(error), 120)
+        raise InputError(
+            f"{name} is not an array of numbers ({reason}): expected {expected}"
+        ) from None
+    if array.dtype.kind == "O":
+        array = _from_objects(name, array, value, expected)
+    if array.dtype.kind not in NUMBERS:
+        raise InputError(f"{name} has dtype {printable(array.dtype)}: expected {expected}")
+    return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
+
+
+def as_floats(name: str, value: Any, expected: str = "an array of numbers") -> NDArray[np.float64]:
+    """Return a value as a new array of float64, in C order; see `as_array`.
+
+    Numbers beyond float64 become infinite.
+    """
+    with np.errstate(over="ignore"):
+        return np.array(as_array(name, value, expected), dtype=np.float64, order="C", subok=False)
+
+
+#: Pillow's modes whose values are luma, or red, green and blue.
+_PLAIN_MODES = ("1", "L", "RGB", "RGBA", "F", "I;16", "I;16L", "I;16B", "I;16N")
+
+
+def _is_masked(value: Any, depth: int = 0) -> bool:
+    """Whether any entry is masked, of the value itself or of arrays that it is a list of."""
+    if isinstance(value, np.ma.MaskedArray):
+        return bool(np.any(np.ma.getmaskarray(value)))
+    if not isinstance(value, list | tuple) or depth > _DEEPEST:
+        return False
+    nested = (part for part in value if isinstance(part, _MAY_HOLD_MASKS))
+    return any(_is_masked(part, depth + 1) for part in nested)
+
+
+_MAY_HOLD_MASKS = (list, tuple, np.ma.MaskedArray)
+#: Dimensions beyond which NumPy has no arrays.
+_DEEPEST = 64
+
+
+def _from_objects(name: str, array: NDArray[Any], value: Any, expected: str) -> NDArray[Any]:
+    """Return an array of Python objects as floats, if all of them are numbers."""
+    if array.ndim == 0 and as_float(array.item()) is None:
+        raise _no_array(name, value, expected)
+    numbers = np.empty(array.shape)
+    for index, entry in np.ndenumerate(array):
+        number = float(entry) if isinstance(entry, bool | np.bool_) else as_float(entry)
+        if number is None:
+            what = printable(type(entry).__name__)
+            raise InputError(f"{name} holds a {what}: expected {expected}")
+        numbers[index] = number
+    return numbers
+
+
+def _no_array(name: str, value: Any, expected: str) -> InputError:
+    what = printable(type(value).__name__)
+    return InputError(f"{name} is a {what}, which is no array of numbers: expected {expected}")

@@ -1,0 +1,205 @@
+"""Validation of options, with messages a user can act on.
+
+A number is what `float` makes exactly sense of: Python's and NumPy's integers and floats,
+`Decimal`, `Fraction`, and arrays of no dimension that hold one. Truth values, texts, complex
+numbers, durations, masked elements and arrays with dimensions are not numbers, even where `float`
+would convert them.
+"""
+
+import math
+import operator
+import os
+import reprlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from clmorph._shared.printable import printable
+from clmorph.errors import InputError
+
+#: Characters of a value that a message repeats.
+SHOWN_LENGTH = 60
+
+
+def check_number(
+    name: str,
+    value: Any,
+    low: float,
+    high: float,
+    *,
+    open_low: bool = False,
+) -> float:
+    """Return `value` as a float within [low, high], or (low, high] if `open_low`.
+
+    Raises
+    ------
+    InputError
+        If it is not a finite number in that range.
+    """
+    bracket = "(" if open_low else "["
+    expected = f"expected a number in {bracket}{low:g}, {high:g}]"
+    number = as_float(value)
+    if number is None or not math.isfinite(number):
+        raise InputError(f"{name}={shown(value)}: {expected}")
+    if number > high or number < low or (open_low and number == low):
+        raise InputError(f"{name}={shown(value)}: {expected}")
+    return number
+
+
+def check_integer(name: str, value: Any, low: int, high: int) -> int:
+    """Return `value` as an int within [low, high].
+
+    Raises
+    ------
+    InputError
+        If it is not a whole number in that range.
+    """
+    refused = InputError(f"{name}={shown(value)}: expected a whole number in [{low}, {high}]")
+    number = as_float(value)
+    if number is None:
+        raise refused
+    try:
+        # An integer of more than 53 bits, such as a seed, would be another number as a float.
+        whole = operator.index(value)
+    except TypeError:
+        if not number.is_integer():
+            raise refused from None
+        whole = int(number)
+    if not low <= whole <= high:
+        raise refused
+    return whole
+
+
+def check_choice(name: str, value: Any, choices: Sequence[str]) -> str:
+    """Return `value` if it is one of `choices`.
+
+    Raises
+    ------
+    InputError
+        Otherwise.
+    """
+    if isinstance(value, str) and value in choices:
+        return value
+    raise InputError(f"{name}={shown(value)}: expected one of {', '.join(map(repr, choices))}")
+
+
+def check_max_pixels(value: Any) -> int:
+    """Return the most pixels that a file may have."""
+    return check_integer("max_pixels", value, 1, 1 << 40)
+
+
+def check_blur(value: Any) -> float:
+    """Return a blur: positive, in the unit of the points (for images: the longer side)."""
+    return check_number("blur", value, 1e-6, 1e6)
+
+
+def check_reach(value: Any) -> float | None:
+    """Return a reach: positive, same unit; None or infinity is balanced transport."""
+    if value is None or as_float(value) == math.inf:
+        return None
+    try:
+        return check_number("reach", value, 1e-6, 1e6)
+    except InputError as error:
+        raise InputError(f"{error}, or None for balanced transport") from None
+
+
+def check_color_weight(value: Any) -> float:
+    """Return a color weight: at least 0."""
+    return check_number("color_weight", value, 0.0, 1e3)
+
+
+def check_sigma(name: str, value: Any) -> float:
+    """Return a kernel width in pixels: from a thousandth on."""
+    return check_number(name, value, 1e-3, 1e4)
+
+
+def check_flag(name: str, value: Any) -> bool:
+    """Return a truth value: Python's or NumPy's, nothing that merely counts as true or false.
+
+    Raises
+    ------
+    InputError
+        If it is something else.
+    """
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    raise InputError(f"{name}={shown(value)}: expected True or False")
+
+
+def check_callable(name: str, value: Any) -> None:
+    """Check that a value is None or can be called.
+
+    Raises
+    ------
+    InputError
+        Otherwise.
+    """
+    if value is not None and not callable(value):
+        raise InputError(f"{name}={shown(value)}: expected a function to call, or None")
+
+
+def check_progress(progress: Callable[..., None] | None) -> Callable[..., None]:
+    """Return what is to be called with the share that is done; something idle for None.
+
+    Raises
+    ------
+    InputError
+        If it cannot be called.
+    """
+    check_callable("progress", progress)
+    return progress or (lambda *told: None)
+
+
+def as_float(value: Any) -> float | None:
+    """Return a number as a float, infinite and NaN included; None if it is no number.
+
+    See above for what counts as a number. An integer beyond float64 does not: it would be taken
+    for infinity, which has a meaning of its own for some options.
+    """
+    if np.ma.is_masked(value) or isinstance(value, bool | str | bytes | bytearray | complex):
+        return None
+    if isinstance(value, np.ndarray | np.generic):
+        if value.ndim > 0 or value.dtype.kind not in "iufO":
+            return None
+        if value.dtype.kind == "O":
+            return None if isinstance(value.item(), np.ndarray) else as_float(value.item())
+    elif not _converts(value):
+        return None
+    try:
+        if len(getattr(value, "shape", ())):
+            return None  # a tensor with dimensions, say
+        with np.errstate(over="ignore"):
+            return float(value)
+    except Exception:
+        # Whatever a foreign type raises says that it is no number.
+        return None
+
+
+def _converts(value: Any) -> bool:
+    return any(hasattr(type(value), name) for name in ("__float__", "__index__"))
+
+
+def is_path(value: Any) -> bool:
+    """Whether a value is a path: a text, or an object that stands for one; not an empty one."""
+    if not isinstance(value, str | os.PathLike):
+        return False
+    try:
+        path = os.fspath(value)
+    except Exception:
+        # Whatever a foreign type raises says that it is no path.
+        return False
+    return isinstance(path, str) and path != ""
+
+
+def shown(value: Any) -> str:
+    """Return a value as a message repeats it: one short line of printable characters."""
+    if isinstance(value, np.ndarray) and value.ndim:
+        return f"an array of shape {value.shape}"
+    try:
+        # The reprs of containers out of files can be as large as these, and as deep.
+        text = (reprlib.repr if isinstance(value, list | tuple | dict | set) else repr)(value)
+    except Exception:
+        # An integer of more digits than Python writes, or a foreign type's fault.
+        text = f"<{type(value).__name__}>"
+    return printable(text, SHOWN_LENGTH)

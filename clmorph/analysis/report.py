@@ -1,0 +1,300 @@
+"""What a look at a transport found, as numbers and as text."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from clmorph.measures.lift import Measure
+from clmorph.pipeline.memory import Memory
+from clmorph.transport.displacement import Displacement
+from clmorph.transport.divergence import Divergence
+from clmorph.transport.plan import BYTES_PER_PAIR, Plan
+from clmorph.transport.potentials import Potentials
+
+#: Bytes of a particle (two rows of the table, two masses) and of a row of the table.
+BYTES_PER_PARTICLE, BYTES_PER_END = 24, 48
+
+
+class Seconds(NamedTuple):
+    """How long stages took, or would take.
+
+    Attributes
+    ----------
+    transport : float
+        The solver; measured.
+    plan : float
+        Counting and writing pairs; measured if there is a plan, else partly estimated.
+    frames : float
+        Particles and all frames, without writing a file; estimated, see
+        `clmorph.analysis.timing.frame_seconds`.
+    """
+
+    transport: float
+    plan: float
+    frames: float
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Inspection:
+    """What a transport does, and what a morph by it would take.
+
+    Attributes
+    ----------
+    source, target : Measure
+    potentials : Potentials
+    plan : Plan or None
+        None if its pairs take more than they may.
+    pairs : int
+        How many pairs the plan keeps, there or not.
+    displacement : Displacement
+        Of the kept pairs; without a plan of all of them, in streaming.
+    divergence : Divergence or None
+        With an interval that holds it for certain.
+    no_divergence : str
+        Why there is none; empty if there is one.
+    memory : Memory
+        What a morph would take, estimated.
+    seconds : Seconds
+    n_frames : int
+        For which they are estimated.
+    moving : int
+        Particles of a morph that travel: pairs, or draws from them; between pixels, where
+        `source` and `target` are cells of pixels.
+    shapes : two of (height, width)
+        Of the images that a morph draws.
+    device : str
+        What measured them.
+    """
+
+    source: Measure
+    target: Measure
+    potentials: Potentials
+    plan: Plan | None
+    pairs: int
+    displacement: Displacement
+    divergence: Divergence | None
+    no_divergence: str
+    memory: Memory
+    seconds: Seconds
+    n_frames: int
+    moving: int
+    shapes: tuple[tuple[int, int], tuple[int, int]]
+    device: str
+
+    def __repr__(self) -> str:
+        (h, w), (height, width) = self.source.shape, self.target.shape
+        return (
+            f"<Inspection of {w} x {h} into {width} x {height} pixels, {self.pairs} pairs, "
+            f"{self.potentials.message}>"
+        )
+
+    @property
+    def pair_bytes(self) -> int:
+        """Bytes of the plan, if all its pairs are kept."""
+        return self.pairs * BYTES_PER_PAIR + 8 * (len(self.source) + 1)
+
+    @property
+    def particles(self) -> int:
+        """How many particles a morph would draw: pairs, and mass that dies or is born."""
+        moved = self.displacement
+        resting = 0
+        ends = zip((moved.destroyed, moved.created), self.shapes, strict=True)
+        for masses, (height, width) in ends:
+            resting += int(np.count_nonzero(masses)) * height * width // masses.size
+        return self.moving + resting
+
+    @property
+    def particle_bytes(self) -> int:
+        """Their bytes."""
+        ends = sum(height * width for height, width in self.shapes)
+        return self.particles * BYTES_PER_PARTICLE + ends * BYTES_PER_END
+
+    @property
+    def transported(self) -> float:
+        """Mass that travels, as a share of the source's; more than 1 if transport adds to it."""
+        return float(self.displacement.source_mass.sum()) / self.source.mass
+
+    @property
+    def destroyed(self) -> float:
+        """Share of the source's mass that dies where it is."""
+        return float(self.displacement.destroyed.sum()) / self.source.mass
+
+    @property
+    def created(self) -> float:
+        """Share of the target's mass that is born where it is."""
+        return float(self.displacement.created.sum()) / self.target.mass
+
+    def summary(self) -> dict[str, Any]:
+        """Return all numbers, as `json.dumps` takes them: finite, or None."""
+        found, moved, plan = self.potentials, self.displacement, self.plan
+        reach = found.reach if isinstance(found.reach, tuple) else (found.reach, found.reach)
+        divergence = self.divergence
+        result: dict[str, Any] = {
+            "device": self.device,
+            "source": _measure_summary(self.source),
+            "target": _measure_summary(self.target),
+            "drawn": [{"height": height, "width": width} for height, width in self.shapes],
+            "options": {
+                "blur": found.blur,
+                "reach": list(reach),
+                "color_weight": self.source.color_weight,
+                "color_space": self.source.color_space,
+                "extent": self.source.extent,
+            },
+            "solver": {
+                "status": found.status,
+                "message": found.message,
+                "iterations": found.n_iter,
+                "residual": found.residual,
+                "primal": found.primal,
+                "dual": found.dual,
+                "gap": found.gap,
+                "marginal_error": found.marginal_error,
+            },
+            "mass": {
+                "transported": self.transported,
+                "destroyed": self.destroyed,
+                "created": self.created,
+            },
+            "displacement_pixels": {
+                "max": moved.max,
+                "mean": moved.mean,
+                "mass_weighted_mean": moved.mass_weighted_mean,
+            },
+            "divergence": None
+            if divergence is None
+            else {
+                "value": divergence.value,
+                "low": divergence.interval[0],
+                "high": divergence.interval[1],
+            },
+            "no_divergence": self.no_divergence or None,
+            "plan": {
+                "pairs": self.pairs,
+                "bytes": self.pair_bytes,
+                "built": plan is not None,
+                "dropped_mass": None if plan is None else plan.dropped_mass,
+            },
+            "particles": {"count": self.particles, "bytes": self.particle_bytes},
+            "memory_bytes": {
+                "host": self.memory.host,
+                "device": self.memory.device,
+                "shared": self.memory.shared,
+            },
+            "seconds": {
+                "transport": self.seconds.transport,
+                "plan": self.seconds.plan,
+                "plan_estimated": plan is None,
+                "frames_estimated": self.seconds.frames,
+                "n_frames": self.n_frames,
+            },
+        }
+        return _finite(result)
+
+    def lines(self) -> list[str]:
+        """Return the main numbers for people, a line each."""
+        return [f"{label:<13} {text}" for label, text in self.entries()]
+
+    def entries(self) -> list[tuple[str, str]]:
+        """Return the main numbers as labels and texts."""
+        moved, plan, seconds = self.displacement, self.plan, self.seconds
+        bounds = f"gap {self.potentials.gap:.2g}" if self.potentials.reach is not None else (
+            f"marginals off by {self.potentials.marginal_error:.2g}"
+        )  # fmt: skip
+        if self.divergence is None:
+            divergence = f"none: {self.no_divergence}"
+        else:
+            low, high = self.divergence.interval
+            divergence = f"{self.divergence.value:.5g}, within [{low:.5g}, {high:.5g}]"
+        unit, point = ("px", "pixel") if self.source.shape == self.shapes[0] else ("cells", "cell")
+        kept = f"{self.pairs} pairs, {self.pairs / len(self.source):.0f} to a {point}"
+        if plan is None:
+            built = f"{size_text(self.pair_bytes)}: more than it may take"
+        else:
+            built = f"{size_text(self.pair_bytes)}, {percent(plan.dropped_mass)} of mass dropped"
+        where = "in all" if self.memory.shared else "on the host"
+        memory = f"about {size_text(self.memory.ram)} {where}"
+        if not self.memory.shared:
+            memory += f", {size_text(self.memory.device)} on the device"
+        about = "" if plan is not None else "about "
+        return [
+            ("source", _measure_text(self.source, self.shapes[0])),
+            ("target", _measure_text(self.target, self.shapes[1])),
+            ("solver", self.potentials.message),
+            ("certificate", f"value {self.potentials.dual:.5g}, {bounds}"),
+            ("transported", f"{percent(self.transported)} of the source's mass"),
+            ("destroyed", f"{percent(self.destroyed)} of the source's mass"),
+            ("created", f"{percent(self.created)} of the target's mass"),
+            (
+                "displacement",
+                f"mean {moved.mass_weighted_mean:.3g} {unit}, at most {moved.max:.3g} {unit}",
+            ),
+            ("divergence", divergence),
+            ("plan", f"{kept}, {built}"),
+            ("particles", f"{self.particles}, {size_text(self.particle_bytes)}"),
+            ("memory", f"{memory}, for a morph"),
+            (
+                "time",
+                f"transport {time_text(seconds.transport)}, plan {about}{time_text(seconds.plan)}, "
+                f"{self.n_frames} frames about {time_text(seconds.frames)}",
+            ),
+            ("device", self.device),
+        ]
+
+
+def _measure_summary(measure: Measure) -> dict[str, Any]:
+    height, width = measure.shape
+    return {
+        "height": height,
+        "width": width,
+        "points": len(measure),
+        "points_with_mass": int(np.count_nonzero(measure.weights)),
+        "mass": measure.mass,
+    }
+
+
+def _measure_text(measure: Measure, drawn: tuple[int, int]) -> str:
+    height, width = measure.shape
+    seen = int(np.count_nonzero(measure.weights))
+    some = "" if seen == len(measure) else f", {seen} of them with mass"
+    if measure.shape == drawn:
+        return f"{width} x {height} pixels{some}"
+    return f"{drawn[1]} x {drawn[0]} pixels in {width} x {height} cells{some}"
+
+
+def _finite(value: Any) -> Any:
+    """Replace numbers that JSON does not have by None."""
+    if isinstance(value, dict):
+        return {name: _finite(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def size_text(n_bytes: float) -> str:
+    """Return a number of bytes for people."""
+    units = ["bytes", "kB", "MB", "GB", "TB"]
+    power = 0
+    while n_bytes >= 999.5 and power < len(units) - 1:
+        n_bytes, power = n_bytes / 1000.0, power + 1
+    return f"{_three(n_bytes)} {units[power]}"
+
+
+def time_text(seconds: float) -> str:
+    """Return a time for people."""
+    if seconds < 0.9995:
+        return f"{_three(1000 * seconds)} ms"
+    return f"{_three(seconds)} s" if seconds < 99.5 else f"{_three(seconds / 60)} min"
+
+
+def percent(share: float) -> str:
+    """Return a share for people."""
+    return f"{_three(100 * share)} %"
+
+
+def _three(number: float) -> str:
+    """Return a number of at least 0 with about three digits, never as a power of ten."""
+    if number >= 99.95:
+        return f"{number:.0f}"
+    return f"{number:.3g}" if number >= 1e-4 or number == 0 else "under 0.0001"

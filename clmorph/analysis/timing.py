@@ -1,0 +1,208 @@
+"""How long frames, and a plan that was not built, would take: measured on a sample."""
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from clmorph.backends.interface import Operations
+from clmorph.frames.endpoints import Details, Lacking, ladder, mean_destinations
+from clmorph.frames.kernel_width import KernelWidth, auto_sigma
+from clmorph.frames.particles import Particles, particles
+from clmorph.frames.render import canvas_at, render
+from clmorph.images.color import from_space
+from clmorph.measures.lift import Measure
+from clmorph.measures.points import as_pair
+from clmorph.pipeline.memory import part_of
+from clmorph.pipeline.presets import PRESETS
+from clmorph.transport.plan import Plan
+from clmorph.transport.plan_sampling import Barycentric, sample_plan
+from clmorph.transport.potentials import Potentials
+
+#: Pairs that are drawn at most; the time of more follows from these and a quarter of them.
+SAMPLED_PAIRS = 1 << 20
+#: Times at which frames are drawn, how often, and how much each counts.
+PASSES = 2
+TIMES, SHARES = (0.0, 0.25, 0.5, 0.75, 1.0), (0.125, 0.25, 0.25, 0.25, 0.125)
+
+
+def frame_seconds(
+    source: Measure,
+    target: Measure,
+    potentials: Potentials,
+    plan: Plan | Barycentric | None,
+    pairs: int,
+    n_frames: int,
+    operations: Operations,
+) -> float:
+    """Estimate how long a morph takes to make particles of a plan and to draw its frames.
+
+    Frames are drawn as ``clmorph morph`` does (its preset "photo"), of the particles themselves
+    or, where there are many, of a sample of them and of a quarter of it; time is taken to be
+    linear in their number.
+
+    Parameters
+    ----------
+    source, target : Measure
+    potentials : Potentials
+    plan : Plan or Barycentric, optional
+        None: pairs are drawn from its rows.
+    pairs : int
+        How many the plan keeps; of means, one a row.
+    n_frames : int
+    operations : Operations
+
+    Returns
+    -------
+    float
+        Seconds, without what writing a file takes.
+    """
+    if plan is None:
+        draws = max(1, min(4096, SAMPLED_PAIRS // len(source)))
+        plan = sample_plan(source, target, potentials, draws, backend=operations)
+    plans: list[Plan | Barycentric] = [plan]
+    if isinstance(plan, Plan):
+        most = min(len(plan), SAMPLED_PAIRS)
+        sizes = [most] if len(plan) == most == pairs else [max(1, most // 4), most]
+        plans = [_thinned(plan, size) for size in sizes]
+    found = [_time(source, target, thin, operations) for thin in plans]
+    each, once = found[-1]
+    if len(found) > 1 and len(plans[1]) > len(plans[0]):
+        more = (pairs - len(plans[1])) / (len(plans[1]) - len(plans[0]))
+        each += _growth(found[0][0], found[1][0], more, pairs / len(plans[1]))
+        once += _growth(found[0][1], found[1][1], more, pairs / len(plans[1]))
+    return n_frames * each + once
+
+
+def fill_seconds(
+    source: Measure, target: Measure, potentials: Potentials, pairs: int, operations: Operations
+) -> float:
+    """Estimate how long it takes to write the pairs of a plan once they are counted.
+
+    Some rows are written; time is taken to be proportional to pairs.
+    """
+    whole = as_pair(source, target)
+    count = max(1, round(SAMPLED_PAIRS * len(source) / max(1, pairs)))
+    massive = np.flatnonzero(source.weights > 0)
+    rng = np.random.default_rng(0)
+    chosen = np.sort(rng.choice(massive, min(count, len(massive)), replace=False))
+    some = part_of(whole[0], chosen)
+    rows = operations.upload(some.points, some.weights, some.offsets)
+    columns = operations.upload(whole[1].points, whole[1].weights, whole[1].offsets)
+    f, g, epsilon = potentials.f[chosen], potentials.g, potentials.epsilon
+    thresholds = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon
+    thresholds += np.log(some.weights * 1e-4)
+    arguments = (
+        rows,
+        columns,
+        f,
+        g,
+        epsilon,
+        thresholds,
+        np.full(len(g), np.inf),
+        potentials.precise,
+    )
+    counts = operations.count_plan_rows(*arguments)
+    seconds = _seconds(lambda: operations.plan_rows(*arguments, counts))
+    return seconds * pairs / max(1, int(counts.sum()))
+
+
+def _growth(small: float, large: float, more: float, times: float) -> float:
+    """Return what is to be added to the larger sample's time: at most in proportion."""
+    return min(max(0.0, (large - small) * more), large * (times - 1.0))
+
+
+def _time(
+    source: Measure, target: Measure, plan: Plan | Barycentric, operations: Operations
+) -> tuple[float, float]:
+    """Seconds of one frame, and of what is done once before the first."""
+    preset = PRESETS["photo"]
+    space = str(preset["path_space"])
+    shapes, images = (source.shape, target.shape), _images(source, target)
+    start, end = (auto_sigma(image) for image in images)
+    width = KernelWidth(start, end, 0.0, 1.0, 1.0, str(preset["splatting"]))
+    made: list[Any] = []
+
+    def make() -> None:
+        moving = particles(source, target, plan, path_space=space)
+        uploaded = operations.upload_particles(moving.table, moving.links, moving.weights)
+        made.extend((moving, uploaded))
+
+    once = _seconds(make)
+    moving: Particles = made[0]
+
+    def draw(t: float) -> None:
+        canvas = canvas_at(t, *shapes, source.extent)
+        sums = render(
+            operations, made[1], moving.mass(t), t, canvas, width.widths(t, canvas)
+        )  # fmt: skip
+        from_space(sums.colors, space)
+
+    draw(0.5)  # builds kernels
+    drawn = np.zeros(len(TIMES))
+    for _ in range(PASSES):
+        drawn += [_seconds(lambda t=t: draw(t)) / PASSES for t in TIMES]  # type: ignore[misc]
+    if any(measure.alpha is not None for measure in (source, target)):
+        drawn *= 2  # opacity is drawn with particles of its own
+    # What lacks at both ends: drawn with every width that kernels have near it, and once more.
+    for time_of_end, seconds in ((0.0, drawn[0]), (1.0, drawn[-1])):
+        near = [width.at(t, canvas_at(t, *shapes)) for t in np.linspace(time_of_end, 0.5, 9)]
+        once += float(seconds) * (len(ladder(np.array(near))) + 1)
+    details = _detail_seconds(source, plan, target, operations)
+    return float(drawn @ SHARES) + details, once
+
+
+def _detail_seconds(
+    source: Measure, plan: Plan | Barycentric, target: Measure, operations: Operations
+) -> float:
+    """Seconds in which what lacks at both ends is given back to one frame."""
+    canvas = canvas_at(0.25, source.shape, target.shape, source.extent)
+    total = 0.0
+    ends = zip((source, target), mean_destinations(source, target, plan), strict=True)
+    for measure, destinations in ends:
+        missing = Lacking(np.ones(1), np.ones((1, *measure.shape, 3)))
+        moving = np.full(len(measure), 0.5)
+        details = Details(operations, measure, missing, destinations, moving, measure is target)
+        details.at(0.25, canvas, 1.0)
+        total += _seconds(lambda details=details: details.at(0.25, canvas, 1.0))  # type: ignore[misc]
+    return total
+
+
+def _images(source: Measure, target: Measure) -> list[Any]:
+    """Both images again, with their opacity."""
+    images = []
+    for measure in (source, target):
+        image = measure.colors.reshape(*measure.shape, 3)
+        if measure.alpha is not None:
+            image = np.dstack((image, measure.alpha.reshape(measure.shape)))
+        images.append(image)
+    return images
+
+
+def _thinned(plan: Plan, count: int) -> Plan:
+    """Return a plan of at most `count` pairs, drawn from this one by their mass.
+
+    Pairs drawn alike, heavy or not, would leave light ones to stand for all: pixels would be
+    torn, and take longer, where the plan itself covers them well.
+    """
+    if len(plan) <= count:
+        return plan
+    total = np.cumsum(plan.mass)
+    strata = (np.arange(count) + np.random.default_rng(0).random(count)) * (total[-1] / count)
+    drawn = np.minimum(np.searchsorted(total, strata, side="right"), len(plan) - 1)
+    chosen, times = np.unique(drawn, return_counts=True)
+    return Plan(
+        np.searchsorted(chosen, plan.indptr),
+        plan.indices[chosen],
+        times * (total[-1] / count),
+        plan.shape,
+        *plan.marginals,
+    )
+
+
+def _seconds(work: Callable[[], Any]) -> float:
+    """Return how long something takes."""
+    began = perf_counter()
+    work()
+    return perf_counter() - began

@@ -1,0 +1,477 @@
+"""The few expensive operations that every backend implements.
+
+`clmorph.reference.NumPyOperations` and `clmorph.backends.opencl.backend.OpenCLOperations` have
+these methods with these signatures. All the mathematics of the package is written once
+over them, so a disagreement between two backends names one operation.
+"""
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Points of one cloud: kernels count columns in float32, exactly up to here.
+MAX_POINTS = 1 << 24
+#: Dimensions of points: a kernel keeps one register for each.
+MAX_DIMENSION = 11
+
+#: Where particles differ in width, they stand on rungs of a ladder: rung r has the width
+#: sigma 2^((r - BASE_RUNG) / RUNGS_PER_OCTAVE), from sigma / 4 to 45 sigma.
+RUNGS, BASE_RUNG, RUNGS_PER_OCTAVE = 16, 4, 2
+
+#: By how much a splat's kernel may be off, as a share of its peak.
+KERNEL_ERROR = 1e-6
+
+Float64 = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+
+class PlanRows(NamedTuple):
+    """Kept pairs of a plan, row after row, columns ascending inside a row."""
+
+    indptr: NDArray[np.int64]  #: (N + 1,) where each row begins
+    indices: NDArray[np.int32]  #: (kept,) column of each pair
+    mass: Float64  #: (kept,) mass of each pair
+
+
+class Bins(NamedTuple):
+    """Particles sorted into square bins of the canvas and its margin."""
+
+    shape: tuple[int, int]  #: bins along y and x, margins included
+    starts: NDArray[np.int64]  #: (bins + 1,) where each bin begins in `order`
+    order: NDArray[np.int64]  #: (K,) particles by bin; inside a bin in their own order
+
+
+class NearPairs(NamedTuple):
+    """The pairs of two clouds that matter, as `Operations.near_pairs` found them.
+
+    What is left out is known: a row's sum over all columns is at most 1 + `skipped` times that
+    over these pairs, for the potential and epsilon that they were found for.
+    """
+
+    pairs: Any  #: the backend's own
+    softmin: Float64  #: (N,) T(g) over these pairs, or over some more; cost units
+    skipped: Float64  #: (N,) above 0 where anything is left out
+    n_pairs: int  #: pairs that are visited
+    n_columns: int  #: most columns of a row
+    largest: float  #: largest cost among them, cost units
+
+
+class StoredPairs(NamedTuple):
+    """Pairs of a plan that a backend keeps, see `Operations.store_pairs`."""
+
+    pairs: Any  #: the backend's own
+    n_pairs: int
+
+
+class Operations(Protocol):
+    """What a backend does. Clouds, particles and splats are the backend's own handles."""
+
+    #: What the user is told: the device, its platform and driver.
+    description: str
+    #: Side of a bin in pixels.
+    bin_size: int
+    #: Relative errors of one rounding: in a sum of exponentials, in an exponent, and in a
+    #: precise exponent. See `rounding_error`.
+    sum_roundoff: float
+    exponent_roundoff: float
+    precise_roundoff: float
+    #: Whether precise exponents are float64 (or better), not pairs of float32.
+    has_float64: bool
+
+    def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Any:
+        """Take a weighted cloud.
+
+        Parameters
+        ----------
+        points : (N, D) array
+            Coordinates in any unit; costs are in that unit squared.
+        weights : (N,) array
+            Masses, at least 0, of positive sum.
+        offsets : (N,) array, optional
+            In cost units, added to the cost of every pair with this point:
+            C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j. With them any cost that is a sum of products
+            of features of both points can be had.
+        """
+
+    def softmin(
+        self,
+        rows: Any,
+        columns: Any,
+        potential: Float64,
+        epsilon: float,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> Float64:
+        """Return the soft minimum of cost minus potential, T(g) of the paper's section 3.1.
+
+        -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon), C_ij = |X_i - Y_j|^2 / 2.
+
+        Parameters
+        ----------
+        rows, columns : clouds of N and M points
+        potential : (M,) array, cost units
+        epsilon : float, cost units
+        precise : bool
+            Form exponents in more than float32, at about half the speed.
+        near : NearPairs, optional
+            Sum over these pairs only.
+
+        Returns
+        -------
+        (N,) array, cost units
+        """
+
+    def bounded_softmin(
+        self,
+        rows: Any,
+        columns: Any,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, float]:
+        """Return the soft minimum with exponentials and sums in float64, or pairs of float32.
+
+        What bounds of a transport value are made of. It takes about three times as long as
+        `softmin` where there is float64, else about nine times.
+
+        Parameters
+        ----------
+        rows, columns, potential, epsilon, near
+            As in `softmin`.
+
+        Returns
+        -------
+        softmin : (N,) array, cost units
+        error : float
+            By how many nats its sums' logarithms may be off, whatever the roundings; infinite
+            where numbers are too large for a bound. What `near` leaves out is not part of it.
+        """
+
+    def near_pairs(
+        self,
+        rows: Any,
+        columns: Any,
+        potential: Float64,
+        softmin: Float64,
+        epsilon: float,
+        budget: float,
+    ) -> NearPairs:
+        """Find the pairs that matter for the rows' sums.
+
+        Parameters
+        ----------
+        rows, columns : clouds of N and M points
+        potential : (M,) array, cost units
+        softmin : (N,) array, cost units
+            T(potential), or a guess at it: the better it is the fewer pairs are left, and the
+            nearer `skipped` comes to the budget; that it bounds what is left out holds always.
+        epsilon : float, cost units
+        budget : float
+            The share of a row's sum that may be left out.
+        """
+
+    def row_maxima(
+        self,
+        rows: Any,
+        columns: Any,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
+    ) -> Float64:
+        """Return max_j [(g_j - C_ij) / epsilon + log b_j]: (N,) array, in nats."""
+
+    def count_plan_rows(
+        self,
+        rows: Any,
+        columns: Any,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        precise: bool = False,
+    ) -> NDArray[np.int64]:
+        """Return how many pairs of each row `plan_rows` keeps: (N,) array.
+
+        Parameters as there.
+        """
+
+    def plan_rows(
+        self,
+        rows: Any,
+        columns: Any,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        precise: bool = False,
+        counts: NDArray[np.int64] | None = None,
+    ) -> PlanRows:
+        """Return the pairs of the plan (Eq. 2) above a threshold, without a dense plan.
+
+        log pi_ij = (f_i + g_j - C_ij) / epsilon + log a_i + log b_j is kept when it
+        exceeds the smaller of `row_thresholds[i]` and `column_thresholds[j]`.
+
+        Parameters
+        ----------
+        rows, columns : clouds of N and M points
+        f, g : (N,) and (M,) arrays, cost units
+        epsilon : float, cost units
+        row_thresholds, column_thresholds : (N,) and (M,) arrays, in nats
+            +inf never keeps, -inf always does.
+        precise : bool
+            As in `softmin`.
+        counts : (N,) array, optional
+            What `count_plan_rows` returned for the same arguments; saves counting again.
+        """
+
+    def store_pairs(
+        self,
+        rows: Any,
+        columns: Any,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        max_pairs: int,
+        near: tuple[NearPairs | None, NearPairs | None] = (None, None),
+    ) -> StoredPairs | None:
+        """Keep log pi_ij of pairs in the device's memory, for `sum_stored`.
+
+        Parameters
+        ----------
+        rows, columns, f, g, epsilon, row_thresholds, column_thresholds
+            As in `plan_rows`.
+        max_pairs : int
+            Pairs to keep at most; with more None is returned.
+        near : (of the rows, of the columns), optional
+            Look at no other pairs than those near one or the other.
+        """
+
+    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
+        """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row.
+
+        That is what the rows' sums become when g_j grows by epsilon changes_j.
+
+        Parameters
+        ----------
+        stored : StoredPairs
+        changes : (M,) array, in nats
+        by_column : bool
+            Sum over the rows instead: `changes` are (N,), and there is a sum for each column.
+
+        Returns
+        -------
+        (N,) array, or (M,), in nats
+            -inf where no pair is stored.
+        """
+
+    def plan_moments(
+        self,
+        rows: Any,
+        columns: Any,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, Float64]:
+        """Return mean and covariance of each row's destinations, over the whole plan.
+
+        Row i goes to Y_j with the share pi_ij / (pi 1)_i, which needs g alone.
+
+        Parameters
+        ----------
+        rows, columns : clouds of N and M points in D dimensions
+        g : (M,) array, cost units
+        softmin : (N,) array, cost units
+            T(g), by `softmin` with the same `precise` and `near`.
+        epsilon : float, cost units
+        precise, near
+            As in `softmin`.
+
+        Returns
+        -------
+        mean : (N, D) array
+        covariance : (N, D, D) array
+        """
+
+    def sample_plan_rows(
+        self,
+        rows: Any,
+        columns: Any,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        thresholds: Float64,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> NDArray[np.int32]:
+        """Return columns drawn from each plan row, pi_ij / (pi 1)_i: (N, k) array.
+
+        Draw s of row i is the first column, in an order of the backend's own, up to which
+        the shares add to more than thresholds[i, s]; so uniform thresholds draw without bias.
+
+        Parameters
+        ----------
+        rows, columns, g, softmin, epsilon, precise, near
+            As in `plan_moments`.
+        thresholds : (N, k) array
+            Within [0, 1), ascending in each row.
+        """
+
+    def upload_particles(
+        self,
+        table: Float64,
+        links: NDArray[np.uint32],
+        weights: Float64,
+    ) -> Any:
+        """Take moving particles.
+
+        Parameters
+        ----------
+        table : (P, 6) array
+            Positions in the common frame and colors of the points particles travel between,
+            and the spacing of points there, in units of that frame.
+        links : (K, 2) array
+            Rows of `table` where each particle starts and ends.
+        weights : (K, 2) array
+            Its mass at t = 0 and at t = 1.
+        """
+
+    def place(
+        self,
+        particles: Any,
+        t: float,
+        scale: tuple[float, float],
+        center: tuple[float, float],
+    ) -> Any:
+        """Move particles to time t and onto a canvas: (z - 1/2) * scale + center, in pixels.
+
+        Returns
+        -------
+        splats
+        """
+
+    def upload_splats(
+        self,
+        positions: Float32,
+        colors: Float32,
+        weights: Float32,
+        spacings: Float32 | None = None,
+    ) -> Any:
+        """Take resting particles.
+
+        Parameters
+        ----------
+        positions : (K, 2) array, in pixels
+        colors : (K, 3) array
+        weights : (K,) array
+            Masses.
+        spacings : (K,) array, optional
+            Distance of neighbors where each belongs, in pixels; 1 if not given.
+        """
+
+    def deposit(self, splats: Any, shape: tuple[int, int]) -> tuple[Float64, Float64]:
+        """Return what lies nearest to each pixel: sum of masses and of their squares.
+
+        Parameters
+        ----------
+        splats
+            Without widths of their own.
+        shape : (height, width) of the canvas, in pixels
+
+        Returns
+        -------
+        mass, squares : (height, width) arrays
+        """
+
+    def adapt_widths(self, splats: Any, distances: Float64, sigma: float) -> Any:
+        """Give every splat a width of its own: Eq. 3 with the distance of neighbors there.
+
+        max(sigma * spacing, distance / 2), rounded to a rung of the ladder of widths around
+        sigma; distances are read between pixels bilinearly, and at the border outside.
+
+        Parameters
+        ----------
+        splats
+        distances : (height, width) array
+            Of neighboring particles around each pixel of the canvas, in pixels.
+        sigma : float
+            In units of the spacing.
+
+        Returns
+        -------
+        splats
+            For `splat` with the same `sigma`. Weights are scaled so that the sum of each
+            kernel over the canvas is that of a kernel of width sigma.
+        """
+
+    def rungs(self, splats: Any) -> NDArray[np.int64]:
+        """Return on which rung each splat stands: (K,) array, BASE_RUNG without own widths."""
+
+    def bin_splats(self, splats: Any, shape: tuple[int, int], margin: int) -> Bins:
+        """Sort splats into bins.
+
+        Parameters
+        ----------
+        splats
+        shape : (height, width) of the canvas, in pixels
+        margin : int
+            Bins added on every side; splats farther out fall into the outermost ones.
+        """
+
+    def splat(
+        self, splats: Any, shape: tuple[int, int], sigma: float, radius: float
+    ) -> tuple[Float64, Float64]:
+        """Return the two sums of a Nadaraya-Watson frame (paper, section 3.3).
+
+        Splats with widths of their own use these in place of `sigma`, and `radius` grows alike.
+
+        Parameters
+        ----------
+        splats
+        shape : (height, width) of the canvas, in pixels
+        sigma : float
+            Kernel width in pixels. 0 gives each splat to its nearest pixel instead.
+        radius : float
+            Where the kernel is cut: it counts while |dx| and |dy| are at most this, and no
+            more where one of them exceeds this by a kernel width (`sigma`, or the splat's
+            own); between, a backend may count it or not. Up to there the kernel may be off by
+            `KERNEL_ERROR` of its peak. Without a width both are exact.
+
+        Returns
+        -------
+        numerator : (height, width, 3) array
+            sum_k w_k K(p - p_k) c_k
+        denominator : (height, width) array
+            sum_k w_k K(p - p_k)
+        """
+
+
+def rounding_error(operations: Operations, n_columns: int, largest: float, precise: bool) -> float:
+    """Return by how many nats a log-sum-exp of `operations` may be off.
+
+    A few roundings of each term (8 units, the exponential's error included), the random
+    walk of a sum of `n_columns` terms, and one rounding of an exponent of size C / epsilon;
+    several happen, but tiles make the numbers smaller.
+
+    Parameters
+    ----------
+    operations : Operations
+    n_columns : int
+    largest : float
+        The largest C / epsilon.
+    precise : bool
+    """
+    in_exponent = operations.precise_roundoff if precise else operations.exponent_roundoff
+    return operations.sum_roundoff * (8 + 2 * n_columns**0.5) + in_exponent * largest
+
+
+def bin_grid(shape: tuple[int, int], margin: int, size: float) -> tuple[int, int]:
+    """Return the number of bins along y and x for a canvas and its margin."""
+    height, width = (int(-(-side // size)) + 2 * margin for side in shape)
+    return height, width

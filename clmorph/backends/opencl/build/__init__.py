@@ -1,0 +1,1 @@
+"""Kernel programs: load, expand and build the sources; build constants and their tuning."""

@@ -1,0 +1,192 @@
+"""Build-time constants of the kernels, chosen by the kind of device."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyopencl as cl
+
+from clmorph.backends.interface import BASE_RUNG, RUNGS, RUNGS_PER_OCTAVE
+from clmorph.backends.opencl.devices.quirks import find_quirks
+
+#: Stands for minus infinity in float32 exponents: far under any of them, yet the sum of
+#: a few is still finite. Exact in float32, so that it is the same number in any precision.
+SENTINEL = float(np.float32(-1e30))
+#: Log2 of the largest share of a tile that is told from larger ones, where a guess at the sum of
+#: a row was far too small; times a tile of points it is still a float32.
+LARGEST_SHARE = 110
+#: Particles of a bin whose moments are added up before they join the total.
+MOMENT_CHUNK = 1024
+#: Columns taken together where exponents fill two registers each.
+PRECISE_UNROLL = 4
+#: Stored pairs of a row taken together.
+STORED_UNROLL = 4
+
+
+@dataclass(frozen=True)
+class Knobs:
+    """Sizes that change speed only; see the headers of ``cl_kernels/*.cl``.
+
+    Attributes
+    ----------
+    width : int
+        Lanes of one work-item.
+    tile : int
+        Points of one tile of a cloud.
+    group : int
+        Work-items of a work-group in the row reductions.
+    unroll : int
+        Columns taken together in the log-sum-exp.
+    exp2_builtin : int
+        1: the device's own exp2; 0: the polynomial.
+    precise : int
+        Arithmetic of precise exponents, see ``cl_kernels/exponents.cl``. 2: float64;
+        1: pairs of float32.
+    bin : int
+        Side of a bin of particles, in pixels.
+    chunk : int
+        Particles added up before they join the total.
+    tile_group : int
+        Work-items along each side of a splatting work-group.
+    slices_per_unit : int
+        Slices of the particle list sorted at once, for every compute unit.
+    """
+
+    width: int
+    tile: int
+    group: int
+    unroll: int
+    exp2_builtin: int
+    precise: int
+    bin: int
+    chunk: int
+    tile_group: int
+    slices_per_unit: int
+
+    @property
+    def stored_slice(self) -> int:
+        """Rows of a slice of stored pairs: a multiple of `width` that divides `tile`."""
+        return math.gcd(self.tile, 16)
+
+    def rows_constants(
+        self,
+        dimension: int,
+        precise: bool = False,
+        listed: bool = False,
+        bounded: bool = False,
+    ) -> dict[str, int | float]:
+        """Return the macros of ``rows.cl``; bounded sums need precise exponents."""
+        return {
+            "BOUNDED": int(bounded),
+            "DIM": dimension,
+            "EXP2_BUILTIN": self.exp2_builtin,
+            "GROUP": self.group,
+            "LARGEST_SHARE": LARGEST_SHARE,
+            "LISTED": int(listed),
+            "PRECISE": self.precise if precise else 0,
+            "SENTINEL": SENTINEL,
+            "TILE": self.tile,
+            "UNROLL": min(self.unroll, PRECISE_UNROLL) if precise else self.unroll,
+            "WIDTH": self.width,
+        }
+
+    def stored_constants(self) -> dict[str, int | float]:
+        """Return the macros of ``stored.cl``."""
+        return {
+            "EXP2_BUILTIN": self.exp2_builtin,
+            "SENTINEL": SENTINEL,
+            "SLICE": self.stored_slice,
+            "UNROLL": STORED_UNROLL,
+            "WIDTH": self.width,
+        }
+
+    def splat_constants(self) -> dict[str, int | float]:
+        """Return the macros of ``splat.cl``."""
+        return {
+            "BASE_RUNG": BASE_RUNG,
+            "CHUNK": self.chunk,
+            "EXP2_BUILTIN": self.exp2_builtin,
+            "RUNGS": RUNGS,
+            "RUNGS_PER_OCTAVE": RUNGS_PER_OCTAVE,
+            "SENTINEL": SENTINEL,
+            "TILE_GROUP": self.tile_group,
+            "WIDTH": self.width,
+        }
+
+    def moments_constants(self) -> dict[str, int | float]:
+        """Return the macros of ``moments.cl``."""
+        return {
+            "EXP2_BUILTIN": self.exp2_builtin,
+            "MOMENT_CHUNK": MOMENT_CHUNK,
+            "MOMENT_GROUP": self.group if self.width == 1 else 1,
+            "SENTINEL": SENTINEL,
+            "WIDTH": self.width,
+        }
+
+
+def choose_knobs(device: cl.Device, quirks: frozenset[str] | None = None) -> Knobs:
+    """Return constants for a device, by its type, limits and quirks.
+
+    Parameters
+    ----------
+    device : pyopencl.Device
+    quirks : set of str, optional
+        Names from `clmorph.backends.opencl.devices.quirks.QUIRKS`; found out if not given.
+    """
+    if quirks is None:
+        quirks = find_quirks(device)
+    if device.type & cl.device_type.CPU:
+        knobs = cpu_knobs(int(device.native_vector_width_float))
+    else:
+        knobs = gpu_knobs(device.max_work_group_size)
+    return apply_quirks(knobs, quirks)
+
+
+def apply_quirks(knobs: Knobs, quirks: frozenset[str]) -> Knobs:
+    """Return constants that work around quirks."""
+    if "small_groups" in quirks:
+        knobs = replace(knobs, group=min(knobs.group, 16), tile_group=min(knobs.tile_group, 4))
+    if "inexact_exp2" in quirks:
+        knobs = replace(knobs, exp2_builtin=0)
+    if "no_float64" in quirks:
+        knobs = replace(knobs, precise=1)
+    if "small_local_memory" in quirks:
+        tile = max(16, knobs.width)
+        knobs = replace(
+            knobs, tile=tile, group=min(knobs.group, tile // knobs.width),
+            unroll=min(knobs.unroll, tile),
+        )  # fmt: skip
+    return knobs
+
+
+def cpu_knobs(vector: int) -> Knobs:
+    """Return constants for a CPU with vectors of `vector` floats."""
+    width = next(width for width in (16, 8, 4, 2, 1) if width <= max(1, vector))
+    return Knobs(
+        width=width,
+        tile=64,
+        group=1,
+        unroll=32 if width == 16 else 8,
+        exp2_builtin=0,
+        precise=2,
+        bin=8,
+        chunk=256,
+        tile_group=1,
+        slices_per_unit=8,
+    )
+
+
+def gpu_knobs(largest_group: int) -> Knobs:
+    """Return constants for a GPU whose work-groups have at most `largest_group` items."""
+    return Knobs(
+        width=1,
+        tile=64,
+        group=next(group for group in (64, 32, 16, 8, 4, 2, 1) if group <= largest_group),
+        unroll=8,
+        exp2_builtin=1,
+        precise=2,
+        bin=8,
+        chunk=256,
+        tile_group=next(side for side in (16, 8, 4, 2, 1) if side**2 <= largest_group),
+        slices_per_unit=64,
+    )

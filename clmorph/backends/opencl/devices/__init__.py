@@ -1,0 +1,1 @@
+"""OpenCL devices: find them, try them, remember which of them work."""

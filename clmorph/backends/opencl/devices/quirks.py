@@ -1,0 +1,58 @@
+"""Named properties of devices that need other build options than most.
+
+Each is found here, turned into build-time constants by `opencl.build.constants.apply_quirks`,
+and can be forced for a trial: ``CLMORPH_QUIRKS=small_groups,inexact_exp2``.
+"""
+
+import os
+
+import pyopencl as cl
+
+from clmorph.errors import InputError
+
+#: Name of each quirk, and what it means.
+QUIRKS = {
+    "small_groups": "work-groups hold fewer than 64 work-items: groups of 16 at most",
+    "inexact_exp2": "the built-in exp2 is off by more than a few units: a polynomial instead",
+    "small_local_memory": "under 8 KiB of local memory: tiles of 16 points",
+    "no_float64": "no double precision: precise exponents are sums of two float32",
+}
+
+#: Devices whose built-in exp2 was found wrong: parts of the name, in lower case.
+INEXACT_EXP2: tuple[str, ...] = ()
+
+
+def find_quirks(device: cl.Device) -> frozenset[str]:
+    """Return the names of a device's quirks, those forced by ``CLMORPH_QUIRKS`` included.
+
+    Raises
+    ------
+    InputError
+        If the variable names a quirk that does not exist.
+    """
+    found = forced_quirks()
+    if device.max_work_group_size < 64:
+        found |= {"small_groups"}
+    if any(part in device.name.lower() for part in INEXACT_EXP2):
+        found |= {"inexact_exp2"}
+    if device.local_mem_size < 8192:
+        found |= {"small_local_memory"}
+    if not has_float64(device):
+        found |= {"no_float64"}
+    return found
+
+
+def forced_quirks() -> frozenset[str]:
+    """Return the quirks named by ``CLMORPH_QUIRKS``."""
+    names = frozenset(filter(None, os.environ.get("CLMORPH_QUIRKS", "").split(",")))
+    unknown = sorted(names - set(QUIRKS))
+    if unknown:
+        raise InputError(
+            f"CLMORPH_QUIRKS names {unknown[0]!r}: expected some of {', '.join(QUIRKS)}"
+        )
+    return names
+
+
+def has_float64(device: cl.Device) -> bool:
+    """Whether a device computes in double precision."""
+    return "cl_khr_fp64" in device.extensions.split()

@@ -1,0 +1,108 @@
+"""OpenCL platforms: the loader's, and those of runtimes that were installed with pip.
+
+Intel's wheel leaves its registration file with a placeholder path, so no loader finds the
+runtime by itself. Loaders take more entries from environment variables only, which they read
+once in a process and which every thread and every child would see. The runtime is therefore
+asked for its platforms as a loader asks (extension cl_khr_icd): whatever loader there is
+passes calls on by a table in the objects themselves, and needs no list of them.
+"""
+
+import ctypes
+import os
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clmorph._shared.signals import undisturbed
+
+if TYPE_CHECKING:
+    import pyopencl as cl
+
+#: First entry of the table of a driver after cl_khr_icd 2.0: a loader of that kind must have
+#: met it, or its calls go astray.
+_MANAGED_BY_LOADER = 0x4F50454E434C3331
+
+
+def intel_runtime() -> Path | None:
+    """Find the CPU runtime of the `intel-opencl-rt` wheel.
+
+    Returns
+    -------
+    Path or None
+        The shared library, or None if the wheel or the math library that its compiler
+        needs (`intel-cmplr-lib-rt`) is not installed for this interpreter.
+    """
+    try:
+        files = metadata.distribution("intel-opencl-rt").files or []
+    except metadata.PackageNotFoundError:
+        return None
+    for file in files:
+        if file.name == "libintelocl.so":
+            library = Path(str(file.locate())).resolve()
+            # Without libsvml the runtime cannot even be loaded.
+            if library.exists() and (library.parent / "libsvml.so").exists():
+                return library
+    return None
+
+
+def list_platforms() -> list["cl.Platform"]:
+    """List the loader's platforms, and behind them those of pip's runtimes that it lacks.
+
+    Who has set ``OCL_ICD_VENDORS`` has chosen, and gets the loader's only.
+
+    Returns
+    -------
+    list of pyopencl.Platform
+        Empty if there are none.
+
+    Raises
+    ------
+    ImportError
+        If pyopencl is not installed or cannot be loaded.
+    """
+    with undisturbed():  # an exception from a handler, in the midst of it, aborts the process
+        import pyopencl as cl
+
+    try:
+        found = list(cl.get_platforms())
+    except cl.Error:  # some loaders call it an error that there is none
+        found = []
+    library = intel_runtime() if sys.platform == "linux" else None
+    if library is not None and "OCL_ICD_VENDORS" not in os.environ:
+        known = {platform.int_ptr for platform in found}
+        found += [
+            cl.Platform.from_int_ptr(pointer, False)
+            for pointer in _platforms_of(library)
+            if pointer not in known
+        ]
+    return found
+
+
+def _platforms_of(library: Path) -> list[int]:
+    """Return pointers to the platforms of a driver; none if it cannot be loaded."""
+    try:
+        driver = ctypes.CDLL(str(library))
+        find = driver.clGetExtensionFunctionAddress
+    except (OSError, AttributeError):
+        return []
+    find.restype, find.argtypes = ctypes.c_void_p, (ctypes.c_char_p,)
+    address = find(b"clIcdGetPlatformIDsKHR")
+    if not address:
+        return []
+    number = ctypes.c_uint32
+    ask = ctypes.CFUNCTYPE(
+        ctypes.c_int32, number, ctypes.POINTER(ctypes.c_void_p), ctypes.POINTER(number)
+    )(address)
+    count = number()
+    if ask(0, None, ctypes.byref(count)):
+        return []
+    pointers = (ctypes.c_void_p * count.value)()
+    if ask(count, pointers, None):
+        return []
+    return [pointer for pointer in pointers if pointer and not _needs_its_loader(pointer)]
+
+
+def _needs_its_loader(platform: int) -> bool:
+    table = ctypes.c_void_p.from_address(platform).value
+    return table is None or ctypes.c_size_t.from_address(table).value == _MANAGED_BY_LOADER

@@ -1,0 +1,162 @@
+"""Clouds on the device: sorted into tiles, split into what float32 holds and the rest."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import MAX_POINTS, Float64
+from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.kernels.launches import Workspace
+from clmorph.backends.opencl.kernels.tiles import tile_order
+from clmorph.errors import DeviceError
+
+#: Consecutive tiles that are bounded together: compact as well, as tiles are leaves of a tree.
+WIDTH_OF_GROUPS = 8
+
+
+class Tiles(Protocol):
+    """Points in tiles."""
+
+    @property
+    def centers(self) -> Float64:
+        """(tiles, D), exact in float32."""
+
+    @property
+    def shifts(self) -> NDArray[np.float32]:
+        """(tiles, tile, D) points less their tile's center."""
+
+
+class Wide(NamedTuple):
+    """Tiles of several tiles each."""
+
+    centers: Float64
+    shifts: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A cloud on the device, sorted into tiles and padded to whole ones.
+
+    Attributes
+    ----------
+    order : (N,) array
+        Where each sorted point stood in the caller's arrays.
+    centers : (tiles, D) array
+        Tile centers; exact in float32.
+    log2_weights : (N,) array
+        Sorted; SENTINEL for zero mass.
+    offsets : (N,) array
+        Sorted; what is added to the cost of each point.
+    own_costs : (N,) array
+        Sorted; half the squared distance of each point to its tile's center, and its offset.
+    stride : int
+        N padded to whole tiles.
+    shifts : (tiles, tile, D) float32 array
+        Points less their tile's center; what pads the last tile repeats the last point.
+    offsets_buffer : (2, D, stride) float32
+        Points less their tile's center, and what that rounds off.
+    centers_buffer : (tiles, D) float32
+    box : (2, D) array
+        Least and largest coordinates.
+    """
+
+    order: NDArray[np.intp]
+    centers: Float64
+    log2_weights: Float64
+    offsets: Float64
+    own_costs: Float64
+    stride: int
+    shifts: NDArray[np.float32]
+    offsets_buffer: cl.Buffer
+    centers_buffer: cl.Buffer
+    box: Float64
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    @cached_property
+    def wide(self) -> Wide:
+        """The same points in groups of tiles."""
+        tiles, tile, dimension = self.shifts.shape
+        missing = -tiles % WIDTH_OF_GROUPS
+        listed = (self.centers[:, None] + self.shifts).reshape(-1, dimension)
+        listed = np.pad(listed, ((0, missing * tile), (0, 0)), mode="edge")
+        points = listed.reshape(-1, WIDTH_OF_GROUPS * tile, dimension)
+        centers = 0.5 * (points.min(axis=1) + points.max(axis=1))
+        centers = centers.astype(np.float32).astype(float)
+        return Wide(centers, (points - centers[:, None]).astype(np.float32))
+
+
+def make_cloud(
+    work: Workspace,
+    tile: int,
+    points: Float64,
+    weights: Float64,
+    offsets: Float64 | None = None,
+) -> Cloud:
+    """Sort a weighted cloud into tiles and put it on the device.
+
+    Parameters
+    ----------
+    work : Workspace
+    tile : int
+        Points of one tile.
+    points : (N, D) array
+    weights : (N,) array
+    offsets : (N,) array, optional
+        Added to the cost of each point.
+
+    Raises
+    ------
+    DeviceError
+        If there are more points than kernels can count.
+    """
+    points = np.asarray(points, float)
+    n, dimension = points.shape
+    if n > MAX_POINTS:
+        raise DeviceError(f"{n} points are too many: expected at most 2^24; reduce the image")
+    order = tile_order(points, tile)
+    n_tiles = -(-n // tile)
+    padded = np.pad(points[order], ((0, n_tiles * tile - n), (0, 0)), mode="edge")
+    tiles = padded.reshape(n_tiles, tile, dimension)
+    centers = 0.5 * (tiles.min(axis=1) + tiles.max(axis=1))
+    # Rounded first, so that the device's copy is exact and offsets absorb the rounding.
+    centers = centers.astype(np.float32).astype(float)
+    shifts = (tiles - centers[:, None]).reshape(-1, dimension)
+    added = np.zeros(n) if offsets is None else np.asarray(offsets, float)[order]
+    with np.errstate(divide="ignore"):
+        log2_weights = np.log2(np.asarray(weights, float)[order])
+    return Cloud(
+        order=order,
+        centers=centers,
+        log2_weights=np.maximum(log2_weights, SENTINEL),
+        offsets=added,
+        own_costs=0.5 * np.sum(shifts[:n] ** 2, axis=1) + added,
+        stride=n_tiles * tile,
+        shifts=shifts.astype(np.float32).reshape(n_tiles, tile, dimension),
+        offsets_buffer=work.buffer(split(shifts.T)),
+        centers_buffer=work.buffer(centers),
+        box=np.stack((points.min(axis=0), points.max(axis=0))),
+    )
+
+
+def split(values: Float64) -> NDArray[np.float32]:
+    """Return (2, ...) float32: the nearest, and what it rounds off."""
+    high = values.astype(np.float32)
+    return np.stack((high, (values - high).astype(np.float32)))
+
+
+def pad(values: Float64, length: int, filler: float) -> Float64:
+    """Return values with `filler` behind them, up to `length`."""
+    return np.concatenate((values, np.full(length - len(values), filler)))
+
+
+def unsort(cloud: Cloud, values: NDArray[Any]) -> NDArray[Any]:
+    """Bring values of sorted points back to the caller's order."""
+    result = np.empty_like(values)
+    result[cloud.order] = values
+    return result

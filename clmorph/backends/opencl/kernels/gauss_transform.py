@@ -1,0 +1,237 @@
+"""Launches of ``cl_kernels/moments.cl``: splatting by way of the moments of cells."""
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clmorph.backends.opencl.build import program
+from clmorph.backends.opencl.build.constants import Knobs
+from clmorph.backends.opencl.kernels import launches
+from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
+from clmorph.backends.opencl.kernels.particles import SortedSplats
+
+#: Cells along a side of a bin: with their moments, what a core's nearest cache holds.
+BIN_CELLS = 8
+#: Largest side of a cell, in kernel widths: the expansion then is off by at most
+#: `clmorph.backends.interface.KERNEL_ERROR`.
+LARGEST_CELL = 0.75
+#: Sides of cells, in pixels: finer ones serve kernels of few pixels, which are cheap anyway.
+SIDES = 0.25, 64.0
+#: Cuts farther out, in kernel widths, take more cells than they are worth.
+FARTHEST_CUT = 8.0
+#: As in the kernels: pairs (a, b), values of a and, rounded up, of b.
+TERMS, ORDERS = 40, 8
+#: Bytes of moments at a time: what stays in cache.
+STRIP_BYTES = 1 << 23
+#: Pixels of a row that one work-item of a CPU takes.
+SPAN = 16
+#: Nodes of the interpolation that gives Chebyshev coefficients, many more than are used.
+NODES = 32
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Cells of one side, and the Gaussian as seen from them.
+
+    Attributes
+    ----------
+    side : float
+        In pixels, a power of two.
+    reach : int
+        How many cells before the one where pixel 0 begins the kernel does.
+    coefficients : (phases, taps, ORDERS) array
+        Chebyshev coefficients of the kernel over a cell, by where a pixel is in the coarser
+        of both grids, and by cell; 0 for cells without a point within the cut.
+    """
+
+    side: float
+    reach: int
+    coefficients: NDArray[np.float64]
+
+
+def cell_side(sigma: float, radius: float) -> float | None:
+    """Return the side of the cells that serve a kernel, in pixels; None if none do."""
+    if not SIDES[0] <= LARGEST_CELL * sigma < 2 * SIDES[1] or radius > FARTHEST_CUT * sigma:
+        return None
+    return float(2.0 ** np.floor(np.log2(LARGEST_CELL * sigma)))
+
+
+@functools.lru_cache(maxsize=64)
+def make_cells(sigma: float, radius: float) -> Cells:
+    """Expand a kernel that cells serve over them."""
+    side = cell_side(sigma, radius)
+    assert side is not None
+    phases = max(1, round(side))
+    pixels = np.arange(phases)[:, None]
+    reach = int(np.ceil(radius / side))
+    cells = np.arange(-reach, int(np.floor((phases - 1 + radius) / side)) + 1)
+    near = (cells >= np.floor((pixels - radius) / side)) & (cells <= (pixels + radius) / side)
+    angles = np.pi * (np.arange(NODES) + 0.5) / NODES
+    distances = pixels[..., None] - (cells[:, None] + 0.5 + 0.5 * np.cos(angles)) * side
+    values = np.exp(-0.5 * (distances / sigma) ** 2)
+    coefficients = values @ np.cos(np.outer(angles, np.arange(ORDERS))) * (2 / NODES)
+    coefficients[..., 0] /= 2
+    return Cells(side, reach, np.where(near[..., None], coefficients, 0.0))
+
+
+def moments_pay(
+    count: int, shape: tuple[int, int], sigma: float, radius: float, block: int
+) -> bool:
+    """Whether moments of cells serve a kernel, and likely cost less than the gather.
+
+    In nanoseconds, as fitted to both on a CPU with two cores of 16 lanes; elsewhere both
+    are faster or slower.
+
+    Parameters
+    ----------
+    count : int
+        Particles.
+    shape : (height, width) of the canvas
+    sigma, radius : float
+    block : int
+        Side of the squares of pixels for which the gather looks at a particle.
+    """
+    side = cell_side(sigma, radius)
+    if side is None:
+        return False
+    blocks = cells = 1.0
+    for length in shape:
+        blocks *= min(2 * radius / block + 1, -(-length // block))
+        cells *= (length + 2 * radius) / side + BIN_CELLS
+    taps = 2 * radius / side + 2
+    rows = (shape[0] + 2 * radius) / side
+    pixels_and_rows = shape[1] * (rows + shape[0])
+    return 22 * count + 5.5 * pixels_and_rows * taps + 28 * cells < 2.1 * block * count * blocks
+
+
+class Moments:
+    """Adds splats to the sums of a canvas, where there are many to a pixel.
+
+    Parameters
+    ----------
+    work : Workspace
+    knobs : Knobs
+    """
+
+    def __init__(self, work: Workspace, knobs: Knobs) -> None:
+        self._work = work
+        built = program.build(work.context, "moments.cl", knobs.moments_constants())
+        self._group = int(knobs.moments_constants()["MOMENT_GROUP"])
+        self._span = 1 if knobs.width == 1 else SPAN
+        names = ("sum_moments", "sum_rows", "sum_columns")
+        self._kernels = {name: program.kernel(built, name) for name in names}
+        self._budgets = {name: LaunchBudget() for name in names}
+
+    def add(
+        self,
+        bins: SortedSplats,
+        starts: NDArray[np.int64],
+        cells: Cells,
+        shape: tuple[int, int],
+        stride: int,
+        plane: int,
+        sums: cl.Buffer,
+    ) -> None:
+        """Add the splats of one rung to the sums.
+
+        Parameters
+        ----------
+        bins : SortedSplats
+            With a margin of no less than the kernel's radius.
+        starts : (bins + 1,) array
+            Those of the rung.
+        cells : Cells
+        shape : (height, width) of the canvas
+        stride, plane : int
+            From one row, and from one channel, of the sums to the next.
+        sums : buffer of float32
+        """
+        per_bin = round(bins.side / cells.side)
+        bins_y, bins_x = bins.shape
+        row_bytes = bins_x * per_bin**2 * TERMS * 16
+        strip = int(np.clip(STRIP_BYTES // row_bytes, 1, bins_y))
+        moments, partial = (self._work.empty(strip * row_bytes) for _ in range(2))
+        along_x = self._work.empty(strip * per_bin * shape[1] * ORDERS * 16)
+        starts_buffer = self._work.buffer(starts, np.uint32)
+        # Four channels are multiplied by each.
+        coefficients = self._work.buffer(np.repeat(cells.coefficients, 4))
+        phases, taps, _ = cells.coefficients.shape
+        per_pixel = max(1, round(1 / cells.side))
+        geometry = tuple(map(np.int32, (per_pixel, phases, cells.reach, taps)))
+        for top in range(0, bins_y, strip):
+            rows = min(strip, bins_y - top)
+            if starts[top * bins_x] == starts[(top + rows) * bins_x]:
+                continue
+            self._sum_moments(bins, starts, starts_buffer, top, rows, cells, moments, partial)
+            self._over_rows(
+                "sum_rows", 0, rows * per_bin, shape[1], 8 * taps, (
+                    np.uint32(top * bins_x),
+                    np.int32(bins.margin), np.int32(bins_x), np.int32(per_bin),
+                    *geometry, starts_buffer, coefficients, moments, along_x,
+                ),
+            )  # fmt: skip
+            # Pixels that something of the strip can reach, and a few more.
+            first_row = (top - bins.margin) * per_bin
+            low = int((first_row - taps) * cells.side)
+            high = int((first_row + rows * per_bin + taps + 1) * cells.side) + 1
+            self._over_rows(
+                "sum_columns", max(0, low), min(shape[0], high), shape[1], 4 * taps, (
+                    np.int32(first_row), np.int32(rows * per_bin),
+                    *geometry, coefficients, along_x,
+                    np.uint64(plane), np.uint64(stride), sums,
+                ),
+            )  # fmt: skip
+
+    def _sum_moments(
+        self,
+        bins: SortedSplats,
+        starts: NDArray[np.int64],
+        starts_buffer: cl.Buffer,
+        top: int,
+        rows: int,
+        cells: Cells,
+        moments: cl.Buffer,
+        partial: cl.Buffer,
+    ) -> None:
+        """Give every cell of a strip its moments."""
+        bins_x = bins.shape[1]
+        strip = slice(top * bins_x, (top + rows) * bins_x)
+        counts = np.diff(starts[strip.start : strip.stop + 1])
+        per_bin = round(bins.side / cells.side)
+        first_particle, end = int(starts[strip.start]), int(starts[strip.stop])
+        # As in the gather: crowded bins in parts, of a fixed size.
+        most = launches.LAUNCH_PARTICLES
+        part = most if counts.max() > most else end - first_particle
+        work = np.minimum(counts, part) + per_bin**2
+        budget = self._budgets["sum_moments"]
+        for particle in range(first_particle, end, part):
+            for first, stop in budget.parts(work):
+                with budget.measure(int(work[first:stop].sum())):
+                    self._work.launch(
+                        self._kernels["sum_moments"],
+                        ((stop - first) * self._group,), (self._group,),
+                        np.uint32(strip.start + first), np.uint32(strip.start),
+                        np.uint32(particle), np.uint32(min(end, particle + part)),
+                        np.int32(bins.margin), np.int32(bins_x), np.int32(per_bin),
+                        np.float32(1 / cells.side), starts_buffer,
+                        bins.positions, bins.samples, moments, partial,
+                    )  # fmt: skip
+
+    def _over_rows(
+        self, name: str, first: int, end: int, width: int, cost: int, arguments: tuple
+    ) -> None:
+        """Run a kernel over rows of cells or pixels; cost: work of one pixel."""
+        budget = self._budgets[name]
+        items = -(-width // self._span)
+        group = None if self._span == 1 else (1, 1)
+        while first < end:
+            rows = int(np.clip(budget.pairs() // (width * cost), 1, end - first))
+            with budget.measure(rows * width * cost):
+                self._work.launch(
+                    self._kernels[name], (items, rows), group,
+                    np.uint32(first), np.int32(self._span), np.int32(width), *arguments,
+                )  # fmt: skip
+            first += rows

@@ -1,0 +1,175 @@
+"""Find the pairs of tiles that matter, and leave out the rest with a proof of what it holds."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import Float64, NearPairs
+from clmorph.backends.opencl.build.constants import LARGEST_SHARE, SENTINEL
+from clmorph.backends.opencl.kernels.candidates import candidates, kept_shares
+from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
+from clmorph.backends.opencl.kernels.log_sum_exp import LOG2_E, Reductions
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, half_sides
+
+#: Half of the budget is for what is never looked at.
+UNSEEN = 0.5
+#: Tiles with small terms only are looked for first as long as no more than this share is left.
+WORTHWHILE = 0.5
+#: What float32 may take off a measured share, as a factor; and by how many units of an exponent's
+#: size it may be off, in log2.
+MARGIN, EXPONENT_ERROR = 1.05, 2.0**-22
+
+
+class _Clouds(NamedTuple):
+    """What is looked at: clouds, the columns' heights and tops, k, and log2 of the rows' sums."""
+
+    rows: Cloud
+    columns: Cloud
+    heights: cl.Buffer
+    tops: Float64
+    k: float
+    guess: Float64
+
+
+class NearReductions(Reductions):
+    """What finds lists of tiles."""
+
+    def near_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        softmin: Float64,
+        epsilon: float,
+        budget: float,
+    ) -> NearPairs:
+        """Find the pairs that matter for the rows' sums.
+
+        Bounds over pairs of tiles exclude most; the rest is summed, once, and tiles whose largest
+        share in any of their rows turns out to be small are left out as well.
+        """
+        k, tile, n = LOG2_E / epsilon, self._knobs.tile, len(rows)
+        values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
+        guess = -k * (softmin[rows.order] - rows.offsets)
+        values = np.maximum(values, SENTINEL)
+        heights, tops = self._column_heights(columns, potential, k)
+        found, skipped = np.empty(rows.stride), np.empty(len(rows.centers))
+        kept: list[TilePairs] = []
+        clouds = _Clouds(rows, columns, heights, tops, k, guess)
+        worthwhile = True
+        for part, pairs, unseen in candidates(
+            rows, columns, guess, values, k, 0.5 * UNSEEN * budget
+        ):
+            if worthwhile:
+                before = len(pairs.tiles)
+                pairs, more = self._without_small(clouds, pairs, part, 0.5 * UNSEEN * budget)
+                unseen = unseen + more
+                worthwhile = len(pairs.tiles) <= WORTHWHILE * before
+            section = slice(part.start * tile, part.stop * tile)
+            sums, shares = self._measured(clouds, pairs, part)
+            found[section] = sums
+            # By how much the guess was above the sum, in the worst row of each tile.
+            off = np.full((2, len(sums)), [[-np.inf], [np.inf]])
+            off[:, : n - section.start] = guess[section] - sums[: n - section.start]
+            above, below = off.reshape(2, len(part), tile)
+            off_by = EXPONENT_ERROR * k * _largest_cost(rows, columns, pairs, part)
+            factor = MARGIN * np.exp2(np.clip(above.max(axis=1) + off_by, -900.0, 600.0))
+            starts = pairs.starts[part.start : part.stop + 1]
+            shares *= np.repeat(factor, np.diff(starts))
+            # Where the guess was far below the sum of some row, shares were not told apart.
+            shares[np.repeat(below.min(axis=1) < -LARGEST_SHARE, np.diff(starts))] = 1.0
+            keep, left = kept_shares(starts, shares, (1 - UNSEEN) * budget)
+            left += factor * unseen
+            with np.errstate(divide="ignore"):
+                left = np.where(left < 1.0, left / np.maximum(1.0 - left, 0.0), np.inf)
+            skipped[part.start : part.stop] = left
+            lengths = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
+            kept.append(TilePairs(lengths, pairs.tiles[keep], pairs.distances[keep]))
+        lengths, tiles, distances = (np.concatenate(arrays) for arrays in zip(*kept, strict=True))
+        starts = np.concatenate(([0], np.cumsum(lengths)))
+        listed = TilePairs(starts, tiles, distances)
+        return NearPairs(
+            listed,
+            unsort(rows, -found[:n] / k + rows.offsets),
+            unsort(rows, np.repeat(skipped, tile)[:n]),
+            len(tiles) * tile**2,
+            int(lengths.max()) * tile,
+            _largest_cost(rows, columns, listed, range(len(rows.centers))),
+        )
+
+    def _measured(self, clouds: _Clouds, pairs: TilePairs, part: range) -> tuple[Float64, Float64]:
+        """Log2 of the sums of a part's rows, and each pair's largest share, by the guess."""
+        sums, shares = np.empty(len(part) * self._knobs.tile), np.empty(len(pairs.tiles))
+        for own, section, constants, out in self._looks("measure_tiles", 2, clouds, pairs, part):
+            with np.errstate(divide="ignore"):
+                sums[own] = out[0] + np.log2(out[1].astype(float)) + constants
+            shares[section] = out[2]
+        return sums, shares
+
+    def _without_small(
+        self, clouds: _Clouds, pairs: TilePairs, part: range, budget: float
+    ) -> tuple[TilePairs, Float64]:
+        """Leave out tiles with small terms only; return the others and the share of these."""
+        largest = np.empty(len(pairs.tiles))
+        for _, section, _, out in self._looks("largest_shares", 0, clouds, pairs, part):
+            largest[section] = out[0]
+        shares = MARGIN * self._knobs.tile * np.exp2(np.minimum(largest, LARGEST_SHARE))
+        starts = pairs.starts[part.start : part.stop + 1]
+        keep, left = kept_shares(starts, shares, budget)
+        lengths = np.zeros(len(pairs.starts) - 1, np.int64)
+        lengths[part.start : part.stop] = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
+        starts = np.concatenate(([0], np.cumsum(lengths)))
+        return TilePairs(starts, pairs.tiles[keep], pairs.distances[keep]), left
+
+    def _looks(
+        self, name: str, of_rows: int, clouds: _Clouds, pairs: TilePairs, part: range
+    ) -> Iterator[tuple[slice, slice, Float64, list[NDArray[np.float32]]]]:
+        """Run a kernel over the pairs of a part's rows.
+
+        Yields of every launch its rows in the part, its pairs, the constants of its rows, and what
+        the kernel found: so many numbers for each row, then one for each pair.
+        """
+        rows, columns, heights, tops, k, guess = clouds
+        kernel, tile, n = self._row_kernels(rows, False, True)[name], self._knobs.tile, len(rows)
+        groups = tile // (self._knobs.group * self._knobs.width)
+        tops_of_rows = np.zeros(len(rows.centers))
+        for launch in self._row_parts(kernel, rows, columns, pairs=pairs, within=part):
+            starts, _, levels = pairs.levels(launch, tops, k)
+            tops_of_rows[launch.start : launch.stop] = np.maximum.reduceat(levels, starts[:-1])
+            section = slice(launch.start * tile, min(n, launch.stop * tile))
+            constants = np.repeat(tops_of_rows[launch.start : launch.stop], tile)
+            constants[: section.stop - section.start] -= k * (
+                rows.own_costs[section] - rows.offsets[section]
+            )
+            bases = np.full(len(constants), SENTINEL)
+            bases[: section.stop - section.start] = -guess[section]
+            base_buffer = self._work.buffer(np.maximum(bases + constants, SENTINEL))
+            out = [np.empty(len(constants), np.float32) for _ in range(of_rows)]
+            out.append(np.empty((groups, len(levels)), np.float32))
+            buffers = [self._work.empty(values.nbytes) for values in out]
+            self._launch_rows(
+                kernel, rows, columns, heights, tops, tops_of_rows, k, launch, base_buffer,
+                *buffers, pairs=pairs,
+            )  # fmt: skip
+            for values, buffer in zip(out, buffers, strict=True):
+                cl.enqueue_copy(self._work.queue, values, buffer)
+            out[-1] = out[-1].max(axis=0)
+            own = (launch.start - part.start) * tile
+            first = int(pairs.starts[launch.start])
+            yield (
+                slice(own, own + len(constants)), slice(first, first + len(levels)), constants, out
+            )  # fmt: skip
+
+
+def _largest_cost(rows: Cloud, columns: Cloud, pairs: TilePairs, part: range) -> float:
+    """Return a bound of the cost of all pairs of points in the pairs of tiles of a part."""
+    radii = [
+        np.sqrt(np.sum(half_sides(tiles).astype(float) ** 2, axis=1)) for tiles in (rows, columns)
+    ]
+    starts = pairs.starts[part.start : part.stop + 1]
+    own = np.repeat(radii[0][part.start : part.stop], np.diff(starts))
+    farthest = np.sqrt(2 * pairs.distances) + own + radii[1][pairs.tiles]
+    return 0.5 * float(farthest.max(initial=0.0)) ** 2

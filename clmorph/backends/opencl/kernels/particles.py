@@ -1,0 +1,115 @@
+"""Particles on the device, and their sort into bins."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import RUNGS, bin_grid
+from clmorph.backends.opencl.build.constants import Knobs
+from clmorph.backends.opencl.kernels import launches
+from clmorph.backends.opencl.kernels.launches import Workspace
+
+#: Entries of the (slices, bins) table of counts; fewer slices are used on large canvases.
+COUNT_ENTRIES = 1 << 21
+
+
+@dataclass(frozen=True)
+class ParticleSet:
+    """Moving particles on the device; weights are divided by `unit`."""
+
+    count: int
+    unit: float
+    table: cl.Buffer  # (points, 6) float32
+    links: cl.Buffer  # (count, 2) uint32
+    weights: cl.Buffer  # (count, 2) float32
+
+
+@dataclass(frozen=True)
+class Splats:
+    """Resting particles on the device; weights are divided by `unit`."""
+
+    count: int
+    unit: float
+    positions: cl.Buffer  # (count, 2) float32, pixels
+    samples: cl.Buffer  # (count, 4) float32: weight, color
+    spacings: cl.Buffer  # (count,) float32, pixels
+    rungs: cl.Buffer | None = None  # (count,) uint8, if widths differ
+
+
+class SortedSplats(NamedTuple):
+    """Splats by rung and bin: see `interface.Bins`; `order` still on the device."""
+
+    shape: tuple[int, int]
+    side: float  # of a bin, in pixels
+    margin: int  # bins around the canvas; particles farther out fall into these
+    starts: NDArray[np.int64]  # (rungs, bins + 1); one rung if all have the same width
+    order: cl.Buffer
+    positions: cl.Buffer
+    samples: cl.Buffer
+
+
+def sort_splats(
+    work: Workspace,
+    kernels: Mapping[str, cl.Kernel],
+    knobs: Knobs,
+    splats: Splats,
+    shape: tuple[int, int],
+    margin: int,
+    side: float,
+) -> SortedSplats:
+    """Sort splats into bins, without atomics: count by slice, add up, fill.
+
+    Parameters
+    ----------
+    work : Workspace
+    kernels : dict
+        "count_bins" and "fill_bins" of ``cl_kernels/splat.cl``.
+    knobs : Knobs
+    splats : Splats
+    shape : (height, width) of the canvas, in pixels
+    margin : int
+        Bins added on every side.
+    side : float
+        Of a bin in pixels, a power of two.
+    """
+    n = splats.count
+    grid = bin_grid(shape, margin, side)
+    bins = grid[0] * grid[1]
+    n_bins = bins * (1 if splats.rungs is None else RUNGS)
+    device = work.context.devices[0]
+    slices = knobs.slices_per_unit * device.max_compute_units
+    slices = max(1, min(slices, COUNT_ENTRIES // n_bins, n))
+    # Slices are few: left alone, drivers of CPUs put all of them into one work-group, on
+    # one core, and turn them into the lanes of scattered accesses.
+    group = (1,) if device.type & cl.device_type.CPU else None
+    slice_size = -(-n // slices)
+    per_launch = max(1, launches.LAUNCH_PARTICLES // slice_size)
+    counts = np.zeros((slices, n_bins), np.uint32)
+    counts_buffer = work.buffer(counts, np.uint32)
+
+    def over_slices(name: str, *arguments: Any) -> None:
+        for first in range(0, slices, per_launch):
+            work.launch(
+                kernels[name], (min(per_launch, slices - first),), group,
+                np.uint32(n), np.uint32(slice_size), np.uint32(first), np.uint32(n_bins),
+                np.float32(1 / side), np.int32(margin), cl.cltypes.make_int2(grid[1], grid[0]),
+                np.uint32(0 if splats.rungs is None else bins), splats.positions,
+                # Counts for nothing where there are none, but drivers want a buffer.
+                splats.positions if splats.rungs is None else splats.rungs, *arguments,
+            )  # fmt: skip
+
+    over_slices("count_bins", counts_buffer)
+    cl.enqueue_copy(work.queue, counts, counts_buffer)
+    # A bin's particles stay together, in the order of the slices.
+    starts = np.concatenate(([0], np.cumsum(counts.sum(axis=0, dtype=np.int64))))
+    slots = starts[:-1] + np.cumsum(counts, axis=0, dtype=np.int64) - counts
+    order, positions, samples = work.empty(4 * n), work.empty(8 * n), work.empty(16 * n)
+    over_slices(
+        "fill_bins", splats.samples, work.buffer(slots, np.uint32), order, positions, samples
+    )
+    by_rung = [starts[first : first + bins + 1] for first in range(0, n_bins, bins)]
+    return SortedSplats(grid, side, margin, np.stack(by_rung), order, positions, samples)

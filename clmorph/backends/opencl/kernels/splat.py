@@ -1,0 +1,273 @@
+"""Launches of ``cl_kernels/splat.cl``: place, bin, gather."""
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import (
+    BASE_RUNG,
+    RUNGS_PER_OCTAVE,
+    Bins,
+    Float32,
+    Float64,
+)
+from clmorph.backends.opencl.build import program
+from clmorph.backends.opencl.build.constants import Knobs
+from clmorph.backends.opencl.kernels import launches
+from clmorph.backends.opencl.kernels.gauss_transform import (
+    BIN_CELLS,
+    Moments,
+    cell_side,
+    make_cells,
+    moments_pay,
+)
+from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
+from clmorph.backends.opencl.kernels.particles import ParticleSet, SortedSplats, Splats, sort_splats
+from clmorph.errors import DeviceError
+
+#: Bins around the canvas; particles farther out fall into these, wherever they are.
+MARGIN = 1
+#: Of splats with widths of their own, moments serve those from `sigma` to so many times that;
+#: bins are made for these.
+WIDEST = 2
+
+
+class Splatting:
+    """The splatting half of `OpenCLOperations`."""
+
+    def __init__(self, work: Workspace, knobs: Knobs) -> None:
+        self._work, self._knobs = work, knobs
+        built = program.build(work.context, "splat.cl", knobs.splat_constants())
+        names = ("place", "weigh", "choose_rungs", "count_bins", "fill_bins", "splat")
+        self._kernels = {name: program.kernel(built, name) for name in names}
+        self._budget = LaunchBudget()
+        self._block = knobs.width * knobs.tile_group  # pixels of a work-group, along a side
+        #: How kernels reach pixels: "gather", "moments" where they serve, or the cheaper.
+        self.method = "auto"
+
+    @functools.cached_property
+    def _moments(self) -> Moments:
+        return Moments(self._work, self._knobs)
+
+    def upload_particles(
+        self, table: Float64, links: NDArray[np.uint32], weights: Float64
+    ) -> ParticleSet:
+        """Take moving particles; see `clmorph.backends.interface.Operations`."""
+        unit = _unit(weights)
+        return ParticleSet(
+            count=_checked_count(len(links)),
+            unit=unit,
+            table=self._work.buffer(table),
+            links=self._work.buffer(links, np.uint32),
+            weights=self._work.buffer(weights / unit),
+        )
+
+    def upload_splats(
+        self,
+        positions: Float32,
+        colors: Float32,
+        weights: Float32,
+        spacings: Float32 | None = None,
+    ) -> Splats:
+        """Take resting particles; see `clmorph.backends.interface.Operations`."""
+        unit = _unit(weights)
+        samples = np.column_stack((weights.astype(float) / unit, colors))
+        return Splats(
+            _checked_count(len(weights)),
+            unit,
+            self._work.buffer(positions),
+            self._work.buffer(samples),
+            self._work.buffer(np.ones(len(weights)) if spacings is None else spacings),
+        )
+
+    def place(
+        self,
+        particles: ParticleSet,
+        t: float,
+        scale: tuple[float, float],
+        center: tuple[float, float],
+    ) -> Splats:
+        """Move particles to time t and onto a canvas; see `interface.Operations`."""
+        n = particles.count
+        positions, samples = self._work.empty(8 * n), self._work.empty(16 * n)
+        spacings = self._work.empty(4 * n)
+        self._over_particles(
+            "place", n, np.float32(t),
+            cl.cltypes.make_float2(*scale), cl.cltypes.make_float2(*center),
+            particles.table, particles.links, particles.weights, positions, samples, spacings,
+        )  # fmt: skip
+        return Splats(n, particles.unit, positions, samples, spacings)
+
+    def deposit(self, splats: Splats, shape: tuple[int, int]) -> tuple[Float64, Float64]:
+        """Return masses and their squares by pixel; see `clmorph.backends.interface.Operations`."""
+        weighed = self._work.empty(16 * splats.count)
+        self._over_particles("weigh", splats.count, splats.samples, weighed)
+        squares, mass = self.splat(replace(splats, samples=weighed), shape, 0.0, 0.0)
+        return mass, squares[..., 0] * splats.unit
+
+    def adapt_widths(self, splats: Splats, distances: Float64, sigma: float) -> Splats:
+        """Give every splat its own width; see `clmorph.backends.interface.Operations`."""
+        rungs, scaled = self._work.empty(splats.count), self._work.empty(16 * splats.count)
+        self._over_particles(
+            "choose_rungs", splats.count,
+            cl.cltypes.make_int2(distances.shape[1], distances.shape[0]), np.float32(sigma),
+            self._work.buffer(np.minimum(distances, 1e30)), splats.positions, splats.samples,
+            splats.spacings, rungs, scaled,
+        )  # fmt: skip
+        return replace(splats, samples=scaled, rungs=rungs)
+
+    def _over_particles(self, name: str, count: int, *arguments: Any) -> None:
+        """Run a kernel of one work-item a particle, in launches of a bounded size."""
+        for first in range(0, count, launches.LAUNCH_PARTICLES):
+            items = min(launches.LAUNCH_PARTICLES, count - first)
+            self._run(name, (items,), None, np.uint32(first), *arguments)
+
+    def rungs(self, splats: Splats) -> NDArray[np.int64]:
+        """Return on which rung each splat stands; see `clmorph.backends.interface.Operations`."""
+        if splats.rungs is None:
+            return np.full(splats.count, BASE_RUNG)
+        rungs = np.empty(splats.count, np.uint8)
+        cl.enqueue_copy(self._work.queue, rungs, splats.rungs)
+        return rungs.astype(np.int64)
+
+    def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:
+        """Sort splats into bins; see `clmorph.backends.interface.Operations`."""
+        by_bin = self._sort(splats, shape, margin, self._knobs.bin)
+        order = np.empty(splats.count, np.uint32)
+        cl.enqueue_copy(self._work.queue, order, by_bin.order)
+        return Bins(by_bin.shape, by_bin.starts[0], order.astype(np.int64))
+
+    def _sort(
+        self, splats: Splats, shape: tuple[int, int], margin: int, side: float
+    ) -> SortedSplats:
+        return sort_splats(self._work, self._kernels, self._knobs, splats, shape, margin, side)
+
+    def splat(
+        self, splats: Splats, shape: tuple[int, int], sigma: float, radius: float
+    ) -> tuple[Float64, Float64]:
+        """Return the two sums of a frame; see `clmorph.backends.interface.Operations`."""
+        height, width = shape
+        nearest = sigma == 0
+        if nearest:
+            radius = 0.5
+        side, margin = float(self._knobs.bin), MARGIN
+        by_moments = self._by_moments(splats.count, shape, sigma, radius)
+        if by_moments:
+            side = BIN_CELLS * make_cells(sigma, radius).side
+            widest = 1 if splats.rungs is None else WIDEST
+            margin = int(np.ceil(widest * radius / side))
+        bins = self._sort(splats, shape, margin, side)
+        block = self._block
+        blocks = -(-height // block), -(-width // block)
+        padded = blocks[0] * block, blocks[1] * block
+        sums = np.zeros((4, *padded), np.float32)
+        buffer = self._work.buffer(sums)
+        for rung, starts in enumerate(bins.starts):
+            count = int(starts[-1] - starts[0])
+            if count == 0:
+                continue
+            zoom = 1.0
+            if splats.rungs is not None:
+                zoom = 2.0 ** ((rung - BASE_RUNG) / RUNGS_PER_OCTAVE)
+            wide, far = zoom * sigma, zoom * radius
+            fits = by_moments and 1 <= zoom <= WIDEST
+            if fits and self._by_moments(count, shape, wide, far):
+                self._moments.add(
+                    bins, starts, make_cells(wide, far), shape,
+                    padded[1], padded[0] * padded[1], buffer,
+                )  # fmt: skip
+                continue
+            scale = 0.0 if nearest else -np.log2(np.e) / (2 * wide**2)
+            self._gather(
+                bins, starts, blocks, block,
+                (np.float32(scale), np.float32(far), np.int32(nearest)), buffer,
+            )  # fmt: skip
+        cl.enqueue_copy(self._work.queue, sums, buffer)
+        frame = sums[:, :height, :width].astype(float) * splats.unit
+        return np.moveaxis(frame[1:], 0, -1), frame[0]
+
+    def _by_moments(self, count: int, shape: tuple[int, int], sigma: float, radius: float) -> bool:
+        """Whether moments of cells serve a kernel, and cost less than the gather."""
+        if self.method == "auto":
+            return moments_pay(count, shape, sigma, radius, self._block)
+        return self.method == "moments" and cell_side(sigma, radius) is not None
+
+    def _gather(
+        self,
+        bins: SortedSplats,
+        starts: NDArray[np.int64],
+        blocks: tuple[int, int],
+        side: int,
+        kernel: tuple[np.float32, np.float32, np.int32],
+        sums: cl.Buffer,
+    ) -> None:
+        """Add the splats of one rung to the sums of all blocks of pixels."""
+        blocks_y, blocks_x = blocks
+        on_device = self._work.buffer(starts, np.uint32)
+        visits = self._visits(bins, starts, blocks, side, float(kernel[1]))
+        group = self._knobs.tile_group
+        first_particle, end = int(starts[0]), int(starts[-1])
+        # Crowded blocks are given their particles in parts, of a fixed size so that rounding
+        # does not depend on how fast the device is today.
+        most = launches.LAUNCH_PARTICLES
+        part = most if visits.max() > most else end - first_particle
+        work = (np.minimum(visits, most) + 1) * side
+        for particle in range(first_particle, end, part):
+            for first, stop in self._budget.parts(work):
+                with self._budget.measure(_cost(visits[first:stop], side)):
+                    self._run(
+                        "splat", ((stop - first) * group, group), (group, group),
+                        np.uint32(first), np.uint32(blocks_x), np.uint32(particle),
+                        np.uint32(min(end, particle + part)),
+                        np.float32(1 / bins.side), np.int32(bins.margin),
+                        cl.cltypes.make_int2(bins.shape[1], bins.shape[0]),
+                        *kernel, on_device, bins.positions, bins.samples,
+                        np.uint64(blocks_y * blocks_x * side**2), sums,
+                    )  # fmt: skip
+
+    def _visits(
+        self,
+        bins: SortedSplats,
+        starts: NDArray[np.int64],
+        blocks: tuple[int, int],
+        side: int,
+        radius: float,
+    ) -> NDArray[np.int64]:
+        """Particles that each block of pixels looks at, row by row."""
+        sums = np.zeros((bins.shape[0] + 1, bins.shape[1] + 1), np.int64)
+        sums[1:, 1:] = np.diff(starts).reshape(bins.shape).cumsum(axis=0).cumsum(axis=1)
+        low, high = [], []
+        for count, n_bins in zip(blocks, bins.shape, strict=True):
+            first = np.arange(count) * side
+            reach = np.array([-radius, side - 1 + radius])[:, None] + first
+            ends = np.clip(np.floor(reach / bins.side) + bins.margin, 0, n_bins - 1).astype(int)
+            low.append(ends[0])
+            high.append(ends[1] + 1)
+        y0, y1, x0, x1 = low[0][:, None], high[0][:, None], low[1], high[1]
+        return (sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]).ravel()
+
+    def _run(
+        self, name: str, size: tuple[int, ...], group: tuple[int, ...] | None, *arguments: Any
+    ) -> None:
+        self._work.launch(self._kernels[name], size, group, *arguments)
+
+
+def _cost(visits: NDArray[np.int64], side: int) -> int:
+    """Work of a launch: particles looked at, once for every row of a block."""
+    return int((visits + 1).sum()) * side
+
+
+def _unit(weights: NDArray[Any]) -> float:
+    """Largest weight: dividing by it keeps float32 away from its smallest numbers."""
+    largest = float(np.max(weights, initial=0.0))
+    return largest if largest > 0 else 1.0
+
+
+def _checked_count(count: int) -> int:
+    if not 0 < count < 2**31:
+        raise DeviceError(f"{count} particles: expected 1 to 2^31 - 1; keep fewer pairs")
+    return count

@@ -1,0 +1,165 @@
+"""Lists of column tiles for every row tile, and bounds of what a pair of tiles can hold.
+
+With p, q the centers of a row and a column tile, x = p + u and y_j = q + v_j points of theirs,
+and c_j = k g_j + log2 b_j, the sum over the column tile is 2^(s(x)),
+
+    s(x) = log2 sum_j 2^(c_j - k |x - y_j|^2 / 2).
+
+c_j - k |a - v_j|^2 / 2 hardly depends on j for the right a (q + a is then about where these
+columns get their mass from): with A = log2 sum_j 2^(that), H the half sides of the column tile's
+box and d = p - q + u,
+
+    s(x) <= A + k |a|^2 / 2 - k |d|^2 / 2 + k H . |d - a|.
+
+Likewise R_i + k |u_i|^2 / 2 >= r + k w . u_i over a row tile, for the logarithm R_i of the whole
+sum of row i, so the tile's share in any of these rows is at most 2^B,
+
+    B = A + k |a|^2 / 2 - r - k |p - q|^2 / 2 + k (h . |p - q + w| + H . (|p - q - a| + h))
+
+with the half sides h of the row tile's box. Everything is right for any a and w; the best are
+found by least squares.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import Float64
+from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.kernels.clouds import Tiles
+
+#: What float32 may take off a bound, as a share of its largest terms.
+ROUNDOFF = 2.0**-20
+
+
+class TilePairs(NamedTuple):
+    """Column tiles of every row tile."""
+
+    starts: NDArray[np.int64]  #: (row tiles + 1,)
+    tiles: NDArray[np.uint32]  #: (pairs,) ascending for each row tile
+    distances: Float64  #: (pairs,) half the squared distance of the tiles' centers
+
+    def levels(
+        self, part: range, tops: Float64, k: float
+    ) -> tuple[NDArray[np.int64], NDArray[np.uint32], Float64]:
+        """Return starts, column tiles, and the log2-kernel between centers, of some row tiles."""
+        starts = self.starts[part.start : part.stop + 1]
+        section = slice(starts[0], starts[-1])
+        tiles = self.tiles[section]
+        return starts - starts[0], tiles, tops[tiles] - k * self.distances[section]
+
+
+class TileBounds(NamedTuple):
+    """One side of B for every tile: see the head of the module."""
+
+    centers: NDArray[np.float32]  #: (tiles, D)
+    sides: NDArray[np.float32]  #: (tiles, D) half sides of the boxes: h or H
+    slopes: NDArray[np.float32]  #: (tiles, D): w or a
+    heights: NDArray[np.float32]  #: (tiles,): -r or A + k |a|^2 / 2
+
+
+def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False) -> TileBounds:
+    """Return the columns' side.
+
+    Parameters
+    ----------
+    cloud : Cloud or Tiles
+    values : (N,) array
+        c_j of the sorted points; SENTINEL where there is no mass.
+    k : float
+    largest : bool
+        Bound the largest term, not the sum.
+    """
+    c = _padded(values, cloud)
+    present = c > 0.5 * SENTINEL
+    half = 0.5 * np.einsum("ntd,ntd->nt", cloud.shifts, cloud.shifts, dtype=float)
+    slopes = -_slopes(cloud.shifts, np.where(present, c / k - half, 0.0), present)
+    flat = c - k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
+    flat = np.where(present, flat, SENTINEL)  # the rest of |a - v|^2 / 2 cancels in B
+    heights = flat.max(axis=1)
+    if not largest:
+        heights += np.log2(np.exp2(flat - heights[:, None]).sum(axis=1))
+    return _bounds(cloud, slopes, np.maximum(heights, SENTINEL))
+
+
+def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
+    """Return the rows' side.
+
+    Parameters
+    ----------
+    cloud : Cloud or Tiles
+    values : (N,) array
+        R_i of the sorted points; -SENTINEL where nothing needs to be seen.
+    k : float
+    """
+    r = _padded(values, cloud)
+    present = r < -0.5 * SENTINEL
+    half = 0.5 * np.einsum("ntd,ntd->nt", cloud.shifts, cloud.shifts, dtype=float)
+    slopes = _slopes(cloud.shifts, np.where(present, r / k + half, 0.0), present)
+    flat = r + k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
+    lowest = np.where(present, flat, -SENTINEL).min(axis=1)
+    return _bounds(cloud, slopes, np.maximum(-lowest, SENTINEL))
+
+
+def tile_bounds(
+    rows: TileBounds,
+    section: slice,
+    columns: TileBounds,
+    k: float,
+    numbers: NDArray[np.int64] | None = None,
+) -> NDArray[np.float32]:
+    """Return B for some row tiles and all or some column tiles, float32, rounded up."""
+    scale = np.float32(k)
+    if numbers is not None:
+        columns = TileBounds(*(values[numbers] for values in columns))
+    result = rows.heights[section, None] + columns.heights
+    finite = [np.abs(side.heights[side.heights > SENTINEL]) for side in (rows, columns)]
+    result += np.float32(ROUNDOFF * (1 + sum(values.max(initial=0.0) for values in finite)))
+    for d in range(rows.centers.shape[1]):
+        p, h, w = (part[section, d, None] for part in (rows.centers, rows.sides, rows.slopes))
+        q, side, a = (part[:, d] for part in (columns.centers, columns.sides, columns.slopes))
+        distance = p - q
+        reach = np.abs(distance - a)
+        reach += h
+        reach *= side
+        reach += h * np.abs(distance + w)
+        distance *= distance
+        distance *= np.float32(0.5)
+        reach -= distance
+        reach *= scale
+        result += reach
+    return result
+
+
+def _padded(values: Float64, cloud: Tiles) -> Float64:
+    tiles, size, _ = cloud.shifts.shape
+    # What pads is a copy of the last point, and of its value; columns' copies only add.
+    return np.pad(values, (0, tiles * size - len(values)), mode="edge").reshape(tiles, size)
+
+
+def _slopes(shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bool_]) -> Float64:
+    """Least squares of values over shifts, in each tile, over the points present: (tiles, D)."""
+    weights = present.astype(float)
+    count = np.maximum(weights.sum(axis=1), 1.0)
+    u = shifts - (np.einsum("ntd,nt->nd", shifts, weights) / count[:, None])[:, None]
+    u *= weights[..., None]
+    v = values - (np.einsum("nt,nt->n", values, weights) / count)[:, None]
+    normal = np.einsum("ntd,nte->nde", u, u)
+    right = np.einsum("ntd,nt->nd", u, v * weights)
+    ridge = 1e-6 * np.trace(normal, axis1=1, axis2=2) + 1e-30
+    normal += ridge[:, None, None] * np.eye(shifts.shape[2])
+    slopes = np.linalg.solve(normal, right[..., None])[..., 0]
+    return slopes.astype(np.float32).astype(float)  # as the bounds have them
+
+
+def half_sides(cloud: Tiles) -> NDArray[np.float32]:
+    """Half sides of the tiles' boxes, (tiles, D), rounded up."""
+    return np.abs(cloud.shifts).max(axis=1) * np.float32(1 + 1e-6)
+
+
+def _bounds(cloud: Tiles, slopes: Float64, heights: Float64) -> TileBounds:
+    return TileBounds(
+        cloud.centers.astype(np.float32), half_sides(cloud), slopes.astype(np.float32),
+        heights.astype(np.float32),
+    )  # fmt: skip

@@ -1,0 +1,77 @@
+"""From what a user writes as ``backend=`` to the operations that do the work."""
+
+import os
+from functools import cache
+from typing import TYPE_CHECKING
+
+from clmorph._shared.validation import shown
+from clmorph.backends.interface import Operations
+from clmorph.backends.opencl.devices.process import Once
+from clmorph.errors import InputError
+
+if TYPE_CHECKING:
+    import pyopencl as cl
+
+#: What `backend` may be: see `get_backend`.
+Backend = str | Operations
+
+
+def get_backend(backend: Backend = "auto") -> Operations:
+    """Return the operations that a backend's name stands for.
+
+    Parameters
+    ----------
+    backend : str or Operations
+        "auto": what ``CLMORPH_DEVICE`` names, else what ``PYOPENCL_CTX`` names, else the
+        best usable OpenCL device (GPUs first, then the faster). "opencl": the same without
+        ``CLMORPH_DEVICE``. "numpy": no device, float64. An index such as "0:1" or part of a
+        device's or platform's name ("pocl", "intel", "nvidia"). An object with the
+        operations is returned as it is.
+
+    Raises
+    ------
+    InputError
+        If `backend` is neither a text nor such an object.
+    DeviceError
+        If there is no such device or it does not work, or this process was forked from one
+        that has used OpenCL.
+    """
+    if not isinstance(backend, str):
+        if hasattr(backend, "softmin") and not isinstance(backend, type):
+            return backend
+        raise InputError(
+            f"backend={shown(backend)}: expected 'auto', 'numpy', 'opencl', a device's name or "
+            "index, or a backend object"
+        )
+    name = backend.strip() or "auto"
+    if name == "auto":
+        name = os.environ.get("CLMORPH_DEVICE", "").strip() or "auto"
+    if name == "numpy":
+        return _numpy()
+    return _named_backend(name, os.environ.get("PYOPENCL_CTX", ""))
+
+
+# Backends are imported where they are used, so that the package needs no driver.
+
+
+@cache
+def _numpy() -> Operations:
+    from clmorph.backends.numpy import NumPyOperations
+
+    return NumPyOperations()
+
+
+@Once
+def _named_backend(name: str, pyopencl_ctx: str) -> Operations:
+    # pyopencl_ctx is part of the cache's key: choose_device reads it for "auto".
+    from clmorph.backends.opencl.devices.find import choose_device
+
+    return _opened(choose_device(name).handle)
+
+
+@Once
+def _opened(handle: "cl.Device") -> Operations:
+    """Return the operations on a device: the same ones, whatever name it was chosen by."""
+    from clmorph.backends.opencl.backend import OpenCLOperations
+
+    return OpenCLOperations(handle)

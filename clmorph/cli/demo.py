@@ -1,0 +1,77 @@
+"""What ``clmorph demo`` shows: a pixel-art cat becomes a photograph of one."""
+
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import Operations
+from clmorph.cli.terminal import Stages
+from clmorph.images.pixels import as_rgb, fit, read_image
+from clmorph.output.playback import Motion
+from clmorph.output.recording import recorded
+from clmorph.output.save import Output, described, write_all
+from clmorph.pipeline.morph import morph
+from clmorph.pipeline.presets import PRESETS
+
+#: Pixels for each block of the sprite, and the photograph's side.
+SPRITE_ZOOM = 6
+PHOTO_SIDE = 256
+N_FRAMES = 40
+#: A little more blur than the preset: few colors meet many.
+PARAMETERS = {name: value for name, value in PRESETS["photo"].items() if name != "size"} | {
+    "blur": 0.04,
+    "color_weight": 1.0,
+}
+
+
+def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the sprite (192 x 192) and the photograph (256 x 256)."""
+    from skimage.data import chelsea
+
+    with resources.as_file(resources.files("clmorph.cli.samples") / "cat.png") as file:
+        sprite = read_image(file)
+    blocks = np.ones((SPRITE_ZOOM, SPRITE_ZOOM, 1))
+    return np.asarray(np.kron(sprite, blocks), float), fit(as_rgb(chelsea()[:, 85:385]), PHOTO_SIDE)
+
+
+def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
+    """Make the demo's files.
+
+    Parameters
+    ----------
+    operations : Operations
+    folder : Path
+        Where ``clmorph-demo.gif``, ``.html`` and ``.png`` go.
+    stages : Stages
+
+    Returns
+    -------
+    list of str
+        What to tell the user: parameters, times, files.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written to.
+    """
+    files = [folder / f"clmorph-demo{ending}" for ending in (".gif", ".html", ".png")]
+    outputs = [Output(file) for file in files]
+    sprite, photo = demo_images()
+    result = morph(sprite, photo, N_FRAMES, backend=operations, progress=stages, **PARAMETERS)  # type: ignore[arg-type]
+    with recorded(
+        [result], Motion(), keep=True, parameters=described([result]), folder=folder,
+        progress=stages,
+    ) as film:  # fmt: skip
+        write_all(outputs, film, report=lambda output, share: stages(output.path.name, share))
+    options = ", ".join(f"{name} {value}" for name, value in PARAMETERS.items())
+    times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in stages.seconds.items())
+    return [
+        f"images: {sprite.shape[1]}x{sprite.shape[0]} to {photo.shape[1]}x{photo.shape[0]}, "
+        f"{N_FRAMES} frames, {len(result.particles)} particles",
+        f"parameters: {options}",
+        f"solver: {result.potentials.message}",
+        f"times: {times}",
+        *(f"wrote {file.name}" for file in files),
+    ]

@@ -1,0 +1,153 @@
+"""``clmorph devices`` and ``clmorph check``."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from clmorph._shared.files import atomic_path, check_file_place
+from clmorph._shared.printable import printable, reason_of
+from clmorph.backends.opencl.devices.cache import cache_folder
+from clmorph.backends.opencl.devices.find import (
+    Device,
+    choose_device,
+    find_devices,
+    forget_verdicts,
+)
+from clmorph.cli.terminal import NOTES, RESULTS, note
+from clmorph.errors import ClmorphError, DeviceError
+
+
+def _find() -> tuple[Device, ...]:
+    with NOTES.status("trying OpenCL devices (remembered from the second time on)"):
+        return find_devices()
+
+
+def _auto_index() -> str:
+    """Return the index of the device that "auto" takes; '' if none works."""
+    try:
+        return choose_device("auto").index
+    except DeviceError:
+        return ""
+
+
+def list_devices(as_json: bool, again: bool) -> int:
+    """Print every OpenCL device; 1 if none is usable, else 0."""
+    if again:
+        forget_verdicts()
+    devices = _find()
+    if cache_folder() is None:
+        note(
+            "what is learned of devices cannot be kept; set XDG_CACHE_HOME to a folder that "
+            "can be written to"
+        )
+    auto = _auto_index()
+    if as_json:
+        records = [device.record() | {"auto": device.index == auto} for device in devices]
+        click.echo(json.dumps(records, indent=1))
+        return 0 if auto else 1
+    if devices:
+        _print_table(devices, auto)
+    if not auto:
+        from clmorph.backends.opencl.devices.install_hints import advice
+
+        click.echo("No OpenCL device is usable. What to install:")
+        for line in advice():
+            click.echo(f"  {line}")
+        return 1
+    return 0
+
+
+def _print_table(devices: tuple[Device, ...], auto: str) -> None:
+    from rich.table import Table
+
+    from clmorph.backends.opencl.devices.quirks import has_float64
+
+    table = Table(box=None, pad_edge=False)
+    for title in ("", "index", "device", "platform, driver", "type", "units", "memory", "float64"):
+        table.add_column(title, overflow="fold")
+    table.add_column("10⁹ pairs/s", justify="right")
+    table.add_column("usable", overflow="fold")
+    for device in devices:
+        speed = device.pairs_per_second / 1e9
+        table.add_row(
+            "auto" if device.index == auto else "",
+            device.index,
+            device.name,
+            f"{device.platform}, {device.version.split('  ')[0]}, {device.driver}",
+            device.kind,
+            str(device.compute_units),
+            f"{device.memory / 2**30:.0f} GiB",
+            "yes" if has_float64(device.handle) else "no",
+            f"{speed:.1f}" if speed else "",
+            "yes" if device.usable else f"no: {device.reason}",
+        )
+    RESULTS.print(table)
+
+
+def _choose(spec: str | None, every: bool) -> list[Device]:
+    """Return the one device that is meant, or every usable one."""
+    devices = [device for device in _find() if device.usable]
+    return devices if every and devices else [choose_device(spec or "auto")]
+
+
+def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
+    """Tune devices, or forget how they were tuned."""
+    from clmorph.backends.opencl.build.tuner import forget_tuning, tune
+
+    for device in _choose(spec, every):
+        click.echo(f"[{device.index}] {device.name} ({device.platform}, driver {device.driver})")
+        if reset:
+            forget_tuning(device.handle)
+            click.echo("  tuning forgotten")
+            continue
+        knobs, before, after = tune(device.handle, lambda line: click.echo(f"  {line}"))
+        click.echo(f"  kept: {knobs}")
+        click.echo(f"  {before / 1e9:.2f} to {after / 1e9:.2f}·10⁹ pairs/s")
+
+
+def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
+    """Compare devices with NumPy, print the findings; 1 if any is out of tolerance."""
+    devices = _choose(spec, every)
+    if report is not None:
+        check_file_place(report)  # before the work for it begins
+    bundles = [_check_one(device) for device in devices]
+    if report is not None:
+        text = json.dumps(bundles[0] if len(bundles) == 1 else bundles, indent=1) + "\n"
+        with atomic_path(report) as new:
+            new.write_text(text, "utf-8")
+        click.echo(f"wrote {printable(report)}")
+    return 0 if all(f["passed"] for bundle in bundles for f in bundle["findings"]) else 1
+
+
+def _check_one(device: Device) -> dict[str, Any]:
+    from rich.table import Table
+
+    from clmorph.backends.opencl.backend import OpenCLOperations
+    from clmorph.cli.conformance import check, report, throughput
+
+    click.echo(f"[{device.index}] {device.name} ({device.platform}, driver {device.driver})")
+    operations = OpenCLOperations(device.handle)
+    findings = []
+    try:
+        for finding in check(operations):
+            findings.append(finding)
+        speed = throughput(operations)
+    except ClmorphError:
+        raise
+    except Exception as error:  # a driver's failures come in any class
+        raise DeviceError(
+            f"{device.name} failed after {len(findings)} checks: {reason_of(error)}; "
+            "update its driver, or choose another device"
+        ) from error
+    table = Table(box=None, pad_edge=False)
+    for title in ("operation", "largest error", "tolerance", "", "verdict"):
+        table.add_column(title)
+    for f in findings:
+        table.add_row(
+            f.name, f"{f.error:.1e}", f"{f.tolerance:.1e}", f.unit, "pass" if f.passed else "FAIL"
+        )
+    RESULTS.print(table)
+    click.echo(f"log-sum-exp, 4096²: {speed / 1e9:.2f}·10⁹ pairs/s")
+    return report(device, findings, speed)

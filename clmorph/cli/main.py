@@ -1,0 +1,407 @@
+"""The command ``clmorph``."""
+
+import os
+import re
+import signal
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import rich_click as click
+from click.core import ParameterSource
+from click.exceptions import NoArgsIsHelpError
+
+from clmorph._shared.printable import MESSAGE, printable, reason_of
+from clmorph._shared.signals import Ending, Terminated, farewell, terminable
+from clmorph._shared.version import __version__
+from clmorph.cli import config as files
+from clmorph.cli import options
+from clmorph.errors import ClmorphError, FileError, InputError
+from clmorph.pipeline.presets import N_FRAMES, PRESETS
+
+#: Shells that complete what is typed.
+SHELLS = ("bash", "zsh", "fish")
+#: What the exit codes mean; the help shows them.
+EXIT_CODES = """\
+Exit codes: 0 done; 1 no device is usable (devices) or one is out of tolerance (check);
+2 a mistake in the command line, in a file or in the choice of device, told in one line;
+130 interrupted, 143 terminated (129 at a hangup): either nothing was written or all files
+were, as the last line on standard error says.
+"""
+
+
+def _print_version(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+    if not wanted:
+        return
+    import platform
+    from importlib.metadata import version
+
+    from clmorph.backends.opencl.devices.find import raw_devices
+
+    click.echo(f"clmorph {__version__}")
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("pyopencl", "numpy"))
+    click.echo(f"Python {platform.python_version()}, {libraries}")
+    for index, device in raw_devices():
+        driver = f"{device.platform.name.strip()}, driver {device.driver_version.strip()}"
+        click.echo(f"[{index}] {' '.join(device.name.split())} ({driver})")
+    context.exit()
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]}, epilog=EXIT_CODES)
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Versions of clmorph, of what it builds on, and of the OpenCL drivers.",
+)
+def cli() -> None:
+    """Morph one picture into another by unbalanced optimal transport.
+
+    \b
+    clmorph demo                             a first look: a sprite becomes a photograph
+    clmorph morph a.png b.jpg -o out.gif     your own two pictures
+    clmorph morph a.png b.jpg -o out.html    a page to play with: scrub, zoom, look inside
+    clmorph morph a.png b.jpg c.png d.jpg -o tour.mp4 --loop ping-pong
+    clmorph inspect a.png b.jpg              what would move, how far, how long it takes
+    clmorph devices                          what it can run on
+    """  # noqa: D301 (click wants the character itself)
+
+
+def _settings_callback(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
+    """Read a file of settings before any other option is looked at."""
+    if path is None:
+        return None
+    settable = [other for other in context.command.params if other.name not in NOT_SETTINGS]
+    found = files.read_settings(path, settable)
+    context.default_map = {name: value for name, value in found.items() if name != files.IMAGES}
+    return found[files.IMAGES]
+
+
+#: Options that no file of settings holds.
+NOT_SETTINGS = ("images", "config", "dump_config", "as_json", "device", "backend")
+
+
+@cli.command()
+@click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
+@options.file_options
+@click.option(
+    "--preset", type=click.Choice(list(PRESETS)), panel="Settings",
+    help="A set of options for a kind of pictures.  [default: photo]",
+)  # fmt: skip
+@click.option(
+    "--config", type=options.FileName(), is_eager=True, callback=_settings_callback,
+    panel="Settings",
+    help="Read options from your own TOML, or repeat a recipe: .json, or a file that clmorph "
+    "wrote; its pictures are sought beside it and in the current folder.",
+)  # fmt: skip
+@click.option(
+    "--dump-config", is_flag=True, panel="Settings",
+    help="Print all options as TOML, and do nothing else.",
+)  # fmt: skip
+@click.option(
+    "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
+)
+@options.motion_options
+@options.problem_options
+@options.plan_options
+@options.drawing_options
+@options.max_pixels_option
+@options.device_options
+@click.pass_context
+def morph(
+    context: click.RichContext,
+    /,
+    images: tuple[Path, ...],
+    output: tuple[Path, ...],
+    preset: str | None,
+    config: files.Named | None,
+    dump_config: bool,
+    as_json: bool,
+    device: str | None,
+    backend: str | None,
+    **given: Any,
+) -> None:
+    """Morph picture A into picture B, and on to C, D and so forth.
+
+    \b
+    clmorph morph a.png b.jpg -o out.gif                    a looping GIF
+    clmorph morph a.png b.jpg -o out.html                   a page to play with
+    clmorph morph a.png b.jpg -o out.mp4 --canvas 1280x720 --ease smooth
+    clmorph morph cat.png dog.png -o out.webp --preset pixel-art --loop ping-pong
+    clmorph morph a.png b.jpg -o frames --frames 100        a folder of PNG files
+    clmorph morph --config out.gif -o again.gif             as that file was made
+
+    Options that are not given are those of the preset.
+    """  # noqa: D301
+    from clmorph.cli.morph import announce_changes, announce_idle, run_morph
+
+    settings = _settings(context, preset, given)
+    if config is not None and not images:
+        named = config.images()
+        images = tuple(path for path, _ in named)
+        announce_changes(named)
+    if context.get_parameter_source("output") is ParameterSource.COMMANDLINE and (
+        context.get_parameter_source("format") is not ParameterSource.COMMANDLINE
+    ):
+        settings.pop("format", None)  # it belongs to the output that the file names
+    if dump_config:
+        # TOML is UTF-8, whatever the terminal is.
+        click.echo(files.as_toml(settings, images).encode("utf-8"), nl=False)
+        return
+    if len(images) < 2:
+        raise InputError(
+            f"{_counted(images)}: expected two or more, as in clmorph morph a.png b.jpg -o out.gif"
+        )
+    if not output:
+        raise InputError("no output given: expected -o with a name, such as -o out.gif")
+    announce_idle(
+        [name for name in given if context.get_parameter_source(name)
+         is ParameterSource.COMMANDLINE],
+        output, settings.get("format"),
+    )  # fmt: skip
+    # A limit that the user repeats in the command line is the user's.
+    from_file = context.get_parameter_source("max_memory") is ParameterSource.DEFAULT_MAP
+    run_morph(
+        images, output, settings, device=device, backend=backend, as_json=as_json,
+        config=config.file if config is not None else None,
+        capped=config is not None and not config.own and from_file,
+    )  # fmt: skip
+
+
+def _counted(images: Sequence[Path]) -> str:
+    """Return how many pictures were given, as the beginning of a message."""
+    return f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given"
+
+
+def _settings(context: click.Context, preset: str | None, given: dict[str, Any]) -> files.Settings:
+    """Join the preset, the file of settings and the command line, which wins."""
+    said: dict[bool, files.Settings] = {True: {}, False: {}}
+    for name, value in given.items():
+        if value is not None:
+            source = context.get_parameter_source(name)
+            said[source is ParameterSource.COMMANDLINE][name] = value
+    chosen = files.preset(preset or "photo")
+    in_line = context.get_parameter_source("preset")
+    if in_line is ParameterSource.COMMANDLINE:
+        return files.layered((files.usual(), said[False], chosen, said[True]))
+    return files.layered((files.usual(), chosen, said[False], said[True]))
+
+
+@cli.command()
+@click.argument("images", metavar="A B", nargs=-1, type=options.FileName())
+@click.option(
+    "-o", "--output", type=options.OutputName(), panel="File",
+    help="Draw a picture too: .png, .svg or .pdf.",
+)  # fmt: skip
+@click.option(
+    "--json", "as_json", is_flag=True, panel="File", help="Print the numbers for programs."
+)
+@click.option(
+    "--preset", type=click.Choice(list(PRESETS)), default="photo", show_default=True,
+    panel="Transport", help="Whose transport.",
+)  # fmt: skip
+@click.option(
+    "--frames", type=int, default=N_FRAMES, show_default=True, panel="Transport",
+    help="For how many frames time is estimated.",
+)  # fmt: skip
+@options.problem_options
+@options.max_pixels_option
+@options.device_options
+def inspect(
+    images: tuple[Path, ...],
+    output: Path | None,
+    as_json: bool,
+    preset: str,
+    frames: int,
+    max_pixels: int | None,
+    device: str | None,
+    backend: str | None,
+    **given: Any,
+) -> None:
+    """Show what a morph would move: how far, how much, how well; how long it would take.
+
+    \b
+    clmorph inspect a.png b.jpg                  numbers
+    clmorph inspect a.png b.jpg -o report.png    and a picture of where everything goes
+    """  # noqa: D301
+    from clmorph.cli.inspect import run_inspect
+
+    if len(images) != 2:
+        raise InputError(f"{_counted(images)}: expected two, as in clmorph inspect a.png b.jpg")
+    run_inspect(
+        images, output, preset, {name: value for name, value in given.items() if value is not None},
+        n_frames=frames, max_pixels=max_pixels, device=device, backend=backend, as_json=as_json,
+    )  # fmt: skip
+
+
+@cli.command()
+@options.device_options
+def demo(device: str | None, backend: str | None) -> None:
+    """Morph a bundled sprite into a photograph: clmorph-demo.gif, .html and .png."""
+    from clmorph.cli.common import open_backend
+    from clmorph.cli.demo import run_demo
+    from clmorph.cli.terminal import Stages
+
+    operations = open_backend(device, backend)
+    with Stages() as stages:
+        report = run_demo(operations, Path.cwd(), stages)
+    for line in report:
+        click.echo(line)
+
+
+@cli.command()
+@click.option("--json", "as_json", is_flag=True, help="For programs.")
+@click.option("--again", is_flag=True, help="Try every device anew.")
+def devices(as_json: bool, again: bool) -> int:
+    """List OpenCL devices: which work, why others do not, which one "auto" takes.
+
+    A device that is new is tried in a process of its own for at most 60 s, or for as long as
+    CLMORPH_PROBE_SECONDS says (1 to 3600). What the trial says of the device is remembered:
+    that it works, that it crashes, computes wrong results or is refused. What it says of the
+    moment is not (a lack of time or of memory): the device is tried again the next time.
+    """
+    from clmorph.cli.devices import list_devices
+
+    return list_devices(as_json, again)
+
+
+@cli.command()
+@click.option("--device", metavar="NAME", help="The device to check.  [default: auto's]")
+@click.option("--all", "every", is_flag=True, help="Check every usable device.")
+@click.option("--report", type=options.FileName(), help="Write a JSON file to share.")
+def check(device: str | None, every: bool, report: Path | None) -> int:
+    """Compare a device with NumPy: every operation and one whole morph.
+
+    Ends with 0 if all is within tolerance, else with 1.
+    """
+    from clmorph.cli.devices import check_devices
+
+    if device is not None and every:
+        raise InputError(f"--device {device} and --all contradict: give one of them")
+    return check_devices(device, every, report)
+
+
+@cli.command()
+@click.option("--device", metavar="NAME", help="The device to tune.  [default: auto's]")
+@click.option("--all", "every", is_flag=True, help="Tune every usable device.")
+@click.option("--reset", is_flag=True, help="Forget what tuning found.")
+def tune(device: str | None, every: bool, reset: bool) -> None:
+    """Find the fastest kernel constants for a device, and use them from now on.
+
+    Takes a minute or so, mostly for building kernels; without it they are chosen by the
+    kind of device.
+    """
+    from clmorph.cli.devices import tune_devices
+
+    if device is not None and every:
+        raise InputError(f"--device {device} and --all contradict: give one of them")
+    tune_devices(device, every, reset)
+
+
+@cli.command()
+@click.argument("shell", type=click.Choice(SHELLS))
+def completion(shell: str) -> None:
+    """Print what makes a shell complete commands and options.
+
+    \b
+    bash:  eval "$(clmorph completion bash)"           in ~/.bashrc
+    zsh:   eval "$(clmorph completion zsh)"            in ~/.zshrc
+    fish:  clmorph completion fish > ~/.config/fish/completions/clmorph.fish
+    """  # noqa: D301
+    from click.shell_completion import get_completion_class
+
+    kind = get_completion_class(shell)
+    assert kind is not None  # click has all of SHELLS
+    click.echo(kind(cli, {}, "clmorph", "_CLMORPH_COMPLETE").source())
+
+
+def _in_option_names(message: str) -> str:
+    """Name options as they are written on the command line: n_frames=1 becomes --frames 1."""
+    names = {parameter.name: parameter.opts[-1] for parameter in morph.params}
+    names["n_frames"] = "--frames"
+    message = message.replace("or None for balanced transport", f"or {options.BALANCED!r}")
+    return re.sub(
+        r"\b(\w+)=",
+        lambda found: f"{names[found[1]]} " if found[1] in names else found[0],
+        message,
+    )
+
+
+def _complain(text: str) -> None:
+    """Print a line on standard error, if that takes any; no number fills a page there."""
+    text = re.sub(r"\d{100,}", lambda found: f"{found[0][:50]}…", text)
+    with suppress(OSError):
+        click.echo(f"clmorph: {printable(text, MESSAGE)}", err=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    with terminable() as ending:
+        return _main(arguments, ending)
+
+
+def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
+    """Run the command line; tell every error in one line."""
+    try:
+        code = _run(arguments)
+        sys.stdout.flush()
+    except click.ClickException as error:
+        message = " ".join(error.format_message().split())
+        _complain(f"error: {message} (clmorph --help shows the usage)")
+        return 2
+    except FileError as error:  # a name is not to be taken for an option
+        _complain(f"error: {error}")
+        return 2
+    except ClmorphError as error:
+        _complain(f"error: {_in_option_names(str(error))}")
+        return 2
+    except UnicodeError as error:
+        _complain(
+            f"error: a name cannot be printed here ({error.reason})"
+            if isinstance(error, UnicodeEncodeError)
+            else f"error: {error}"
+        )
+        return 2
+    except MemoryError:
+        _complain("error: not enough memory; use a smaller --size")
+        return 2
+    except (click.Abort, KeyboardInterrupt):
+        return farewell(ending, signal.SIGINT)
+    except Terminated as error:
+        return farewell(ending, error.number)
+    except OSError as error:
+        # Nobody reads on, or nothing more can be written: keep Python from trying at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            return 0
+        _complain(f"error: {_reason(error)}")
+        return 2
+    return code if isinstance(code, int) else 0
+
+
+def _reason(error: OSError) -> str:
+    """Return what the system says, in words that can be acted on."""
+    try:
+        Path.cwd()
+    except OSError:
+        return "the current folder is gone; go to another one"
+    name = "" if error.filename is None else f"{error.filename}: "
+    return f"{name}{reason_of(error)}"
+
+
+def _run(arguments: Sequence[str] | None) -> Any:
+    """Run the command; one without arguments shows its help."""
+    try:
+        return cli.main(arguments, prog_name="clmorph", standalone_mode=False)
+    except SystemExit as error:
+        # So click ends where nobody reads on.
+        if isinstance(error.__context__, BrokenPipeError):
+            raise error.__context__ from None
+        raise
+    except NoArgsIsHelpError as error:
+        click.echo(error.ctx.get_help())
+        return 2

@@ -1,0 +1,286 @@
+"""``clmorph morph``: pictures in, a file out."""
+
+import itertools
+import json
+import math
+import time
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.files import check_apart, check_place
+from clmorph._shared.printable import printable
+from clmorph.analysis.report import size_text
+from clmorph.backends.interface import Operations
+from clmorph.cli import config as files
+from clmorph.cli.common import note_warning, open_backend, read_picture
+from clmorph.cli.config import Settings
+from clmorph.cli.options import GIGABYTE, for_library
+from clmorph.cli.terminal import Stages, note, say
+from clmorph.errors import (
+    ConvergenceWarning,
+    FileError,
+    InputError,
+    MemoryWarning,
+    OutputError,
+    PruningWarning,
+)
+from clmorph.frames.kernel_width import is_pixel_art
+from clmorph.images.pixels import MAX_PIXELS, fit
+from clmorph.output.framing import Look
+from clmorph.output.playback import Motion, resting
+from clmorph.output.recording import Film, recorded
+from clmorph.output.save import PACE, SIZES, Output, write_all
+from clmorph.pipeline import presets as defaults
+from clmorph.pipeline.budget import default_memory
+from clmorph.pipeline.memory import estimate
+from clmorph.pipeline.morph import check_options
+from clmorph.pipeline.morph import morph as make_morph
+from clmorph.pipeline.result import Morph
+from clmorph.transport.potentials import Potentials
+
+#: Settings that are not the morph's own, by what takes them.
+MOTION = ("fps", "duration", "hold", "loop")
+LOOK = ("canvas", "scaling", "background", "lossless")
+RUN = ("frames", "size", "reverse", "format", "recipe", "max_pixels")
+
+
+@dataclass
+class _Run:
+    """One call of the command, its settings checked and sorted."""
+
+    images: Sequence[Path]
+    settings: Settings
+    outputs: Sequence[Output]
+    options: Settings = field(default_factory=dict)
+    solved: list[Potentials] = field(default_factory=list)
+    particles: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        said = self.settings
+        own = {*MOTION, *LOOK, *RUN}
+        self.options = for_library({name: value for name, value in said.items() if name not in own})
+        self.n_frames = said.get("frames", defaults.N_FRAMES)
+        check_options(n_frames=self.n_frames, **self.options)
+        self.look = Look(**{name: said[name] for name in LOOK if name in said})
+        self.motion = self._motion()
+        for output in self.outputs:
+            output.check_motion(self.motion)
+
+    def _motion(self) -> Motion:
+        given = {name: self.settings[name] for name in MOTION if name in self.settings}
+        duration = given.pop("duration", None)
+        if duration is None:
+            return Motion(**given)
+        if "fps" in given:
+            raise InputError(
+                f"--duration {duration:g} and --fps {given['fps']:g} contradict: give one of them"
+            )
+        return Motion.lasting(duration, resting(len(self.images), self.n_frames), **given)
+
+    def memory(self, pictures: Sequence[NDArray[np.float64]], operations: Operations) -> str:
+        """Say what the largest of the morphs will take, frames that are kept apart."""
+        way = {name: self.options.get(name) for name in ("sample", "barycentric")}
+        most = self.options.get("max_particles")
+        needs = [
+            estimate(
+                one.shape[:2], other.shape[:2],
+                # No fewer are drawn than one a pixel.
+                most and max(most, one.shape[0] * one.shape[1]),
+                sample=way["sample"], barycentric=bool(way["barycentric"]), backend=operations,
+                alpha=max(one.shape[2], other.shape[2]) == 4,
+            )
+            for one, other in itertools.pairwise(pictures)
+        ]  # fmt: skip
+        known = most or any(way.values())
+        size = size_text(max(max(need.ram, need.device) for need in needs))
+        return f"memory: {'about' if known else 'at least'} {size}"
+
+    def morphs(
+        self, pictures: Sequence[NDArray[np.float64]], operations: Operations, stages: Stages
+    ) -> Iterator[Morph]:
+        """Solve one pair after the other."""
+        for number, pair in enumerate(itertools.pairwise(pictures)):
+            mark = f" {number + 1}" if len(pictures) > 2 else ""
+            morph = make_morph(
+                *pair, self.n_frames, backend=operations, progress=stages.marked(mark),
+                **self.options,
+            )  # fmt: skip
+            self.solved.append(morph.potentials)
+            self.particles.append(len(morph.particles))
+            yield morph
+
+
+def run_morph(
+    images: Sequence[Path],
+    outputs: Sequence[Path],
+    settings: Settings,
+    *,
+    device: str | None,
+    backend: str | None,
+    as_json: bool,
+    config: Path | None = None,
+    capped: bool = False,
+) -> None:
+    """Morph pictures into one another, once, and write the files.
+
+    Parameters
+    ----------
+    images : sequence of Path
+        Two, or more for a chain.
+    outputs : sequence of Path
+    settings : dict
+        By option names with underscores.
+    device, backend : str, optional
+    as_json : bool
+        Say what was made to programs, not to people.
+    config : Path, optional
+        The file of settings: it is not to be overwritten.
+    capped : bool
+        Whether `max_memory` is a recipe's, which may lower the device's limit, not raise it.
+    """
+    began = time.perf_counter()
+    if "format" in settings and len(outputs) > 1:
+        raise InputError("--format is for one output: leave it out, or write one at a time")
+    places = [Output(output, settings.get("format")) for output in outputs]
+    recipes = [_beside(output) for output in outputs if settings.get("recipe")]
+    for beside in recipes:
+        if check_place(beside).is_dir():
+            raise OutputError(f"{beside} is a folder; choose another name for the output")
+    check_apart([*outputs, *recipes], [*images, *([config] if config else [])])
+    run = _Run(images, settings, places)
+    pictures = [_read(path, settings) for path in images]
+    operations = open_backend(device, backend)
+    if capped:
+        _cap_memory(run, operations)
+    say(run.memory(pictures, operations))
+    told = files.recipe(settings, images, operations.description)
+    notes: list[Warning] = []
+    with Stages() as stages, warnings.catch_warnings():
+        # Said in the last line.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        for kind in (MemoryWarning, PruningWarning):
+            warnings.simplefilter("always", kind)
+        warnings.showwarning = partial(note_warning, notes)
+        with recorded(
+            run.morphs(pictures, operations, stages), run.motion, n_morphs=len(pictures) - 1,
+            reverse=bool(settings.get("reverse")),
+            exact=any(place.format.exact for place in places),
+            keep=any(place.format.keep for place in places),
+            pixelated=all(map(is_pixel_art, pictures)), parameters=told,
+            folder=places[0].folder, progress=stages,
+        ) as film:  # fmt: skip
+            gave_way = any(isinstance(each, MemoryWarning) for each in notes)
+            if gave_way and "max_memory" not in settings:
+                # What gave way would not on a larger device: its limit belongs to the recipe.
+                settings["max_memory"] = float(
+                    f"{(default_memory(operations) or 0) / GIGABYTE:.6g}"
+                )
+                film = replace(film, parameters=files.recipe(
+                    settings, images, operations.description))  # fmt: skip
+            texts = {}
+            for beside in recipes:
+                folder = beside.resolve().parent
+                whole = files.recipe(settings, images, operations.description, folder)
+                texts[beside] = json.dumps(whole, indent=2) + "\n"
+            write_all(
+                places, film, run.look,
+                lambda place, share: stages(f"write {place.path.name}", share), texts,
+            )  # fmt: skip
+            summary = _summary(run, film, stages, notes)
+    summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
+    click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
+
+
+def _cap_memory(run: _Run, operations: Operations) -> None:
+    """Let what a recipe says about memory hold only if it is no more than the usual limit."""
+    limit = default_memory(operations) or math.inf
+    if run.options.get("max_memory", 0.0) > limit:
+        del run.options["max_memory"]
+        told = run.settings.pop("max_memory")
+        note(f"the recipe's limit of {told:g} GB is above the device's own, {size_text(limit)}")
+
+
+def _beside(output: Path) -> Path:
+    """Return where the recipe of an output goes; such as ``.`` have their name elsewhere."""
+    named = output if output.name not in ("", "..") else output.resolve()
+    return named.with_name(f"{named.name}.json") if named.name else named / ".json"
+
+
+def _read(path: Path, settings: Settings) -> NDArray[np.float64]:
+    """Return a picture at the size at which it is drawn."""
+    picture: NDArray[np.float64] = read_picture(path, settings.get("max_pixels", MAX_PIXELS))
+    size = settings.get("size")
+    return picture if size is None else fit(picture, size)
+
+
+def _summary(run: _Run, film: Film, stages: Stages, notes: list[Warning]) -> dict[str, Any]:
+    """Return what was made, for programs."""
+    return {
+        "outputs": [{"path": str(output.path), "format": output.name} for output in run.outputs],
+        "frames": len(film),
+        "played": len(film.played()),
+        "duration": round(film.duration, 6),
+        "fps": film.motion.fps,
+        "sizes": [list(size) for size in dict.fromkeys((w, h) for h, w, _ in film.shapes)],
+        "solver": [
+            {
+                "status": potentials.status,
+                "residual": float(potentials.residual),
+                "iterations": potentials.n_iter,
+                "message": potentials.message,
+            }
+            for potentials in run.solved
+        ],
+        "particles": run.particles,
+        "notes": list(map(str, notes)),
+        "seconds": {name: round(value, 3) for name, value in stages.seconds.items()},
+        **film.parameters,
+    }
+
+
+def _last_line(run: _Run, summary: dict[str, Any]) -> str:
+    """Return what was made, for people."""
+    worst = max(run.solved, key=lambda potentials: potentials.residual)
+    lasting = ""
+    if any(output.format.animated for output in run.outputs):
+        lasting = f", {summary['duration']:.3g} s a round"
+    names = ", ".join(printable(output.path) for output in run.outputs)
+    return (
+        f"{names}: {summary['frames']} frames{lasting}, made in "
+        f"{summary['seconds']['total']:.1f} s; {worst.message}"
+    )
+
+
+def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
+    """Note images that are not what they were when a file of settings was written.
+
+    Raises
+    ------
+    FileError
+        If one is not there at all.
+    """
+    for path, known in images:
+        if not path.exists():
+            raise FileError(
+                f"{path}: no such file, but the settings name it; put it there, or name the "
+                "pictures in the command line"
+            )
+        if known is not None and path.is_file() and files.digest(path) != known:
+            note(f"{path} is not the file that was used then")
+
+
+def announce_idle(names: Sequence[str], outputs: Sequence[Path], format: str | None) -> None:
+    """Note options that make no difference to any of the outputs."""
+    formats = [Output(output, format).format for output in outputs]
+    for name in (*SIZES, *PACE, "lossless"):
+        if name in names and not any(name in kind.heeds for kind in formats):
+            places = ", ".join(str(output) for output in outputs)
+            note(f"--{name} makes no difference to {places}")

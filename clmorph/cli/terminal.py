@@ -1,0 +1,114 @@
+"""What the command line shows while it works, and how long each stage took."""
+
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+from typing import IO, Any, Self, cast
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from clmorph._shared.printable import MESSAGE, printable
+
+
+class _StandardError:
+    """Standard error, wherever it is by then; what it does not take is lost.
+
+    No note is worth a morph: a log on a full disk ends no work.
+    """
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(sys.stderr, name)
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            sys.stderr.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            sys.stderr.flush()
+
+
+#: Progress, notes and errors; results go to standard output.
+NOTES = Console(
+    file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True, markup=False, emoji=False
+)
+#: Tables: as wide as they must be where nobody's terminal says otherwise.
+RESULTS = Console(
+    highlight=False, width=None if sys.stdout.isatty() else 200, markup=False, emoji=False
+)
+
+
+def say(text: object) -> None:
+    """Print a line on standard error, whatever the names in it hold."""
+    NOTES.print(printable(text, MESSAGE))
+
+
+def note(text: object) -> None:
+    """Print a remark."""
+    say(f"note: {text}")
+
+
+class Stages:
+    """Progress bars, one a stage; silent where standard error is not a terminal.
+
+    Calling it with a stage's name and the share done opens, moves or closes its bar.
+
+    Attributes
+    ----------
+    seconds : dict
+        Time from a stage's first call to its last.
+    """
+
+    def __init__(self) -> None:
+        self._bars = Progress(
+            TextColumn("{task.description:12}", markup=False),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(compact=True),
+            TextColumn("{task.fields[note]}", markup=False),
+            console=NOTES,
+            disable=not NOTES.is_terminal,
+            transient=True,
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._began: dict[str, float] = {}
+        self.seconds: dict[str, float] = {}
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bars.stop()
+
+    def marked(self, mark: str) -> Callable[[str, float], None]:
+        """Return what shows stages with a mark behind their names."""
+        return lambda stage, share: self(stage + mark, share)
+
+    def __call__(self, stage: str, share: float) -> None:
+        """Show that `share` (0 to 1) of a stage is done, and the note that it bears."""
+        now = time.perf_counter()
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(printable(stage), total=1.0, note="")
+            self._began[stage] = now
+        note = getattr(share, "note", "")
+        self._bars.update(self._tasks[stage], completed=share, note=note)
+        self.seconds[stage] = now - self._began[stage]

@@ -1,0 +1,1 @@
+"""From a plan to frames: particles, kernel widths, splatting, exact ends."""

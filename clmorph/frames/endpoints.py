@@ -1,0 +1,230 @@
+"""Frames that are the images themselves at both ends, whatever the kernel width.
+
+A frame at t = 0 is the source seen through a kernel. What the kernel takes away, source less
+frame, is given back to its pixels: it travels as they do, seen through a narrow kernel, so that
+the first frames are as sharp as the source and their detail moves along; likewise backwards
+from the target. How much that is depends on the width that the kernel has meanwhile. It fades
+with `share`, which is 1 at both ends and 0 halfway, where a frame is Eq. 4 alone. What still
+lacks then at the ends (pixels from which nothing travels if unmatched mass is dropped, or
+rounding) fades at its place.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import Operations
+from clmorph.frames.render import CUT, Canvas, kernel_sum
+from clmorph.images.pixels import resized
+from clmorph.measures.lift import Measure
+from clmorph.transport.plan import Plan
+from clmorph.transport.plan_sampling import Barycentric
+
+Array = NDArray[np.float64]
+
+#: What is done about the ends: nothing (Eq. 4 as printed), or the above.
+ENDPOINTS = ("exact", "paper")
+
+#: Kernel width of what is given back, in distances of pixels: hardly reaches the next.
+NARROW = 0.3
+
+#: Factor between widths for which what lacks is worked out.
+STEP = 1.25
+
+#: What is smaller everywhere is not seen, and left.
+NEGLIGIBLE = 1e-4
+
+
+def share(t: float) -> float:
+    """Return how much is given back at time t, of each end's share (1 - t) or t; smooth."""
+    return float(np.cos(np.pi * t) ** 2)
+
+
+class Lacking(NamedTuple):
+    """What a frame at one end lacks, by the kernel's width.
+
+    Attributes
+    ----------
+    widths : (L,) array
+        Ascending, in pixels.
+    missing : (L, H, W, 3) array
+        Image less frame, in the space of the path.
+    """
+
+    widths: Array
+    missing: Array
+
+    def at(self, width: float) -> Array:
+        """Return what lacks at a width: (H, W, 3) array, between those known linearly."""
+        place = float(np.interp(width, self.widths, np.arange(len(self.widths))))
+        below = int(place)
+        above = min(below + 1, len(self.widths) - 1)
+        return (1 - place + below) * self.missing[below] + (place - below) * self.missing[above]
+
+
+def ladder(widths: Array) -> Array:
+    """Return few widths, ascending, that span these closely enough to interpolate."""
+    low, high = float(np.min(widths)), float(np.max(widths))
+    if low <= 0 or high <= low:
+        return np.array([low])
+    return np.geomspace(low, high, 1 + int(np.ceil(np.log(high / low) / np.log(STEP))))
+
+
+class Details:
+    """What one image's frame lacks, as particles that travel.
+
+    Parameters
+    ----------
+    operations : Operations
+    measure : Measure
+        The source, or the target.
+    missing : Lacking
+    destinations : (N, 2) array
+        Where each pixel goes, or comes from, on average.
+    moving : (N,) array
+        Share of it that does; the rest stays.
+    backwards : bool
+        Whether it arrives, as the target's do.
+    """
+
+    def __init__(
+        self,
+        operations: Operations,
+        measure: Measure,
+        missing: Lacking,
+        destinations: Array,
+        moving: NDArray[np.float64],
+        backwards: bool,
+    ) -> None:
+        self._operations, self._spacing, self._missing = operations, measure.spacing, missing
+        n = len(measure)
+        self._positions = np.concatenate((measure.positions, destinations))
+        here, there = np.arange(n), n + np.arange(n)
+        path = (there, here) if backwards else (here, there)
+        links = np.concatenate((np.column_stack(path), np.column_stack((here, here))))
+        weights = np.concatenate((moving, 1.0 - moving)) * np.tile(measure.weights > 0, 2)
+        kept = weights > 0
+        self._links = links[kept].astype(np.uint32)
+        self._weights = np.column_stack((weights, weights))[kept]
+
+    def at(self, t: float, canvas: Canvas, width: float) -> Array | float:
+        """Return what is to be added to a frame: (H, W, 3) array, before it is faded.
+
+        Parameters
+        ----------
+        t : float
+        canvas : Canvas
+        width : float
+            The kernel's at t.
+        """
+        if not len(self._links):
+            return 0.0
+        colors = np.tile(self._missing.at(width).reshape(-1, 3), (2, 1))
+        spacing = np.full(len(colors), self._spacing)
+        particles = self._operations.upload_particles(
+            np.column_stack((self._positions, colors, spacing)), self._links, self._weights
+        )
+        pitch = max(1e-3, self._spacing * 0.5 * sum(canvas.scale))
+        sigma = NARROW * pitch
+        splats = self._operations.place(particles, t, canvas.scale, canvas.center)
+        numerator, denominator = self._operations.splat(splats, canvas.shape, sigma, CUT * sigma)
+        # Where pixels have moved apart there is less to give back than an even spread has.
+        even = kernel_sum(sigma) / pitch**2
+        return numerator / np.maximum(denominator, even)[..., None]
+
+
+class EndCorrection:
+    """What brings both ends of a morph to its images.
+
+    Parameters
+    ----------
+    details : (source's, target's)
+        Given back along the path; None where nothing lacks.
+    """
+
+    def __init__(self, details: tuple[Details | None, Details | None]) -> None:
+        self._details = details
+        self._rest: list[Array | None] = [None, None]
+
+    def moving(self, t: float, canvas: Canvas, width: float) -> Array | float:
+        """Return what is to be added to colors at time t, in the space of the path."""
+        total: Array | float = 0.0
+        for end, details in zip(((1 - t), t), self._details, strict=True):
+            if details is not None and end * share(t) > 0:
+                total = total + end * share(t) * details.at(t, canvas, width)
+        return total
+
+    def set_rest(self, end: int, missing: Array) -> None:
+        """Set what the frame at an end, 0 or 1, lacks even so: (H, W, C) array."""
+        if np.abs(missing).max() > NEGLIGIBLE:
+            self._rest[end] = missing
+
+    def resting(self, t: float, canvas: Canvas) -> Array | float:
+        """Return what is to be added to the finished frame at t: (H, W, C) array, or 0."""
+        total: Array | float = 0.0
+        for end, missing in zip(((1 - t), t), self._rest, strict=True):
+            if missing is not None and end * share(t) > 0:
+                total = total + end * share(t) * resized(missing, canvas.shape)
+        return total
+
+
+def mean_destinations(
+    source: Measure, target: Measure, plan: Plan | Barycentric
+) -> tuple[Array, Array]:
+    """Return where source pixels go and where target pixels come from, on average.
+
+    Parameters
+    ----------
+    source, target : Measure
+    plan : Plan or Barycentric
+
+    Returns
+    -------
+    (N, 2) and (M, 2) arrays
+        In the common frame.
+    """
+    if isinstance(plan, Plan):
+        return plan.mean_destinations(source.positions, target.positions)
+    # Where a target pixel comes from on average is not known; its detail stays in place.
+    return plan.positions, target.positions
+
+
+def make_details(
+    operations: Operations,
+    measures: tuple[Measure, Measure],
+    plan: Plan | Barycentric,
+    missing: tuple[Lacking, Lacking],
+    unmatched: str,
+) -> tuple[Details | None, Details | None]:
+    """Return what both ends lack, travelling as the plan does on average.
+
+    Parameters
+    ----------
+    operations : Operations
+    measures : (source, target)
+    plan : Plan or Barycentric
+    missing : two of Lacking
+        At t = 0 and at t = 1.
+    unmatched : {"fade", "drop"}
+        With "drop" nothing stays behind.
+    """
+    source, target = measures
+    masses = plan.marginals
+    destinations = mean_destinations(source, target, plan)
+    result: list[Details | None] = []
+    for end, measure in enumerate(measures):
+        if np.abs(missing[end].missing).max() <= NEGLIGIBLE:
+            result.append(None)
+            continue
+        moved, own = masses[end], measure.weights
+        moving = np.divide(moved, own, out=np.zeros_like(own), where=own > 0)
+        moving = np.minimum(moving, 1.0) if unmatched == "fade" else (moving > 0).astype(float)
+        result.append(
+            Details(
+                operations, measure, missing[end],
+                np.where(moved[:, None] > 0, destinations[end], measure.positions),
+                moving, backwards=end == 1,
+            )
+        )  # fmt: skip
+    return result[0], result[1]

@@ -1,0 +1,96 @@
+"""What of a morph is opaque: areas and opacities that travel with the particles' masses."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.frames.particles import Particles
+from clmorph.frames.render import Sums
+from clmorph.measures.lift import Measure
+from clmorph.transport.plan import Plan
+from clmorph.transport.plan_sampling import Barycentric
+
+Array = NDArray[np.float64]
+
+#: Halfway, matter may thin out to this share before it lets the ground through: particles never
+#: spread quite evenly, and that alone must not show.
+THINNEST = 0.5
+#: Cracks up to twice this share of the canvas's longer side are closed: where matter parts, it
+#: tears like paper, and the ground would show as scratches.
+CRACK = 0.015
+
+
+def matter(
+    source: Measure, target: Measure, plan: Plan | Barycentric, moving: Particles
+) -> Particles | None:
+    """Return the area and the opacity of particles, as particles.
+
+    Parameters
+    ----------
+    source, target : Measure
+    plan : Plan or Barycentric
+    moving : Particles
+        Made of these.
+
+    Returns
+    -------
+    Particles or None
+        On the same paths, as well as resting at opaque pixels without mass; their masses are
+        areas, of a sum of at most 1 at both ends, and their first color is opacity. None if
+        both images are opaque all over.
+    """
+    if source.alpha is None and target.alpha is None:
+        return None
+    n = len(source)
+    alphas = [
+        np.ones(len(measure)) if measure.alpha is None else measure.alpha
+        for measure in (source, target)
+    ]
+    # A particle covers as much of its pixel as it has of its mass.
+    per_mass = [
+        np.divide(1.0 / len(m), m.weights, out=np.zeros(len(m)), where=m.weights > 0)
+        for m in (source, target)
+    ]
+    if isinstance(plan, Barycentric):
+        arriving = plan.column_mass / max(float(plan.column_mass.sum()), np.finfo(float).tiny)
+        for ends in (alphas, per_mass):
+            ends[1] = np.concatenate((ends[1], np.full(len(plan), ends[1] @ arriving)))
+    table = moving.table.copy()
+    table[:, 2:5] = 0.0
+    table[:, 2] = np.concatenate(alphas)
+    links = moving.links.astype(np.int64)
+    areas = np.zeros_like(moving.weights)
+    # Only those that rest die or are born; no other starts at the target or ends at the source.
+    starts, stops = links[:, 0] < n, links[:, 1] >= n
+    areas[starts, 0] = moving.weights[starts, 0] * per_mass[0][links[starts, 0]]
+    areas[stops, 1] = moving.weights[stops, 1] * per_mass[1][links[stops, 1] - n]
+    for end, measure in enumerate((source, target)):
+        weightless = np.flatnonzero((measure.weights == 0) & (alphas[end][: len(measure)] > 0))
+        place = weightless + end * n
+        links = np.concatenate((links, np.column_stack((place, place))))
+        fading = np.zeros((len(place), 2))
+        fading[:, end] = 1.0 / len(measure)
+        areas = np.concatenate((areas, fading))
+    return Particles(table, links.astype(np.uint32), areas)
+
+
+def opacity(sums: Sums, area: float, t: float) -> Array:
+    """Return how opaque each pixel is, narrow cracks closed: (H, W) array.
+
+    Parameters
+    ----------
+    sums : Sums
+        Rendering of `matter`, holes left open.
+    area : float
+        Its mass at time t.
+    t : float
+    """
+    enough = 1.0 - 4 * t * (1 - t) * (1.0 - THINNEST)
+    covered = np.clip(sums.coverage * area / enough, 0.0, 1.0)
+    opaque = np.asarray(np.clip(sums.colors[..., 0], 0.0, 1.0) * covered)
+    reach = int(CRACK * max(opaque.shape))
+    if reach == 0:
+        return opaque
+    from scipy.ndimage import grey_closing
+
+    side = 2 * reach + 1
+    return np.asarray(grey_closing(opaque, (side, side), mode="nearest"))

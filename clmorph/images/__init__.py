@@ -1,0 +1,1 @@
+"""Pictures in: pixels, color spaces, the resolution of a picture."""

@@ -1,0 +1,198 @@
+"""Color spaces for the cost and for the path, and metrics of color (paper, section 5).
+
+Every space is a map of sRGB in [0, 1] to three coordinates. They are divided by one number a
+space, so that two colors drawn evenly from the sRGB cube are, in the root mean square, as far
+apart in each space as in sRGB: a color weight means the same in all of them.
+"""
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clmorph._shared.arrays import as_floats
+from clmorph._shared.validation import check_choice
+from clmorph.errors import InputError
+
+Array = NDArray[np.float64]
+
+#: "srgb": as stored (the paper). "linear": light. "lab", "luv": CIE 1976, D65. "oklab":
+#: Ottosson, "A perceptual color space for image processing" (2020).
+COLOR_SPACES = ("srgb", "linear", "lab", "luv", "oklab")
+
+#: Oklab: linear sRGB to cone responses, and their cube roots to lightness and two opponents.
+_TO_CONES = np.array(
+    [
+        [0.4122214708, 0.5363325363, 0.0514459929],
+        [0.2119034982, 0.6806995451, 0.1073969566],
+        [0.0883024619, 0.2817188376, 0.6299787005],
+    ]
+)
+_TO_OPPONENTS = np.array(
+    [
+        [0.2104542553, 0.7936177850, -0.0040720468],
+        [1.9779984951, -2.4285922050, 0.4505937099],
+        [0.0259040371, 0.7827717662, -0.8086757660],
+    ]
+)
+
+#: Samples of each channel over which the scale of a space is averaged.
+_SCALE_STEPS = 17
+
+
+def to_space(colors: ArrayLike, space: str) -> Array:
+    """Convert sRGB to the coordinates of a color space.
+
+    Parameters
+    ----------
+    colors : (..., 3) array
+        sRGB in [0, 1].
+    space : {"srgb", "linear", "lab", "luv", "oklab"}
+
+    Returns
+    -------
+    (..., 3) array
+        Coordinates, in the unit that makes a color weight comparable between spaces.
+
+    Raises
+    ------
+    InputError
+        If there is no such space.
+    """
+    check_choice("color space", space, COLOR_SPACES)
+    return _convert(np.asarray(colors, float), space) / _scale(space)
+
+
+def from_space(coordinates: ArrayLike, space: str) -> Array:
+    """Convert coordinates of a color space to sRGB, the inverse of `to_space`.
+
+    Parameters
+    ----------
+    coordinates : (..., 3) array
+    space : {"srgb", "linear", "lab", "luv", "oklab"}
+
+    Returns
+    -------
+    (..., 3) array
+        sRGB, clipped to [0, 1]: between two colors a path can leave what a screen shows.
+
+    Raises
+    ------
+    InputError
+        If there is no such space.
+    """
+    check_choice("color space", space, COLOR_SPACES)
+    values = np.asarray(coordinates, float) * _scale(space)
+    if space == "linear":
+        values = encode(values)
+    elif space == "oklab":
+        cones = (values @ np.linalg.inv(_TO_OPPONENTS).T) ** 3
+        values = encode(cones @ np.linalg.inv(_TO_CONES).T)
+    elif space in ("lab", "luv"):
+        from skimage import color
+
+        if space == "lab":
+            values = _without_negative_light(values)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shape = values.shape
+            values = getattr(color, f"{space}2rgb")(values.reshape(-1, 1, 3)).reshape(shape)
+    return np.clip(np.nan_to_num(values), 0.0, 1.0)
+
+
+def _without_negative_light(lab: Array) -> Array:
+    """Return colors of CIELAB with as much yellow at most as leaves no negative Z.
+
+    scikit-image clips Z too, but warns of it, and a filter of warnings is every thread's.
+    """
+    lightness, green_red, blue_yellow = np.moveaxis(lab, -1, 0)
+    # Z grows with (L + 16) / 116 - b / 200; a trace is left, so that rounding is no minus.
+    most = 200 * ((lightness + 16) / 116 - 1e-9)
+    return np.stack([lightness, green_red, np.minimum(blue_yellow, most)], axis=-1)
+
+
+def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return a metric of color as an array, after checking that it is one.
+
+    Parameters
+    ----------
+    metric : (3, 3) array, or (H, W, 3, 3), or (H, W)
+        Symmetric and positive semidefinite: one for all pixels or one each; a map of numbers
+        stands for these times the identity. (3, 3) is always one matrix.
+    shape : (H, W)
+        Of the image.
+
+    Returns
+    -------
+    (3, 3) or (H * W, 3, 3) array
+
+    Raises
+    ------
+    InputError
+        If it is no metric.
+    """
+    values = as_floats("color_metric", metric, "an array (3, 3), (H, W, 3, 3) or (H, W)")
+    constant = values.shape == (3, 3)
+    if values.shape == shape and not constant:
+        values = values[..., None, None] * np.eye(3)
+    if values.shape not in ((3, 3), (*shape, 3, 3)):
+        raise InputError(
+            f"the color metric has shape {values.shape}: expected (3, 3), or for an image of "
+            f"shape {shape} a map of shape {(*shape, 3, 3)} or {shape}"
+        )
+    if not np.all(np.isfinite(values)):
+        raise InputError("the color metric holds NaN or infinity: expected finite numbers")
+    values = values.reshape(-1, 3, 3)
+    size = np.abs(values).max(axis=(1, 2))
+    skew = np.abs(values - np.swapaxes(values, 1, 2)).max(axis=(1, 2))
+    if np.any(skew > 1e-9 * size):
+        raise InputError("the color metric is not symmetric: expected M equal to its transpose")
+    lowest = np.linalg.eigvalsh(values)[:, 0]
+    if np.any(lowest < -1e-9 * size) or size.max() > 1e6:
+        raise InputError(
+            "the color metric has a negative eigenvalue or entries above 1e6: expected a "
+            "positive semidefinite matrix, so that distances are real"
+        )
+    return values[0] if constant else values
+
+
+def square_root(metric: Array) -> Array:
+    """Return L with L L^T = M, for a semidefinite M (Cholesky's factor up to a rotation)."""
+    values, vectors = np.linalg.eigh(metric)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def _convert(colors: Array, space: str) -> Array:
+    if space == "linear":
+        return _decode(colors)
+    if space == "oklab":
+        return np.cbrt(_decode(colors) @ _TO_CONES.T) @ _TO_OPPONENTS.T
+    if space in ("lab", "luv"):
+        from skimage import color
+
+        # scikit-image divides by zero, harmlessly, at black in Luv.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            values = getattr(color, f"rgb2{space}")(colors.reshape(-1, 1, 3))
+        return np.asarray(values).reshape(colors.shape)
+    return colors
+
+
+@cache
+def _scale(space: str) -> float:
+    """Size of a space against sRGB: the ratio of their root mean square distances."""
+    if space == "srgb":
+        return 1.0
+    channel = np.linspace(0.0, 1.0, _SCALE_STEPS)
+    cube = np.stack(np.meshgrid(channel, channel, channel), axis=-1).reshape(-1, 3)
+    spread = [np.sum(np.var(values, axis=0)) for values in (_convert(cube, space), cube)]
+    return float(np.sqrt(spread[0] / spread[1]))
+
+
+def _decode(srgb: Array) -> Array:
+    """Linear light of sRGB values (IEC 61966-2-1)."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0) + 0.055) / 1.055) ** 2.4)
+
+
+def encode(light: Array) -> Array:
+    """Return sRGB values of linear light."""
+    positive = np.maximum(light, 0.0)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * positive ** (1 / 2.4) - 0.055)

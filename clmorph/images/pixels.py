@@ -1,0 +1,242 @@
+"""Images in, as arrays of sRGB values in [0, 1], with opacity where there is some."""
+
+import warnings
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clmorph._shared.arrays import as_array
+from clmorph._shared.printable import reason_of
+from clmorph._shared.validation import check_integer, check_max_pixels, is_path, shown
+from clmorph.errors import FileError, ImageWarning, InputError
+
+#: Pixels above which a file is refused before it is decoded, unless told otherwise.
+MAX_PIXELS = 64_000_000
+
+
+def as_pixels(
+    image: ArrayLike, name: str = "image", *, max_pixels: int | None = None
+) -> NDArray[np.float64]:
+    """Return an image as (H, W, 3) or (H, W, 4) float64 in [0, 1].
+
+    Parameters
+    ----------
+    image : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) array
+        uint8, uint16, bool, or float in [0, 1].
+    name : str
+        What messages call it.
+    max_pixels : int, optional
+        A larger image is refused.
+
+    Returns
+    -------
+    (H, W, 3) or (H, W, 4) array
+        With a fourth channel, opacity, if any pixel is not opaque; colors are not multiplied
+        by it.
+
+    Raises
+    ------
+    InputError
+        If the shape, dtype or values are not those of an image.
+    """
+    if isinstance(image, str | PathLike):
+        raise InputError(
+            f"{name} is a path: expected an array; use clmorph.read_image({shown(image)})"
+        )
+    expected = "shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) with H, W >= 1"
+    array = as_array(name, image, f"an image of {expected}")
+    shape = array.shape
+    if array.ndim == 2:
+        array = array[..., None]
+    if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or 0 in array.shape:
+        raise InputError(f"{name} has shape {shape}: expected {expected}")
+    if max_pixels is not None and array.shape[0] * array.shape[1] > max_pixels:
+        raise InputError(
+            f"{name} has shape {shape}: expected at most {max_pixels} pixels in all; reduce it "
+            "with clmorph.fit"
+        )
+    if array.dtype == np.bool_:
+        pixels = array.astype(float)
+    elif array.dtype.kind == "u" and array.dtype.itemsize <= 2:  # in any byte order
+        pixels = array / float(np.iinfo(array.dtype).max)
+    elif np.issubdtype(array.dtype, np.floating):
+        with np.errstate(over="ignore"):  # of numbers beyond float64, which are refused below
+            pixels = _checked_floats(array.astype(float), name)
+    else:
+        raise InputError(
+            f"{name} has dtype {array.dtype}: expected uint8, uint16, bool, or float in [0, 1]"
+        )
+    if pixels.shape[2] == 4:
+        return np.ascontiguousarray(pixels if np.any(pixels[..., 3] < 1) else pixels[..., :3])
+    return np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
+
+
+def _checked_floats(pixels: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    """Return floats, clipped in place to [0, 1], if that changes them by rounding alone."""
+    if not np.all(np.isfinite(pixels)):
+        raise InputError(f"{name} holds NaN or infinity: expected finite values in [0, 1]")
+    low, high = float(pixels.min()), float(pixels.max())
+    if low < -1e-6 or high > 1 + 1e-6:
+        raise InputError(
+            f"{name} holds values from {low:g} to {high:g}: expected [0, 1] for floats; "
+            "divide by the largest possible value"
+        )
+    return np.clip(pixels, 0.0, 1.0, out=pixels)
+
+
+def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
+    """Return an image as (H, W, 3) float64 in [0, 1], transparent parts laid on white.
+
+    Parameters and errors as `as_pixels`.
+    """
+    colors, alpha = split_alpha(as_pixels(image, name))
+    return colors if alpha is None else colors * alpha[..., None] + (1.0 - alpha[..., None])
+
+
+def to_bytes(frame: NDArray[Any]) -> NDArray[np.uint8]:
+    """Round a frame in [0, 1] to 8 bits; one that is, is returned as it is."""
+    if frame.dtype == np.uint8:
+        return frame
+    return np.round(np.clip(frame, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def split_alpha(
+    pixels: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Return (H, W, 3) colors and (H, W) opacity, None if all is opaque."""
+    if pixels.shape[2] == 3:
+        return pixels, None
+    return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3]
+
+
+def block_size(image: NDArray[np.float64]) -> int:
+    """Return k if an image is made of k x k blocks of one color each, as enlarged sprites are.
+
+    Parameters
+    ----------
+    image : (H, W, C) array
+
+    Returns
+    -------
+    int
+        The largest such k; 1 for anything else, images of a single color included.
+    """
+    sides = list(image.shape[:2])
+    for axis in (0, 1):
+        changes = np.any(np.diff(image, axis=axis) != 0, axis=(1 - axis, 2))
+        sides += [int(place) + 1 for place in np.flatnonzero(changes)]
+    return 1 if len(sides) == 2 else int(np.gcd.reduce(sides))
+
+
+def fit(image: ArrayLike, size: int) -> NDArray[np.float64]:
+    """Reduce an image so that its longer side has at most `size` pixels.
+
+    Parameters
+    ----------
+    image : array
+        See `as_pixels`.
+    size : int
+        Pixels; a smaller image is returned as it is.
+
+    Returns
+    -------
+    (H', W', 3) or (H', W', 4) array
+        The aspect ratio kept. Anti-aliased; but a sprite, made of blocks of k x k pixels,
+        keeps its blocks at the largest whole number of pixels that fits.
+    """
+    size = check_integer("size", size, 2, 1 << 16)
+    pixels = as_pixels(image)
+    height, width = pixels.shape[:2]
+    longer = max(height, width)
+    if longer <= size:
+        return pixels
+    block = block_size(pixels)
+    if longer // block <= size:
+        zoom = size // (longer // block)
+        return np.kron(pixels[::block, ::block], np.ones((zoom, zoom, 1))).astype(float)
+    from skimage.transform import resize
+
+    shape = [max(1, round(side * size / longer)) for side in (height, width)]
+    colors, alpha = split_alpha(pixels)
+    if alpha is None:
+        return np.clip(np.asarray(resize(pixels, (*shape, 3), order=1, anti_aliasing=True)), 0, 1)
+    # What cannot be seen must not bleed into what can: averages are weighted by opacity.
+    seen = np.dstack((colors * alpha[..., None], alpha))
+    seen = np.clip(np.asarray(resize(seen, (*shape, 4), order=1, anti_aliasing=True)), 0, 1)
+    opacity = seen[..., 3:]
+    colors = np.divide(seen[..., :3], opacity, out=np.zeros_like(seen[..., :3]), where=opacity > 0)
+    return np.dstack((np.clip(colors, 0, 1), opacity))
+
+
+def resized(image: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return an image (H, W, C) at another size (height, width), interpolated linearly."""
+    if image.shape[:2] == shape:
+        return image
+    from skimage.transform import resize
+
+    return np.asarray(resize(image, (*shape, image.shape[2]), order=1, mode="edge"))
+
+
+def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> NDArray[np.float64]:
+    """Read an image file.
+
+    Parameters
+    ----------
+    path : path
+        PNG, JPEG, WebP, AVIF, GIF, TIFF, BMP, JPEG 2000 or one of the others in
+        `reading.opening.FORMATS`; the first picture of an animation or of several pages. It
+        is turned as its Exif says. PNG and TIFF keep 16 bits, TIFF floats too.
+    max_pixels : int
+        A larger image is refused before it is decoded.
+
+    Returns
+    -------
+    (H, W, 3) array, or (H, W, 4) if parts are transparent
+        sRGB in [0, 1], and opacity. Colors with a profile are converted by it, those of a PNG
+        by its gamma; others are taken as sRGB.
+
+    Raises
+    ------
+    InputError
+        If an argument is no path, or no number of pixels.
+    FileError
+        An InputError: if the file is missing, unreadable, too large or not an image.
+
+    Warns
+    -----
+    ImageWarning
+        If only the first of several pictures is taken, a color profile cannot be used, or bits
+        are lost.
+    """
+    max_pixels = check_max_pixels(max_pixels)
+    if not is_path(path):
+        raise InputError(f"path={shown(path)}: expected the path of an image, such as 'photo.png'")
+    from clmorph.images.reading.decoding import decode
+    from clmorph.images.reading.opening import REASON_LENGTH
+
+    file = Path(path)
+    name = str(file)
+    try:
+        if not file.exists():
+            raise FileError(f"{name}: no such file; expected an image such as a PNG or a JPEG")
+        if not file.is_file():
+            raise FileError(f"{name} is not a file; expected an image such as a PNG or a JPEG")
+        decoded, notes = decode(file, max_pixels)
+        pixels = as_pixels(decoded, name)
+    except InputError:
+        raise
+    except PermissionError as error:
+        raise FileError(f"{name} may not be read; change its permissions") from error
+    except MemoryError as error:
+        raise FileError(f"{name} does not fit into memory; reduce it first") from error
+    except Exception as error:
+        # What decoders raise for a damaged file is without end: nothing but them is run here.
+        raise FileError(
+            f"{name} cannot be decoded ({reason_of(error, REASON_LENGTH)}); is it complete?"
+        ) from error
+    for note in notes:
+        warnings.warn(f"{name} has {note}", ImageWarning, stacklevel=2)
+    return pixels

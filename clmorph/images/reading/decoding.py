@@ -1,0 +1,271 @@
+"""Decode image files: bytes from anywhere to arrays of sRGB, in bounded time and memory.
+
+Whatever a file holds, nothing that the process shares is changed. Metadata are read by
+`reading.tags`, which does not warn, sizes are checked by `clmorph.images.reading.opening`.
+"""
+
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.images.reading import tags, tiff
+from clmorph.images.reading.deep import (
+    GRAY_16,
+    deep_samples,
+    is_reduced,
+    of_deep_png,
+    raw_mode,
+    tiles_of,
+)
+from clmorph.images.reading.opening import Reader, check_size, open_picture
+from clmorph.images.reading.profiles import from_gamma, is_srgb, to_srgb
+
+Decoded = tuple[NDArray[Any], list[str]]
+
+
+def decode(file: Path, max_pixels: int) -> Decoded:
+    """Decode the first picture of a file.
+
+    Parameters
+    ----------
+    file : Path
+    max_pixels : int
+        A larger image is refused before it is decoded.
+
+    Returns
+    -------
+    (H, W), (H, W, 3) or (H, W, 4) array
+        sRGB as `clmorph.images.pixels.as_pixels` takes it; floats are not checked.
+    list of str
+        What is to be noted, as it would follow the name of the file and "has".
+
+    Raises
+    ------
+    FileError
+        If it is missing, too large, or of a kind that is not read.
+    Exception
+        Of any kind, if it is damaged: whatever its decoder raises.
+    """
+    with Reader(file) as stream:
+        if stream.read(4) in tiff.SIGNATURES:
+            return _decode_tiff(file, stream, max_pixels)
+        picture = open_picture(file, stream, max_pixels)
+        with picture:
+            return _decode_picture(file, picture)
+
+
+def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
+    """Decode the first full picture of a TIFF."""
+    from PIL.TiffImagePlugin import TiffImageFile
+
+    name = str(file)
+    layout, page, more = tiff.open_page(stream)
+    check_size(file, (layout.width, layout.height), max_pixels)
+    tiff.check_layout(name, layout, max_pixels)
+    notes = ["several pages: its first is taken"] if more else []
+    if tiff.by_tifffile(layout):
+        samples, turned = tiff.read_samples(file, page, layout), layout.orientation
+    else:
+        stream.seek(0)
+        try:
+            opened = TiffImageFile(stream, str(file))
+            opened.seek(page)
+        except SyntaxError as error:
+            raise tiff.not_read(name, layout) from error
+        with opened as picture:
+            if picture.size not in ((layout.width, layout.height), (layout.height, layout.width)):
+                raise ValueError("its tags contradict each other")
+            if layout.bits <= 8:
+                return _decode_picture(file, picture, layout.profile, notes)
+            samples = _compressed_samples(file, picture, page, layout)
+            turned = _rest_to_turn(picture)
+    colors, alpha = tiff.interpret(name, samples, layout)
+    return _finished(colors, alpha, layout.profile, turned, notes)
+
+
+def _compressed_samples(file: Path, picture: Any, page: int, layout: tiff.Layout) -> NDArray[Any]:
+    """Decode a TIFF of more than 8 bits by Pillow: (H, W, samples) array."""
+    samples: NDArray[Any] | None = deep_samples(picture, file, page)
+    if samples is None and picture.mode in (*GRAY_16, "F"):
+        samples = np.asarray(picture)
+        samples = samples / 4095.0 if layout.bits == 12 else samples
+    if samples is None:
+        raise tiff.not_read(str(file), layout)
+    return samples.reshape(*samples.shape[:2], -1)
+
+
+def _rest_to_turn(picture: Any) -> int:
+    """Return the orientation of a TIFF that Pillow has decoded: newer versions turn it."""
+    turned = picture.getexif().get(tags.ORIENTATION, 1)
+    return turned if turned in range(1, 9) else 1
+
+
+def _decode_picture(
+    file: Path, picture: Any, profile: bytes | None = None, notes: list[str] | None = None
+) -> Decoded:
+    """Decode what Pillow has opened."""
+    notes = list(notes or [])
+    kind = picture.format
+    shown = picture.tile[0][1] if kind == "GIF" and picture.tile else None
+    reduced = is_reduced(picture)
+    deep = deep_samples(picture, file) if kind == "PNG" and not _in_icon(file) else None
+    if deep is not None:
+        colors, alpha = of_deep_png(deep, picture.info.get("transparency"))
+    else:
+        if reduced:
+            notes.append("more than 8 bits a sample: they are reduced to 8")
+        colors, alpha = _split(picture)
+    if shown is not None and shown != (0, 0, *picture.size):
+        # Around the first picture of an animation there is nothing yet.
+        inside = np.zeros(picture.size[::-1], np.uint8)
+        inside[shown[1] : shown[3], shown[0] : shown[2]] = 255
+        alpha = inside if alpha is None else np.minimum(alpha, inside)
+    turned = _rest_to_turn(picture) if kind == "TIFF" else _orientation(picture.info)
+    profile = profile or picture.info.get("icc_profile")
+    if kind == "PNG" and not profile and "srgb" not in picture.info:
+        gamma, primaries = (picture.info.get(name) for name in ("gamma", "chromaticity"))
+        pixels = colors if isinstance(colors, np.ndarray) else np.asarray(colors)
+        colors, note = from_gamma(pixels, gamma, primaries)
+        notes += [note] if note else []
+    if _is_animated(picture):
+        notes.append("several pictures: its first is taken")
+    return _finished(colors, alpha, profile, turned, notes)
+
+
+def _in_icon(file: Path) -> bool:
+    """Return whether a PNG is only a part of its file, which cannot be opened again as one."""
+    with Reader(file) as stream:
+        return stream.read(4) == b"\0\0\1\0"
+
+
+#: Of Pillow's formats, those that show one picture after the other.
+_ANIMATED = ("GIF", "PNG", "WEBP", "AVIF")
+
+
+def _is_animated(picture: Any) -> bool:
+    try:
+        return picture.format in _ANIMATED and bool(getattr(picture, "is_animated", False))
+    except Exception:  # a damaged second picture, which is not asked for
+        return False
+
+
+def _split(picture: Any) -> tuple[Any, NDArray[Any] | None]:
+    """Return colors, and opacity if there is any, of a Pillow image.
+
+    Colors are an image of mode L, RGB, CMYK or LAB, or an array of 16-bit or float gray.
+    """
+    tile = next(map(raw_mode, tiles_of(picture)), "")
+    picture.load()
+    transparent = picture.info.get("transparency")
+    if picture.mode in (*GRAY_16, "I"):
+        if picture.mode == "I" and picture.format not in ("PNG", "PPM"):
+            raise ValueError("its samples are signed or of more than 16 bits")
+        gray = np.clip(np.asarray(picture), 0, 65535).astype(np.uint16)
+        if picture.format == "PNG" and isinstance(transparent, int):
+            return gray, (gray != transparent) * np.uint16(65535)
+        return gray, None
+    if picture.mode == "F":
+        return np.asarray(picture), None
+    if picture.mode in ("CMYK", "LAB"):
+        return picture, None
+    if picture.mode in ("1", "L"):
+        gray = picture.convert("L")
+        if not isinstance(transparent, int):
+            return gray, None
+        # PNG counts in the levels that are stored, Pillow in 256.
+        transparent *= {"L;2": 85, "L;4": 17}.get(tile, 1)
+        return gray, (np.asarray(gray) != transparent) * np.uint8(255)
+    if picture.mode == "RGB" and isinstance(transparent, tuple):
+        return picture, np.any(np.asarray(picture) != transparent, axis=2) * np.uint8(255)
+    if picture.mode in ("LA", "La"):
+        whole = picture.convert("LA")
+        return whole.getchannel("L"), np.asarray(whole.getchannel("A"))
+    if picture.mode in ("PA", "RGBA", "RGBa") or (picture.mode == "P" and transparent is not None):
+        whole = picture.convert("RGBA")
+        return whole.convert("RGB"), np.asarray(whole.getchannel("A"))
+    return picture.convert("RGB"), None
+
+
+def _orientation(info: dict[Any, Any]) -> int:
+    """Return how a picture lies, as its Exif tells, or its XMP."""
+    exif = info.get("exif")
+    raw = info.get("Raw profile type exif")
+    if not exif and isinstance(raw, str):  # older versions of ImageMagick
+        try:
+            exif = bytes.fromhex("".join(raw.split("\n")[3:]))
+        except ValueError:  # damaged, which the picture need not be
+            exif = None
+    turned = tags.exif_orientation(exif) if isinstance(exif, bytes) else None
+    # Programs that turn a picture write so in Exif, and often forget the copy in XMP.
+    if turned is not None:
+        return turned
+    xmp = info.get("xmp") or info.get("XML:com.adobe.xmp") or b""
+    return tags.xmp_orientation(xmp.encode() if isinstance(xmp, str) else bytes(xmp))
+
+
+def _finished(
+    colors: Any, alpha: NDArray[Any] | None, profile: bytes | None, turned: int, notes: list[str]
+) -> Decoded:
+    """Return sRGB with opacity, as it is looked at.
+
+    Parameters
+    ----------
+    colors : PIL.Image.Image or array
+        Of mode L, RGB, CMYK or LAB; (H, W), (H, W, 3) or (H, W, 4), the last being CMYK.
+    alpha : (H, W) array, optional
+    profile : bytes, optional
+    turned : int
+        As Exif counts.
+    notes : list of str
+    """
+    profile = None if profile and is_srgb(profile) else profile
+    if isinstance(colors, np.ndarray):
+        if profile and _in_range(colors):
+            if colors.dtype != np.uint8:
+                notes = [*notes, "a color profile: 8 bits of its samples are kept to apply it"]
+            colors, note = to_srgb(_as_picture(colors), profile)
+            notes = [*notes, note] if note else notes
+        elif colors.shape[2:] == (4,):
+            colors = tiff.ink_to_rgb(colors)
+    else:
+        colors, note = to_srgb(colors, profile)
+        notes = [*notes, note] if note else notes
+    if alpha is not None:
+        if colors.dtype != alpha.dtype:
+            colors, alpha = _as_float(colors), _as_float(alpha)
+        colors = np.dstack(
+            (np.broadcast_to(colors.reshape(*alpha.shape, -1), (*alpha.shape, 3)), alpha)
+        )
+    return _turned(colors, turned), notes
+
+
+def _in_range(colors: NDArray[Any]) -> bool:
+    """Return whether floats are in [0, 1]; others are refused later."""
+    return colors.dtype.kind == "u" or bool(np.all((colors >= 0) & (colors <= 1)))
+
+
+def _as_float(values: NDArray[Any]) -> NDArray[Any]:
+    return values if values.dtype.kind == "f" else values / float(np.iinfo(values.dtype).max)
+
+
+def _as_picture(colors: NDArray[Any]) -> Any:
+    """Return an array of samples as a Pillow image of 8 bits: L, RGB or CMYK."""
+    from PIL import Image
+
+    if colors.dtype != np.uint8:
+        colors = np.round(_as_float(colors) * 255).astype(np.uint8)
+    mode = "L" if colors.ndim == 2 else {3: "RGB", 4: "CMYK"}[colors.shape[2]]
+    return Image.frombytes(mode, colors.shape[1::-1], np.ascontiguousarray(colors).tobytes())
+
+
+def _turned(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """Return pixels as they are looked at, by Exif's number of how they lie."""
+    if orientation in (5, 6, 7, 8):  # rows are columns
+        pixels = np.swapaxes(pixels, 0, 1)
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    return pixels

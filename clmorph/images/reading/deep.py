@@ -1,0 +1,97 @@
+"""16 bits a sample out of Pillow, which keeps the upper 8 of them in colors."""
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.images.reading.opening import Reader
+
+#: Modes of Pillow that hold 16 bits of gray.
+GRAY_16 = ("I;16", "I;16B", "I;16L", "I;16N")
+#: 16 bits of each sample, of which Pillow keeps the upper 8: most significant first, or last.
+_DEEP = re.compile(r"(RGBX?|RGBA|RGBa|CMYK);16([BLN])")
+
+
+def deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] | None:
+    """Decode 16 bits a sample, of which Pillow would keep 8; None if it would not.
+
+    The letter of the byte order tells Pillow which byte of each sample to keep. Decoding a second
+    time with the other letter yields the other byte.
+
+    Parameters
+    ----------
+    picture : PIL.ImageFile.ImageFile
+        Not decoded yet.
+    file : Path
+        To be opened once more.
+    page : int
+        Which of its pictures it is.
+
+    Returns
+    -------
+    (H, W, 2 to 4) array or None
+    """
+    tiles = [raw_mode(tile) for tile in tiles_of(picture)]
+    if tiles == ["LA;16B"]:  # four bytes a pixel, as RGBA has
+        picture.tile = [_with_raw_mode(tile, "RGBA") for tile in picture.tile]
+        bytes_ = np.asarray(picture).astype(np.uint16)
+        return np.asarray(bytes_[..., ::2] << 8 | bytes_[..., 1::2], np.uint16)
+    if not tiles or not all(_DEEP.fullmatch(tile) for tile in tiles):
+        return None
+    upper = tiles[0][-1]
+    upper = {"little": "L", "big": "B"}[sys.byteorder] if upper == "N" else upper
+    with Reader(file) as stream, type(picture)(stream, str(file)) as again:
+        again.seek(page)
+        halves = []
+        for opened, letter in ((picture, upper), (again, "L" if upper == "B" else "B")):
+            # RGBa would be divided by its opacity, half by half.
+            opened.tile = [
+                _with_raw_mode(tile, f"{raw_mode(tile)[:-1].upper()}{letter}")
+                for tile in opened.tile
+            ]
+            halves.append(np.asarray(opened).astype(np.uint16))
+    return np.asarray(halves[0] << 8 | halves[1], np.uint16)
+
+
+def tiles_of(picture: Any) -> Any:
+    """Return the parts of a file that are to be decoded; none of what Pillow has decoded."""
+    return getattr(picture, "tile", ())
+
+
+def raw_mode(tile: Any) -> str:
+    """Return how a part of a file is stored, as Pillow tells its decoder."""
+    args = tile[3][0] if isinstance(tile[3], tuple) and tile[3] else tile[3]
+    return args if isinstance(args, str) else ""
+
+
+def _with_raw_mode(tile: Any, mode: str) -> Any:
+    """Return a part of a file, stored in another way."""
+    args = (mode, *tile[3][1:]) if isinstance(tile[3], tuple) else mode
+    changed = (*tile[:3], args)
+    return tile._make(changed) if hasattr(tile, "_make") else changed
+
+
+def is_reduced(picture: Any) -> bool:
+    """Return whether Pillow keeps 8 bits of more."""
+    for tile in tiles_of(picture):
+        most = tile[3][-1] if tile[0] == "ppm" else 0
+        if ";16" in raw_mode(tile) or tile[0] == "SGI16" or (isinstance(most, int) and most > 255):
+            return picture.mode not in (*GRAY_16, "I", "F")
+    return False
+
+
+def of_deep_png(
+    samples: NDArray[np.uint16], transparent: Any
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16] | None]:
+    """Return the colors and the opacity of a PNG of 16 bits, not gray alone."""
+    if samples.shape[2] == 2:
+        return samples[..., 0], samples[..., 1]
+    if samples.shape[2] == 4:
+        return samples[..., :3], samples[..., 3]
+    if isinstance(transparent, tuple):
+        return samples, np.any(samples != transparent, axis=2) * np.uint16(65535)
+    return samples, None

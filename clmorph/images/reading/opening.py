@@ -1,0 +1,201 @@
+"""Open image files by Pillow, to the point where the size is known and nothing is decoded.
+
+Nothing global is changed, not for a moment: plugins are opened by themselves, without the check
+of size in `PIL.Image.open` that depends on a variable of the module; the size is checked here.
+"""
+
+import io
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from clmorph._shared.printable import printable
+from clmorph.errors import FileError
+
+#: Formats of Pillow that are read, the unmistakable ones first. Left out are those that run other
+#: programs (EPS, WMF), that decode nothing (stubs), or that hold other pictures (ICNS).
+FORMATS = (
+    "PNG", "JPEG", "WEBP", "GIF", "TIFF", "AVIF", "JPEG2000", "ICO", "BMP", "QOI", "PSD", "DDS",
+    "SGI", "PPM", "DIB", "PCX",
+)  # fmt: skip
+#: A format without a signature: only names tell.
+TGA_ENDINGS = (".tga", ".icb", ".vda", ".vst")
+#: Characters that what a library says may take in a message.
+REASON_LENGTH = 120
+#: Kinds of files that are not read, but named in the message: where their signature begins, and
+#: their signatures.
+_UNREAD = (
+    ("a HEIC picture", 4, (b"ftyphei", b"ftyphev", b"ftypmif1", b"ftypmsf1")),
+    ("a JPEG XL picture", 0, (b"\xff\x0a", b"\0\0\0\x0cJXL ")),
+    ("a PDF document", 0, (b"%PDF",)),
+    ("an SVG drawing", 0, (b"<svg",)),
+    ("an XML document, such as SVG", 0, (b"<?xml",)),
+    ("a GIMP picture", 0, (b"gimp xcf",)),
+    ("an OpenEXR picture", 0, (b"v/1\x01",)),
+    ("a Radiance picture", 0, (b"#?RADIANCE", b"#?RGBE")),
+)
+#: Scans of a progressive JPEG, each of which is work for all its pixels; encoders write about ten.
+MAX_SCANS = 64
+#: As many are read of any picture that is not too large.
+_ORDINARY_SCANS = 16
+#: Pixels of all scans together, however few pixels are allowed.
+MAX_SCANNED = 1 << 30
+
+
+class Reader(io.BufferedReader):
+    """A file that is never asked for more than it has: decoders ask for what its sizes say."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__(io.FileIO(file))
+        self._end = self.seek(0, 2)
+        self.seek(0)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return up to so many bytes, all that are left by default."""
+        left = max(0, self._end - self.tell())
+        return super().read(left if size is None or size < 0 else min(size, left))
+
+
+def check_size(file: Path, size: tuple[int, int], max_pixels: int) -> None:
+    """Raise FileError if a picture has too many pixels, or none."""
+    width, height = size
+    if width < 1 or height < 1:
+        raise ValueError("it has no pixels")
+    if width * height > max_pixels:
+        raise FileError(
+            f"{file} has {width} x {height} pixels: expected at most {max_pixels} in "
+            "all; reduce it, or raise the limit (--max-pixels, max_pixels)"
+        )
+
+
+def open_picture(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
+    """Return a Pillow image that is not decoded yet, its size checked."""
+    from PIL import Image
+
+    stream.seek(0)
+    start = stream.read(64)
+    fault = ""
+    # Most files are of the few kinds that are loaded first; all take a while.
+    for load in (Image.preinit, Image.init):
+        load()
+        for name in FORMATS + (("TGA",) if file.suffix.lower() in TGA_ENDINGS else ()):
+            accepted = _accepts(name, start, unsigned=True)
+            if isinstance(accepted, str):  # this build of Pillow lacks it
+                fault = printable(accepted, REASON_LENGTH)
+            elif accepted:
+                return _opened(name, file, stream, max_pixels)
+    kind = _unread_kind(start)
+    told = (
+        f"{file} is {kind}, which is not read" if kind else f"{file} is not an image that is read"
+    )
+    expected = fault or "expected a PNG, JPEG or similar"
+    raise FileError(f"{told}; {expected}; convert it to PNG")
+
+
+def _opened(name: str, file: Path, stream: IO[bytes], max_pixels: int) -> Any:
+    """Open a file of a kind."""
+    from PIL import Image
+
+    stream.seek(0)
+    if name == "ICO":
+        picture = _open_icon(file, stream, max_pixels)
+    else:
+        picture = Image.OPEN[name][0](stream, str(file))
+    check_size(file, picture.size, max_pixels)
+    if name == "JPEG":
+        _check_scans(file, stream, picture.size, max_pixels)
+    return picture
+
+
+def _accepts(name: str, start: bytes, unsigned: bool = False) -> bool | str:
+    """Return what a plugin says to the first bytes of a file.
+
+    Parameters
+    ----------
+    name : str
+        What Pillow calls it; one that is not there accepts nothing.
+    start : bytes
+        Too few can be a fault of the plugin's.
+    unsigned : bool
+        What is returned for a format without a signature.
+    """
+    from PIL import Image
+
+    if name == "AVIF" and b"avi" not in start:  # HEIC is of the same family
+        return False
+    factory, accept = Image.OPEN.get(name, (None, None))
+    if factory is None or accept is None:
+        return factory is not None and unsigned
+    try:
+        return accept(start)
+    except (IndexError, struct.error):
+        return False
+
+
+def _unread_kind(start: bytes) -> str:
+    """Return the kind of a file that is not read, or "" if it is unknown."""
+    from PIL import Image
+
+    for kind, place, marks in _UNREAD:
+        if start[place:].startswith(marks):
+            return kind
+    for name in Image.OPEN:
+        if name not in FORMATS and _accepts(name, start) is True:
+            return f"a file of the kind {name}"
+    return ""
+
+
+def _open_icon(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
+    """Open the largest picture of an icon, its size checked: Pillow decodes it at once."""
+    from PIL.IcoImagePlugin import IcoFile
+
+    icon = IcoFile(stream)
+    if not icon.entry:
+        raise ValueError("it holds no picture")
+    entry: Any = icon.entry[0]
+    stream.seek(entry["offset"] if isinstance(entry, dict) else entry.offset)
+    start = stream.read(24)
+    if start.startswith(b"\x89PNG"):
+        check_size(file, struct.unpack(">II", start[16:24]), max_pixels)
+    else:  # a bitmap, its mask below it
+        width, height = struct.unpack("<ii", start[4:12])
+        check_size(file, (width, abs(height) // 2), max_pixels)
+    return icon.frame(0)
+
+
+def _check_scans(file: Path, stream: IO[bytes], size: tuple[int, int], max_pixels: int) -> None:
+    """Raise FileError if a JPEG has more scans than encoders write, or than can be waited for."""
+    place = stream.tell()
+    stream.seek(0)
+    scans = sum(marker == 0xDA for marker in _markers(stream))
+    stream.seek(place)
+    most = max(MAX_SCANNED, _ORDINARY_SCANS * max_pixels) // (size[0] * size[1])
+    if scans > 1 and scans > min(most, MAX_SCANS):
+        counted = f"more than {MAX_SCANS}" if scans > MAX_SCANS else str(scans)
+        raise FileError(
+            f"{file} is a progressive JPEG of {counted} scans: expected at most "
+            f"{min(most, MAX_SCANS)} of {size[0]} x {size[1]} pixels; save it as a plain JPEG "
+            "or as PNG"
+        )
+
+
+def _markers(stream: IO[bytes]) -> Iterator[int]:
+    """Yield the markers of a JPEG up to its end; few files have more than a hundred."""
+    data = stream.read()
+    place, scans = 2, 0
+    while scans <= MAX_SCANS:
+        place = data.find(b"\xff", place)
+        if place < 0 or place + 4 > len(data):
+            return
+        marker = data[place + 1]
+        if marker == 0xD9:
+            return
+        if marker == 0xFF:
+            place += 1
+        elif marker in (0x00, 0x01) or 0xD0 <= marker <= 0xD8:
+            place += 2
+        else:
+            yield marker
+            scans += marker == 0xDA
+            place += 2 + int.from_bytes(data[place + 2 : place + 4], "big")

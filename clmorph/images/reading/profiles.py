@@ -1,0 +1,161 @@
+"""Colors of a file, whatever they are stored as, to sRGB."""
+
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.printable import printable
+from clmorph.images.color import encode
+
+#: What ICC calls the colors of a profile, and which of Pillow's modes hold such.
+_SPACES = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab": "LAB"}
+#: Of Little CMS; Pillow names them by other names in each version.
+_BLACK_POINT_COMPENSATION, _NO_TABLES = 0x2000, 0x0100
+#: PNG's exponent of sRGB, and its primaries: white, red, green, blue.
+_SRGB_GAMMA = 0.45455
+#: Relative difference up to which a gamma is taken for sRGB's, as libpng does: encoders write 0.45,
+#: 1 / 2.2 or 1 / 2.3 and mean sRGB.
+_GAMMA_TOLERANCE = 0.05
+#: Levels of 255 by which sRGB profiles of different makers differ.
+_PROFILE_TOLERANCE = 2
+_SRGB_CHROMATICITY = (0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
+
+
+def to_srgb(picture: Any, profile: bytes | None) -> tuple[NDArray[np.uint8], str]:
+    """Convert the colors of a Pillow image by its profile.
+
+    Parameters
+    ----------
+    picture : PIL.Image.Image
+        Of mode L, RGB, CMYK or LAB.
+    profile : bytes, optional
+        ICC; without one, RGB and gray are sRGB and CMYK is plain ink on white.
+
+    Returns
+    -------
+    (H, W) or (H, W, 3) array
+        sRGB.
+    str
+        What is to be noted, "" if nothing.
+    """
+    from PIL import ImageCms
+
+    try:
+        if picture.mode == "LAB" and not profile:
+            return _converted(picture, ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB"))), ""
+        if not profile:
+            return _plain(picture), ""
+        source, mode = _source(profile)
+        if mode == "RGB" and picture.mode == "L":
+            picture = picture.convert("RGB")
+        if picture.mode == mode:
+            return _converted(picture, source), ""
+        profile_fault = f"is for other colors than its {picture.mode}"
+    except _faults() as error:
+        if picture.mode == "LAB":
+            raise ValueError(f"its CIELAB colors cannot be converted: {error}") from error
+        profile_fault = "cannot be used"
+    return _plain(picture), (
+        f"a color profile, {_name(profile or b'')}, that {profile_fault}: the colors are taken as "
+        "sRGB; convert the image to sRGB first for exact ones"
+    )
+
+
+def _plain(picture: Any) -> NDArray[np.uint8]:
+    return np.asarray(picture if picture.mode in ("L", "RGB") else picture.convert("RGB"))
+
+
+def _converted(picture: Any, source: Any) -> NDArray[np.uint8]:
+    from PIL import Image, ImageCms
+
+    target = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB"))
+    flags: Any = _BLACK_POINT_COMPENSATION
+    levels = None
+    if picture.mode == "L":  # few enough to be converted exactly, which takes a while
+        levels = Image.fromarray(np.arange(256, dtype=np.uint8)[None])
+        flags |= _NO_TABLES
+    made = ImageCms.profileToProfile(
+        levels or picture, source, target, ImageCms.Intent.RELATIVE_COLORIMETRIC, "RGB",
+        flags=flags,
+    )  # fmt: skip
+    return np.asarray(made)[0][np.asarray(picture)] if levels else np.asarray(made)
+
+
+def _name(profile: bytes) -> str:
+    """Return what a profile calls itself, quoted."""
+    from PIL import ImageCms
+
+    try:
+        name = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(BytesIO(profile)))
+    except _faults():
+        return "unreadable"
+    return repr(printable(" ".join(name.split()), 60))
+
+
+def is_srgb(profile: bytes) -> bool:
+    """Return whether a profile is sRGB's, by what it does: names are given to others too."""
+    from PIL import Image
+
+    try:
+        source, mode = _source(profile)
+        levels = np.arange(256, dtype=np.uint8)
+        if mode == "L":
+            ramp = levels[None]
+        elif mode == "RGB":  # gray, red, green and blue
+            ramp = levels[None, :, None] * np.array([(1, 1, 1), *np.eye(3)], np.uint8)[:, None]
+        else:
+            return False
+        made = _converted(Image.fromarray(ramp), source).astype(int)
+    except _faults():
+        return False
+    return bool(np.all(np.abs(made - ramp.reshape(len(ramp), 256, -1)) <= _PROFILE_TOLERANCE))
+
+
+def _source(profile: bytes) -> tuple[Any, str]:
+    """Return a profile that is opened, and which of Pillow's modes it is for, "" if for none."""
+    from PIL import ImageCms
+
+    source = ImageCms.ImageCmsProfile(BytesIO(profile))
+    return source, _SPACES.get(source.profile.xcolor_space.strip(), "")
+
+
+def _faults() -> tuple[type[Exception], ...]:
+    """Return what Pillow raises if it cannot use a profile."""
+    from PIL import ImageCms
+
+    return ImageCms.PyCMSError, ImportError, OSError, ValueError, TypeError
+
+
+def from_gamma(
+    pixels: NDArray[Any], gamma: float | None, chromaticity: tuple[float, ...] | None
+) -> tuple[NDArray[Any], str]:
+    """Convert the colors of a PNG whose chunk gAMA says how they are stored.
+
+    Parameters
+    ----------
+    pixels : (H, W) or (H, W, 3) array
+        uint8 or uint16.
+    gamma : float, optional
+        A value is light to the power of this.
+    chromaticity : 8 floats, optional
+        The chunk cHRM: x and y of white, red, green and blue.
+
+    Returns
+    -------
+    array
+        sRGB; the same if there is nothing to do.
+    str
+        What is to be noted, "" if nothing.
+    """
+    note = ""
+    if chromaticity and not np.allclose(chromaticity, _SRGB_CHROMATICITY, atol=0.005):
+        note = "primaries of its own (cHRM): they are taken as those of sRGB"
+    if gamma is None or abs(gamma / _SRGB_GAMMA - 1) < _GAMMA_TOLERANCE or not 0.05 <= gamma <= 20:
+        return pixels, note
+    largest = np.iinfo(pixels.dtype).max
+    light = (np.arange(largest + 1) / largest) ** (1 / gamma)
+    stored = encode(light)
+    # 8 bits of light are too few for the shadows of sRGB to be told apart once more.
+    return np.round(stored * 65535).astype(np.uint16)[pixels], note

@@ -1,0 +1,86 @@
+"""Two images become two measures that can be compared."""
+
+from dataclasses import replace
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from clmorph._shared.arrays import as_array
+from clmorph.errors import InputError
+from clmorph.measures.lift import Measure, lift
+from clmorph.pipeline import presets as defaults
+
+
+def lift_pair(
+    images: tuple[ArrayLike, ArrayLike],
+    color_weight: float = defaults.COLOR_WEIGHT,
+    *,
+    weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
+    mass: str = "uniform",
+    extent: str = "true",
+    color_space: str = "srgb",
+    color_metric: ArrayLike | None = None,
+) -> tuple[Measure, Measure]:
+    """Lift two images alike, as `clmorph.morph` does.
+
+    Parameters
+    ----------
+    images : (source, target)
+        See `clmorph.images.pixels.as_pixels`.
+    color_weight, mass, extent, color_space
+        See `clmorph.lift`.
+    weights : (map_a, map_b), optional
+        Maps (H, W) of mass, taken as they are; None stands for `mass`, with as much in all as
+        the other's map.
+    color_metric : (3, 3), (H, W, 3, 3) or (H, W) array, optional
+        See `clmorph.lift`; a map belongs to the source alone.
+
+    Returns
+    -------
+    source, target : Measure
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+    """
+    maps = _pair_of_weights(weights)
+    source, target = (
+        lift(
+            image, color_weight, weights=given, mass=mass, extent=extent,
+            color_space=color_space, color_metric=metric,
+        )
+        for image, given, metric in zip(images, maps, _metrics(color_metric), strict=True)
+    )  # fmt: skip
+    return _of_equal_mass(source, target, maps)
+
+
+def _pair_of_weights(weights: Any) -> tuple[Any, Any]:
+    """Return the maps of mass of both images."""
+    if weights is None:
+        return None, None
+    if not isinstance(weights, tuple | list) or len(weights) != 2:
+        raise InputError(
+            "weights: expected a pair of maps (H, W), one for each image; None in it stands for "
+            "the rule that `mass` names"
+        )
+    return weights[0], weights[1]
+
+
+def _of_equal_mass(
+    source: Measure, target: Measure, maps: tuple[Any, Any]
+) -> tuple[Measure, Measure]:
+    """Give an image without a map of mass as much of it as the other's map has."""
+    if maps[0] is None and maps[1] is not None:
+        source = replace(source, weights=source.weights * (target.mass / source.mass))
+    if maps[1] is None and maps[0] is not None:
+        target = replace(target, weights=target.weights * (source.mass / target.mass))
+    return source, target
+
+
+def _metrics(metric: ArrayLike | None) -> tuple[Any, Any]:
+    """Return the color metrics of source and target: a map belongs to the source alone."""
+    if metric is None:
+        return None, None
+    array = as_array("color_metric", metric, "an array (3, 3), (H, W, 3, 3) or (H, W)")
+    return array, array if array.shape == (3, 3) else None

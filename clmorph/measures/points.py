@@ -1,0 +1,238 @@
+"""Weighted points that are not an image: any dimension up to 11, any unit."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clmorph._shared.arrays import as_floats
+from clmorph._shared.printable import printable
+from clmorph.backends.interface import MAX_DIMENSION, MAX_POINTS
+from clmorph.errors import InputError
+from clmorph.measures.lift import Measure, check_masses, check_measure
+
+#: Largest coordinate, in the unit of blur and reach.
+MAX_COORDINATE = 1e6
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class WeightedPoints:
+    """A sum of Diracs in R^D.
+
+    Attributes
+    ----------
+    points : (N, D) array
+    weights : (N,) array
+        Masses, at least 0.
+    offsets : (N,) array, optional
+        Added to the cost of each point.
+    """
+
+    points: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    offsets: NDArray[np.float64] | None = None
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} WeightedPoints in {self.points.shape[1]}D, mass {self.mass:g}>"
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    @property
+    def mass(self) -> float:
+        """Total mass."""
+        return float(self.weights.sum())
+
+
+#: What the solver transports.
+AnyMeasure = Measure | WeightedPoints
+#: What the public functions take: a measure, or (weights (N,), points (N, D) or (N,)).
+MeasureLike = AnyMeasure | tuple[ArrayLike, ArrayLike]
+
+
+def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
+    """Return two measures with points in one space.
+
+    Parameters
+    ----------
+    source, target : Measure, WeightedPoints, or (weights, points)
+
+    Returns
+    -------
+    two of Measure or WeightedPoints
+        C_ij = |X_i - Y_j|^2 / 2, plus their `offsets` if they have some.
+
+    Raises
+    ------
+    InputError
+        If they are no measures, or not of one space.
+    """
+    pair = as_measures(source, target)
+    if isinstance(pair[0], Measure) and isinstance(pair[1], Measure) and pair[0].has_metric_map:
+        return _bilinear(pair[0], pair[1])
+    return pair
+
+
+def as_measures(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
+    """Return two measures that can be compared, see `as_pair`, as they are."""
+    pair = as_measure("source", source), as_measure("target", target)
+    if isinstance(pair[0], Measure) and isinstance(pair[1], Measure):
+        for name in ("color_weight", "extent", "color_space"):
+            ours, theirs = getattr(pair[0], name), getattr(pair[1], name)
+            if ours != theirs:
+                raise InputError(
+                    f"source has {name}={ours!r}, target {theirs!r}: lift both with the same"
+                )
+        ours, theirs = pair[0].color_metric, pair[1].color_metric
+        alike = ours is theirs if ours is None or theirs is None else np.array_equal(ours, theirs)
+        if pair[1].has_metric_map or not (alike or (pair[0].has_metric_map and theirs is None)):
+            raise InputError(
+                "source and target have different color metrics: lift both with the same "
+                "matrix, or the source alone with a map of them"
+            )
+        if pair[0].has_metric_map:
+            return pair
+    dimensions = pair[0].points.shape[1], pair[1].points.shape[1]
+    if dimensions[0] != dimensions[1]:
+        raise InputError(
+            f"source has points in {dimensions[0]} dimensions, target in {dimensions[1]}: "
+            "expected the same"
+        )
+    return pair
+
+
+def _bilinear(source: Measure, target: Measure) -> tuple[WeightedPoints, WeightedPoints]:
+    """Lift a cost whose metric of color depends on the source pixel (paper, section 5).
+
+    |c - d|^2_M / 2 = c^T M c / 2 - (M c)^T d + sum_k M_kk d_k^2 / 2 + sum_(k<l) M_kl d_k d_l is
+    a sum of products of what depends on the source pixel and what depends on the target's.
+    With these nine numbers for colors C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j.
+    """
+    c, d = (measure.color_weight * measure.coordinates for measure in (source, target))
+    # Distances do not see where colors are counted from, but products do: small numbers serve
+    # float32 better.
+    middle = 0.5 * (c.mean(axis=0) + d.mean(axis=0))
+    c, d = c - middle, d - middle
+    metric = source.color_metric
+    assert metric is not None  # a map, as the caller saw
+    k, m = np.triu_indices(3)
+    mc = np.einsum("nkl,nl->nk", metric, c)
+    ours = np.column_stack((mc, -np.where(k == m, 0.5, 1.0) * metric[:, k, m]))
+    theirs = np.column_stack((d, d[:, k] * d[:, m]))
+    # What is the same for every source pixel is the target's own affair.
+    common = ours.mean(axis=0)
+    ours = ours - common
+    sizes = [np.sqrt(np.mean(features**2, axis=0)) for features in (ours, theirs)]
+    matters = (sizes[0] > 0) & (sizes[1] > 0)
+    scale = np.zeros(len(common))
+    np.divide(sizes[1], sizes[0], out=scale, where=matters)
+    scale = np.sqrt(scale)
+    x = np.column_stack((source.positions, ours * scale))
+    y = np.column_stack((target.positions, theirs / np.where(matters, scale, np.inf)))
+    r = 0.5 * (np.sum(source.positions**2, axis=1) + np.sum(mc * c, axis=1) - np.sum(x**2, axis=1))
+    s = 0.5 * (np.sum(target.positions**2, axis=1) - np.sum(y**2, axis=1)) - theirs @ common
+    return WeightedPoints(x, source.weights, r), WeightedPoints(y, target.weights, s)
+
+
+def as_measure(name: str, value: Any) -> AnyMeasure:
+    """Return a measure that the solver can take.
+
+    Parameters
+    ----------
+    name : str
+        What messages call it.
+    value : Measure, WeightedPoints, or (weights (N,), points (N, D) or (N,))
+
+    Returns
+    -------
+    Measure or WeightedPoints
+        A measure of usable arrays is returned as it is.
+
+    Raises
+    ------
+    InputError
+        If it is no measure, or its masses or points are out of range.
+    """
+    if isinstance(value, Measure):
+        check_measure(name, value)
+        return value
+    if isinstance(value, WeightedPoints):
+        made = _weighted_points(name, value.weights, value.points, value.offsets)
+        ours = (value.weights, value.points, value.offsets)
+        return value if all(map(_is_plain, ours)) else made
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise InputError(
+            f"{name} is a {_kind(value)}: expected a Measure (clmorph.lift(image) makes one), or "
+            "a pair (weights (N,), points (N, D))"
+        )
+    return _weighted_points(name, *value)
+
+
+def as_image_measure(name: str, value: Any, why: str, instead: str = "") -> Measure:
+    """Return a measure that must be a lifted image.
+
+    Parameters
+    ----------
+    name : str
+        What messages call it.
+    value : Measure
+    why : str
+        What is needed of an image, for the message.
+    instead : str
+        What to do with plain points, for the message.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if not isinstance(value, Measure):
+        raise InputError(
+            f"{name} is a {_kind(value)}: expected a Measure, as {why}; make one with "
+            f"clmorph.lift(image){instead}"
+        )
+    check_measure(name, value)
+    return value
+
+
+def _kind(value: Any) -> str:
+    return printable(type(value).__name__)
+
+
+def _is_plain(array: Any) -> bool:
+    """Whether the solver can take an array as it is."""
+    return array is None or (type(array) is np.ndarray and array.dtype == np.float64)
+
+
+def _weighted_points(name: str, weights: Any, points: Any, offsets: Any = None) -> WeightedPoints:
+    """Return weighted points of checked arrays."""
+    expected = "weights (N,) and points (N, D), in this order"
+    weights = as_floats(f"{name}: its weights", weights, expected)
+    points = as_floats(f"{name}: its points", points, expected)
+    if points.ndim == 1:
+        points = points[:, None]
+    if weights.ndim != 1 or points.ndim != 2 or len(weights) != len(points) or not len(weights):
+        raise InputError(
+            f"{name}: weights have shape {weights.shape}, points {points.shape}; expected (N,) "
+            "and (N, D) with N > 0, in this order"
+        )
+    if not 1 <= points.shape[1] <= MAX_DIMENSION or len(points) > MAX_POINTS:
+        raise InputError(
+            f"{name} has {len(points)} points in {points.shape[1]} dimensions: expected at most "
+            f"{MAX_POINTS} points in 1 to {MAX_DIMENSION} dimensions"
+        )
+    if not np.all(np.abs(points) <= MAX_COORDINATE):
+        raise InputError(
+            f"{name}: expected finite coordinates within +-{MAX_COORDINATE:g}; remove missing "
+            "ones, and choose another unit for large ones"
+        )
+    check_masses(f"{name}: its weights", weights)
+    if offsets is not None:
+        offsets = as_floats(f"{name}: its offsets", offsets, "one cost for each point, (N,)")
+        if offsets.shape != weights.shape or not np.all(np.abs(offsets) <= MAX_COORDINATE**2):
+            raise InputError(
+                f"{name}: its offsets have shape {offsets.shape}: expected {weights.shape}, finite "
+                f"and within +-{MAX_COORDINATE**2:g}"
+            )
+    return WeightedPoints(points, weights, offsets)

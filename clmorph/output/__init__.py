@@ -1,0 +1,1 @@
+"""Files that people open: recording, playback, framing, formats, pages."""

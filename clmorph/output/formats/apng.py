@@ -1,0 +1,89 @@
+"""Animated PNG, written frame by frame.
+
+Pillow's own writer keeps all frames until the last is there. Here each is a PNG of Pillow's,
+whose data become a frame's. Chunks as in Portable Network Graphics (PNG) Specification, Third
+Edition, W3C 2025, section 11.
+"""
+
+import struct
+import zlib
+from collections.abc import Iterable, Iterator
+from io import BytesIO
+from typing import TYPE_CHECKING, BinaryIO
+
+from clmorph.output.formats.deltas import changed, pieces
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+    from PIL.PngImagePlugin import PngInfo
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+#: A delay's numerator has 16 bits; this is in milliseconds.
+LONGEST = 65_000
+
+
+def write_frames(
+    stream: BinaryIO,
+    frames: Iterable[tuple["Image", int]],
+    durations: list[int],
+    plays: int,
+    info: "PngInfo",
+) -> None:
+    """Write an animation.
+
+    Parameters
+    ----------
+    stream : binary file
+    frames : iterable of (Image, int)
+        Pictures of one size and mode, each with its milliseconds; gone through once.
+    durations : list of int
+        Those milliseconds, which the head of the file counts.
+    plays : int
+        How often it is played; 0 for ever.
+    info : PngInfo
+        What the head of the file tells.
+    """
+    count = sum(len(pieces(duration, LONGEST)) for duration in durations)
+    before: Image | None = None
+    sequence = 0
+    for picture, duration in frames:
+        left, top, right, bottom = box = changed(before, picture)
+        chunks = list(_chunks(picture.crop(box), info if before is None else None))
+        data = b"".join(content for kind, content in chunks if kind == b"IDAT")
+        if before is None:
+            stream.write(SIGNATURE)
+            for kind, content in chunks:
+                if kind not in (b"IDAT", b"IEND"):
+                    _write(stream, kind, content)
+            _write(stream, b"acTL", struct.pack(">II", count, plays))
+        # One that stays longer than a frame can is drawn again.
+        for number, delay in enumerate(pieces(duration, LONGEST)):
+            place = right - left, bottom - top, left, top
+            # Disposal: none. Blending: what is drawn replaces what was there, opacity included.
+            control = struct.pack(">IIIIIHHBB", sequence, *place, delay, 1000, 0, 0)
+            _write(stream, b"fcTL", control)
+            sequence += 1
+            if before is None and number == 0:
+                _write(stream, b"IDAT", data)
+            else:
+                _write(stream, b"fdAT", struct.pack(">I", sequence) + data)
+                sequence += 1
+        before = picture
+    _write(stream, b"IEND", b"")
+
+
+def _write(stream: BinaryIO, kind: bytes, content: bytes) -> None:
+    stream.write(struct.pack(">I", len(content)) + kind + content)
+    stream.write(struct.pack(">I", zlib.crc32(kind + content)))
+
+
+def _chunks(picture: "Image", info: "PngInfo | None") -> Iterator[tuple[bytes, bytes]]:
+    """Return kind and content of each chunk of a picture as PNG."""
+    stream = BytesIO()
+    picture.save(stream, format="PNG", pnginfo=info)
+    whole = stream.getvalue()
+    place = len(SIGNATURE)
+    while place < len(whole):
+        length, kind = struct.unpack_from(">I4s", whole, place)
+        yield kind, whole[place + 8 : place + 8 + length]
+        place += 12 + length

@@ -1,0 +1,209 @@
+"""``.npz``: a morph as NumPy arrays, to go on with."""
+
+import zipfile
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.printable import reason_of
+from clmorph._shared.progress import Report, tracked
+from clmorph._shared.validation import check_number, is_path, shown
+from clmorph.analysis.report import size_text
+from clmorph.errors import InputError
+from clmorph.output.bounded import UNREADABLE, from_text
+from clmorph.output.formats.npz import Arrays
+from clmorph.output.framing import Look
+from clmorph.output.provenance import as_text
+from clmorph.output.recording import Film
+from clmorph.transport.plan import Plan
+from clmorph.transport.plan_sampling import Barycentric
+
+#: Arrays of either kind of plan, as they are called there: axes and kind of numbers.
+PLAN_ARRAYS = {
+    "indptr": (1, "i"), "indices": (1, "i"), "mass": (1, "f"), "shape": (1, "i"),
+    "whole_row_mass": (1, "f"), "whole_column_mass": (1, "f"),
+}  # fmt: skip
+BARYCENTRIC_ARRAYS = {
+    "positions": (2, "f"), "colors": (2, "f"), "covariance": (3, "f"), "row_mass": (1, "f"),
+    "column_mass": (1, "f"),
+}  # fmt: skip
+#: What the arrays of an archive may take, in bytes, unless told otherwise.
+MAX_BYTES = 2 * 2.0**30
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Archive:
+    """A morph that was saved as ``.npz``, loaded again.
+
+    Attributes
+    ----------
+    frames : list of (H, W, 3) or (H, W, 4) float32 arrays
+        sRGB in [0, 1].
+    times : (n,) array
+    parameters : dict
+        What it was made with.
+    plans : list of Plan or Barycentric
+        One for each morph of a chain.
+    potentials : list of (f, g)
+        Likewise; cost units.
+    """
+
+    frames: list[NDArray[np.float32]]
+    times: NDArray[np.float64]
+    parameters: dict[str, Any]
+    plans: list[Plan | Barycentric]
+    potentials: list[tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+    def __repr__(self) -> str:
+        return f"<Archive of {len(self.frames)} frames, {len(self.plans)} plans>"
+
+    @property
+    def plan(self) -> Plan | Barycentric:
+        """The plan of the only, or the first, morph."""
+        return self.plans[0]
+
+
+def write(film: Film, look: Look, file: Path, report: Report) -> None:
+    """Write frames (floats), times, parameters, and the plan and potentials of each morph.
+
+    Frames of one size are one array ``frames`` (n, H, W, C); others are ``frame_0000`` and so
+    on.
+    """
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:
+        _write_frames(archive, film, report)
+        _write_array(archive, "times", film.times)
+        _write_array(archive, "parameters", np.array(as_text(film.parameters)))
+        for number, morph in enumerate(film.morphs):
+            _write_array(archive, f"f_{number}", morph.potentials.f)
+            _write_array(archive, f"g_{number}", morph.potentials.g)
+            names = PLAN_ARRAYS if isinstance(morph.plan, Plan) else BARYCENTRIC_ARRAYS
+            for name in names:
+                _write_array(archive, f"plan_{number}_{name}", getattr(morph.plan, name))
+
+
+def _write_frames(archive: zipfile.ZipFile, film: Film, report: Report) -> None:
+    """Write frames one by one: they need not all be in memory."""
+    indices = range(len(film))
+    if len(set(film.shapes)) > 1:
+        digits = max(4, len(str(len(film) - 1)))
+        for index in tracked(indices, report):
+            _write_array(archive, f"frame_{index:0{digits}d}", film.frames[index])
+        return
+    first = film.frames[0]
+    header = {
+        "descr": np.lib.format.dtype_to_descr(first.dtype),
+        "fortran_order": False,
+        "shape": (len(film), *first.shape),
+    }
+    with archive.open(_entry("frames"), "w", force_zip64=True) as stream:
+        np.lib.format.write_array_header_1_0(stream, header)
+        for index in tracked(indices, report):
+            stream.write(np.ascontiguousarray(film.frames[index]).tobytes())
+
+
+def _entry(name: str) -> zipfile.ZipInfo:
+    """Return a file of the archive; without today's date, so that bytes can be the same."""
+    entry = zipfile.ZipInfo(f"{name}.npy")
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    return entry
+
+
+def _write_array(archive: zipfile.ZipFile, name: str, array: Any) -> None:
+    with archive.open(_entry(name), "w", force_zip64=True) as stream:
+        np.lib.format.write_array(stream, np.asarray(array), allow_pickle=False)
+
+
+def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Archive:
+    """Load a morph that was saved as ``.npz``.
+
+    Nothing in the file is run, and its arrays are measured before they are read: a file from
+    elsewhere can be refused, but cannot take more memory than this.
+
+    Parameters
+    ----------
+    path : path
+    max_bytes : float
+        What its arrays may take in memory, in bytes; by default 2 GiB. 30 frames of 1280 x 720
+        pixels take 0.33 GB.
+
+    Returns
+    -------
+    Archive
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is another's, or its arrays take more.
+    """
+    if not is_path(path):
+        raise InputError(f"path={shown(path)}: expected the path of a morph saved as .npz")
+    max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
+    try:
+        with Arrays(Path(path), max_bytes=max_bytes) as arrays:
+            size = sum(map(arrays.size, arrays.names))
+            if size > max_bytes:
+                raise InputError(
+                    f"{path}: its arrays take {size_text(size)}, expected at most "
+                    f"{size_text(max_bytes)}; if you trust the file, load it with "
+                    f"max_bytes={size}"
+                )
+            return _read(arrays)
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({reason_of(error)})") from None
+    except UNREADABLE as error:
+        raise InputError(
+            f"{path}: not a morph saved as .npz, or damaged ({reason_of(error)}); expected a "
+            "file that clmorph has written"
+        ) from None
+
+
+def _read(arrays: Arrays) -> Archive:
+    if "frames" in arrays.names:
+        frames = list(arrays.read("frames", 4))
+    else:
+        names = sorted(name for name in arrays.names if name.startswith("frame_"))
+        frames = [arrays.read(name, 3) for name in names]
+    times = arrays.read("times", 1)
+    if len(frames) != len(times) or any(frame.shape[2] not in (3, 4) for frame in frames):
+        raise ValueError("its frames are not those of its times")
+    parameters = from_text(arrays.text("parameters"))
+    if not isinstance(parameters, dict):
+        raise ValueError("its parameters are none")
+    n_morphs = sum(name.startswith("f_") for name in arrays.names)
+    plans = [_read_plan(arrays, number) for number in range(n_morphs)]
+    potentials = [
+        (arrays.read(f"f_{number}", 1), arrays.read(f"g_{number}", 1)) for number in range(n_morphs)
+    ]
+    return Archive(frames, times, parameters, plans, potentials)
+
+
+def _read_plan(arrays: Arrays, number: int) -> Plan | Barycentric:
+    start = f"plan_{number}_"
+    if f"{start}indptr" not in arrays.names:
+        return Barycentric(
+            **{name: arrays.read(start + name, *kind) for name, kind in BARYCENTRIC_ARRAYS.items()}
+        )
+    found = {name: arrays.read(start + name, *kind) for name, kind in PLAN_ARRAYS.items()}
+    rows, columns = (int(side) for side in found["shape"])
+    indptr, indices = found["indptr"], found["indices"]
+    sound = (
+        len(indptr) == rows + 1 == len(found["whole_row_mass"]) + 1
+        and columns == len(found["whole_column_mass"])
+        and len(indices) == len(found["mass"])
+        and indptr[0] == 0
+        and indptr[-1] == len(indices)
+        and bool(np.all(np.diff(indptr) >= 0))
+        and bool(np.all((indices >= 0) & (indices < columns)))
+    )
+    if not sound:
+        raise ValueError("its plan is none")
+    parts: dict[str, Any] = found | {"shape": (rows, columns)}
+    return Plan(**parts)

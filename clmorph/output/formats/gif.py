@@ -1,0 +1,176 @@
+"""GIF: one palette over all frames, so that nothing flickers."""
+
+import struct
+from collections.abc import Iterable
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.progress import Report, tracked
+from clmorph.output.formats.deltas import box_of, changed, pieces
+from clmorph.output.formats.limits import check_sides, encoding
+from clmorph.output.framing import Framing, Look, in_time
+from clmorph.output.playback import whole_units
+from clmorph.output.provenance import as_text
+from clmorph.output.recording import Film
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+#: Longer side, in pixels, to which small frames are enlarged.
+SIDE = 384
+#: Colors of the palette; one more entry stands for what is transparent.
+COLORS = 255
+#: Entries that colors between the pictures' have at least.
+LEAST = 16
+#: Opacity from which a pixel is seen.
+OPAQUE = 128
+#: Pixels from which the palette is taken.
+SAMPLES = 250_000
+#: A frame's duration has 16 bits; this is in hundredths of a second.
+LONGEST = 65_000
+#: The longest side, in pixels: it has 16 bits.
+MOST = 65535
+
+
+@encoding("GIF")
+def write(film: Film, look: Look, file: Path, report: Report) -> None:
+    """Write an animated GIF; opacity is rounded to all or nothing."""
+    seconds = [seconds for _, seconds in film.played()]
+    framing = Framing(look, in_time(film.shapes, film.times), film.pixelated, SIDE)
+    check_sides(framing.size, MOST, "GIF")
+    palette = _palette(film, framing)
+    shown = list(zip((index for index, _ in film.played()), whole_units(seconds, 100), strict=True))
+    frames = (
+        (_in_palette(framing(film.picture(index)), palette, framing.nearest), units)
+        for index, units in tracked(shown, report)
+    )
+    head: dict[str, Any] = {"comment": as_text(film.parameters).encode()}
+    if film.motion.loop != "once":
+        head["loop"] = 0
+    with file.open("wb") as stream:
+        _write_frames(stream, frames, head, framing.clear)
+
+
+def _write_frames(
+    stream: BinaryIO, frames: Iterable[tuple["Image", int]], head: dict[str, Any], clear: bool
+) -> None:
+    """Write pictures of one palette, each with its hundredths of a second, as they come.
+
+    Pillow's own writer of animations keeps all until the last is there.
+    """
+    before: Image | None = None
+    for picture, units in frames:
+        box = changed(before, picture)
+        # What was drawn before must not show through.
+        options: dict[str, Any] = {"transparency": COLORS, "disposal": 2} if clear else {}
+        if clear and before is not None:
+            box = box_of(np.asarray(picture) != COLORS)
+        part = picture.crop(box)
+        # One that stays longer than a frame can is drawn again.
+        for number, piece in enumerate(pieces(units, LONGEST)):
+            if before is None and number == 0:
+                stream.write(_still(part, 10 * piece, options | head)[:-1])
+            else:
+                whole = _still(part, 10 * piece, options)
+                block = bytearray(whole[13 + (6 << (whole[10] & 7)) : -1])
+                # Where it is drawn: after the block of 8 bytes that tells the duration, and a mark.
+                struct.pack_into("<HH", block, 9, *box[:2])
+                stream.write(block)
+        before = picture
+    stream.write(b";")
+
+
+def _still(picture: "Image", duration: int, options: dict[str, Any]) -> bytes:
+    """Return a GIF of one frame: 13 bytes, the palette, that frame, a semicolon."""
+    stream = BytesIO()
+    picture.save(stream, format="GIF", optimize=False, interlace=0, duration=duration, **options)
+    return stream.getvalue()
+
+
+def _palette(film: Film, framing: Framing) -> "Image":
+    """Return an image whose palette suits all frames, and what stands beside them.
+
+    Of pixel art the pictures' own colors are kept exactly, if they leave enough entries.
+    """
+    from PIL import Image
+
+    pixels = sum(height * width for height, width, _ in film.shapes)
+    step = max(1, pixels // SAMPLES)
+    # Copies: a view would keep its frame.
+    samples = [_colors(film, framing, index)[::step].copy() for index in range(len(film))]
+    pool = np.concatenate(samples)
+    exact = _exact(film, framing)
+    # Every one of these counts, also those that the samples have missed.
+    chosen = _as_rgb(np.union1d(pool, exact))
+    if len(chosen) > COLORS:
+        others = _as_rgb(pool[~np.isin(pool, exact)])
+        rest = Image.fromarray(others[:, None]).quantize(
+            COLORS - len(exact), method=Image.Quantize.MEDIANCUT, kmeans=1
+        )
+        found = np.frombuffer(bytes(rest.getpalette() or ()), np.uint8).reshape(-1, 3)
+        chosen = np.concatenate((_as_rgb(exact), found))[:COLORS]
+    palette = Image.new("P", (1, 1))
+    # Repeated, so that no entry is a color that is not there.
+    palette.putpalette(np.resize(chosen, (COLORS, 3)).astype(np.uint8).tobytes())
+    return palette
+
+
+def _exact(film: Film, framing: Framing) -> NDArray[np.uint32]:
+    """Return the colors that must not change: the bars', and of pixel art the pictures' own."""
+    ground = np.array([framing.ground or (0, 0, 0)], np.uint8)
+    bars = own = _as_numbers(ground)
+    if framing.nearest:
+        for index in np.flatnonzero(film.rests):
+            own = np.union1d(own, _colors(film, framing, int(index)))
+            if len(own) > COLORS - LEAST:
+                return bars
+    return own
+
+
+def _colors(film: Film, framing: Framing, index: int) -> NDArray[np.uint32]:
+    """Return the colors of a frame's pixels that are seen, as numbers."""
+    picture = np.asarray(framing.unscaled(film.picture(index)))
+    seen = picture[picture[..., 3] >= OPAQUE] if picture.shape[2] == 4 else picture
+    return _as_numbers(seen[..., :3].reshape(-1, 3))
+
+
+def _as_numbers(colors: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    return colors.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+
+
+def _as_rgb(numbers: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    return np.stack([numbers >> 16, numbers >> 8, numbers], axis=-1).astype(np.uint8)
+
+
+def _in_palette(picture: "Image", palette: "Image", plain: bool) -> "Image":
+    """Return a picture in the palette's colors; those of pixel art are not mixed from dots."""
+    from PIL import Image
+
+    if plain:
+        colors = _nearest(picture, palette)
+    else:
+        dither = Image.Dither.FLOYDSTEINBERG
+        colors = picture.convert("RGB").quantize(palette=palette, dither=dither)
+    if picture.mode == "RGBA":
+        hidden = picture.getchannel("A").point(lambda alpha: 255 * (alpha < OPAQUE))
+        colors.paste(COLORS, mask=hidden)
+    return colors
+
+
+def _nearest(picture: "Image", palette: "Image") -> "Image":
+    """Return a picture in the nearest colors; Pillow's own search rounds them to six bits."""
+    from PIL import Image
+    from scipy.spatial import KDTree
+
+    entries = np.frombuffer(bytes(palette.getpalette() or ()), np.uint8).reshape(-1, 3)
+    pixels = np.asarray(picture)[..., :3]
+    found, places = np.unique(pixels.reshape(-1, 3), axis=0, return_inverse=True)
+    _, nearest = KDTree(entries).query(found)
+    indices = np.asarray(nearest, np.uint8)[places].reshape(pixels.shape[:2])
+    colors = Image.fromarray(indices, "L").convert("P")
+    colors.putpalette(entries.tobytes())
+    return colors

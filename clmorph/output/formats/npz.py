@@ -1,0 +1,113 @@
+"""Arrays out of a foreign ``.npz``: each is measured before it is read.
+
+The directory of the archive and the head of each array tell how large it is. Only plain numbers
+and texts are read, nothing that NumPy would unpickle.
+"""
+
+import math
+import zipfile
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.output.bounded import MAX_TEXT, BoundedFile
+
+#: Bytes that are read of the file in one go; of its directory, a hundred or so for each array.
+AT_ONCE = 1 << 24
+#: How an array may be packed; others take much memory to unpack.
+PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+#: Version of an array's head; of later ones the length alone can be gigabytes.
+VERSION = (1, 0)
+
+
+class Arrays:
+    """The arrays of an ``.npz``, read one by one, with a limit to what they take together.
+
+    Parameters
+    ----------
+    path : Path
+    max_bytes : float
+        The most that all arrays read may take.
+
+    Raises
+    ------
+    ValueError
+        Here and by all methods, as other exceptions of
+        `clmorph.output.bounded.UNREADABLE`: if the file is damaged, or more would be read.
+    """
+
+    def __init__(self, path: Path, *, max_bytes: float) -> None:
+        self._max_bytes = self._left = max_bytes
+        with ExitStack() as stack:
+            file = stack.enter_context(BoundedFile(path, at_once=AT_ONCE))
+            self._archive = stack.enter_context(zipfile.ZipFile(file))
+            names = [name.removesuffix(".npy") for name in self._archive.namelist()]
+            if len(set(names)) < len(names):
+                raise ValueError("two of its arrays have one name")
+            self.names = frozenset(names)
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    def size(self, name: str) -> int:
+        """Return how many bytes the archive's directory tells that an array takes."""
+        return self._archive.getinfo(f"{name}.npy").file_size
+
+    def read(self, name: str, ndim: int, kinds: str = "f") -> NDArray[Any]:
+        """Return an array.
+
+        Parameters
+        ----------
+        name : str
+        ndim : int
+            How many axes it must have.
+        kinds : str
+            Letters of the kinds of dtype (see `numpy.dtype.kind`) that it may have.
+        """
+        shape, dtype, size = self._measured(name, ndim, kinds)
+        self._left -= size
+        if self._left < 0:
+            raise ValueError(f"its arrays take more than {self._max_bytes:g} bytes")
+        with self._archive.open(f"{name}.npy") as stream:
+            array = np.lib.format.read_array(stream, allow_pickle=False)
+        if array.shape != shape or array.dtype != dtype:
+            raise ValueError(f"{name}: another array than it begins with")
+        return np.asarray(array)
+
+    def text(self, name: str) -> str:
+        """Return a text, an array of no axes, of at most `MAX_TEXT` characters."""
+        if self._measured(name, 0, "U")[2] > 4 * MAX_TEXT:
+            raise ValueError(f"its parameters have more than {MAX_TEXT} characters")
+        return str(self.read(name, 0, "U"))
+
+    def _measured(
+        self, name: str, ndim: int, kinds: str
+    ) -> tuple[tuple[int, ...], np.dtype[Any], int]:
+        """Return an array's shape, dtype and bytes, without reading it."""
+        entry = self._archive.getinfo(f"{name}.npy")
+        if entry.compress_type not in PACKED:
+            raise ValueError(f"{name}: packed in a way that clmorph does not write")
+        with self._archive.open(entry) as stream:
+            if np.lib.format.read_magic(stream) != VERSION:
+                raise ValueError(f"{name}: not an array as clmorph writes it")
+            shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+            begin = stream.tell()
+        if dtype.kind not in kinds or len(shape) != ndim:
+            raise ValueError(f"{name}: an array of another kind than clmorph writes")
+        size = math.prod(shape) * dtype.itemsize
+        if min(shape, default=0) < 0 or size != entry.file_size - begin:
+            raise ValueError(f"{name}: its size is not the one that it tells")
+        return shape, dtype, size

@@ -1,0 +1,73 @@
+"""Frames as pictures of their own: folders of PNG or TIFF, and a TIFF of many pages."""
+
+import math
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clmorph._shared.progress import Report, tracked
+from clmorph.output.formats.limits import encoding
+from clmorph.output.framing import Framing, Look, in_time
+from clmorph.output.provenance import as_png_info, as_text
+from clmorph.output.recording import Film
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+#: Compression that every reader of TIFF knows, without loss.
+DEFLATE = "tiff_adobe_deflate"
+
+
+def _pictures(film: Film, look: Look, report: Report) -> Iterator["Image"]:
+    """Return the frames as they are, each at its own size, unless the look names one."""
+    framing = Framing(look, in_time(film.shapes, film.times), film.pixelated)
+    for index in tracked(range(len(film)), report):
+        frame = film.picture(index)
+        yield framing.unscaled(frame) if look.canvas == "dynamic" else framing(frame)
+
+
+def _names(film: Film) -> Iterator[str]:
+    digits = max(4, len(str(len(film) - 1)))
+    return (f"frame-{number:0{digits}d}" for number in range(len(film)))
+
+
+@encoding("PNG")
+def write_png_folder(film: Film, look: Look, folder: Path, report: Report) -> None:
+    """Write a new folder of PNG files."""
+    folder.mkdir()
+    info = as_png_info(film.parameters)
+    for name, picture in zip(_names(film), _pictures(film, look, report), strict=True):
+        picture.save(folder / f"{name}.png", pnginfo=info)
+
+
+@encoding("TIFF")
+def write_tiff_folder(film: Film, look: Look, folder: Path, report: Report) -> None:
+    """Write a new folder of TIFF files."""
+    folder.mkdir()
+    text = as_text(film.parameters)
+    for name, picture in zip(_names(film), _pictures(film, look, report), strict=True):
+        # In memory first: where a disk is full, libtiff itself would print about it.
+        file = BytesIO()
+        picture.save(file, format="TIFF", compression=DEFLATE, description=text)
+        (folder / f"{name}.tif").write_bytes(file.getvalue())
+
+
+@encoding("TIFF")
+def write_tiff(film: Film, look: Look, file: Path, report: Report) -> None:
+    """Write one TIFF with a page for each frame."""
+    import tifffile
+
+    text = as_text(film.parameters)
+    # Offsets of 32 bits reach no further than 4 GiB; deflating hardly lengthens anything.
+    large = sum(math.prod(shape) + 2 * len(text) for shape in film.shapes) > 2**32 - 2**24
+    # Pillow's own writer keeps all pages until the last is there.
+    with tifffile.TiffWriter(file, bigtiff=large) as tiff:
+        for picture in _pictures(film, look, report):
+            tiff.write(
+                np.asarray(picture), photometric="rgb", planarconfig="contig",
+                extrasamples=["unassalpha"] if picture.mode == "RGBA" else None,
+                compression="zlib", description=text, software=False, metadata=None,
+            )  # fmt: skip

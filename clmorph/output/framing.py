@@ -1,0 +1,232 @@
+"""Frames of any sizes on one canvas, for files that have only one."""
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.validation import as_float, check_choice, check_flag, shown
+from clmorph.errors import InputError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+#: How frames are enlarged and reduced; "auto" asks what the pictures are.
+SCALINGS = ("auto", "nearest", "smooth")
+#: Canvases with a name: of every frame its own, the first picture's, the last one's.
+CANVASES = ("dynamic", "source", "target")
+#: A canvas's largest side, in pixels.
+MAX_SIDE = 16384
+
+
+@dataclass(frozen=True)
+class Look:
+    """How frames come into a file.
+
+    Attributes
+    ----------
+    canvas : {"dynamic", "source", "target"} or (width, height)
+        "dynamic" keeps every frame's size where a file can, and else takes one that holds all,
+        small ones enlarged. The others scale all frames to one size, with bars where shapes
+        differ. "source" is the first picture that was given, "target" the last one, in whichever
+        order they are shown.
+    scaling : {"auto", "nearest", "smooth"}
+        "auto": nearest for pixel art, smooth for the rest.
+    background : str, optional
+        A color that Pillow knows, such as "white" or "#204060": for bars, and under what is
+        transparent. By default opacity is kept where a file can, and else laid on white; bars
+        beside opaque frames are black.
+    lossless : bool
+        In WebP.
+
+    Raises
+    ------
+    InputError
+        If one of them cannot be used.
+    """
+
+    canvas: Any = "dynamic"
+    scaling: str = "auto"
+    background: str | None = None
+    lossless: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "canvas", as_canvas(self.canvas))
+        check_choice("scaling", self.scaling, SCALINGS)
+        object.__setattr__(self, "lossless", check_flag("lossless", self.lossless))
+        if self.background is not None:
+            from PIL import ImageColor
+
+            try:
+                if not isinstance(self.background, str):
+                    raise TypeError
+                ImageColor.getrgb(self.background)
+            except (ValueError, AttributeError, TypeError):
+                raise InputError(
+                    f"background={shown(self.background)}: expected a color such as 'white' or "
+                    "'#204060'"
+                ) from None
+
+
+def as_canvas(canvas: Any) -> Any:
+    """Return a canvas as one of `CANVASES` or as (width, height).
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if isinstance(canvas, str) and canvas in CANVASES:
+        return canvas
+    sides: Any = canvas
+    if isinstance(canvas, str):
+        found = re.fullmatch(r"(\d{1,6})[x×](\d{1,6})", canvas)
+        sides = found.groups() if found else ()
+    elif isinstance(canvas, list | tuple) or (isinstance(canvas, np.ndarray) and canvas.ndim == 1):
+        numbers = [as_float(side) for side in canvas]
+        sides = [number for number in numbers if number is not None and number % 1 == 0]
+    else:
+        sides = ()
+    width, height = (int(side) for side in sides) if len(sides) == 2 else (0, 0)
+    if 1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE:
+        return width, height
+    raise InputError(
+        f"canvas={shown(canvas)}: expected {', '.join(map(repr, CANVASES))}, or width x height in "
+        f"pixels such as '640x480', each from 1 to {MAX_SIDE}"
+    )
+
+
+def in_time(shapes: Iterable[tuple[int, ...]], times: NDArray[Any]) -> list[tuple[int, ...]]:
+    """Return frames' shapes in the order of the morph's time, whichever is shown first."""
+    shapes = list(shapes)
+    return [shapes[index] for index in np.argsort(times, kind="stable")]
+
+
+class Framing:
+    """Bring frames to one size.
+
+    Parameters
+    ----------
+    look : Look
+    shapes : iterable of (H, W, C)
+        Of the frames, in the order of the morph's time; see `in_time`.
+    pixelated : bool
+        Whether the pictures are pixel art.
+    side : int
+        Where the look leaves the size open, the longer side is at least this long.
+    even : bool
+        Round the size up to even numbers, for video.
+    opacity : bool
+        Whether the file can hold it.
+
+    Attributes
+    ----------
+    size : (width, height)
+    nearest : bool
+    clear : bool
+        Whether pictures have opacity.
+    """
+
+    def __init__(
+        self,
+        look: Look,
+        shapes: Iterable[tuple[int, ...]],
+        pixelated: bool,
+        side: int = 1,
+        even: bool = False,
+        opacity: bool = True,
+    ) -> None:
+        shapes = list(shapes)
+        self.nearest = pixelated if look.scaling == "auto" else look.scaling == "nearest"
+        transparent = any(shape[2] == 4 for shape in shapes)
+        self.clear = transparent and opacity and look.background is None
+        self._background = look.background or ("white" if transparent else "black")
+        if look.canvas == "dynamic":
+            self.size = self._size_for_all(shapes, side)
+        elif look.canvas == "source":
+            self.size = shapes[0][1], shapes[0][0]
+        elif look.canvas == "target":
+            self.size = shapes[-1][1], shapes[-1][0]
+        else:
+            self.size = look.canvas
+        self._inner = self.size
+        if even:
+            self.size = self.size[0] + self.size[0] % 2, self.size[1] + self.size[1] % 2
+
+    def _size_for_all(self, shapes: list[tuple[int, ...]], side: int) -> tuple[int, int]:
+        height, width = (max(shape[axis] for shape in shapes) for axis in (0, 1))
+        factor = max(1.0, side / max(height, width))
+        if self.nearest:
+            factor = np.ceil(factor)  # pixels of one size
+        return max(1, round(width * factor)), max(1, round(height * factor))
+
+    @property
+    def ground(self) -> tuple[int, ...] | None:
+        """Color of bars, and of what shows through, as RGB; None if nothing is there."""
+        from PIL import ImageColor
+
+        if self.clear:
+            return None
+        color = ImageColor.getcolor(self._background, "RGB")
+        return color if isinstance(color, tuple) else (color,) * 3
+
+    def __call__(self, frame: NDArray[np.uint8]) -> "Image":
+        """Return a frame (H, W, 3 or 4) on the canvas, as RGB, or RGBA if `clear`.
+
+        It is scaled to fit, its shape kept, and centered; around it is the background, or
+        nothing where pictures have opacity. Pixel art is enlarged by whole factors: its pixels
+        stay squares of one size.
+        """
+        from PIL import Image
+
+        picture = self._grounded(self._scaled(Image.fromarray(frame)))
+        if picture.size == self.size:
+            return picture
+        margins = [whole - part for whole, part in zip(self.size, picture.size, strict=True)]
+        if picture.size == self._inner:
+            # One row or column more, for video: the border's own, not a line beside it.
+            edges = (0, margins[1]), (0, margins[0]), (0, 0)
+            return Image.fromarray(np.pad(np.asarray(picture), edges, mode="edge"))
+        ground: Any = (0, 0, 0, 0) if self.clear else self._background
+        page = Image.new(picture.mode, self.size, ground)
+        page.paste(picture, (margins[0] // 2, margins[1] // 2))
+        return page
+
+    def unscaled(self, frame: NDArray[np.uint8]) -> "Image":
+        """Return a frame at its own size, with opacity or on the background like the others."""
+        from PIL import Image
+
+        return self._grounded(Image.fromarray(frame))
+
+    def _grounded(self, picture: "Image") -> "Image":
+        from PIL import Image
+
+        if self.clear:
+            return picture.convert("RGBA")
+        if picture.mode == "RGB":
+            return picture
+        page = Image.new("RGB", picture.size, self._background)
+        page.paste(picture, mask=picture)
+        return page
+
+    def _scaled(self, picture: "Image") -> "Image":
+        from PIL import Image
+
+        factor = min(whole / part for whole, part in zip(self._inner, picture.size, strict=True))
+        if self.nearest and factor > 1:
+            factor = math.floor(factor)
+        width, height = (max(1, round(side * factor)) for side in picture.size)
+        size = width, height
+        if size == picture.size:
+            return picture
+        if self.nearest:
+            return picture.resize(size, Image.Resampling.NEAREST)
+        how = Image.Resampling.BICUBIC if factor > 1 else Image.Resampling.LANCZOS
+        if picture.mode == "RGBA":
+            # Multiplied by opacity meanwhile, so that unseen colors do not show at the edges.
+            return picture.convert("RGBa").resize(size, how).convert("RGBA")
+        return picture.resize(size, how)

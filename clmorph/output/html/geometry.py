@@ -1,0 +1,53 @@
+"""How large each frame is in the common frame, so that the picture does not jump."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: How far a time may be from a whole number to count as one.
+WHOLE = 1e-9
+
+
+def frame_boxes(sizes: Sequence[tuple[int, int]], times: Array, extent: str = "true") -> Array:
+    """Return the size of each frame, borders of pixels included, and of the unit square in it.
+
+    The canvas grows by whole pixels (`clmorph.frames.render.canvas_at`), but what is on it moves
+    smoothly: pixels per unit go evenly from one image's to the next.
+
+    Parameters
+    ----------
+    sizes : sequence of (height, width)
+    times : (n,) array
+        Images themselves stand at whole times and at both ends.
+    extent : {"true", "unit"}
+
+    Returns
+    -------
+    (n, 4) array
+        Width and height of each frame; width and height of the square of the common frame.
+        All in units of the longer side of the images, pixel center to pixel center.
+    """
+    shapes = np.asarray(sizes, np.float64).reshape(-1, 2)
+    whole = np.abs(times - np.round(times)) < WHOLE
+    whole[[0, -1]] = True
+    _, first = np.unique(np.round(times[whole], 9), return_index=True)
+    anchors = np.flatnonzero(whole)[first]
+    known = times[anchors], shapes[anchors]
+    smooth = np.column_stack([np.interp(times, known[0], side) for side in known[1].T])
+    per_unit = np.interp(times, known[0], known[1].max(axis=1) - 1)
+    # Frames of other sizes than a morph's are as large as they are.
+    other = np.any(np.abs(smooth - shapes) > 1 + WHOLE, axis=1)
+    smooth[other] = shapes[other]
+    per_unit[other] = shapes[other].max(axis=1) - 1
+    pitch = np.repeat(1 / np.maximum(per_unit, 1.0)[:, None], 2, axis=1)
+    if extent == "unit":
+        # Centers of the outer pixels stand on the borders of the square, however many are between.
+        pitch *= np.maximum(smooth - 1, 0.0) / np.maximum(shapes - 1, 1.0)
+        pitch[shapes == 1] = 1 / np.maximum(per_unit, 1.0)[np.nonzero(shapes == 1)[0]]
+        unit = (shapes - 1) * pitch
+    else:
+        unit = per_unit[:, None] * pitch
+    return np.concatenate(((shapes * pitch)[:, ::-1], unit[:, ::-1]), axis=1)

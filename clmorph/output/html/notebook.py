@@ -1,0 +1,62 @@
+"""A morph in a notebook: the page in a frame of its own, small enough to be saved with it."""
+
+from html import escape
+
+import numpy as np
+
+from clmorph._shared.validation import check_number
+from clmorph.output.html.page import page
+from clmorph.output.html.summary import scene_of
+from clmorph.pipeline.result import Morph
+
+#: The most that frames may take in a notebook's output, in bytes of text.
+NOTEBOOK_BYTES = 8e6
+#: Pixels of all frames together, above which only some of them are shown.
+NOTEBOOK_PIXELS = 4e6
+#: Height of the frame, in CSS pixels.
+HEIGHT = 640
+
+
+def repr_html(
+    morph: Morph, *, max_pixels: float = NOTEBOOK_PIXELS, max_bytes: float = NOTEBOOK_BYTES
+) -> str:
+    """Return a morph for a notebook: an iframe that holds its page and may reach nothing else.
+
+    Frames are rendered here, and not kept. Of long or large morphs only some are, evenly
+    chosen, both ends included, and a note in the page says so.
+
+    Parameters
+    ----------
+    morph : Morph
+    max_pixels : float
+        Pixels of all frames together; at least two frames are shown.
+    max_bytes : float
+        The most that frames may take, see `write_page`.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    OutputError
+        If two frames alone take more than `max_bytes`, even with loss.
+    """
+    max_pixels = check_number("max_pixels", max_pixels, 1.0, 1e12)
+    count = len(morph.times)
+    pixels = max(height * width for height, width in (morph.source.shape, morph.target.shape))
+    shown = min(count, max(2, int(max_pixels // pixels)))
+    chosen = np.unique(np.round(np.linspace(0, count - 1, shown)).astype(int))
+    notes = []
+    if len(chosen) < count:
+        notes.append(
+            f"{len(chosen)} of {count} frames are shown, to keep the notebook small; "
+            "save the morph to a file for all of them."
+        )
+    scene = scene_of(morph, times=morph.times[chosen], fps=20.0 * len(chosen) / count, notes=notes)
+    text = escape(page(scene, max_bytes=max_bytes))
+    return (
+        f'<iframe srcdoc="{text}" title="{escape(scene.title)}" loading="lazy" '
+        f'sandbox="allow-scripts allow-downloads" '
+        f'style="width:100%;height:{HEIGHT}px;border:0;border-radius:12px"></iframe>'
+    )

@@ -1,0 +1,213 @@
+"""What a page shows."""
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.validation import check_choice, check_number
+from clmorph.errors import InputError
+from clmorph.measures.lift import EXTENTS
+from clmorph.pipeline import presets as defaults
+
+#: What follows the last frame.
+LOOPS = ("loop", "ping-pong", "once")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Curve:
+    """A number for each frame.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        Curves of equal units share one axis.
+    values : (n,) array
+        Finite.
+    """
+
+    name: str
+    unit: str
+    values: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for name in ("name", "unit"):
+            _check_text(f"a curve's {name}", getattr(self, name))
+        values = _finite(f"curve {self.name!r}", self.values, "(n,)")
+        if values.ndim != 1:
+            raise InputError(f"curve {self.name!r} has shape {values.shape}: expected (n,)")
+        object.__setattr__(self, "values", values)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Field:
+    """Arrows that travel along the morph, in the common frame.
+
+    Attributes
+    ----------
+    positions : (K, 2) array
+        Where each starts: x to the right, y down.
+    displacement : (K, 2) array
+        How far it goes.
+    weights : (K,) array, optional
+        Mass that each stands for, in any unit, at least 0; None if all are equal.
+    begin, end : float
+        Morph times between which they travel; they are drawn only then.
+    """
+
+    positions: NDArray[np.float64]
+    displacement: NDArray[np.float64]
+    weights: NDArray[np.float64] | None = None
+    begin: float = 0.0
+    end: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("positions", "displacement"):
+            array = _finite(f"the field's {name}", getattr(self, name), "(K, 2)")
+            if array.ndim != 2 or array.shape[1] != 2:
+                raise InputError(f"the field's {name} have shape {array.shape}: expected (K, 2)")
+            object.__setattr__(self, name, array)
+        count = len(self.positions)
+        if len(self.displacement) != count:
+            raise InputError(
+                f"the field has {count} positions and {len(self.displacement)} displacements: "
+                "expected one for each"
+            )
+        if self.weights is not None:
+            weights = _finite("the field's weights", self.weights, f"({count},)")
+            if weights.shape != (count,) or np.any(weights < 0):
+                raise InputError(
+                    f"the field's weights have shape {weights.shape}: expected ({count},), none "
+                    "of them negative"
+                )
+            object.__setattr__(self, "weights", weights)
+        begin = check_number("begin", self.begin, -1e9, 1e9)
+        if check_number("end", self.end, -1e9, 1e9) <= begin:
+            raise InputError(f"end={self.end!r}: expected a time after begin={self.begin!r}")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Scene:
+    """A morph, ready to be shown.
+
+    Attributes
+    ----------
+    frames : sequence of (H, W, 3) or (H, W, 4) uint8 arrays
+        Each of its own size; with four channels colors are straight, not multiplied by
+        opacity. Read once each, in order, and not kept.
+    times : (n,) array
+        Morph time of each frame, ascending: 0 to 1, or 0 to k for a chain of k morphs.
+    fps : float
+        Frames per second.
+    hold : float
+        Seconds that the first and the last frame rest in addition.
+    loop : {"loop", "ping-pong", "once"}
+    title : str
+    pixelated : bool
+        Whether pixels are enlarged as squares, at first.
+    curves : sequence of Curve
+    field : Field or sequence of Field, optional
+        One for each morph of a chain.
+    parameters : mapping
+        What json.dumps takes; shown as a table, and read again by `read_parameters`.
+    facts : mapping
+        Shown in the table beside them, and not read again.
+    extent : {"true", "unit"}
+        How the frames stand in the common frame, as the measures were lifted.
+    notes : sequence of str
+        Shown under the picture.
+
+    Raises
+    ------
+    InputError
+        If something has another shape or type.
+    """
+
+    frames: Sequence[NDArray[np.uint8]]
+    times: NDArray[np.float64]
+    fps: float = defaults.FPS
+    hold: float = defaults.HOLD
+    loop: str = "ping-pong"
+    title: str = "Morph"
+    pixelated: bool = False
+    curves: Sequence[Curve] = ()
+    field: Field | Sequence[Field] | None = None
+    parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    extent: str = "true"
+    notes: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        times = _finite("times", self.times, "(n,)")
+        if times.ndim != 1 or not len(times) or np.any(np.diff(times) < 0):
+            raise InputError("times: expected (n,) ascending numbers, at least one")
+        object.__setattr__(self, "times", times)
+        if len(self.frames) != len(times):
+            raise InputError(
+                f"there are {len(self.frames)} frames and {len(times)} times: expected one each"
+            )
+        check_number("fps", self.fps, 0.01, 1000.0)
+        check_number("hold", self.hold, 0.0, 3600.0)
+        check_choice("loop", self.loop, LOOPS)
+        check_choice("extent", self.extent, EXTENTS)
+        _check_text("title", self.title)
+        for note in self.notes:
+            _check_text("a note", note)
+        for curve in self.curves:
+            if len(curve.values) != len(times):
+                raise InputError(
+                    f"curve {curve.name!r} has {len(curve.values)} values: expected one for each "
+                    f"of the {len(times)} frames"
+                )
+        if not isinstance(self.parameters, Mapping):
+            raise InputError(
+                f"parameters is a {type(self.parameters).__name__}: expected a mapping, as a dict"
+            )
+        as_json("parameters", dict(self.parameters))
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """The arrows' fields, none to many."""
+        if self.field is None:
+            return ()
+        return (self.field,) if isinstance(self.field, Field) else tuple(self.field)
+
+
+def as_json(name: str, value: Any) -> str:
+    """Return JSON in plain ASCII that can stand in a page, where no tag may end it.
+
+    Raises
+    ------
+    InputError
+        If it is no JSON, as NaN and infinity are not.
+    """
+    try:
+        text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InputError(
+            f"{name}: not JSON ({error}); expected str, finite numbers, bool, None, and lists and "
+            "dicts of them"
+        ) from None
+    for character in "<>&":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text
+
+
+def _check_text(name: str, value: Any) -> None:
+    if not isinstance(value, str):
+        raise InputError(f"{name} is a {type(value).__name__}: expected a str")
+
+
+def _finite(name: str, values: Any, shape: str) -> NDArray[np.float64]:
+    """Return an array of finite float64."""
+    try:
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: expected an array {shape} of numbers") from None
+    if not np.all(np.isfinite(array)):
+        raise InputError(f"{name}: expected finite numbers, without NaN and infinity")
+    return array

@@ -1,0 +1,230 @@
+"""From a morph to what a page shows of it: frames, curves, arrows and parameters."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.images.pixels import to_bytes
+from clmorph.output.html.scene import Curve, Field, Scene
+from clmorph.pipeline import presets as defaults
+from clmorph.pipeline.result import Morph
+from clmorph.transport.plan import Plan
+
+Array = NDArray[np.float64]
+
+#: Arrows along the longer side of the source.
+ARROWS = 24
+#: Mass under which a place has no arrow, as a share of the fullest place's.
+FAINTEST = 1e-3
+
+
+class RenderedFrames(Sequence[NDArray[np.uint8]]):
+    """Frames of a morph in 8 bits, each rendered when it is asked for, and not kept.
+
+    Parameters
+    ----------
+    morph : Morph
+    times : (n,) array
+    """
+
+    def __init__(self, morph: Morph, times: Array) -> None:
+        self._morph = morph
+        self._times = times
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    @overload
+    def __getitem__(self, index: int) -> NDArray[np.uint8]: ...
+    @overload
+    def __getitem__(self, index: slice) -> "RenderedFrames": ...
+    def __getitem__(self, index: int | slice) -> "NDArray[np.uint8] | RenderedFrames":
+        if isinstance(index, slice):
+            return RenderedFrames(self._morph, self._times[index])
+        return to_bytes(self._morph.frame(float(self._times[index])))
+
+
+def scene_of(
+    morph: Morph,
+    frames: Sequence[NDArray[Any]] | None = None,
+    *,
+    times: NDArray[np.float64] | None = None,
+    fps: float = defaults.FPS,
+    hold: float = defaults.HOLD,
+    loop: str = "ping-pong",
+    title: str = "Morph",
+    pixelated: bool | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    notes: Sequence[str] = (),
+) -> Scene:
+    """Return what a page shows of a morph.
+
+    Parameters
+    ----------
+    morph : Morph
+    frames : sequence of (H, W, 3) or (H, W, 4) arrays, optional
+        At `times`: uint8, or floats in [0, 1]; None renders each when it is asked for.
+    times : (n,) array, optional
+        None are the morph's own.
+    fps, hold, loop, title
+        See `Scene`.
+    pixelated : bool, optional
+        None: if both images are pixel art, as everywhere.
+    parameters : mapping, optional
+        In place of those that the morph itself knows, or beside them.
+    notes : sequence of str
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        If something does not fit, see `Scene`.
+    """
+    chosen = morph.times if times is None else np.asarray(times, np.float64)
+    pictures: Sequence[NDArray[Any]]
+    pictures = RenderedFrames(morph, chosen) if frames is None else _EightBits(frames)
+    if pixelated is None:
+        pixelated = morph.pixelated
+    return Scene(
+        frames=pictures,
+        times=chosen,
+        fps=fps,
+        hold=hold,
+        loop=loop,
+        title=title,
+        pixelated=pixelated,
+        curves=morph_curves(morph, chosen),
+        field=arrow_field(morph),
+        parameters=known_parameters(morph) | dict(parameters or {}),
+        extent=morph.source.extent,
+        notes=notes,
+    )
+
+
+class _EightBits(Sequence[NDArray[np.uint8]]):
+    """Frames rounded to 8 bits as they are read."""
+
+    def __init__(self, frames: Sequence[NDArray[Any]]) -> None:
+        self._frames = frames
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return _EightBits(self._frames[index])
+        frame = np.asarray(self._frames[index])
+        return frame if frame.dtype == np.uint8 else to_bytes(frame)
+
+
+def morph_curves(morph: Morph, times: Array) -> tuple[Curve, ...]:
+    """Return kernel width and the shares of mass that travels, dies and is born.
+
+    Parameters
+    ----------
+    morph : Morph
+    times : (n,) array
+
+    Returns
+    -------
+    tuple of Curve
+        Widths in pixels of each time's canvas; masses as a share of all that is drawn then.
+    """
+    widths = np.array([morph.kernel_width.at(t, morph.canvas(t)) for t in times])
+    moving = morph.particles
+    resting = moving.links[:, 0] == moving.links[:, 1]
+    begun = moving.weights[:, 0] @ resting, moving.weights[:, 1] @ resting
+    whole = moving.weights.sum(axis=0)
+    dying, born = (1 - times) * begun[0], times * begun[1]
+    total = (1 - times) * whole[0] + times * whole[1]
+    traveling = np.maximum(total - dying - born, 0.0)
+    curves = [Curve("kernel width", "pixels", widths)]
+    for name, mass in (("traveling", traveling), ("dying", dying), ("born", born)):
+        share = np.divide(100 * mass, total, out=np.zeros_like(mass), where=total > 0)
+        curves.append(Curve(f"mass {name}", "% of mass", share))
+    return tuple(curves)
+
+
+def arrow_field(morph: Morph, most: int = ARROWS) -> Field | None:
+    """Return where the mass of each place of the source goes, on average.
+
+    Parameters
+    ----------
+    morph : Morph
+    most : int
+        Places along the longer side; pixels of one place share an arrow.
+
+    Returns
+    -------
+    Field or None
+        None if nothing moves.
+    """
+    source, plan = morph.source, morph.plan
+    if isinstance(plan, Plan):
+        ends, _ = plan.mean_destinations(source.positions, morph.target.positions)
+    else:
+        ends = plan.positions
+    height, width = source.shape
+    side = -(-max(source.shape) // most)
+    columns = -(-width // side)
+    rows, column = np.divmod(np.arange(height * width), width)
+    place = rows // side * columns + column // side
+    mass = plan.marginals[0]
+    total = np.bincount(place, mass)
+    kept = total > FAINTEST * total.max(initial=0.0)
+    if not kept.any():
+        return None
+
+    def mean(points: Array) -> Array:
+        sums = [np.bincount(place, mass * axis, len(total)) for axis in points.T]
+        return np.column_stack(sums)[kept] / total[kept, None]
+
+    starts = mean(source.positions)
+    return Field(starts, mean(ends) - starts, total[kept] / total.max())
+
+
+def known_parameters(morph: Morph) -> dict[str, Any]:
+    """Return what a morph knows of how it was made, as JSON takes it."""
+    from clmorph._shared.version import __version__
+
+    width, potentials, source = morph.kernel_width, morph.potentials, morph.source
+    reach = potentials.reach
+    reaches = [
+        "balanced" if side is None else _short(side)
+        for side in (reach if isinstance(reach, tuple) else (reach,))
+    ]
+    known = {
+        "source_size": [source.shape[1], source.shape[0]],
+        "target_size": [morph.target.shape[1], morph.target.shape[0]],
+        "blur": _short(potentials.blur),
+        "reach": reaches if len(reaches) > 1 else reaches[0],
+        "color_weight": _short(source.color_weight),
+        "color_space": source.color_space,
+        "path_space": morph.particles.path_space,
+        "extent": source.extent,
+        "splatting": width.splatting,
+        "sigma_start": _short(width.sigma_start),
+        "sigma_end": _short(width.sigma_end),
+        "endpoints": morph.endpoints,
+        "unmatched": morph.unmatched,
+        "particles": len(morph.particles),
+        "iterations": int(potentials.n_iter),
+        "residual": _short(potentials.residual),
+        "transported_mass": _short(potentials.transported_mass),
+        "clmorph": __version__,
+    }
+    if width.splatting == "adaptive":
+        known["gamma"] = _short(width.gamma)
+    if width.curve is not None:
+        known["sigma"] = "optimal"
+    return known
+
+
+def _short(value: float) -> float | None:
+    """Round to six significant digits; what is not finite is None, as JSON has no word for it."""
+    return float(f"{value:.6g}") if np.isfinite(value) else None

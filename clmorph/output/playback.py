@@ -1,0 +1,192 @@
+"""When each frame is shown: easing, rests at the pictures, loops."""
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.validation import check_choice, check_number
+from clmorph.errors import InputError
+from clmorph.pipeline import presets as defaults
+
+#: How the morph's time runs while frames follow one another evenly.
+EASES = ("linear", "smooth", "in", "out")
+#: What comes after the last frame: the first, the way back, or nothing.
+LOOPS = ("loop", "ping-pong", "once")
+#: Frames a second from which a rest that is rounded to whole ones is not seen to be.
+SMOOTH = 30
+
+
+def eased(times: NDArray[np.float64], ease: str) -> NDArray[np.float64]:
+    """Return the times of a morph that frames at even times show.
+
+    Parameters
+    ----------
+    times : (n,) array
+        Even, from 0 to 1.
+    ease : {"linear", "smooth", "in", "out"}
+        "in" starts slowly, "out" ends slowly, "smooth" does both.
+
+    Returns
+    -------
+    (n,) array
+        Never falling; 0 and 1 stay what they are.
+
+    Raises
+    ------
+    InputError
+        If `ease` is none of these.
+    """
+    check_choice("ease", ease, EASES)
+    if ease == "smooth":
+        return times**2 * (3.0 - 2.0 * times)
+    if ease == "in":
+        return times**2
+    return times * (2.0 - times) if ease == "out" else times
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How frames follow one another.
+
+    Attributes
+    ----------
+    fps : float
+        Frames a second.
+    hold : float
+        Seconds that the pictures themselves stay longer than a frame: the first, the last, and
+        those between in a chain.
+    loop : {"loop", "ping-pong", "once"}
+
+    Raises
+    ------
+    InputError
+        If one of them cannot be used.
+    """
+
+    fps: float = defaults.FPS
+    hold: float = defaults.HOLD
+    loop: str = "loop"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fps", check_number("fps", self.fps, 0.1, 240.0))
+        object.__setattr__(self, "hold", check_number("hold", self.hold, 0.0, 3600.0))
+        check_choice("loop", self.loop, LOOPS)
+
+    @classmethod
+    def lasting(
+        cls, duration: float, rests: NDArray[np.bool_], hold: float = defaults.HOLD,
+        loop: str = "loop",
+    ) -> "Motion":  # fmt: skip
+        """Return the motion whose one round takes so many seconds.
+
+        Parameters
+        ----------
+        duration : float
+            Seconds, rests included.
+        rests : (n,) array of bool
+            Frames that are pictures themselves.
+        hold, loop
+            As above.
+
+        Raises
+        ------
+        InputError
+            If the rests alone take longer, or nothing would be seen to move.
+        """
+        check_number("duration", duration, 0.0, 1e6, open_low=True)
+        trial = cls(1.0, hold, loop).played(rests)
+        resting = sum(seconds - 1.0 for _, seconds in trial)
+        if duration <= resting:
+            raise InputError(
+                f"duration={duration:g} is no longer than the rests at the pictures, "
+                f"{resting:g} s: raise it, or lower hold"
+            )
+        fps = len(trial) / (duration - resting)
+        if not 0.1 <= fps <= 240.0:
+            raise InputError(
+                f"duration={duration:g} means {fps:.3g} frames a second: expected 0.1 to 240; "
+                "change it, or the number of frames"
+            )
+        return cls(fps, hold, loop)
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames a second, as files store them."""
+        return Fraction(self.fps).limit_denominator(1001)
+
+    def rate_for(self, seconds: list[float]) -> Fraction:
+        """Return the rate at which pictures that are shown so long are frames, repeated.
+
+        Parameters
+        ----------
+        seconds : list of float
+            Of each picture, as `played` tells.
+
+        Returns
+        -------
+        Fraction
+            `rate` if all are whole frames then; else its first multiple, at least `SMOOTH`, of
+            which none is off by more than half.
+        """
+        frames = np.array(seconds) * float(self.rate)
+        if np.all(np.abs(frames - np.round(frames)) < 0.01):
+            return self.rate
+        return self.rate * max(1, math.ceil(SMOOTH / self.rate))
+
+    def order(self, n_frames: int) -> list[int]:
+        """Return the frames of one round."""
+        there = list(range(n_frames))
+        return there + there[-2:0:-1] if self.loop == "ping-pong" else there
+
+    def played(self, rests: NDArray[np.bool_]) -> list[tuple[int, float]]:
+        """Return the frames of one round and the seconds that each is shown.
+
+        Parameters
+        ----------
+        rests : (n,) array of bool
+            Frames that are pictures themselves.
+        """
+        even = 1.0 / self.fps
+        return [(index, even + self.hold * rests[index]) for index in self.order(len(rests))]
+
+
+def whole_units(seconds: list[float], per_second: int | Fraction) -> list[int]:
+    """Round durations to a file's unit so that their sums stay true.
+
+    Parameters
+    ----------
+    seconds : list of float
+    per_second : int or Fraction
+        Units a second.
+
+    Returns
+    -------
+    list of int
+        At least 1 each.
+    """
+    # Halves, which rests easily leave, all go up, whatever the sums' own rounding: equal
+    # durations side by side stay equal.
+    ends = np.floor(np.cumsum(seconds) * float(per_second) + (0.5 + 1e-6)).astype(int)
+    return [max(1, int(units)) for units in np.diff(ends, prepend=0)]
+
+
+def resting(n_images: int, n_frames: int) -> NDArray[np.bool_]:
+    """Return which frames of a chain of morphs are pictures themselves.
+
+    Parameters
+    ----------
+    n_images : int
+        Pictures of the chain; each morph begins with the frame that the one before ended with.
+    n_frames : int
+        Of each morph, both ends included.
+
+    Returns
+    -------
+    ((n_images - 1) (n_frames - 1) + 1,) array of bool
+    """
+    rests = np.zeros((n_images - 1) * (n_frames - 1) + 1, bool)
+    rests[:: n_frames - 1] = True
+    return rests

@@ -1,0 +1,148 @@
+"""A morph, or a chain of them, rendered: what files are made of."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.progress import Share
+from clmorph.images.pixels import to_bytes
+from clmorph.output.playback import Motion
+from clmorph.output.spool import Spool
+from clmorph.pipeline.result import Morph
+
+#: Called with a stage's name and the share of it that is done.
+StageProgress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Frames and how they are played.
+
+    Attributes
+    ----------
+    frames : sequence of (H, W, 3) or (H, W, 4) arrays
+        uint8, or floats in [0, 1]; each of its own size, in the order in which they are seen
+        first.
+    shapes : list of tuple
+        Theirs.
+    times : (n,) array
+        The morph's time in each, from 0 to the number of morphs; falling if reversed.
+    rests : (n,) array of bool
+        Frames that are pictures themselves.
+    motion : Motion
+    pixelated : bool
+        Whether all pictures are pixel art.
+    parameters : dict
+        What made them; JSON takes it.
+    morphs : list of Morph
+        Those of which files tell more than frames; empty if they were not kept.
+    """
+
+    frames: Sequence[NDArray[Any]]
+    shapes: list[tuple[int, ...]]
+    times: NDArray[np.float64]
+    rests: NDArray[np.bool_]
+    motion: Motion
+    pixelated: bool = False
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    morphs: list[Morph] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def picture(self, index: int) -> NDArray[np.uint8]:
+        """Return a frame in 8 bits."""
+        return to_bytes(self.frames[index])
+
+    def played(self) -> list[tuple[int, float]]:
+        """Return the frames of one round, each with the seconds that it is shown."""
+        return self.motion.played(self.rests)
+
+    @property
+    def duration(self) -> float:
+        """Seconds of one round."""
+        return sum(seconds for _, seconds in self.played())
+
+
+@contextmanager
+def recorded(
+    morphs: Iterable[Morph],
+    motion: Motion,
+    *,
+    reverse: bool = False,
+    n_morphs: int = 1,
+    exact: bool = False,
+    keep: bool = False,
+    pixelated: bool = False,
+    parameters: Mapping[str, Any] | None = None,
+    folder: Path | None = None,
+    progress: StageProgress | None = None,
+) -> Iterator[Film]:
+    """Render morphs one after the other, each frame once, onto disk.
+
+    Parameters
+    ----------
+    morphs : iterable of Morph
+        Each begins with the picture that the one before ends with. Taken one by one, so that
+        they need not be there at once.
+    motion : Motion
+    reverse : bool
+        From the end to the beginning.
+    n_morphs : int
+        How many will come; only to name stages.
+    exact : bool
+        Frames as floats, for files that hold more than 8 bits.
+    keep : bool
+        Keep the morphs themselves too, for files that tell of them.
+    pixelated, parameters
+        As in `Film`.
+    folder : Path, optional
+        Where the frames are kept meanwhile.
+    progress : callable, optional
+
+    Yields
+    ------
+    Film
+    """
+    report = progress or (lambda stage, share: None)
+    times: list[float] = []
+    rests: list[bool] = []
+    kept: list[Morph] = []
+    with Spool(np.float32 if exact else np.uint8, folder) as spool:
+        for number, morph in enumerate(morphs):
+            if keep:
+                kept.append(morph)
+            name = f"frames {number + 1}" if n_morphs > 1 else "frames"
+            rendered = morph.__dict__.get("frames")  # those that were asked for before
+            for index, t in enumerate(morph.times):
+                if number == 0 or index > 0:
+                    frame = morph.frame(float(t)) if rendered is None else rendered[index]
+                    spool.append(frame if exact else to_bytes(frame))
+                    times.append(number + float(t))
+                    rests.append(index in (0, len(morph.times) - 1))
+                done = index + 1
+                report(name, Share(done / len(morph.times), f"{done} of {len(morph.times)}"))
+        step = -1 if reverse else 1
+        shapes = [spool.shape(index) for index in range(len(spool))]
+        yield Film(
+            _Backwards(spool) if reverse else spool, shapes[::step], np.array(times)[::step],
+            np.array(rests)[::step], motion, pixelated, dict(parameters or {}), kept,
+        )  # fmt: skip
+
+
+class _Backwards(Sequence[NDArray[Any]]):
+    """A sequence seen from its end, without reading it."""
+
+    def __init__(self, frames: Sequence[NDArray[Any]]) -> None:
+        self._frames = frames
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._frames[len(self._frames) - 1 - range(len(self._frames))[index]]

@@ -1,0 +1,108 @@
+"""Frames on disk while a file is made of them."""
+
+import io
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.printable import reason_of
+from clmorph._shared.staging import staging_folder
+from clmorph.errors import OutputError
+
+#: Bytes of frames that stay in memory; more go to a temporary file.
+IN_MEMORY = 128 * 1024**2
+
+
+class Spool(Sequence[NDArray[Any]]):
+    """A sequence of arrays of any shapes and one dtype: a few in memory, more in a temporary file.
+
+    To be used in a `with` block, at whose end the file goes. Where the system lets files have no
+    names, it has none: however the process ends, its room on the disk is free again. On Windows
+    it has a name until it is closed, and on network disks it can get one; so it lies in a staging
+    folder, which is no part of what the folder holds (see `files.is_empty`) and which the
+    next run clears away if this one is killed.
+
+    Parameters
+    ----------
+    dtype : dtype
+    folder : Path, optional
+        In which the staging folder is made, once there is more than `IN_MEMORY`. By default the
+        file goes to the system's place for temporary files, without such a folder.
+    """
+
+    def __init__(self, dtype: Any, folder: Path | None = None) -> None:
+        self._dtype = np.dtype(dtype)
+        self._folder = folder
+        self._stack = ExitStack()
+        self._file: IO[bytes] = io.BytesIO()
+        self._places: list[tuple[int, tuple[int, ...]]] = []
+
+    def append(self, array: NDArray[Any]) -> None:
+        """Add an array of the spool's dtype."""
+        if array.dtype != self._dtype:
+            raise TypeError(f"an array of {array.dtype} in a spool of {self._dtype}")
+        with _told():
+            offset = self._file.seek(0, 2)
+            if isinstance(self._file, io.BytesIO) and offset + array.nbytes > IN_MEMORY:
+                self._file = self._on_disk(self._file)
+            self._file.write(np.ascontiguousarray(array).tobytes())
+        self._places.append((offset, array.shape))
+
+    def _on_disk(self, memory: io.BytesIO) -> IO[bytes]:
+        """Return a temporary file that holds what was in memory, at its end."""
+        place = self._folder and self._stack.enter_context(staging_folder(self._folder))
+        file = tempfile.TemporaryFile(dir=place)  # noqa: SIM115 (the stack closes it)
+        self._stack.callback(file.close)
+        file.write(memory.getbuffer())
+        return file
+
+    def shape(self, index: int) -> tuple[int, ...]:
+        """Return an array's shape without reading it."""
+        return self._places[index][1]
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    @overload
+    def __getitem__(self, index: int) -> NDArray[Any]: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[NDArray[Any]]: ...
+    def __getitem__(self, index: int | slice) -> NDArray[Any] | list[NDArray[Any]]:
+        """Read an array, or some of them."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        offset, shape = self._places[index]
+        with _told():  # what was written may only now reach the disk
+            self._file.seek(offset)
+            data = self._file.read(int(np.prod(shape)) * self._dtype.itemsize)
+        return np.frombuffer(data, self._dtype).reshape(shape)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with suppress(OSError):  # a full disk again: what is lost here was not to be kept
+            self._stack.close()
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Tell what the disk refuses."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"frames cannot wait on disk until they are written ({reason_of(error)}): "
+            "free some space, or take fewer or smaller frames"
+        ) from error

@@ -1,0 +1,1 @@
+"""Two images in, a morph out: options, presets, the composition, its result."""

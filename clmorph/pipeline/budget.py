@@ -1,0 +1,263 @@
+"""Which particles a morph is made of: all kept pairs, draws or means, within some memory."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from clmorph.backends.interface import Operations
+from clmorph.errors import InputError, MemoryWarning, PruningWarning
+from clmorph.measures.points import as_pair
+from clmorph.pipeline.memory import affordable, estimate, predict_pairs
+from clmorph.transport.plan import Plan, transport_plan
+from clmorph.transport.plan_sampling import (
+    MAX_DRAWS,
+    Barycentric,
+    barycentric_plan,
+    draw_pairs,
+    n_draws,
+    sample_plan,
+)
+from clmorph.transport.potentials import Potentials
+from clmorph.transport.pruning import REMEDY, check_reachable
+from clmorph.transport.refine_plan import PixelCells, drawn, refined
+
+#: Share of a device's memory that a morph may take, unless told otherwise.
+MEMORY_SHARE = 0.5
+#: Share of a plan's mass from which on a threshold that drops it is warned of.
+MUCH_DROPPED = 0.25
+
+
+def default_memory(operations: Operations) -> float | None:
+    """Return how many bytes a morph may take; None if the backend does not say what it has."""
+    device = getattr(operations, "device", None)
+    return None if device is None else MEMORY_SHARE * float(device.global_mem_size)
+
+
+def make_plan(
+    source: PixelCells,
+    target: PixelCells,
+    potentials: Potentials,
+    operations: Operations,
+    *,
+    sample: int | None = None,
+    barycentric: bool = False,
+    seed: int = 0,
+    max_particles: int | None = None,
+    max_memory: float | None = None,
+    log_threshold: float | None = None,
+) -> Plan | Barycentric:
+    """Return the plan between two images' pixels in the form that was asked for, or that fits.
+
+    Parameters
+    ----------
+    source, target : PixelCells
+    potentials : Potentials
+        Of `source.coarse` and `target.coarse`.
+    operations : Operations
+    sample, barycentric, seed
+        See `clmorph.morph`; without either all pairs are kept, if they fit.
+    max_particles : int, optional
+        If there are more pairs, about so many are drawn, but at least one for each pixel of both
+        images.
+    max_memory : float, optional
+        Bytes that the morph may take; None is `default_memory`.
+    log_threshold : float, optional
+        Which pairs are kept, if pairs are, see `clmorph.transport_plan`. Draws and means are of
+        the whole plan.
+
+    Raises
+    ------
+    InputError
+        If no pair is above `log_threshold`.
+
+    Warns
+    -----
+    MemoryWarning
+        If not all pairs fit; it says what is done in their place.
+    PruningWarning
+        If `log_threshold` drops much of the plan's mass.
+    """
+    measures = source.coarse, target.coarse
+    if sample is None and not barycentric:
+        way = choose_way(
+            source, target, potentials, operations, max_particles, max_memory, log_threshold,
+            stacklevel=3,
+        )  # fmt: skip
+        sample, barycentric = way.get("sample"), way.get("barycentric", False)
+    if barycentric:
+        means = barycentric_plan(*measures, potentials, backend=operations)
+        return refined(means, source, target)
+    if sample is None:
+        plan = transport_plan(
+            *measures, potentials, log_threshold=log_threshold, backend=operations
+        )
+        if log_threshold is not None:
+            warn_if_much_is_dropped(plan, log_threshold, stacklevel=3)
+        return refined(plan, source, target)
+    finest = finest_pixels(source, target)
+    if finest == 1:
+        return sample_plan(*measures, potentials, sample, seed=seed, backend=operations)
+    # Each pixel of a cell has draws of its own.
+    by_row, by_column = (count * finest for count in n_draws(sample))
+    draws = draw_pairs(*measures, potentials, (by_row, by_column), seed=seed, backend=operations)
+    return drawn(draws, source, target)
+
+
+def warn_if_much_is_dropped(plan: Plan, log_threshold: float, stacklevel: int = 2) -> None:
+    """Warn of a threshold that is too high for so many points.
+
+    Parameters
+    ----------
+    plan : Plan
+    log_threshold : float
+        With which it was built.
+    stacklevel : int
+        As in `warnings.warn` by the caller.
+
+    Warns
+    -----
+    PruningWarning
+    """
+    if plan.dropped_mass > MUCH_DROPPED:
+        warnings.warn(
+            f"log_threshold={log_threshold:g} drops {100 * plan.dropped_mass:.0f} % of the plan's "
+            f"mass between {plan.shape[0]} and {plan.shape[1]} points; {REMEDY}",
+            PruningWarning,
+            stacklevel=stacklevel + 1,
+        )
+
+
+def finest_pixels(source: PixelCells, target: PixelCells) -> int:
+    """Pixels of the larger of both images' cells."""
+    return int(max(source.side, target.side) ** 2)
+
+
+def check_ways(
+    source: PixelCells,
+    target: PixelCells,
+    operations: Operations,
+    *,
+    sample: int | None = None,
+    barycentric: bool = False,
+    max_memory: float | None = None,
+    log_threshold: float | None = None,
+) -> None:
+    """Check, before anything is solved, that the particles can be made as is asked for.
+
+    Parameters
+    ----------
+    source, target, operations, sample, barycentric, max_memory, log_threshold
+        As in `make_plan`.
+
+    Raises
+    ------
+    InputError
+        If there would be too many draws from a cell, or not even the least would fit into
+        `max_memory`, or no pair could exceed `log_threshold`.
+    """
+    if log_threshold is not None:
+        check_reachable(log_threshold, *as_pair(source.coarse, target.coarse))
+    finest = finest_pixels(source, target)
+    if sample is not None and sample * finest > MAX_DRAWS:
+        raise InputError(
+            f"sample={sample}: expected at most {MAX_DRAWS // finest} with cells of {finest} "
+            "pixels; lower it, or raise solve_size"
+        )
+    limit = default_memory(operations) if max_memory is None else max_memory
+    if limit is None:
+        return
+    shapes, kind = _kind(source, target, operations)
+    asked = sample is not None or barycentric
+    ways = [(sample, barycentric)] if asked else [(1, False), (None, True)]
+    needs = (
+        estimate(shapes[0], shapes[1], sample=draws, barycentric=means, **kind)
+        for draws, means in ways
+    )
+    least = min(max(need.ram, need.device) for need in needs)
+    if least > limit and (max_memory is not None or not asked):
+        raise InputError(
+            f"max_memory={limit / 1e9:.3g} GB: expected at least {least / 1e9:.2g} GB for these "
+            "images; raise it, or use smaller images"
+        )
+
+
+def _kind(
+    source: PixelCells, target: PixelCells, operations: Operations
+) -> tuple[tuple[tuple[int, int], tuple[int, int]], dict[str, Any]]:
+    """Return the images' shapes, and what else an estimate asks for."""
+    fine = source.fine, target.fine
+    return (fine[0].shape, fine[1].shape), {
+        "alpha": any(measure.alpha is not None for measure in fine),
+        "dimension": 11 if fine[0].has_metric_map else 5,
+        "backend": operations,
+    }
+
+
+def choose_way(
+    source: PixelCells,
+    target: PixelCells,
+    potentials: Potentials,
+    operations: Operations,
+    max_particles: int | None,
+    max_memory: float | None,
+    log_threshold: float | None = None,
+    stacklevel: int = 2,
+) -> dict[str, Any]:
+    """Return options of `make_plan` within both limits; none if all pairs may be kept.
+
+    Parameters
+    ----------
+    source, target, potentials, operations, max_particles, max_memory, log_threshold
+        As in `make_plan`.
+    stacklevel : int
+        Of the warning, as in `warnings.warn` by the caller.
+
+    Returns
+    -------
+    dict
+        ``{}``, ``{"sample": k}`` or ``{"barycentric": True}``.
+
+    Warns
+    -----
+    MemoryWarning
+        If not all pairs fit into `max_memory`.
+    """
+    finest = finest_pixels(source, target)
+    most = len(source.coarse) * len(target.coarse) * finest
+    limit = default_memory(operations) if max_memory is None else max_memory
+    shapes, kind = _kind(source, target, operations)
+    need = estimate(*shapes, most, **kind)
+    few = max_particles is None or most <= max_particles
+    if few and (limit is None or max(need.ram, need.device) <= limit):
+        return {}  # whatever it keeps
+    pairs = finest * predict_pairs(
+        source.coarse, target.coarse, potentials, log_threshold=log_threshold, backend=operations
+    )
+    wanted: dict[str, Any] = {}
+    particles = pairs
+    if max_particles is not None and pairs > max_particles:
+        points = [len(cells.coarse) * finest for cells in (source, target)]
+        # One of the draws is each target pixel's.
+        wanted = _drawn((max_particles - points[1]) // points[0] + 1, finest)
+        particles = int(np.dot(n_draws(wanted.get("sample", 1)), points))
+    if limit is None:
+        return wanted
+    way = affordable(limit, *shapes, particles, **kind)
+    if not way:
+        return wanted
+    way = _drawn(way["sample"], finest) if "sample" in way else way
+    chosen = f"sample={way['sample']}" if "sample" in way else "barycentric=True"
+    warnings.warn(
+        f"{particles:.2g} particles, of the plan's {pairs:.2g} pairs, would not fit into "
+        f"max_memory={limit / 1e9:.3g} GB: {chosen} is taken in their place",
+        MemoryWarning,
+        stacklevel=stacklevel + 1,
+    )
+    return way
+
+
+def _drawn(draws: int, finest: int) -> dict[str, Any]:
+    """Return options for so many draws a pixel, or for means if cells are too large for any."""
+    most = MAX_DRAWS // finest
+    return {"sample": int(max(1, min(most, draws)))} if most else {"barycentric": True}

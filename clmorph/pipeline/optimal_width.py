@@ -1,0 +1,97 @@
+"""Kernel widths chosen by what the paper argues from: nearness to the particles themselves.
+
+The paper judges a kernel by the Sinkhorn divergence of its frames (4.3) and sets its width by
+hand (gamma). Here sigma(t) is the width whose frame, weighted by its kernel mass, has the least
+divergence to the particles mu_t that it is a picture of; torn pixels are closed. The divergence
+prefers grain to blur: an average of colors is a color that no particle has.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.validation import check_progress
+from clmorph.analysis.metrics import check_morph, frame_measure, particle_measure
+from clmorph.errors import InputError
+from clmorph.frames.render import Widths
+from clmorph.transport.divergence import sinkhorn_divergence
+
+if TYPE_CHECKING:
+    from clmorph.pipeline.result import Morph
+
+#: What those are told whose morph has none.
+NO_DIVERGENCE = (
+    "sigma='optimal' needs a divergence: one reach for both images, and one color metric for all "
+    "pixels"
+)
+#: Times at which widths are sought; in between they are interpolated. At the ends, where
+#: particles stand on pixels, the narrowest is the best, so the next ones are near.
+KNOTS = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0])
+#: Widths among which they are sought, in pixels; the curve can have several valleys, so all are
+#: tried, and then so often again between the best one's neighbors.
+WIDTHS = 0.1 * 2.0 ** (0.5 * np.arange(12))
+REFINEMENTS = 3
+#: Points to which frames' particles are merged meanwhile.
+POINTS = 4096
+
+
+def optimal_curve(
+    morph: "Morph", *, progress: Callable[[float], None] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the kernel widths whose frames are nearest to the particles.
+
+    Parameters
+    ----------
+    morph : Morph
+        Of which everything but the widths is taken.
+    progress : callable, optional
+        Called with the share done.
+
+    Returns
+    -------
+    times, widths : arrays
+        For `clmorph.frames.kernel_width.KernelWidth.curve`; in pixels.
+
+    Raises
+    ------
+    InputError
+        If the morph has no divergence: its reach is a pair, or its metric of color a map.
+    """
+    report = check_progress(progress)
+    check_morph(morph)
+    if morph.source.has_metric_map or isinstance(morph.potentials.reach, tuple):
+        raise InputError(NO_DIVERGENCE)
+    widths = []
+    for number, t in enumerate(KNOTS):
+        widths.append(_least(_objective(morph, float(t))))
+        report((number + 1) / len(KNOTS))
+    return KNOTS, np.array(widths)
+
+
+def _objective(morph: "Morph", t: float) -> Callable[[float], float]:
+    """Divergence of the frame at t to its particles, as a function of the width."""
+    particles, _ = particle_measure(morph, t, max_points=POINTS)
+    blur, reach = morph.potentials.blur, morph.potentials.reach
+    assert not isinstance(reach, tuple)  # as the caller saw
+
+    local = morph.kernel_width.splatting == "local"
+
+    def divergence(width: float) -> float:
+        sums = morph.sums(t, widths=Widths(width, local, closed=True))
+        frame = frame_measure(morph, t, sums=sums)
+        return float(sinkhorn_divergence(frame, particles, blur, reach, backend=morph.operations))
+
+    return divergence
+
+
+def _least(objective: Callable[[float], float]) -> float:
+    """Return the width with the least objective."""
+    tried = [(objective(width), float(width)) for width in WIDTHS]
+    step = float(np.sqrt(WIDTHS[1] / WIDTHS[0]))
+    for _ in range(REFINEMENTS):
+        best = min(tried)[1]
+        tried += [(objective(width), width) for width in (best / step, best * step)]
+        step = float(np.sqrt(step))
+    return min(tried)[1]

@@ -1,0 +1,106 @@
+"""Anderson acceleration of a fixed-point iteration x <- G(x).
+
+Source: Anderson, "Iterative procedures for nonlinear integral equations" (1965); Walker and
+Ni, "Anderson acceleration for fixed-point iterations" (2011). Near its solution a Sinkhorn
+iteration is self-adjoint in the inner product weighted by the marginal, so there this is a
+Krylov method: it finds by itself what over-relaxation needs a well-chosen factor for, and
+gets ahead of the best factor when few modes are slow.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.transport._solver.problem import inner
+
+Array = NDArray[np.float64]
+
+#: Iterates remembered.
+MEMORY = 16
+#: Share of the remaining residual that is added, as in over-relaxation.
+MIXING = 1.5
+#: Longest extrapolation at first, in steps of the plain iteration, and how it grows where it
+#: was too short, and shrinks where it was too long.
+TRUST, GROWTH, SHRINKAGE = 32.0, 4.0, 0.25
+#: Regularization of the least-squares problem, relative to its diagonal.
+RIDGE = 1e-10
+
+
+class Anderson:
+    """Remembers the last iterates and combines them."""
+
+    def __init__(self) -> None:
+        self._trust, self._was_cut = TRUST, False
+        self._begin()
+
+    def _begin(self) -> None:
+        self._weights: Array | None = None
+        self._image: Array | None = None
+        self._residual: Array | None = None
+        # Differences of one iterate to the next: of the images with their share of the residuals,
+        # of the residuals, and the inner products of these.
+        self._ahead: list[Array] = []
+        self._residuals: list[Array] = []
+        self._products = np.zeros((0, 0))
+
+    def accepted(self) -> None:
+        """Learn that the last extrapolation was good."""
+        if self._was_cut:
+            self._trust *= GROWTH
+
+    def rejected(self) -> None:
+        """Learn that it was not, and begin anew."""
+        self._trust = max(1.0, SHRINKAGE * self._trust)
+        self._begin()
+
+    def extrapolate(self, x: Array, image: Array, weights: Array) -> Array | None:
+        """Remember x and G(x) and return a better next x than G(x).
+
+        Parameters
+        ----------
+        x, image : (n,) arrays
+        weights : (n,) array
+            Of the inner product; those of the first iterate count.
+
+        Returns
+        -------
+        (n,) array or None
+            None while there is nothing to combine.
+        """
+        residual = image - x
+        if self._image is None or self._residual is None or self._weights is None:
+            self._image, self._residual, self._weights = image, residual, weights
+            return None
+        weights = self._weights
+        self._remember(image - self._image, residual - self._residual, weights)
+        self._image, self._residual = image, residual
+        scale = np.sqrt(np.diag(self._products))
+        if not np.all(scale > 0):
+            return None
+        right = np.array([inner(d, weights * residual) for d in self._residuals])
+        normal = self._products / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
+        coefficients = np.linalg.solve(normal, right / scale) / scale
+        step = (MIXING - 1) * residual
+        for c, ahead in zip(coefficients, self._ahead, strict=True):
+            step -= c * ahead
+        longest = self._trust * _norm(residual, weights)
+        length = _norm(step, weights)
+        self._was_cut = length > longest
+        return image + (longest / length if self._was_cut else 1.0) * step
+
+    def _remember(self, of_image: Array, of_residual: Array, weights: Array) -> None:
+        self._ahead.append(of_image + (MIXING - 1) * of_residual)
+        self._residuals.append(of_residual)
+        weighted = of_residual * weights
+        row = np.array([inner(weighted, other) for other in self._residuals])
+        size = len(row)
+        products = np.empty((size, size))
+        products[:-1, :-1] = self._products
+        products[-1], products[:, -1] = row, row
+        if size > MEMORY:
+            del self._ahead[0], self._residuals[0]
+            products = products[1:, 1:]
+        self._products = products
+
+
+def _norm(x: Array, weights: Array) -> float:
+    return float(np.sqrt(inner(x * weights, x)))

@@ -1,0 +1,244 @@
+"""The debiased, unbalanced Sinkhorn divergence between two measures (paper, 2.2).
+
+S(a, b) = OT(a, b) - OT(a, a) / 2 - OT(b, b) / 2 + epsilon / 2 (m_a - m_b)^2.
+
+Source: Séjourné, Feydy, Vialard, Trouvé, Peyré, "Sinkhorn divergences for unbalanced optimal
+transport" (2019).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.validation import check_progress, shown
+from clmorph.backends.select import Backend, get_backend
+from clmorph.errors import InputError
+from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
+from clmorph.pipeline import presets as defaults
+from clmorph.transport._solver.iteration import REPEATED, ROUNDING_MARGIN
+from clmorph.transport._solver.multiscale import MANY_PAIRS
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport.certificate import SUM_ERROR
+from clmorph.transport.potentials import Potentials, check_potentials
+from clmorph.transport.regularization import Strengths, strengths
+from clmorph.transport.sinkhorn import (
+    Progress,
+    check_problem,
+    check_solver_options,
+    choose_truncation,
+    sinkhorn,
+    warn_unless_converged,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Divergence:
+    """A Sinkhorn divergence, what it was computed from, and what is certain about it.
+
+    Attributes
+    ----------
+    value : float
+        Cost units times mass; `float(divergence)` is the same. Never negative.
+    interval : (low, high)
+        Holds the true value: from dual values (below) and primal ones (above) of the three
+        problems, rounding included. For balanced transport primal values follow from the marginal
+        errors, and are wide unless `tol` is small.
+    cross : Potentials
+        Of (source, target).
+    source_self, target_self : Potentials
+        Of each measure with itself; f = g.
+    """
+
+    value: float
+    interval: tuple[float, float]
+    cross: Potentials
+    source_self: Potentials
+    target_self: Potentials
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __repr__(self) -> str:
+        low, high = self.interval
+        return f"<Divergence {self.value:.6g}, certainly within [{low:.6g}, {high:.6g}]>"
+
+    @property
+    def converged(self) -> bool:
+        """Whether all three solves reached their tolerance."""
+        return all(part.converged for part in (self.cross, self.source_self, self.target_self))
+
+    def closer_than(self, other: "Divergence") -> bool | None:
+        """Compare two divergences of the same strengths: True or False if proven, else None."""
+        if not isinstance(other, Divergence):
+            raise InputError(
+                f"other={shown(other)}: expected a Divergence, as clmorph.sinkhorn_divergence "
+                "returns it"
+            )
+        if self.interval[1] < other.interval[0]:
+            return True
+        if self.interval[0] > other.interval[1]:
+            return False
+        return None
+
+
+def sinkhorn_divergence(
+    source: MeasureLike,
+    target: MeasureLike,
+    blur: float = defaults.BLUR,
+    reach: float | None = defaults.REACH,
+    tol: float = defaults.TOL,
+    max_iter: int = defaults.MAX_ITER,
+    backend: Backend = "auto",
+    *,
+    epsilon: float | None = None,
+    rho: float | None = None,
+    precision: str = "auto",
+    cross: Potentials | None = None,
+    progress: Progress | None = None,
+) -> Divergence:
+    """Return how far two measures are apart: 0 only if they are equal, never negative.
+
+    Parameters
+    ----------
+    source, target : Measure, WeightedPoints, or (weights (N,), points (N, D))
+        Of any masses; of equal ones if `reach` is None.
+    blur, epsilon
+        As in `clmorph.sinkhorn`.
+    reach : float or None
+        One for both measures: with two the divergence has no meaning.
+    rho : float, optional
+        reach^2, in place of `reach`; infinity is balanced.
+    tol, max_iter, backend, precision, progress
+        As in `clmorph.sinkhorn`, for each of the three problems.
+    cross : Potentials, optional
+        Of (source, target) with the same strengths, if they are known already.
+
+    Returns
+    -------
+    Divergence
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used, or nothing is proven about a part of the result.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If a residual does not reach `tol`.
+    """
+    given = strengths(blur, reach, epsilon, rho)
+    if isinstance(given.reach, tuple):
+        raise InputError(
+            f"reach={given.reach!r}: expected one number for both measures (or None); with two "
+            "there is no divergence"
+        )
+    tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
+    report = check_progress(progress)
+    pair = as_pair(source, target)
+    if pair[0].offsets is not None or pair[1].offsets is not None:
+        raise InputError(
+            "a cost with a metric for each source pixel is no distance, so there is no "
+            "divergence: use one metric for all pixels"
+        )
+    if cross is not None:
+        _check_cross(cross, *pair, given)
+    operations = get_backend(backend)
+    check_problem(*pair, given, operations, precision)
+
+    parts: list[Potentials] = []
+    for number, measure in enumerate(pair):
+        truncation = choose_truncation("auto", tol, len(measure) ** 2 >= MANY_PAIRS)
+        problem = Problem.between(operations, measure, measure, given.rho, truncation)
+        parts.append(_self_transport(problem, given, tol, max_iter, precision))
+        report(0.15 * (number + 1))
+    if _are_equal(*pair):
+        cross = parts[0]
+    elif cross is None:
+        cross = sinkhorn(
+            *pair, tol=tol, max_iter=max_iter, backend=operations, epsilon=given.epsilon,
+            rho=given.rho[0], precision=precision, progress=lambda share: report(0.3 + 0.7 * share),
+        )  # fmt: skip
+    report(1.0)
+
+    if not all(np.isfinite(part.gap) for part in (cross, *parts)):
+        raise InputError(
+            "the divergence has no bound: points are too far apart for this blur on this device, "
+            "or the solver was stopped too far from a solution; raise blur or max_iter, scale the "
+            "points, or use backend='numpy'"
+        )
+    extra = 0.5 * given.epsilon * (pair[0].mass - pair[1].mass) ** 2
+    duals = [part.dual for part in (cross, *parts)]
+    value = duals[0] - 0.5 * (duals[1] + duals[2]) + extra
+    rounding = SUM_ERROR * (extra + sum(abs(dual) for dual in duals))
+    low = value - 0.5 * (parts[0].gap + parts[1].gap) - rounding
+    high = value + cross.gap + rounding
+    # S >= 0 is a theorem: what rounding puts below is 0.
+    low = max(0.0, low)
+    return Divergence(max(low, value), (low, max(low, high)), cross, parts[0], parts[1])
+
+
+def _check_cross(
+    cross: Potentials, source: AnyMeasure, target: AnyMeasure, given: Strengths
+) -> None:
+    """Refuse potentials of another problem."""
+    check_potentials("cross", cross, (len(source), len(target)))
+    if (cross.blur, cross.reach) != (given.blur, given.reach):
+        raise InputError(
+            f"cross: potentials at blur={cross.blur:g}, reach={cross.reach}; expected "
+            f"blur={given.blur:g}, reach={given.reach}: solve for these, or leave it out"
+        )
+
+
+def _are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
+    return np.array_equal(source.points, target.points) and np.array_equal(
+        source.weights, target.weights
+    )
+
+
+def _self_transport(
+    problem: Problem, given: Strengths, tol: float, max_iter: int, precision: str
+) -> Potentials:
+    """Solve a measure's problem with itself: f = g, f <- (f + Delta T(f)) / 2.
+
+    The Gaussian kernel is positive, so near the solution this contracts by 1/2 at least.
+    """
+    epsilon = given.epsilon
+    damping, _ = problem.damping(epsilon)
+    coarse = ROUNDING_MARGIN * problem.rounding(epsilon, precise=False)
+    precise = precision == "float64"
+    finest = ROUNDING_MARGIN * problem.rounding(epsilon, precise or precision == "auto")
+    problem.to_columns = problem.to_rows  # both measures are one, and so are both potentials
+    f = np.zeros(len(problem.a))
+    residuals: list[float] = []
+    stalled = out = False
+    for share in (1.0, *REPEATED):
+        while True:
+            softmin = problem.softmin_rows(f, epsilon, precise)
+            residual = problem.residual(f, f, softmin, softmin, epsilon)
+            residuals.append(residual)
+            out = len(residuals) >= max_iter
+            if precision == "auto" and not precise and (residual <= max(coarse, tol) or out):
+                precise = True
+                continue
+            # Halving ends where rounding begins.
+            stalled = residual <= finest and len(residuals) > 1 and residual > 0.9 * residuals[-2]
+            if residual <= share * tol or out or stalled:
+                break
+            f = 0.5 * (f + damping * softmin)
+        softmin = problem.to_rows(f, epsilon, bounded=True)
+        residual = problem.residual(f, f, softmin, softmin, epsilon)
+        residuals.append(residual)
+        if residual <= tol or out or stalled:
+            break
+    status = "converged" if residual <= tol else ("precision" if stalled else "max_iter")
+    message = f"{status} in {len(residuals)} iterations (residual {residual:.1e} epsilon)"
+    warn_unless_converged(status, f"self-transport: {message}; raise max_iter, tol or blur")
+    return Potentials(
+        f, f, given.blur, given.reach, status, message, len(residuals), residual,
+        np.array(residuals), problem.certificate(f, f, softmin, softmin, epsilon), precise,
+        problem.truncation, problem.error, problem.to_rows.visited,
+    )  # fmt: skip

@@ -1,0 +1,243 @@
+"""What a transport solver returns."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.validation import as_float, check_blur, check_flag, shown
+from clmorph.errors import InputError
+from clmorph.transport.certificate import Certificate
+from clmorph.transport.regularization import Reach, strengths
+
+Array = NDArray[np.float64]
+
+#: How a solve can end, and what that means.
+STATUSES = {
+    "converged": "the residual is at most the tolerance",
+    "max_iter": "the iterations ran out first",
+    "precision": "the residual is at the device's rounding, above the tolerance",
+    "schedule": "a fixed schedule ended, whatever the residual",
+}
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Potentials:
+    """Dual potentials of the raw (not debiased) entropic problem, with their certificate.
+
+    Attributes
+    ----------
+    f, g : (N,) and (M,) arrays
+        Cost units (the points' unit squared).
+    blur : float
+        epsilon = blur^2, points' unit.
+    reach : float, None, or a pair of them
+        rho = reach^2, points' unit; None is balanced. A pair (source, target) if they differ.
+    status : {"converged", "max_iter", "precision", "schedule"}
+        See `STATUSES`.
+    message : str
+        What happened, and what to do about it.
+    n_iter : int
+        Iterations, annealing included; one is both updates. Updates that were taken back
+        count too.
+    residual : float
+        max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon over points of positive mass, for these
+        very potentials: an upper bound, of which rounding and what was left out are part.
+    residuals : (k,) array
+        The residual after each iteration that was kept, each in units of its own level's
+        epsilon: while the blur is annealed they start high at every level.
+    certificate : Certificate
+        Bounds and marginals that follow from these potentials.
+    precise : bool
+        Whether the last iterations needed more than float32 exponents.
+    truncation : float or None
+        What pairs could be left out for, see `clmorph.sinkhorn`; None: nothing was.
+    truncation_error : float
+        By how many nats the logarithms of `row_mass`, `column_mass` and `transported_mass` can be
+        off, for what was left out and for the device's rounding: a proven bound. It is part of
+        `residual`, `primal` and `dual`.
+    visited : float
+        Share of all pairs of points that the last softmins summed.
+    """
+
+    f: Array
+    g: Array
+    blur: float
+    reach: Reach
+    status: str
+    message: str
+    n_iter: int
+    residual: float
+    residuals: Array
+    certificate: Certificate
+    precise: bool = False
+    truncation: float | None = None
+    truncation_error: float = 0.0
+    visited: float = 1.0
+
+    def __repr__(self) -> str:
+        return f"<Potentials for {len(self.f)} and {len(self.g)} points, {self.message}>"
+
+    @property
+    def converged(self) -> bool:
+        """Whether the residual is at most the tolerance."""
+        return self.status == "converged"
+
+    @property
+    def epsilon(self) -> float:
+        """Entropic strength, in cost units."""
+        return self.blur**2
+
+    @cached_property
+    def rho(self) -> Any:
+        """Marginal strength, in cost units, infinite if balanced; a pair if reach is one."""
+        if isinstance(self.reach, tuple):
+            return tuple(np.inf if reach is None else reach**2 for reach in self.reach)
+        return np.inf if self.reach is None else self.reach**2
+
+    def swapped(self) -> "Potentials":
+        """Return the same seen from the target."""
+        reach = self.reach[::-1] if isinstance(self.reach, tuple) else self.reach
+        certificate = self.certificate._replace(
+            row_mass=self.column_mass, column_mass=self.row_mass
+        )
+        return replace(self, f=self.g, g=self.f, reach=reach, certificate=certificate)
+
+    @property
+    def primal(self) -> float:
+        """An upper bound of the optimum, rounding included; see `clmorph.transport.certificate`.
+
+        <C, pi> + rho KL(pi 1|a) + rho KL(pi^T 1|b) + epsilon KL(pi|a x b) of the plan, or, with a
+        balanced side, of the plan with its rows or columns scaled to the masses given; if both are
+        balanced it follows from `marginal_error`, for equal masses.
+        """
+        return self.certificate.primal
+
+    @property
+    def dual(self) -> float:
+        """Dual value D(f, g) less its rounding: a lower bound of the optimum."""
+        return self.certificate.dual
+
+    @property
+    def gap(self) -> float:
+        """Primal - dual: how far from the optimum these potentials can be."""
+        return self.certificate.gap
+
+    @property
+    def marginal_error(self) -> float:
+        """Sum over the balanced sides of |pi 1 - a|_1, at most; 0 without any."""
+        return self.certificate.marginal_error
+
+    @property
+    def transported_mass(self) -> float:
+        """Mass of the plan."""
+        return self.certificate.transported_mass
+
+    @property
+    def row_mass(self) -> Array:
+        """(N,) first marginal of the plan: mass that leaves each source point."""
+        return self.certificate.row_mass
+
+    @property
+    def column_mass(self) -> Array:
+        """(M,) second marginal of the plan: mass that arrives at each target point."""
+        return self.certificate.column_mass
+
+
+def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potentials:
+    """Return potentials that are usable for measures of so many points.
+
+    Parameters
+    ----------
+    name : str
+        What messages call them.
+    value : Potentials
+    sizes : (N, M)
+
+    Raises
+    ------
+    InputError
+        If they are none, of other sizes, or not finite.
+    """
+    if not isinstance(value, Potentials):
+        raise InputError(
+            f"{name}={shown(value)}: expected Potentials, as clmorph.sinkhorn returns them"
+        )
+    arrays = value.f, value.g
+    if not all(type(array) is np.ndarray and array.dtype == np.float64 for array in arrays):
+        raise InputError(
+            f"{name}: f and g are no float64 arrays; expected Potentials as clmorph.sinkhorn "
+            "returns them"
+        )
+    shapes = value.f.shape, value.g.shape
+    if shapes != ((sizes[0],), (sizes[1],)):
+        points = " and ".join(str(shape[0] if len(shape) == 1 else shape) for shape in shapes)
+        raise InputError(
+            f"{name}: f and g are for {points} points; expected {sizes[0]} and {sizes[1]}: compute "
+            "them for these measures"
+        )
+    if not (np.all(np.isfinite(value.f)) and np.all(np.isfinite(value.g))):
+        raise InputError(
+            f"{name}: f or g holds NaN or infinity; expected Potentials as clmorph.sinkhorn "
+            "returns them"
+        )
+    check_blur(value.blur)
+    lengths = value.reach if isinstance(value.reach, tuple) else (value.reach,)
+    numbers = [value.residual, value.truncation_error, value.visited, value.n_iter]
+    numbers += [each for each in (*lengths, value.truncation) if each is not None]
+    floats = [as_float(each) for each in numbers]
+    # NaN is not at least 0.
+    usable = all(number is not None and number >= 0 for number in floats)
+    usable = usable and isinstance(value.status, str) and isinstance(value.message, str)
+    usable = usable and isinstance(value.residuals, np.ndarray) and value.residuals.dtype == float
+    if not usable or np.isnan(value.residuals).any():
+        raise InputError(
+            f"{name}: parts of it are not what they should be; expected Potentials as "
+            "clmorph.sinkhorn returns them"
+        )
+    strengths(value.blur, value.reach)
+    check_flag(f"{name}: precise", value.precise)
+    certificate = value.certificate
+    if not isinstance(certificate, Certificate) or shapes != (
+        np.shape(certificate.row_mass),
+        np.shape(certificate.column_mass),
+    ):
+        raise InputError(
+            f"{name}: the certificate is not of these potentials; expected Potentials as "
+            "clmorph.sinkhorn returns them"
+        )
+    return value
+
+
+#: Share by which the marginal of a plan may differ from the one that its potentials tell, beside
+#: rounding and truncation: far more than either leaves, far less than other measures do.
+FOREIGN = 0.01
+
+
+def check_origin(potentials: Potentials, row_mass: Array, rounding: float) -> None:
+    """Check that a plan's marginal is the one that its potentials were returned with.
+
+    Parameters
+    ----------
+    potentials : Potentials
+    row_mass : (N,) array
+        Of the plan of these potentials between the measures at hand.
+    rounding : float
+        By how many nats rounding can change a softmin.
+
+    Raises
+    ------
+    InputError
+        If not: then they were computed for other measures.
+    """
+    nats = 4.0 * rounding + 2.0 * potentials.truncation_error + (potentials.truncation or 0.0)
+    own = potentials.row_mass
+    most = (FOREIGN + np.expm1(min(nats, 100.0))) * max(float(own.sum()), float(row_mass.sum()))
+    if not float(np.abs(row_mass - own).sum()) <= most:
+        raise InputError(
+            "potentials are of other measures: the plan of these has other marginals than "
+            "potentials.row_mass; expected the measures that they were computed for, in the same "
+            "order"
+        )

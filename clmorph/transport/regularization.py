@@ -1,0 +1,103 @@
+"""The two strengths of the problem: entropic and marginal, each in either of two units."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from clmorph._shared.validation import as_float, check_blur, check_reach, shown
+from clmorph.errors import InputError
+from clmorph.pipeline import presets as defaults
+
+#: Length scale of creation and destruction of mass: one for both measures, or a pair; None
+#: is balanced.
+Reach = float | None | tuple[float | None, float | None]
+
+
+class Strengths(NamedTuple):
+    """Checked strengths.
+
+    Attributes
+    ----------
+    blur : float
+        Length, in the unit of the points.
+    reach : float, None, or a pair of them
+        Lengths; a pair only if its halves differ.
+    epsilon : float
+        blur^2, cost units.
+    rho : (rho_source, rho_target)
+        reach^2, cost units; infinite where balanced.
+    """
+
+    blur: float
+    reach: Reach
+    epsilon: float
+    rho: tuple[float, float]
+
+
+def strengths(
+    blur: Any = defaults.BLUR,
+    reach: Any = defaults.REACH,
+    epsilon: Any = None,
+    rho: Any = None,
+) -> Strengths:
+    """Take blur or epsilon = blur^2, and reach or rho = reach^2: one of each.
+
+    Parameters
+    ----------
+    blur : float
+    reach : float, None, or a pair (reach_source, reach_target)
+    epsilon : float, optional
+    rho : float or a pair, optional
+        Infinity is balanced.
+
+    Raises
+    ------
+    InputError
+        If one is out of range, or both of a pair of alternatives are given.
+    """
+    if epsilon is not None:
+        # A default is known by its identity: 0.05 written by the caller is another object.
+        if blur is not defaults.BLUR:
+            raise InputError(
+                f"blur={shown(blur)} and epsilon={shown(epsilon)} are two names of one strength "
+                "(epsilon = blur^2): give one of them"
+            )
+        blur = _root("epsilon", epsilon, check_blur)
+    if rho is not None:
+        if reach is not defaults.REACH:
+            raise InputError(
+                f"reach={shown(reach)} and rho={shown(rho)} are two names of one strength "
+                "(rho = reach^2): give one of them"
+            )
+        reach = _each(rho, lambda value: _root("rho", value, check_reach))
+    blur, lengths = check_blur(blur), _each(reach, check_reach)
+    rhos = tuple(np.inf if length is None else length**2 for length in lengths)
+    return Strengths(
+        blur, lengths[0] if lengths[0] == lengths[1] else lengths, blur**2, (rhos[0], rhos[1])
+    )
+
+
+def _each(value: Any, function: Any) -> tuple[float | None, float | None]:
+    """Apply a function to both halves of a pair, or twice to one value."""
+    if isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.ndim):
+        pair: Sequence[Any] = list(value)
+        if len(pair) != 2:
+            raise InputError(
+                f"reach={shown(value)}: expected one number, or a pair for source and target"
+            )
+        return function(pair[0]), function(pair[1])
+    once = function(value)
+    return once, once
+
+
+def _root(name: str, value: Any, check: Any) -> Any:
+    """Square root of a strength, told in the strength's own name if it cannot be used."""
+    number = as_float(value)
+    if number is None:
+        raise InputError(f"{name}={shown(value)}: expected a positive number")
+    try:
+        return check(number**0.5 if number >= 0 else number)
+    except InputError as error:
+        expected = "its square root is a length: " + str(error).partition(": ")[2]
+        raise InputError(f"{name}={shown(value)}: {expected}") from None
