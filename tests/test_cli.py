@@ -229,8 +229,8 @@ def test_importing_is_light():
     """Names are there without what they stand for; a function wins over its module's name."""
     told = subprocess.run(
         [sys.executable, "-c", "import sys, clmorph; print('numpy' in sys.modules, dir(clmorph));"
-         "import clmorph.pipeline.morph, clmorph.transport.sinkhorn; print(callable(clmorph.morph), "
-         "callable(clmorph.sinkhorn), clmorph.__version__)"],
+         "import clmorph.pipeline.morph, clmorph.transport.sinkhorn;"
+         "print(callable(clmorph.morph), callable(clmorph.sinkhorn), clmorph.__version__)"],
         capture_output=True, text=True, check=True,
     ).stdout.splitlines()  # fmt: skip
     assert told[0].startswith("False")
