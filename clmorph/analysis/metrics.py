@@ -22,9 +22,9 @@ from clmorph.images.color import from_space
 from clmorph.images.pixels import resized
 from clmorph.measures.lift import LUMINANCE, Measure
 from clmorph.measures.points import WeightedPoints
-from clmorph.pipeline import presets as defaults
 from clmorph.pipeline.result import Morph
 from clmorph.transport.divergence import Divergence, sinkhorn_divergence
+from clmorph.transport.options import SolverOptions
 from clmorph.transport.regularization import strengths
 
 Array = NDArray[np.float64]
@@ -140,7 +140,7 @@ def path_divergence(
     weights: str | None = None,
     blur: float | None = None,
     reach: float | None = None,
-    tol: float = defaults.TOL,
+    tol: float = SolverOptions.tol,
     max_points: int = MERGED_POINTS,
     backend: Backend | None = None,
     progress: Callable[[float], None] | None = None,

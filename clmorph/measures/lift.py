@@ -10,17 +10,9 @@ from clmorph._shared.arrays import as_floats
 from clmorph._shared.validation import check_choice, check_color_weight, shown
 from clmorph.backends.interface import MAX_POINTS
 from clmorph.errors import InputError
-from clmorph.images.color import COLOR_SPACES, as_metric, square_root, to_space
+from clmorph.images.color import COLOR_SPACES, ColorSpace, as_metric, square_root, to_space
 from clmorph.images.pixels import as_pixels, split_alpha
-from clmorph.pipeline import presets as defaults
-
-#: How pixels stand in the common frame: "true" keeps the aspect ratio, "unit" stretches
-#: each axis to [0, 1].
-EXTENTS = ("true", "unit")
-
-#: What a pixel weighs, apart from its opacity: the same everywhere, its luminance (Y of CIE
-#: XYZ), or, said expressly, its opacity alone.
-MASSES = ("uniform", "luminance", "alpha")
+from clmorph.measures.options import EXTENTS, MASSES, Extent, LiftOptions, Mass
 
 #: Share of linear red, green and blue in luminance (ITU-R BT.709).
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -138,12 +130,12 @@ def pixel_positions(shape: tuple[int, int], extent: str = "true") -> NDArray[np.
 
 def lift(
     image: ArrayLike,
-    color_weight: float = defaults.COLOR_WEIGHT,
+    color_weight: float = LiftOptions.color_weight,
     *,
     weights: ArrayLike | None = None,
-    mass: str = "uniform",
-    extent: str = "true",
-    color_space: str = "srgb",
+    mass: Mass = LiftOptions.mass,
+    extent: Extent = LiftOptions.extent,
+    color_space: ColorSpace = LiftOptions.color_space,
     color_metric: ArrayLike | None = None,
 ) -> Measure:
     """Lift an image into position and color (paper, section 2.3).

@@ -9,9 +9,9 @@ from clmorph.backends.interface import Operations
 from clmorph.errors import InputError, MemoryWarning, PruningWarning
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.memory import affordable, estimate, predict_pairs
+from clmorph.transport.options import MAX_DRAWS
 from clmorph.transport.plan import Plan, transport_plan
 from clmorph.transport.plan_sampling import (
-    MAX_DRAWS,
     Barycentric,
     barycentric_plan,
     draw_pairs,

@@ -10,11 +10,11 @@ from clmorph._shared.validation import check_integer, check_number
 from clmorph.errors import InputError
 from clmorph.measures.lift import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_measures
-from clmorph.pipeline import presets as defaults
 from clmorph.transport.certificate import Certificate
+from clmorph.transport.options import Reach, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.pruning import check_log_threshold, no_pair_kept
-from clmorph.transport.regularization import Reach, Strengths, strengths
+from clmorph.transport.regularization import Strengths, strengths
 
 Array = NDArray[np.float64]
 
@@ -67,10 +67,10 @@ def _log(weights: Array) -> Array:
 def sinkhorn(
     source: MeasureLike,
     target: MeasureLike,
-    blur: float = defaults.BLUR,
-    reach: Reach = defaults.REACH,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
+    blur: float | None = None,
+    reach: Reach = None,
+    tol: float = SolverOptions.tol,
+    max_iter: int = SolverOptions.max_iter,
     *,
     epsilon: float | None = None,
     rho: float | tuple[float, float] | None = None,

@@ -12,9 +12,9 @@ from clmorph._shared.validation import check_choice, check_number, shown
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError, PlanSizeError
 from clmorph.measures.points import MeasureLike, as_pair
-from clmorph.pipeline import presets as defaults
 from clmorph.transport._solver.problem import largest_cost
 from clmorph.transport._solver.softmin import plan_softmin
+from clmorph.transport.options import RELATIVE_TO, PruningOptions, RelativeTo
 from clmorph.transport.potentials import Potentials, check_origin, check_potentials
 from clmorph.transport.pruning import (
     check_log_threshold,
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 #: What a kept pair takes: its column (4 bytes) and its mass (8).
 BYTES_PER_PAIR = 12
-#: What the share `relative` is of: the largest pair of the row or the column, or of the plan.
-RELATIVE_TO = ("rows", "plan")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -235,10 +233,10 @@ def transport_plan(
     target: MeasureLike,
     potentials: Potentials,
     *,
-    relative: float = defaults.PLAN_RELATIVE,
-    relative_to: str = "rows",
+    relative: float = PruningOptions.relative,
+    relative_to: RelativeTo = "rows",
     log_threshold: float | None = None,
-    max_bytes: float = defaults.MAX_PLAN_BYTES,
+    max_bytes: float = PruningOptions.max_bytes,
     backend: Backend = "auto",
 ) -> Plan:
     """Build the plan of potentials, in streaming: never a dense one.

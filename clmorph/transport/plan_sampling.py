@@ -16,13 +16,12 @@ from clmorph.measures.lift import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.problem import largest_cost
 from clmorph.transport._solver.softmin import Softmin, plan_softmin
+from clmorph.transport.options import MAX_DRAWS
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials, check_origin, check_potentials
 
 Array = NDArray[np.float64]
 
-#: Draws from one row.
-MAX_DRAWS = 4096
 #: How exactly colors must follow from lifted points, in coordinates of their space.
 COLOR_ERROR = 1e-6
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from clmorph._shared.validation import as_float, check_blur, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.transport.certificate import Certificate
-from clmorph.transport.regularization import Reach, strengths
+from clmorph.transport.options import Reach
+from clmorph.transport.regularization import strengths
 
 Array = NDArray[np.float64]
 

@@ -14,12 +14,11 @@ from clmorph._shared.validation import check_number
 from clmorph.backends.interface import PlanRows
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure
+from clmorph.transport.options import HIGHEST, LOWEST
 from clmorph.transport.potentials import Potentials
 
 Array = NDArray[np.float64]
 
-#: The threshold log_threshold, in nats, lies within these bounds.
-LOWEST, HIGHEST = -1e4, 1e4
 #: Pairs so many rounding errors from the threshold are decided in float64.
 ROUNDINGS = 4.0
 #: Rounding of float32, in which devices hold log pi_ij of a pair.

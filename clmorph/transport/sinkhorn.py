@@ -19,21 +19,27 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning, DeviceError, InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.pipeline import presets as defaults
 from clmorph.transport._solver import geomloss as geomloss_schedule
 from clmorph.transport._solver.iteration import SHORT, Ascent, measured
 from clmorph.transport._solver.multiscale import MANY_PAIRS, Multiscale
 from clmorph.transport._solver.problem import Problem, largest_cost
+from clmorph.transport.options import (
+    METHODS,
+    PRECISIONS,
+    AlgorithmOptions,
+    Method,
+    Precision,
+    Reach,
+    SolverOptions,
+)
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Reach, Strengths, strengths
+from clmorph.transport.regularization import Strengths, strengths
 
 Array = NDArray[np.float64]
 
 #: Called with the share of a stage that is done, from 0 to 1.
 Progress = Callable[[float], None]
 
-METHODS = ("certified", "geomloss")
-PRECISIONS = ("auto", "float32", "float64")
 #: Or a bool.
 MULTISCALE = ("auto",)
 #: Relative difference of masses up to which balanced transport is feasible.
@@ -46,17 +52,17 @@ MAX_SPREAD = 1e12
 def sinkhorn(
     source: MeasureLike,
     target: MeasureLike,
-    blur: float = defaults.BLUR,
-    reach: Reach = defaults.REACH,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
+    blur: float | None = None,
+    reach: Reach = None,
+    tol: float = SolverOptions.tol,
+    max_iter: int = SolverOptions.max_iter,
     backend: Backend = "auto",
     *,
     epsilon: float | None = None,
     rho: float | tuple[float, float] | None = None,
-    method: str = "certified",
-    scaling: float = defaults.SCALING,
-    precision: str = "auto",
+    method: Method = AlgorithmOptions.method,
+    scaling: float = AlgorithmOptions.scaling,
+    precision: Precision = AlgorithmOptions.precision,
     start: Potentials | None = None,
     progress: Progress | None = None,
     multiscale: bool | str = "auto",
@@ -72,12 +78,13 @@ def sinkhorn(
     ----------
     source, target : Measure, WeightedPoints, or (weights (N,), points (N, D))
         Of one space: D from 1 to 11. Zero weights are legal, and so are any total masses.
-    blur : float
-        Entropic length scale, in the points' unit (for images: the longer side).
+    blur : float, optional
+        Entropic length scale, in the points' unit (for images: the longer side); 0.03 if neither
+        `blur` nor `epsilon` is given.
     reach : float, None, or a pair (reach_source, reach_target)
-        Length scale beyond which mass is rather created and destroyed, same unit. None is
-        balanced transport: the masses must then be equal. With a pair, each half bounds one
-        measure; one None is semi-unbalanced transport.
+        Length scale beyond which mass is created and destroyed rather than moved, same unit. None,
+        the default, is balanced transport: the masses must then be equal. With a pair, each half
+        bounds one measure; one None is semi-unbalanced transport.
     tol : float
         Residual at which to stop, in units of epsilon.
     max_iter : int
@@ -157,10 +164,10 @@ def sinkhorn(
 
 
 def check_solver_options(
-    tol: Any = defaults.TOL,
-    max_iter: Any = defaults.MAX_ITER,
+    tol: Any = SolverOptions.tol,
+    max_iter: Any = SolverOptions.max_iter,
     method: Any = "certified",
-    scaling: Any = defaults.SCALING,
+    scaling: Any = AlgorithmOptions.scaling,
     precision: Any = "auto",
     multiscale: Any = "auto",
 ) -> tuple[float, int, float]:
