@@ -15,8 +15,8 @@ from scipy.ndimage import map_coordinates
 
 import clmorph
 
-TOOLS = Path(__file__).parents[1] / "tools"
-STORED = Path(__file__).parent / "data" / "geomloss_displacements.csv"
+TOOLS = Path(__file__).parents[2] / "tools"
+STORED = Path(__file__).parents[1] / "data" / "geomloss_displacements.csv"
 FIGURES = [f"figure-{number}" for number in range(1, 9)]
 CLAIMS = ["pruning", "debiasing", "readings", "threshold", "mass", "convergence"]
 NAMES = ["table-1", "table-2", *FIGURES, *CLAIMS]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from conftest import TESTED
 
-TOOLS = Path(__file__).parents[1] / "tools"
+TOOLS = Path(__file__).parents[2] / "tools"
 
 
 @pytest.fixture(autouse=True)

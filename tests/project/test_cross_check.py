@@ -13,7 +13,7 @@ import pytest
 
 import clmorph
 
-TOOLS = Path(__file__).parents[1] / "tools"
+TOOLS = Path(__file__).parents[2] / "tools"
 if not TOOLS.exists():
     pytest.skip("the tools need a checkout", allow_module_level=True)
 sys.path.insert(0, str(TOOLS))

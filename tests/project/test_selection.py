@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from conftest import TESTED, _is_repeated, _share
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def items(**parameters):
@@ -73,10 +73,10 @@ def test_one_device_can_be_named():
             command, capture_output=True, text=True, check=False, cwd=ROOT, env=environment
         )
 
-    done = collected("--device", TESTED[0].index, "tests/test_check.py")
+    done = collected("--device", TESTED[0].index, "tests/cli/test_check.py")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("test_every_device_passes[") == 1
-    done = collected("--device", "warp-drive", "tests/test_check.py")
+    done = collected("--device", "warp-drive", "tests/cli/test_check.py")
     assert done.returncode == 4
     assert "no usable OpenCL device matches --device warp-drive" in done.stderr
 

@@ -286,7 +286,7 @@ def test_masked_entries_are_refused_everywhere(call):
 def test_dimensions_are_as_many_as_is_said(rng):
     most = MAX_DIMENSION
     words = {11: "eleven"}[most]
-    readme = (Path(__file__).parents[1] / "README.md").read_text("utf-8")
+    readme = (Path(__file__).parents[2] / "README.md").read_text("utf-8")
     assert f"one to {words} dimensions" in readme
     assert f"D from 1 to {most}." in clmorph.transport.sinkhorn.__doc__
     assert f"any dimension up to {most}" in clmorph.measures.points.__doc__

@@ -25,7 +25,7 @@ from clmorph.cli.main import cli, main
 from clmorph.pipeline import budget as planning
 from clmorph.pipeline import presets as defaults
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text("utf-8")
 #: The limits of the default preset, so much smaller that all commands together take seconds.
 #: Photographs are larger and their plans have more pairs all the same, as with its own limits.
@@ -35,7 +35,7 @@ ELSEWHERE = {
     r"python3 -m venv .* && \.venv/bin/clmorph demo": (".ci/run", "readme_command 1"),
     r"python3 -m venv .* && \.venv/bin/pytest": (".ci/run", "readme_command 2"),
     r"python tools/reproduce_paper\.py (--source a\.png --target b\.jpg )?--out reproduction": (
-        "tests/test_reproduce.py",
+        "tests/project/test_reproduce.py",
         "reproduce_paper",
     ),
 }

@@ -10,7 +10,7 @@ without end, with one to three arguments replaced; `rng` is a `numpy.random.Gene
 them run in this process, on the NumPy backend, with images of 3 x 3 pixels; some write files into
 the working directory, so run them in an empty one, after `furnish()`. ``ConvergenceWarning`` is
 to be ignored.
-``python tests/api_values.py`` runs the whole table, of which the tests run a part.
+``python tests/helpers/api_values.py`` runs the whole table, of which the tests run a part.
 """
 
 import dataclasses

@@ -11,7 +11,7 @@ from clmorph import reference, sinkhorn
 from clmorph.reference.transport import cost_matrix
 from clmorph.transport._solver import geomloss as geomloss_schedule
 
-GEOMLOSS = np.load(Path(__file__).parent / "data" / "geomloss.npz")
+GEOMLOSS = np.load(Path(__file__).parents[1] / "data" / "geomloss.npz")
 
 
 # --- unbalanced Gaussians: Janati, Muzellec, Peyré, Cuturi (2020) ------------------------

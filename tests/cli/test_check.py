@@ -24,7 +24,7 @@ from clmorph.cli.conformance import Finding, check
 from clmorph.cli.main import main
 from clmorph.reference import NumPyOperations
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def test_every_device_passes(device):
