@@ -14,6 +14,7 @@ from clmorph.errors import PlanSizeError
 from clmorph.images.pixels import as_pixels
 from clmorph.measures.lift import Measure
 from clmorph.measures.lift_pair import lift_pair
+from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.measures.points import as_pair
 from clmorph.pipeline import presets as defaults
 from clmorph.pipeline.budget import (
@@ -30,7 +31,7 @@ from clmorph.transport.divergence import sinkhorn_divergence
 from clmorph.transport.plan import Plan, transport_plan
 from clmorph.transport.plan_sampling import MAX_DRAWS, Barycentric
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.refine_plan import PixelCells, in_cells, refined
+from clmorph.transport.refine_plan import refined
 from clmorph.transport.regularization import Reach
 from clmorph.transport.sinkhorn import sinkhorn
 
@@ -125,10 +126,10 @@ color_space, color_metric, weights, backend
         color_space=color_space, color_metric=color_metric,
     )  # fmt: skip
     coarsest = solve_size or max(whole[0].shape + whole[1].shape)
-    cells = in_cells(whole[0], coarsest), in_cells(whole[1], coarsest)
-    source, target = cells[0].coarse, cells[1].coarse
+    blocks = group_pixels(whole[0], coarsest), group_pixels(whole[1], coarsest)
+    source, target = blocks[0].coarse, blocks[1].coarse
     operations = get_backend(backend)
-    check_ways(*cells, operations, max_memory=max_memory, log_threshold=log_threshold)
+    check_ways(*blocks, operations, max_memory=max_memory, log_threshold=log_threshold)
     report("transport", 0.0)
     began = time.perf_counter()
     potentials = sinkhorn(
@@ -160,9 +161,9 @@ color_space, color_metric, weights, backend
 
     report("timing", 0.0)
     way = choose_way(
-        *cells, potentials, operations, max_particles, max_memory, log_threshold, stacklevel=2
+        *blocks, potentials, operations, max_particles, max_memory, log_threshold, stacklevel=2
     )
-    drawn, moving = _drawn(cells, potentials, plan, pairs, way, operations)
+    drawn, moving = _drawn(blocks, potentials, plan, pairs, way, operations)
     frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations)
     report("timing", 1.0)
     return Inspection(
@@ -211,7 +212,7 @@ def _plan(
 
 
 def _drawn(
-    cells: tuple[PixelCells, PixelCells],
+    blocks: tuple[PixelBlocks, PixelBlocks],
     potentials: Potentials,
     plan: Plan | None,
     pairs: int,
@@ -219,19 +220,19 @@ def _drawn(
     operations: Operations,
 ) -> tuple[Plan | Barycentric | None, int]:
     """Return what a morph would draw, as far as it may be built, and how much would travel."""
-    finest = finest_pixels(*cells)
+    finest = finest_pixels(*blocks)
     if way:
-        made = make_plan(*cells, potentials, operations, **way)
+        made = make_plan(*blocks, potentials, operations, **way)
         return made, len(made)
     if plan is not None:
-        made = refined(plan, *cells)
+        made = refined(plan, *blocks)
         return made, len(made)
     if finest == 1:
         return None, pairs
     # A sample stands for the plan that may not be built: between pixels, as what is drawn.
-    draws = max(1, min(MAX_DRAWS // finest, SAMPLED_PAIRS // len(cells[0].fine)))
+    draws = max(1, min(MAX_DRAWS // finest, SAMPLED_PAIRS // len(blocks[0].fine)))
     way = {"sample": draws} if finest <= MAX_DRAWS else {"barycentric": True}
-    return make_plan(*cells, potentials, operations, **way), pairs * finest
+    return make_plan(*blocks, potentials, operations, **way), pairs * finest
 
 
 def _no_divergence(source: Measure, potentials: Potentials, wanted: bool) -> str:

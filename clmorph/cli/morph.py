@@ -32,7 +32,7 @@ from clmorph.errors import (
     OutputError,
     PruningWarning,
 )
-from clmorph.frames.kernel_width import is_pixel_art
+from clmorph.images.detail import is_pixel_art
 from clmorph.images.pixels import MAX_PIXELS, fit
 from clmorph.output.framing import Look
 from clmorph.output.playback import Motion, resting

@@ -21,12 +21,14 @@ from clmorph._shared.validation import (
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.frames.endpoints import ENDPOINTS
-from clmorph.frames.kernel_width import SPLATTING, KernelWidth, auto_sigma, effective_count
+from clmorph.frames.kernel_width import SPLATTING, KernelWidth, effective_count
 from clmorph.frames.particles import UNMATCHED, particles
 from clmorph.images.color import COLOR_SPACES
+from clmorph.images.detail import auto_sigma
 from clmorph.images.pixels import as_pixels
 from clmorph.measures.lift import EXTENTS, MASSES, Measure
 from clmorph.measures.lift_pair import lift_pair
+from clmorph.measures.pixel_blocks import group_pixels
 from clmorph.output.playback import EASES, eased
 from clmorph.pipeline import presets as defaults
 from clmorph.pipeline.budget import check_ways, make_plan
@@ -35,7 +37,6 @@ from clmorph.pipeline.result import Morph
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import MAX_DRAWS, Barycentric, destination_colors
 from clmorph.transport.pruning import check_log_threshold
-from clmorph.transport.refine_plan import in_cells
 from clmorph.transport.regularization import Reach, strengths
 from clmorph.transport.sinkhorn import check_solver_options, sinkhorn
 
@@ -193,7 +194,7 @@ def morph(
         lambda, the weight of color against position.
     sigma_start, sigma_end, gamma : float
         Kernel width at both ends and its bulge between, in canvas pixels (Eq. 4). "auto" takes
-        half the smallest detail of that image, see `clmorph.frames.kernel_width.auto_sigma`.
+        half the smallest detail of that image, see `clmorph.images.detail.auto_sigma`.
     backend : str or Operations
         See `clmorph.get_backend`.
     epsilon, rho, tol, max_iter
@@ -297,20 +298,20 @@ def morph(
     if barycentric:
         destination_colors(source, target)  # can there be any?
     coarsest = solve_size or max(source.shape + target.shape)
-    cells = in_cells(source, coarsest), in_cells(target, coarsest)
+    blocks = group_pixels(source, coarsest), group_pixels(target, coarsest)
     operations = get_backend(backend)
     check_ways(
-        *cells, operations, sample=sample, barycentric=barycentric, max_memory=max_memory,
+        *blocks, operations, sample=sample, barycentric=barycentric, max_memory=max_memory,
         log_threshold=log_threshold,
     )  # fmt: skip
     report("transport", 0.0)
     potentials = sinkhorn(
-        cells[0].coarse, cells[1].coarse, blur, reach, tol, max_iter, operations,
+        blocks[0].coarse, blocks[1].coarse, blur, reach, tol, max_iter, operations,
         epsilon=epsilon, rho=rho, progress=lambda share: report("transport", share),
     )  # fmt: skip
     report("plan", 0.0)
     plan = make_plan(
-        *cells, potentials, operations, sample=sample, barycentric=barycentric, seed=seed,
+        *blocks, potentials, operations, sample=sample, barycentric=barycentric, seed=seed,
         max_particles=max_particles, max_memory=max_memory, log_threshold=log_threshold,
     )  # fmt: skip
     report("plan", 1.0)
