@@ -8,7 +8,7 @@ import pytest
 import clmorph
 from clmorph import InputError, reference, sinkhorn
 from clmorph.reference.transport import certificate
-from clmorph.transport.regularization import strengths
+from clmorph.transport.regularization import regularization
 
 REACHES = [0.1, 0.3, 2.0, None, (0.2, 0.9), (0.3, None), (None, 0.3)]
 
@@ -30,7 +30,7 @@ def test_certificate_is_that_of_the_dense_plan(any_backend, rng, reach, max_iter
         warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
         got = sinkhorn(*pair, 0.2, reach, 1e-5, max_iter, any_backend)
     measures = clmorph.measures.points.as_pair(*pair)
-    want = certificate(*measures, got.f, got.g, strengths(0.2, reach))
+    want = certificate(*measures, got.f, got.g, regularization(0.2, reach))
     size = abs(want.primal) + got.epsilon * want.transported_mass
     rounding = 1e-5 * got.epsilon * want.transported_mass + 1e-9 * size
     assert got.dual == pytest.approx(want.dual, abs=rounding)
@@ -233,7 +233,7 @@ def test_bounds_include_the_rounding_of_the_device(device, rng, dimension):
         assert got.dual <= best.primal
         assert best.dual <= got.primal
         exact = certificate(
-            *clmorph.measures.points.as_pair(*pair), got.f, got.g, strengths(blur, reach)
+            *clmorph.measures.points.as_pair(*pair), got.f, got.g, regularization(blur, reach)
         )
         assert got.gap <= exact.gap + 2e-6 * got.primal
 

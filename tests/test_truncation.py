@@ -11,7 +11,7 @@ import clmorph
 from clmorph import sinkhorn
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
-from clmorph.transport.regularization import strengths
+from clmorph.transport.regularization import regularization
 
 MANY = settings(max_examples=60, deadline=None, derandomize=True)
 BLURS = [0.005, 0.02, 0.05, 0.15, 0.5]
@@ -50,7 +50,7 @@ def quietly(*arguments, **options):
 
 def exact_residual(pair, got):
     """Residual and certificate over all pairs, in float64."""
-    given = strengths(got.blur, got.reach)
+    given = regularization(got.blur, got.reach)
     measures = clmorph.measures.points.as_pair(*pair)
     problem = Problem.between(clmorph.get_backend("numpy"), *measures, given.rho)
     softmins = problem.to_rows(got.g, given.epsilon), problem.to_columns(got.f, given.epsilon)

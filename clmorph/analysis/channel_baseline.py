@@ -22,7 +22,7 @@ from clmorph.images.pixels import as_rgb
 from clmorph.measures.lift import EXTENTS, lift
 from clmorph.pipeline import presets as defaults
 from clmorph.transport.plan import transport_plan
-from clmorph.transport.regularization import Reach, strengths
+from clmorph.transport.regularization import Reach, regularization
 from clmorph.transport.sinkhorn import check_solver_options, sinkhorn
 
 #: Light that even a black pixel counts for, so that no channel is empty.
@@ -109,7 +109,7 @@ def channel_morph(
         If an argument cannot be used.
     """
     n_frames = check_integer("n_frames", n_frames, 2, 100_000)
-    strengths(blur, reach)
+    regularization(blur, reach)
     check_choice("extent", extent, EXTENTS)
     tol, max_iter, _ = check_solver_options(tol, max_iter)
     sigma_start = check_sigma("sigma_start", sigma_start)

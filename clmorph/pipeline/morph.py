@@ -37,7 +37,7 @@ from clmorph.pipeline.result import Morph
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import MAX_DRAWS, Barycentric, destination_colors
 from clmorph.transport.pruning import check_log_threshold
-from clmorph.transport.regularization import Reach, strengths
+from clmorph.transport.regularization import Reach, regularization
 from clmorph.transport.sinkhorn import check_solver_options, sinkhorn
 
 #: Called with the name of a stage and the share of it that is done.
@@ -91,7 +91,7 @@ def check_options(
     """
     options: dict[str, Any] = dict(locals())
     options["n_frames"] = check_integer("n_frames", n_frames, 2, 100_000)
-    given = strengths(blur, reach, epsilon, rho)
+    given = regularization(blur, reach, epsilon, rho)
     options["color_weight"] = check_color_weight(color_weight)
     for name, width in (("sigma_start", sigma_start), ("sigma_end", sigma_end)):
         if not (isinstance(width, str) and width == "auto"):

@@ -14,7 +14,7 @@ from clmorph.pipeline import presets as defaults
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.pruning import check_log_threshold, no_pair_kept
-from clmorph.transport.regularization import Reach, Strengths, strengths
+from clmorph.transport.regularization import Reach, Regularization, regularization
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def sinkhorn(
 
     Parameters and result as `clmorph.sinkhorn`.
     """
-    given = strengths(blur, reach, epsilon, rho)
+    given = regularization(blur, reach, epsilon, rho)
     tol = check_number("tol", tol, 0.0, 1e3, open_low=True)
     max_iter = check_integer("max_iter", max_iter, 1, 10**9)
     source, target = as_measures(source, target)
@@ -108,7 +108,7 @@ def sinkhorn(
 
 
 def certificate(
-    source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, given: Strengths
+    source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, given: Regularization
 ) -> Certificate:
     """Evaluate the primal and the dual of 2.1 as they are written, on the dense plan.
 
@@ -136,7 +136,7 @@ def certificate(
     )  # fmt: skip
 
 
-def _feasible(plan: Array, a: Array, b: Array, given: Strengths) -> Array:
+def _feasible(plan: Array, a: Array, b: Array, given: Regularization) -> Array:
     """Return a plan near this one that has the marginals of balanced sides.
 
     Source for two: Altschuler, Weed, Rigollet, "Near-linear time approximation algorithms for

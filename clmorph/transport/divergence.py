@@ -16,12 +16,13 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.pipeline import presets as defaults
-from clmorph.transport._solver.iteration import REPEATED, ROUNDING_MARGIN
-from clmorph.transport._solver.multiscale import MANY_PAIRS
+from clmorph.transport._solver.iteration import REPEATED
 from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.softmin import MANY_PAIRS
+from clmorph.transport._solver.state import ROUNDING_MARGIN
 from clmorph.transport.certificate import SUM_ERROR
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Strengths, strengths
+from clmorph.transport.regularization import Regularization, regularization
 from clmorph.transport.sinkhorn import (
     Progress,
     check_problem,
@@ -130,7 +131,7 @@ def sinkhorn_divergence(
     ConvergenceWarning
         If a residual does not reach `tol`.
     """
-    given = strengths(blur, reach, epsilon, rho)
+    given = regularization(blur, reach, epsilon, rho)
     if isinstance(given.reach, tuple):
         raise InputError(
             f"reach={given.reach!r}: expected one number for both measures (or None); with two "
@@ -182,7 +183,7 @@ def sinkhorn_divergence(
 
 
 def _check_cross(
-    cross: Potentials, source: AnyMeasure, target: AnyMeasure, given: Strengths
+    cross: Potentials, source: AnyMeasure, target: AnyMeasure, given: Regularization
 ) -> None:
     """Refuse potentials of another problem."""
     check_potentials("cross", cross, (len(source), len(target)))
@@ -200,7 +201,7 @@ def _are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
 
 
 def _self_transport(
-    problem: Problem, given: Strengths, tol: float, max_iter: int, precision: str
+    problem: Problem, given: Regularization, tol: float, max_iter: int, precision: str
 ) -> Potentials:
     """Solve a measure's problem with itself: f = g, f <- (f + Delta T(f)) / 2.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clmorph._shared.validation import as_float, check_blur, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.transport.certificate import Certificate
-from clmorph.transport.regularization import Reach, strengths
+from clmorph.transport.regularization import Reach, regularization
 
 Array = NDArray[np.float64]
 
@@ -197,7 +197,7 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
             f"{name}: parts of it are not what they should be; expected Potentials as "
             "clmorph.sinkhorn returns them"
         )
-    strengths(value.blur, value.reach)
+    regularization(value.blur, value.reach)
     check_flag(f"{name}: precise", value.precise)
     certificate = value.certificate
     if not isinstance(certificate, Certificate) or shapes != (

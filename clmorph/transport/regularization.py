@@ -14,7 +14,7 @@ from clmorph.pipeline import presets as defaults
 Reach = float | None | tuple[float | None, float | None]
 
 
-class Strengths(NamedTuple):
+class Regularization(NamedTuple):
     """Checked strengths.
 
     Attributes
@@ -35,12 +35,12 @@ class Strengths(NamedTuple):
     rho: tuple[float, float]
 
 
-def strengths(
+def regularization(
     blur: Any = defaults.BLUR,
     reach: Any = defaults.REACH,
     epsilon: Any = None,
     rho: Any = None,
-) -> Strengths:
+) -> Regularization:
     """Take blur or epsilon = blur^2, and reach or rho = reach^2: one of each.
 
     Parameters
@@ -73,7 +73,7 @@ def strengths(
         reach = _each(rho, lambda value: _root("rho", value, check_reach))
     blur, lengths = check_blur(blur), _each(reach, check_reach)
     rhos = tuple(np.inf if length is None else length**2 for length in lengths)
-    return Strengths(
+    return Regularization(
         blur, lengths[0] if lengths[0] == lengths[1] else lengths, blur**2, (rhos[0], rhos[1])
     )
 

@@ -111,8 +111,8 @@ class Problem:
         """By how many nats a log-sum-exp may be too small."""
         return self.to_rows.truncation
 
-    def is_astray(self, f: Array, epsilon: float) -> bool:
-        """Whether potentials have left where this problem stands for another one."""
+    def outside_trust_region(self, f: Array, epsilon: float) -> bool:
+        """Return whether this problem no longer stands for a finer one at potentials f, (N,)."""
         return False
 
     def damping(self, epsilon: float) -> tuple[float, float]:
