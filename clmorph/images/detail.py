@@ -1,7 +1,10 @@
 """The resolution of a picture: the size of its smallest detail, and whether it is pixel art."""
 
+from __future__ import annotations
+
 import numpy as np
-from numpy.typing import NDArray
+
+from clmorph._shared.typing import Array
 
 #: Share of its edges' energy that an enlarged sprite has on the grid of its blocks.
 BLOCK_SHARE = 0.9
@@ -16,7 +19,7 @@ FAINTEST = 1e-3
 BAND_SHARE = 0.99
 
 
-def intrinsic_spacing(image: NDArray[np.float64]) -> float:
+def intrinsic_spacing(image: Array) -> float:
     """Return the side, in pixels, of the smallest detail an image really has (at least 1).
 
     Parameters
@@ -32,12 +35,12 @@ def intrinsic_spacing(image: NDArray[np.float64]) -> float:
     return max(1.0, float(_block_side(image)), _half_period(image))
 
 
-def auto_sigma(image: NDArray[np.float64]) -> float:
+def auto_sigma(image: Array) -> float:
     """Return the kernel width that suits an image's resolution: half its smallest detail."""
     return 0.5 * intrinsic_spacing(image)
 
 
-def is_pixel_art(image: NDArray[np.float64]) -> bool:
+def is_pixel_art(image: Array) -> bool:
     """Return whether an image is a sprite: of few colors, or of blocks.
 
     Parameters
@@ -55,7 +58,7 @@ def is_pixel_art(image: NDArray[np.float64]) -> bool:
     return len(colors) <= min(SPRITE_COLORS, image.shape[0] * image.shape[1] // 4)
 
 
-def _block_side(image: NDArray[np.float64]) -> int:
+def _block_side(image: Array) -> int:
     """Largest k for which nearly all edges lie on one grid of k x k blocks, else 1."""
     edges = [np.sum(np.diff(image, axis=axis) ** 2, axis=(1 - axis, 2)) for axis in (0, 1)]
     total = sum(float(along.sum()) for along in edges)
@@ -70,7 +73,7 @@ def _block_side(image: NDArray[np.float64]) -> int:
     return 1
 
 
-def _half_period(image: NDArray[np.float64]) -> float:
+def _half_period(image: Array) -> float:
     """Half the period, in pixels, up to which the spectrum holds nearly all edges."""
     height, width = image.shape[:2]
     if min(height, width) < 8:

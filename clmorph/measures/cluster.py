@@ -1,13 +1,14 @@
 """Clusters of nearby points of a measure, which form a coarser measure."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.measures.points import AnyMeasure, WeightedPoints
-
-Array = NDArray[np.float64]
 
 #: Bound of the integer keys into which the coordinates of cubes are packed.
 _LARGEST_KEY = 1 << 62

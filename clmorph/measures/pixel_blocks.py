@@ -1,14 +1,14 @@
 """Square blocks of pixels: an image at the resolution at which its transport is solved."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array, IntArray
 from clmorph.errors import InputError
 from clmorph.measures.lift import Measure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +32,12 @@ class PixelBlocks:
     side: int
 
     @property
-    def owners(self) -> NDArray[np.int64]:
+    def owners(self) -> IntArray:
         """(N,) block of each pixel."""
         return _owners(self.fine.shape, self.side)
 
     @property
-    def heaviest(self) -> NDArray[np.int64]:
+    def heaviest(self) -> IntArray:
         """(blocks,) pixel of most mass in each block."""
         order = np.lexsort((self.fine.weights, self.owners))
         last = np.cumsum(np.bincount(self.owners, minlength=len(self.coarse))) - 1
@@ -144,7 +144,7 @@ def group_pixels(measure: Measure, size: int) -> PixelBlocks:
     return PixelBlocks(measure, coarse, side)
 
 
-def _owners(shape: tuple[int, int], side: int) -> NDArray[np.int64]:
+def _owners(shape: tuple[int, int], side: int) -> IntArray:
     """Return the block of each pixel, row by row."""
     height, width = shape
     columns = -(-width // side)

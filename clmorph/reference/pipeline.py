@@ -5,12 +5,14 @@ shares no mathematics with the accelerated path, so it can judge it; it needs N 
 memory, so images should stay under about 64 x 64 pixels. Equations are those of the paper.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from clmorph._shared.arrays import as_floats
+from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_choice, check_number, check_sigma
 from clmorph.errors import InputError
 from clmorph.frames.particles import UNMATCHED
@@ -22,8 +24,6 @@ from clmorph.pipeline.morph import check_options
 from clmorph.reference.transport import sinkhorn, transport_plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Reach
-
-Array = NDArray[np.float64]
 
 # --- 3.3: canvas, kernel width, Nadaraya-Watson -----------------------------------------
 

@@ -3,9 +3,11 @@
 Plain Sinkhorn iteration from zero, the whole plan, values by their definitions.
 """
 
-import numpy as np
-from numpy.typing import NDArray
+from __future__ import annotations
 
+import numpy as np
+
+from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_integer, check_number
 from clmorph.errors import InputError
 from clmorph.measures.lift import Measure
@@ -15,8 +17,6 @@ from clmorph.transport.certificate import Certificate
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.pruning import check_log_threshold, no_pair_kept
 from clmorph.transport.regularization import Reach, Regularization, regularization
-
-Array = NDArray[np.float64]
 
 #: Pairs of points that a dense plan may have: 1.3 GB of coordinate differences alone.
 MAX_PAIRS = 1 << 25

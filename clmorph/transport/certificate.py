@@ -10,12 +10,13 @@ Source of the formulas: Chizat, Peyré, Schmitzer, Vialard, "Scaling algorithms 
 optimal transport problems" (2018).
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from clmorph._shared.typing import Array
 
 #: Largest exponent of an exponential: potentials far from a solution then overflow nowhere.
 MAX_EXPONENT = 300.0

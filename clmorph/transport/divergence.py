@@ -6,11 +6,13 @@ Source: Séjourné, Feydy, Vialard, Trouvé, Peyré, "Sinkhorn divergences for u
 transport" (2019).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Progress
 from clmorph._shared.validation import check_progress, shown
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
@@ -24,15 +26,12 @@ from clmorph.transport.certificate import SUM_ERROR
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.regularization import Regularization, regularization
 from clmorph.transport.sinkhorn import (
-    Progress,
     check_problem,
     check_solver_options,
     choose_truncation,
     sinkhorn,
     warn_unless_converged,
 )
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -71,7 +70,7 @@ class Divergence:
         """Whether all three solves reached their tolerance."""
         return all(part.converged for part in (self.cross, self.source_self, self.target_self))
 
-    def closer_than(self, other: "Divergence") -> bool | None:
+    def closer_than(self, other: Divergence) -> bool | None:
         """Compare two divergences of the same strengths: True or False if proven, else None."""
         if not isinstance(other, Divergence):
             raise InputError(

@@ -1,18 +1,18 @@
 """What a transport solver returns."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph._shared.validation import as_float, check_blur, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.regularization import Reach, regularization
-
-Array = NDArray[np.float64]
 
 #: How a solve can end, and what that means.
 STATUSES = {
@@ -97,7 +97,7 @@ class Potentials:
             return tuple(np.inf if reach is None else reach**2 for reach in self.reach)
         return np.inf if self.reach is None else self.reach**2
 
-    def swapped(self) -> "Potentials":
+    def swapped(self) -> Potentials:
         """Return the same seen from the target."""
         reach = self.reach[::-1] if isinstance(self.reach, tuple) else self.reach
         certificate = self.certificate._replace(

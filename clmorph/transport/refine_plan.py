@@ -1,17 +1,18 @@
 """Solve low, render high: transport between blocks of pixels, drawn with the pixels themselves."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
+from clmorph._shared.typing import Array, IntArray
 from clmorph.images.pixels import resized
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric, Draws
-
-Array = NDArray[np.float64]
 
 
 def refined(
@@ -66,10 +67,10 @@ def _places(source: PixelBlocks, target: PixelBlocks) -> list[tuple[int, int]]:
 def _pixels(
     source: PixelBlocks,
     target: PixelBlocks,
-    i: NDArray[np.int64],
-    j: NDArray[np.int64],
+    i: IntArray,
+    j: IntArray,
     place: tuple[int, int],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[IntArray, IntArray, IntArray]:
     """Return pairs that have this place, and their pixels there, in source and target."""
     finest = max(source.side, target.side)
     there = np.ones((2, len(i)), bool)
@@ -118,7 +119,7 @@ def drawn(draws: Draws, source: PixelBlocks, target: PixelBlocks) -> Plan:
 
 def _to_pixels(
     drawn: NDArray[np.int32], masses: Array, own: PixelBlocks, other: PixelBlocks
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+) -> tuple[IntArray, IntArray, Array]:
     """Return draws of one side's blocks as pairs of pixels: own, others', and their mass."""
     n, count = drawn.shape
     along = z_order(*np.divmod(np.arange(len(other.coarse)), other.coarse.shape[1]))
@@ -134,7 +135,7 @@ def _to_pixels(
     return pixels, _at_place(other, others[travels].astype(np.int64), place, finest), mass[travels]
 
 
-def z_order(row: NDArray[np.int64], column: NDArray[np.int64]) -> NDArray[np.int64]:
+def z_order(row: IntArray, column: IntArray) -> IntArray:
     """Return the place of grid points along a Z-curve (Morton 1966): their bits, interleaved."""
     code = np.zeros_like(row)
     for bit in range(int(max(row.max(initial=0), column.max(initial=0))).bit_length()):
@@ -143,8 +144,8 @@ def z_order(row: NDArray[np.int64], column: NDArray[np.int64]) -> NDArray[np.int
 
 
 def _in_turn(
-    blocks: PixelBlocks, owner: NDArray[np.int64], rank: NDArray[np.int64], draws: int, finest: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    blocks: PixelBlocks, owner: IntArray, rank: IntArray, draws: int, finest: int
+) -> tuple[IntArray, IntArray]:
     """Return the pixel of each draw and its place in the finest of blocks, by row and column."""
     places = np.divmod(np.arange(len(blocks.fine)), blocks.fine.shape[1])
     order = np.lexsort((z_order(*(axis % blocks.side for axis in places)), blocks.owners))
@@ -172,15 +173,13 @@ def _in_turn(
     return pixels, place
 
 
-def _before(share: Array, owners: NDArray[np.int64]) -> Array:
+def _before(share: Array, owners: IntArray) -> Array:
     """Sum of the shares of all blocks before each pixel's."""
     totals = np.cumsum(np.bincount(owners, share))
     return np.concatenate(([0.0], totals))[owners]
 
 
-def _at_place(
-    blocks: PixelBlocks, owner: NDArray[np.int64], place: NDArray[np.int64], finest: int
-) -> NDArray[np.int64]:
+def _at_place(blocks: PixelBlocks, owner: IntArray, place: IntArray, finest: int) -> IntArray:
     """Return the pixel of each block at a place; a block that is cut off has what it has again."""
     found = []
     indices = np.divmod(owner, blocks.coarse.shape[1])
@@ -191,8 +190,8 @@ def _at_place(
 
 
 def _as_plan(
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
+    rows: IntArray,
+    columns: IntArray,
     mass: Array,
     marginals: tuple[Array, Array],
     source: PixelBlocks,
@@ -215,12 +214,12 @@ def _as_plan(
 
 
 def _with_all_pixels(
-    own: NDArray[np.int64],
-    other: NDArray[np.int64],
+    own: IntArray,
+    other: IntArray,
     mass: Array,
     blocks: PixelBlocks,
     wanted: Array,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+) -> tuple[IntArray, IntArray, Array]:
     """Let pixels that move without a pair of their own share their block's heaviest one.
 
     Those are light beside others of their block, or have none at their place in the blocks that

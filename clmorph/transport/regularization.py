@@ -1,5 +1,7 @@
 """The two strengths of the problem: entropic and marginal, each in either of two units."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -1,12 +1,13 @@
 """Unbalanced log-domain Sinkhorn (paper, 2.1 and 3.1), accelerated. Knows no device."""
 
+from __future__ import annotations
+
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Progress
 from clmorph._shared.validation import (
     check_choice,
     check_flag,
@@ -28,11 +29,6 @@ from clmorph.transport._solver.softmin import MANY_PAIRS
 from clmorph.transport._solver.state import measured
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.regularization import Reach, Regularization, regularization
-
-Array = NDArray[np.float64]
-
-#: Called with the share of a stage that is done, from 0 to 1.
-Progress = Callable[[float], None]
 
 METHODS = ("certified", "geomloss")
 PRECISIONS = ("auto", "float32", "float64")

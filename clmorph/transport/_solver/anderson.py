@@ -8,11 +8,9 @@ best factor where only a few modes are slow.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.transport._solver.problem import inner
-
-Array = NDArray[np.float64]
 
 #: Iterates remembered.
 MEMORY = 16

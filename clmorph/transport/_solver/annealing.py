@@ -8,16 +8,14 @@ transport problems" (2019).
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.measures.cluster import Clusters, make_clusters
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.iteration import TOP, Iteration
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import LEAST_RESERVE, MANY_PAIRS, Softmin
 from clmorph.transport._solver.state import State
-
-Array = NDArray[np.float64]
 
 #: Side of the clusters at a level, in units of its blur.
 ANNEALING_SIDE = 1.0

@@ -7,14 +7,12 @@ prolonged to the points by a softmin.
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import StoredPairs
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.certificate import MAX_EXPONENT
-
-Array = NDArray[np.float64]
 
 #: Share of the sum of its row or column from which on a pair is stored.
 STORED_SHARE = 1e-26

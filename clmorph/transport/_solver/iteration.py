@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.progress import Share
+from clmorph._shared.typing import Array
 from clmorph.transport._solver.anderson import Anderson
 from clmorph.transport._solver.problem import Problem, inner
 from clmorph.transport._solver.state import (
@@ -22,8 +22,6 @@ from clmorph.transport._solver.state import (
     needs_more,
     share_done,
 )
-
-Array = NDArray[np.float64]
 
 #: Factor between the blurs of the annealing.
 ANNEALING = 0.5

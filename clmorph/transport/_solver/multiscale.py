@@ -18,8 +18,8 @@ solutions to boundary-value problems" (1977), for the correction (his full appro
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.measures.cluster import Clusters, make_clusters
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.annealing import anneal, ignore, prepare
@@ -39,8 +39,6 @@ from clmorph.transport._solver.state import (
     needs_more,
     share_done,
 )
-
-Array = NDArray[np.float64]
 
 #: Sides of the clusters at the last blur, in units of it: the first side that saves enough is
 #: taken. Each has its own bound of what is enough: the share of pairs of points that is left as

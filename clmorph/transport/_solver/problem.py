@@ -3,8 +3,8 @@
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.softmin import Softmin
@@ -16,8 +16,6 @@ from clmorph.transport.certificate import (
     certify,
     marginal,
 )
-
-Array = NDArray[np.float64]
 
 
 class Problem:

@@ -3,12 +3,10 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import NearPairs, Operations, rounding_error
 from clmorph.errors import InputError
-
-Array = NDArray[np.float64]
 
 #: Problems with at least this many pairs of points are solved through coarser problems, and with
 #: truncated sums, unless the caller chooses otherwise.

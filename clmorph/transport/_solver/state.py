@@ -3,11 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.transport._solver.problem import Problem
-
-Array = NDArray[np.float64]
 
 #: A residual of at most this many times the bound on the rounding of one softmin can be rounding.
 ROUNDING_MARGIN = 8.0
