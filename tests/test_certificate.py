@@ -289,3 +289,22 @@ def test_balanced_potentials_do_not_drift(any_backend, rng, mass, excess):
         assert np.abs(got.f).max() <= 2 * size
         assert np.abs(got.g).max() <= 2 * size
         assert got.residual <= 1e-5
+
+
+def test_the_repr_says_how_much_is_transported():
+    """One line: the mass that moves, of the mass that there is."""
+    near, far = (
+        (np.ones(2) / 2, np.array([[0.0], [0.1]])),
+        (np.ones(2) / 2, np.array([[0.2], [3.0]])),
+    )
+    got = sinkhorn(near, far, 0.1, 0.3, backend="numpy")
+    text = repr(got)
+    assert "\n" not in text
+    assert text.startswith("<Potentials for 2 and 2 points, converged in ")
+    assert text.endswith(f"transported {got.transported_mass:.3g} of 1>")
+    assert 0 < got.transported_mass < 1
+    heavy = (3 * far[0], far[1])
+    more = sinkhorn(near, heavy, 0.1, 0.3, backend="numpy")
+    assert repr(more).endswith(" of 1 (source) and 3 (target)>")
+    assert repr(more.swapped()).endswith(" of 3 (source) and 1 (target)>")
+    assert repr(clmorph.reference.sinkhorn(near, far, 0.1, 0.3)).endswith(" of 1>")

@@ -132,7 +132,7 @@ def certificate(
             primal += rho * _kullback_leibler(feasible.sum(axis=1 - axis), weights)
     return Certificate(
         primal, dual, primal - dual, marginal_error, plan.sum(axis=1), plan.sum(axis=0),
-        float(plan.sum()),
+        float(plan.sum()), (float(a.sum()), float(b.sum())),
     )  # fmt: skip
 
 

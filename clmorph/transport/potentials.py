@@ -78,7 +78,12 @@ class Potentials:
     visited: float = 1.0
 
     def __repr__(self) -> str:
-        return f"<Potentials for {len(self.f)} and {len(self.g)} points, {self.message}>"
+        source, target = (f"{mass:.4g}" for mass in self.certificate.masses)
+        given = source if source == target else f"{source} (source) and {target} (target)"
+        return (
+            f"<Potentials for {len(self.f)} and {len(self.g)} points, {self.message}, "
+            f"transported {self.transported_mass:.3g} of {given}>"
+        )
 
     @property
     def converged(self) -> bool:
@@ -101,7 +106,9 @@ class Potentials:
         """Return the same seen from the target."""
         reach = self.reach[::-1] if isinstance(self.reach, tuple) else self.reach
         certificate = self.certificate._replace(
-            row_mass=self.column_mass, column_mass=self.row_mass
+            row_mass=self.column_mass,
+            column_mass=self.row_mass,
+            masses=self.certificate.masses[::-1],
         )
         return replace(self, f=self.g, g=self.f, reach=reach, certificate=certificate)
 
