@@ -4,6 +4,8 @@ Red, green and blue are three independent distributions of light over the image 
 sums of light, so where the channels go different ways colors appear that neither image has.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

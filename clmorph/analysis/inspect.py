@@ -1,5 +1,7 @@
 """A look at the transport between two images: its numbers, before any frame is drawn."""
 
+from __future__ import annotations
+
 import time
 from typing import Any, Unpack
 
@@ -15,6 +17,7 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import PlanSizeError
 from clmorph.measures.lift import Measure
 from clmorph.measures.options import LiftOptions
+from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.budget import (
     check_ways,
@@ -35,7 +38,7 @@ from clmorph.transport.options import MAX_DRAWS, PruningOptions, Reach, SolverOp
 from clmorph.transport.plan import Plan, transport_plan
 from clmorph.transport.plan_sampling import Barycentric
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.refine_plan import PixelCells, refined
+from clmorph.transport.refine_plan import refined
 from clmorph.transport.sinkhorn import sinkhorn
 
 __all__ = ["Inspection", "Seconds", "inspect"]
@@ -104,12 +107,12 @@ def inspect(
     report = check_progress(progress)
     problem = Problem(fitted((image_a, image_b), chosen, weights, color_metric), chosen)
     whole = problem.measures(weights, color_metric)
-    cells = problem.cells(*whole)
-    source, target = cells[0].coarse, cells[1].coarse
+    blocks = problem.blocks(*whole)
+    source, target = blocks[0].coarse, blocks[1].coarse
     tol, max_iter, log_threshold = chosen.tol, chosen.max_iter, chosen.log_threshold
     max_particles, max_memory, n_frames = chosen.max_particles, chosen.max_memory, chosen.n_frames
     operations = get_backend(backend)
-    check_ways(*cells, operations, max_memory=max_memory, log_threshold=log_threshold)
+    check_ways(*blocks, operations, max_memory=max_memory, log_threshold=log_threshold)
     report("transport", 0.0)
     began = time.perf_counter()
     potentials = sinkhorn(
@@ -141,9 +144,9 @@ def inspect(
 
     report("timing", 0.0)
     way = choose_way(
-        *cells, potentials, operations, max_particles, max_memory, log_threshold, stacklevel=2
+        *blocks, potentials, operations, max_particles, max_memory, log_threshold, stacklevel=2
     )
-    drawn, moving = _drawn(cells, potentials, plan, pairs, way, operations)
+    drawn, moving = _drawn(blocks, potentials, plan, pairs, way, operations)
     frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations)
     report("timing", 1.0)
     return Inspection(
@@ -192,7 +195,7 @@ def _plan(
 
 
 def _drawn(
-    cells: tuple[PixelCells, PixelCells],
+    blocks: tuple[PixelBlocks, PixelBlocks],
     potentials: Potentials,
     plan: Plan | None,
     pairs: int,
@@ -200,19 +203,19 @@ def _drawn(
     operations: Operations,
 ) -> tuple[Plan | Barycentric | None, int]:
     """Return what a morph would draw, as far as it may be built, and how much would travel."""
-    finest = finest_pixels(*cells)
+    finest = finest_pixels(*blocks)
     if way:
-        made = make_plan(*cells, potentials, operations, **way)
+        made = make_plan(*blocks, potentials, operations, **way)
         return made, len(made)
     if plan is not None:
-        made = refined(plan, *cells)
+        made = refined(plan, *blocks)
         return made, len(made)
     if finest == 1:
         return None, pairs
     # A sample stands for the plan that may not be built: between pixels, as what is drawn.
-    draws = max(1, min(MAX_DRAWS // finest, SAMPLED_PAIRS // len(cells[0].fine)))
+    draws = max(1, min(MAX_DRAWS // finest, SAMPLED_PAIRS // len(blocks[0].fine)))
     way = {"sample": draws} if finest <= MAX_DRAWS else {"barycentric": True}
-    return make_plan(*cells, potentials, operations, **way), pairs * finest
+    return make_plan(*blocks, potentials, operations, **way), pairs * finest
 
 
 def _no_divergence(source: Measure, potentials: Potentials, wanted: bool) -> str:

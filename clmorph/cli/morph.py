@@ -30,7 +30,7 @@ from clmorph.errors import (
     OutputError,
     PruningWarning,
 )
-from clmorph.frames.kernel_width import is_pixel_art
+from clmorph.images.detail import is_pixel_art
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.output.framing import Look
 from clmorph.output.playback import motion_of, resting

@@ -1,11 +1,12 @@
 """Two images become two measures that can be compared."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import Any
 
-from numpy.typing import ArrayLike
-
 from clmorph._shared.arrays import as_array
+from clmorph._shared.typing import ArrayLike
 from clmorph.errors import InputError
 from clmorph.images.color import ColorSpace
 from clmorph.measures.lift import Measure, lift

@@ -1,5 +1,7 @@
 """Write a morph, or a chain of morphs, as files that people open."""
 
+from __future__ import annotations
+
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence

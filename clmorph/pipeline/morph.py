@@ -1,5 +1,7 @@
 """The composition: two images in, a morph out."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Unpack
@@ -11,12 +13,14 @@ from clmorph._shared.progress import StageProgress
 from clmorph._shared.validation import check_progress, shown
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
-from clmorph.frames.kernel_width import KernelWidth, auto_sigma, effective_count
+from clmorph.frames.kernel_width import KernelWidth, effective_count
 from clmorph.frames.particles import particles
+from clmorph.images.detail import auto_sigma
 from clmorph.images.pixels import as_pixels, fit
 from clmorph.measures.lift import Measure
 from clmorph.measures.lift_pair import lift_pair
 from clmorph.measures.options import LiftOptions
+from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.output.playback import eased
 from clmorph.pipeline.budget import check_ways, make_plan
 from clmorph.pipeline.documentation import documented
@@ -28,7 +32,6 @@ from clmorph.pipeline.result import Morph
 from clmorph.transport.options import SolverOptions
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric, destination_colors
-from clmorph.transport.refine_plan import PixelCells, in_cells
 from clmorph.transport.sinkhorn import sinkhorn
 
 Picture = NDArray[np.float64]
@@ -197,10 +200,10 @@ class Problem:
             **self.options.of(LiftOptions),
         )  # fmt: skip
 
-    def cells(self, source: Measure, target: Measure) -> tuple[PixelCells, PixelCells]:
+    def blocks(self, source: Measure, target: Measure) -> tuple[PixelBlocks, PixelBlocks]:
         """Take pixels together to blocks, between which the transport is solved."""
         coarsest = self.options.solve_size or max(source.shape + target.shape)
-        return in_cells(source, coarsest), in_cells(target, coarsest)
+        return group_pixels(source, coarsest), group_pixels(target, coarsest)
 
     def morph(
         self,
@@ -216,20 +219,20 @@ class Problem:
             raise InputError(NO_DIVERGENCE)
         if options.barycentric:
             destination_colors(source, target)  # can there be any?
-        cells = self.cells(source, target)
+        blocks = self.blocks(source, target)
         operations = get_backend(backend)
         check_ways(
-            *cells, operations, sample=options.sample, barycentric=options.barycentric,
+            *blocks, operations, sample=options.sample, barycentric=options.barycentric,
             max_memory=options.max_memory, log_threshold=options.log_threshold,
         )  # fmt: skip
         report("transport", 0.0)
         potentials = sinkhorn(
-            cells[0].coarse, cells[1].coarse, backend=operations,
+            blocks[0].coarse, blocks[1].coarse, backend=operations,
             progress=lambda share: report("transport", share), **options.of(SolverOptions),
         )  # fmt: skip
         report("plan", 0.0)
         plan = make_plan(
-            *cells, potentials, operations, sample=options.sample,
+            *blocks, potentials, operations, sample=options.sample,
             barycentric=options.barycentric, seed=options.seed,
             max_particles=options.max_particles, max_memory=options.max_memory,
             log_threshold=options.log_threshold,

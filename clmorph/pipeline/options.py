@@ -23,7 +23,7 @@ from clmorph.measures.options import LiftOptions
 from clmorph.output.options import PlaybackOptions, StyleOptions
 from clmorph.pipeline.presets import PRESETS
 from clmorph.transport.options import PlanOptions, Reach, SolverOptions
-from clmorph.transport.regularization import strengths
+from clmorph.transport.regularization import regularization
 
 #: Of each of these pairs only one option can hold: a later one takes the place of an earlier one.
 ALTERNATIVES = (
@@ -177,7 +177,7 @@ class MorphOptions(
 
     def check_together(self) -> None:
         """Check rules between options; see `Options.check_together`."""
-        found = strengths(self.blur, self.reach, self.epsilon, self.rho)
+        found = regularization(self.blur, self.reach, self.epsilon, self.rho)
         if self.rho is None:
             object.__setattr__(self, "reach", found.reach)
         if self.sigma is None:

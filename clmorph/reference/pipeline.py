@@ -5,14 +5,16 @@ shares no mathematics with the accelerated path, so it can judge it; it needs N 
 memory, so images should stay under about 64 x 64 pixels. Equations are those of the paper.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from clmorph._shared.arrays import as_floats
 from clmorph._shared.options import specifications
+from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_choice, check_number, check_sigma
 from clmorph.errors import InputError
 from clmorph.frames.options import UNMATCHED
@@ -31,8 +33,6 @@ REFERENCE_OPTIONS = (
     *specifications(SolverOptions), "color_weight", "sigma_start", "sigma_end", "gamma", "extent",
     "unmatched", "log_threshold", "n_frames",
 )  # fmt: skip
-Array = NDArray[np.float64]
-
 # --- 3.3: canvas, kernel width, Nadaraya-Watson -----------------------------------------
 
 

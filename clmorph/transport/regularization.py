@@ -1,5 +1,7 @@
 """The two strengths of the problem: entropic and marginal, each in either of two units."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,7 +12,7 @@ from clmorph.errors import InputError
 from clmorph.transport.options import Reach, SolverOptions
 
 
-class Strengths(NamedTuple):
+class Regularization(NamedTuple):
     """Checked strengths.
 
     Attributes
@@ -31,12 +33,12 @@ class Strengths(NamedTuple):
     rho: tuple[float, float]
 
 
-def strengths(
+def regularization(
     blur: Any = None,
     reach: Any = None,
     epsilon: Any = None,
     rho: Any = None,
-) -> Strengths:
+) -> Regularization:
     """Take blur or epsilon = blur^2, and reach or rho = reach^2: one of each.
 
     Parameters
@@ -71,7 +73,7 @@ def strengths(
     blur = check_blur(SolverOptions.blur if blur is None else blur)
     lengths = _each(reach, check_reach)
     rhos = tuple(np.inf if length is None else length**2 for length in lengths)
-    return Strengths(
+    return Regularization(
         blur, lengths[0] if lengths[0] == lengths[1] else lengths, blur**2, (rhos[0], rhos[1])
     )
 
