@@ -23,9 +23,6 @@ from clmorph.transport.plan_sampling import Barycentric
 
 Array = NDArray[np.float64]
 
-#: What is done about the ends: nothing (Eq. 4 as printed), or the above.
-ENDPOINTS = ("exact", "paper")
-
 #: Kernel width of what is given back, in distances of pixels: hardly reaches the next.
 NARROW = 0.3
 

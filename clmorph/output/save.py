@@ -1,5 +1,7 @@
 """Write a morph, or a chain of morphs, as files that people open."""
 
+from __future__ import annotations
+
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -20,18 +22,21 @@ from clmorph._shared.files import (
     is_empty,
     told_as_output,
 )
+from clmorph._shared.options import Options, specifications
 from clmorph._shared.printable import printable
 from clmorph._shared.progress import Report
-from clmorph._shared.validation import check_choice, check_flag, check_progress, is_path, shown
+from clmorph._shared.validation import check_choice, check_progress, is_path, shown
 from clmorph.errors import InputError, OutputError
 from clmorph.output.formats import animation, archive, gif, page, sheet, stills, video
 from clmorph.output.framing import Look
-from clmorph.output.playback import Motion
+from clmorph.output.options import PlaybackOptions, StyleOptions
+from clmorph.output.playback import Motion, motion_of
 from clmorph.output.provenance import as_text
 from clmorph.output.recording import Film, StageProgress, recorded
-from clmorph.pipeline import presets as defaults
 from clmorph.pipeline.result import Morph
 
+#: The options of `save`.
+SAVED = ("fps", "duration", "hold", "loop", "reverse", *StyleOptions.__dataclass_fields__)
 #: Options that decide about sizes and colors, and about when frames are shown.
 SIZES = ("canvas", "scaling", "background")
 PACE = ("fps", "duration", "hold", "loop")
@@ -209,16 +214,9 @@ def save(
     path: str | PathLike[str],
     *,
     format: str | None = None,
-    fps: float = defaults.FPS,
-    hold: float = defaults.HOLD,
-    loop: str = "loop",
-    reverse: bool = False,
-    canvas: Any = "dynamic",
-    scaling: str = "auto",
-    background: str | None = None,
-    lossless: bool = False,
     parameters: Mapping[str, Any] | None = None,
     progress: StageProgress | None = None,
+    **given: Any,
 ) -> None:
     """Write a morph, or a chain of morphs, to a file chosen by its ending.
 
@@ -232,17 +230,15 @@ def save(
         page a frame), or no ending (a new folder of PNG frames). What is there is replaced.
     format : str, optional
         A name of `FORMATS`, in place of the ending.
-    fps, hold, loop
-        See `clmorph.output.playback.Motion`.
-    reverse : bool
-        From the end to the beginning.
-    canvas, scaling, background, lossless
-        See `clmorph.output.framing.Look`.
     parameters : mapping, optional
         What the file is to tell of its making, in place of the morphs' own parameters; JSON
         must take it.
     progress : callable, optional
         Called with a stage's name and the share of it done.
+    **given
+        Options of `PlaybackOptions` (fps, duration, hold, loop, reverse) and of `StyleOptions`
+        (canvas, scaling, background, lossless), in place of those that the first morph was made
+        with.
 
     Raises
     ------
@@ -256,9 +252,15 @@ def save(
     if not a_chain or not all(isinstance(morph, Morph) for morph in chain):
         raise InputError("morphs: expected a Morph, or a sequence of at least one")
     output = Output(path, format)
-    look, motion = Look(canvas, scaling, background, lossless), Motion(fps, hold, loop)
+    for name in given:
+        if name not in SAVED:
+            raise InputError(f"{name}: not an option of save; expected {', '.join(SAVED)}")
+    options: Any = chain[0].options.replace(**given)
+    look = Look(options.canvas, options.scaling, options.background, options.lossless)
+    rests = np.zeros(1 + sum(len(morph.times) - 1 for morph in chain), bool)
+    rests[[0, *np.cumsum([len(morph.times) - 1 for morph in chain])]] = True
+    motion = motion_of(options, rests)
     output.check_motion(motion)
-    reverse = check_flag("reverse", reverse)
     report = check_progress(progress)
     for one, other in itertools.pairwise(chain):
         if not np.array_equal(one.target.colors, other.source.colors):
@@ -267,7 +269,7 @@ def save(
             )
     if parameters is not None and not isinstance(parameters, Mapping):
         raise InputError(f"parameters={shown(parameters)}: expected a mapping that JSON takes")
-    told = parameters if parameters is not None else described(chain)
+    told = parameters if parameters is not None else described(chain, options)
     try:
         as_text(told)
     except (TypeError, ValueError, RecursionError) as error:
@@ -275,7 +277,7 @@ def save(
             f"parameters: expected what JSON takes ({printable(str(error), 120)})"
         ) from None
     with recorded(
-        chain, motion, n_morphs=len(chain), reverse=reverse,
+        chain, motion, n_morphs=len(chain), reverse=options.reverse,
         exact=output.format.exact, keep=output.format.keep,
         pixelated=all(morph.pixelated for morph in chain), parameters=told,
         folder=output.folder, progress=progress,
@@ -283,8 +285,22 @@ def save(
         write_all([output], film, look, lambda place, share: report(f"write {path}", share))
 
 
-def described(morphs: Sequence[Morph]) -> dict[str, Any]:
-    """Return what a file tells of the morphs in it."""
-    from clmorph._shared.version import __version__
+def described(morphs: Sequence[Morph], options: Options) -> dict[str, Any]:
+    """Return the recipe that a file holds of the morphs in it.
 
-    return {"clmorph": __version__, "morphs": [dict(morph.parameters) for morph in morphs]}
+    Parameters
+    ----------
+    morphs : sequence of Morph
+    options : Options
+        Those that hold for the file: the first morph's, with what was said when it was saved.
+    """
+    pace = {*specifications(PlaybackOptions), *specifications(StyleOptions)}
+    each = [
+        {name: value for name, value in morph.options.as_dict().items() if name not in pace}
+        for morph in morphs
+    ]
+    metadata = dict(morphs[0].parameters)
+    if all(one == each[0] for one in each):
+        return metadata | {"options": options.outside()}
+    del metadata["options"]
+    return metadata | {"morphs": [morph.options.outside() for morph in morphs]}

@@ -11,8 +11,8 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
-from clmorph.pipeline import presets as defaults
-from clmorph.transport.plan_sampling import MAX_DRAWS, n_draws
+from clmorph.transport.options import MAX_DRAWS, PruningOptions
+from clmorph.transport.plan_sampling import n_draws
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.pruning import check_log_threshold
 
@@ -204,7 +204,7 @@ def predict_pairs(
     target: MeasureLike,
     potentials: Potentials,
     *,
-    relative: float = defaults.PLAN_RELATIVE,
+    relative: float = PruningOptions.relative,
     log_threshold: float | None = None,
     rows: int = SAMPLED_ROWS,
     seed: int = 0,

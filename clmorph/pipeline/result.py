@@ -1,6 +1,6 @@
 """A morph: what the transport found, and its frames, rendered when asked for."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
@@ -13,12 +13,15 @@ from clmorph._shared.validation import check_number, shown
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
 from clmorph.frames.endpoints import EndCorrection, Lacking, ladder, make_details
-from clmorph.frames.kernel_width import KernelWidth, is_pixel_art
+from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.opacity import matter, opacity
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Canvas, Sums, Widths, canvas_at, render
 from clmorph.images.color import from_space, to_space
+from clmorph.images.detail import is_pixel_art
 from clmorph.measures.lift import Measure
+from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.recipe import recipe
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric
 from clmorph.transport.potentials import Potentials
@@ -45,8 +48,10 @@ class Morph:
     endpoints : {"exact", "paper"}
         Whether the first and the last frame are brought to the images themselves.
     unmatched : {"fade", "drop"}
-    parameters : dict
-        What `clmorph.morph` was called with; JSON takes it.
+    options : MorphOptions
+        What `clmorph.morph` was called with.
+    arrays : tuple of str
+        Which arrays decided too: "weights", "color_metric".
     """
 
     source: Measure
@@ -59,7 +64,8 @@ class Morph:
     operations: Operations = field(repr=False)
     endpoints: str = "exact"
     unmatched: str = "fade"
-    parameters: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    options: MorphOptions = field(default_factory=MorphOptions, repr=False)
+    arrays: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         (h, w), (height, width) = self.source.shape, self.target.shape
@@ -67,6 +73,11 @@ class Morph:
             f"<Morph of {w} x {h} into {width} x {height} pixels, {len(self.times)} frames, "
             f"{len(self.particles)} particles, {self.potentials.message}>"
         )
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The recipe of this morph, as files hold it; JSON takes it."""
+        return recipe(self.options, device=self.operations.description, arrays=self.arrays)
 
     @cached_property
     def _uploaded(self) -> Any:

@@ -6,7 +6,7 @@ import skimage.data
 
 from clmorph import InputError, fit, morph
 from clmorph.analysis.metrics import hole_fraction, path_divergence
-from clmorph.frames.kernel_width import auto_sigma, intrinsic_spacing
+from clmorph.images.detail import auto_sigma, intrinsic_spacing
 from clmorph.images.pixels import as_rgb
 from clmorph.pipeline.optimal_width import WIDTHS
 

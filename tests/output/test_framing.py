@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clmorph.frames.kernel_width import is_pixel_art
+from clmorph.images.detail import is_pixel_art
 from clmorph.output.framing import Framing, Look, as_canvas, in_time
 from clmorph.output.spool import Spool
 

@@ -105,7 +105,7 @@ def test_extrapolation_solves_a_linear_problem_at_once(rng):
     offset = basis @ rng.normal(size=4)
     solution = np.linalg.solve(np.eye(30) - matrix, offset)
     memory, x = Anderson(), np.zeros(30)
-    memory._trust = 1e6
+    memory._trust_radius = 1e6
     for _ in range(9):
         image = matrix @ x + offset
         guess = memory.extrapolate(x, image, np.ones(30))

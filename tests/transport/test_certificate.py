@@ -8,7 +8,7 @@ import pytest
 import clmorph
 from clmorph import InputError, reference, sinkhorn
 from clmorph.reference.transport import certificate
-from clmorph.transport.regularization import strengths
+from clmorph.transport.regularization import regularization
 
 REACHES = [0.1, 0.3, 2.0, None, (0.2, 0.9), (0.3, None), (None, 0.3)]
 
@@ -30,7 +30,7 @@ def test_certificate_is_that_of_the_dense_plan(any_backend, rng, reach, max_iter
         warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
         got = sinkhorn(*pair, 0.2, reach, 1e-5, max_iter, any_backend)
     measures = clmorph.measures.points.as_pair(*pair)
-    want = certificate(*measures, got.f, got.g, strengths(0.2, reach))
+    want = certificate(*measures, got.f, got.g, regularization(0.2, reach))
     size = abs(want.primal) + got.epsilon * want.transported_mass
     rounding = 1e-5 * got.epsilon * want.transported_mass + 1e-9 * size
     assert got.dual == pytest.approx(want.dual, abs=rounding)
@@ -233,7 +233,7 @@ def test_bounds_include_the_rounding_of_the_device(device, rng, dimension):
         assert got.dual <= best.primal
         assert best.dual <= got.primal
         exact = certificate(
-            *clmorph.measures.points.as_pair(*pair), got.f, got.g, strengths(blur, reach)
+            *clmorph.measures.points.as_pair(*pair), got.f, got.g, regularization(blur, reach)
         )
         assert got.gap <= exact.gap + 2e-6 * got.primal
 
@@ -289,3 +289,22 @@ def test_balanced_potentials_do_not_drift(any_backend, rng, mass, excess):
         assert np.abs(got.f).max() <= 2 * size
         assert np.abs(got.g).max() <= 2 * size
         assert got.residual <= 1e-5
+
+
+def test_the_repr_says_how_much_is_transported():
+    """One line: the mass that moves, of the mass that there is."""
+    near, far = (
+        (np.ones(2) / 2, np.array([[0.0], [0.1]])),
+        (np.ones(2) / 2, np.array([[0.2], [3.0]])),
+    )
+    got = sinkhorn(near, far, 0.1, 0.3, backend="numpy")
+    text = repr(got)
+    assert "\n" not in text
+    assert text.startswith("<Potentials for 2 and 2 points, converged in ")
+    assert text.endswith(f"transported {got.transported_mass:.3g} of 1>")
+    assert 0 < got.transported_mass < 1
+    heavy = (3 * far[0], far[1])
+    more = sinkhorn(near, heavy, 0.1, 0.3, backend="numpy")
+    assert repr(more).endswith(" of 1 (source) and 3 (target)>")
+    assert repr(more.swapped()).endswith(" of 3 (source) and 1 (target)>")
+    assert repr(clmorph.reference.sinkhorn(near, far, 0.1, 0.3)).endswith(" of 1>")

@@ -1,4 +1,4 @@
-"""Solving through cells, against solving directly."""
+"""Solving through clusters, against solving directly."""
 
 import warnings
 
@@ -7,10 +7,9 @@ import pytest
 
 import clmorph
 from clmorph import reference, sinkhorn
-from clmorph.measures.cluster import make_cells
+from clmorph.measures.cluster import make_clusters
 from clmorph.measures.points import WeightedPoints
-from clmorph.transport._solver import coarse_grid as corrections
-from clmorph.transport._solver import multiscale
+from clmorph.transport._solver import coarse_grid, multiscale
 from clmorph.transport._solver.coarse_grid import CorrectedProblem, stored_grid
 from clmorph.transport._solver.problem import Problem
 
@@ -31,42 +30,42 @@ def same_up_to_a_constant(got, want, tolerance):
     assert np.abs(got.g - want.g + shift).max() <= tolerance * got.epsilon
 
 
-# --- cells ------------------------------------------------------------------------------
+# --- clusters ------------------------------------------------------------------------------
 
 
-def test_cells_are_small_and_keep_mass_and_its_center(rng):
+def test_clusters_are_small_and_keep_mass_and_its_center(rng):
     points, weights = rng.normal(size=(3000, 5)), rng.random(3000)
-    cells = make_cells(WeightedPoints(points, weights), 0.7)
-    coarse = cells.measure
-    assert len(coarse) == cells.labels.max() + 1 < 3000
+    clusters = make_clusters(WeightedPoints(points, weights), 0.7)
+    coarse = clusters.measure
+    assert len(coarse) == clusters.labels.max() + 1 < 3000
     assert coarse.mass == pytest.approx(weights.sum(), rel=1e-12)
     assert np.allclose(coarse.weights @ coarse.points, weights @ points, atol=1e-9)
-    for cell in range(0, len(coarse), 50):
-        own = points[cells.labels == cell]
+    for cluster in range(0, len(coarse), 50):
+        own = points[clusters.labels == cluster]
         assert np.all(np.ptp(own, axis=0) <= 0.7)
-        assert np.all(np.abs(own - coarse.points[cell]) <= 0.7)
+        assert np.all(np.abs(own - coarse.points[cluster]) <= 0.7)
     values = rng.random(3000)
-    sums = np.bincount(cells.labels, weights * values)
-    assert np.allclose(cells.mean(values, weights), sums / coarse.weights)
+    sums = np.bincount(clusters.labels, weights * values)
+    assert np.allclose(clusters.restrict(values, weights), sums / coarse.weights)
 
 
-def test_cells_without_mass_and_with_offsets():
+def test_clusters_without_mass_and_with_offsets():
     points = np.array([[0.1], [0.2], [5.0], [5.05], [9.0]])
     weights = np.array([1.0, 3.0, 0.0, 0.0, 0.0])
-    cells = make_cells(WeightedPoints(points, weights, np.arange(5.0)), 1.0)
-    assert cells.measure.weights.tolist() == [4.0, 0.0, 0.0]
-    assert np.allclose(cells.measure.points[:, 0], [0.175, 5.025, 9.0])
-    assert np.allclose(cells.measure.offsets, [0.75, 2.5, 4.0])
-    assert np.allclose(cells.mean(points[:, 0], weights), [0.175, 5.025, 9.0])
+    clusters = make_clusters(WeightedPoints(points, weights, np.arange(5.0)), 1.0)
+    assert clusters.measure.weights.tolist() == [4.0, 0.0, 0.0]
+    assert np.allclose(clusters.measure.points[:, 0], [0.175, 5.025, 9.0])
+    assert np.allclose(clusters.measure.offsets, [0.75, 2.5, 4.0])
+    assert np.allclose(clusters.restrict(points[:, 0], weights), [0.175, 5.025, 9.0])
 
 
-def test_cells_of_eleven_dimensions_far_apart(rng):
+def test_clusters_of_eleven_dimensions_far_apart(rng):
     """More places than an integer can count."""
     points = 1e3 * rng.normal(size=(500, 11))
     points[250:] = points[:250] + 1e-7
-    cells = make_cells(WeightedPoints(points, np.ones(500)), 1e-3)
-    assert 250 <= len(cells.measure) <= 260
-    assert np.mean(cells.labels[:250] == cells.labels[250:]) > 0.95
+    clusters = make_clusters(WeightedPoints(points, np.ones(500)), 1e-3)
+    assert 250 <= len(clusters.measure) <= 260
+    assert np.mean(clusters.labels[:250] == clusters.labels[250:]) > 0.95
 
 
 # --- the correction ---------------------------------------------------------------------
@@ -101,17 +100,17 @@ def test_a_corrected_problem_is_a_transport_problem(rng, rho):
     assert rows == pytest.approx(columns, rel=1e-9)  # one plan has both
 
 
-def test_the_correction_makes_the_cells_problem_agree(rng):
+def test_the_correction_makes_the_clusters_problem_agree(rng):
     """At the potentials that it was computed for, softmins are those of the points."""
     source, target = pictures(20)
     epsilon, backend = 0.01, clmorph.get_backend("numpy")
     points = Problem.between(backend, source, target, (0.1, 0.1))
-    cells = [make_cells(measure, 0.1) for measure in (source, target)]
-    coarse = CorrectedProblem.between(backend, cells[0].measure, cells[1].measure, (0.1, 0.1))
+    clusters = [make_clusters(measure, 0.1) for measure in (source, target)]
+    coarse = CorrectedProblem.between(backend, clusters[0].measure, clusters[1].measure, (0.1, 0.1))
     f, g = 0.1 * rng.random(400), 0.1 * rng.random(400)
-    own_f, own_g = cells[0].mean(f, source.weights), cells[1].mean(g, target.weights)
-    want = [cells[0].mean(points.to_rows(g, epsilon), source.weights),
-            cells[1].mean(points.to_columns(f, epsilon), target.weights)]  # fmt: skip
+    own_f, own_g = clusters[0].restrict(f, source.weights), clusters[1].restrict(g, target.weights)
+    want = [clusters[0].restrict(points.to_rows(g, epsilon), source.weights),
+            clusters[1].restrict(points.to_columns(f, epsilon), target.weights)]  # fmt: skip
     coarse.correct(want[0] - coarse.to_rows(own_g, epsilon),
                    want[1] - coarse.to_columns(own_f, epsilon), epsilon)  # fmt: skip
     assert np.allclose(coarse.softmin_rows(own_g, epsilon, True), want[0])
@@ -188,15 +187,15 @@ def test_stored_pairs_stand_for_the_points(device, rng):
         rounding += 4 * problem.rounding(epsilon, False)
     assert np.abs(near.to_rows(g, epsilon) - t_rows).max() <= rounding * epsilon
     assert np.abs(near.to_columns(f, epsilon) - t_columns).max() <= rounding * epsilon
-    near.begin(f)
-    move = corrections.TRUST * epsilon * rng.uniform(-1, 1, len(f))
-    assert not near.is_astray(f + 7.0, epsilon)  # all alike is no move
-    assert near.is_astray(f + 3 * move, epsilon)
-    held = near.nearer(f + 7.0 + 3 * move, epsilon)
-    assert np.abs(held - 7.0 - f).max() <= 1.5 * corrections.TRUST * epsilon
+    near.center_trust_region(f)
+    move = coarse_grid.TRUST_RADIUS * epsilon * rng.uniform(-1, 1, len(f))
+    assert not near.outside_trust_region(f + 7.0, epsilon)  # all alike is no move
+    assert near.outside_trust_region(f + 3 * move, epsilon)
+    held = near.clip_to_trust_region(f + 7.0 + 3 * move, epsilon)
+    assert np.abs(held - 7.0 - f).max() <= 1.5 * coarse_grid.TRUST_RADIUS * epsilon
     # Each pair that is left out has grown by exp(40) at most against those that are not.
     change = 20 * epsilon * rng.uniform(-1, 1, len(g))
-    left_out = len(g) * corrections.STORED_SHARE * np.exp(40)
+    left_out = len(g) * coarse_grid.STORED_SHARE * np.exp(40)
     assert left_out < 1e-4
     got = near.to_rows(g + change, epsilon)
     want = problem.to_rows(g + change, epsilon, True)
@@ -210,7 +209,7 @@ def test_stored_pairs_stand_for_the_points(device, rng):
 )
 def test_small_blurs_are_solved_over_stored_pairs(device, monkeypatch, reach):
     solved = []
-    original = corrections.stored_grid
+    original = coarse_grid.stored_grid
 
     def seen(*arguments):
         solved.append(original(*arguments))
@@ -242,7 +241,7 @@ def test_without_memory_for_pairs_points_are_iterated_over(device, monkeypatch):
 
 def test_pairs_that_mislead_are_left(monkeypatch):
     """With far too few pairs cycles do not converge; the solve does."""
-    monkeypatch.setattr(corrections, "STORED_SHARE", 0.3)
+    monkeypatch.setattr(coarse_grid, "STORED_SHARE", 0.3)
     source, target = sharp(24)
     got = sinkhorn(source, target, 0.04, 0.3, backend="numpy", multiscale=True)
     assert got.converged
@@ -261,8 +260,8 @@ def test_points_without_mass_over_stored_pairs(device, rng):
     same_up_to_a_constant(got, want, 0.05)
 
 
-def test_without_cells_that_save_anything(rng):
-    """A blur below the points' distance: each is a cell of its own, and nothing is gained."""
+def test_without_clusters_that_save_anything(rng):
+    """A blur below the points' distance: each is a cluster of its own, and nothing is gained."""
     (a, x), (b, y) = [(np.full(60, 1 / 60), rng.random((60, 3))) for _ in range(2)]
     got = sinkhorn((a, x), (b, y), 0.01, 0.3, 1e-4, backend="numpy", multiscale=True)
     want = reference.sinkhorn((a, x), (b, y), 0.01, 0.3, 1e-6, 10**5)
@@ -270,8 +269,8 @@ def test_without_cells_that_save_anything(rng):
     same_up_to_a_constant(got, want, 0.05)
 
 
-def test_cells_that_mislead_are_left(monkeypatch):
-    """With cells far larger than the blur cycles do not converge; the solve does."""
+def test_clusters_that_mislead_are_left(monkeypatch):
+    """With clusters far larger than the blur cycles do not converge; the solve does."""
     monkeypatch.setattr(multiscale, "SIDES", (6.0,))
     monkeypatch.setattr(multiscale, "ENOUGH", (1.0,))
     source, target = pictures(24)
@@ -334,7 +333,7 @@ def test_small_problems_are_solved_as_ever(device):
 @pytest.mark.parametrize("precision", ["auto", "float32"])
 @pytest.mark.parametrize("reach", [0.3, None])
 def test_cycles_end_where_rounding_begins(device, rng, precision, reach):
-    """However small the tolerance, in cells and over stored pairs."""
+    """However small the tolerance, in clusters and over stored pairs."""
     for blur in (0.1, 0.8):
         pair = [(np.full(30, 1 / 30), rng.random((30, 2))) for _ in range(2)]
         with warnings.catch_warnings():
