@@ -16,8 +16,9 @@ from clmorph._shared.validation import (
 )
 from clmorph.backends.select import Backend
 from clmorph.errors import InputError
+from clmorph.frames.canvas import Canvas
 from clmorph.frames.filling import is_torn
-from clmorph.frames.render import Canvas, Sums
+from clmorph.frames.render import Sums
 from clmorph.images.color import from_space
 from clmorph.images.pixels import resized
 from clmorph.measures.lift import LUMINANCE, Measure

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.files import check_apart, check_place
-from clmorph._shared.printable import printable
-from clmorph.analysis.report import size_text
+from clmorph._shared.printable import printable, size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
 from clmorph.cli.common import note_warning, open_backend, read_picture

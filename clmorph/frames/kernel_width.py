@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_choice, check_number, check_sigma
-from clmorph.frames.render import Canvas, Widths
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.render import Widths
 
 #: How particles become pixels: with the width of Eq. 4; with one of its own for every
 #: particle, by the density around it; with sigma_start throughout, or each into its nearest

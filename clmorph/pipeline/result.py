@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from clmorph._shared.validation import check_number, shown
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
+from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.endpoints import EndCorrection, Lacking, ladder, make_details
 from clmorph.frames.kernel_width import KernelWidth, is_pixel_art
 from clmorph.frames.opacity import matter, opacity
 from clmorph.frames.particles import Particles
-from clmorph.frames.render import Canvas, Sums, Widths, canvas_at, render
+from clmorph.frames.render import Sums, Widths, render
 from clmorph.images.color import from_space, to_space
 from clmorph.measures.lift import Measure
 from clmorph.transport.plan import Plan

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.printable import reason_of
+from clmorph._shared.printable import reason_of, size_text
 from clmorph._shared.progress import Report, tracked
 from clmorph._shared.validation import check_number, is_path, shown
-from clmorph.analysis.report import size_text
 from clmorph.errors import InputError
 from clmorph.output.bounded import UNREADABLE, from_text
 from clmorph.output.formats.npz import Arrays
