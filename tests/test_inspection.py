@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import sys
 import time
@@ -448,9 +449,7 @@ class TestTime:
                 result.source, result.target, result.potentials, result.plan,
                 len(result.plan), 12, device,
             )  # fmt: skip
-            fresh = clmorph.Morph(**{
-                name: getattr(result, name) for name in result.__dataclass_fields__
-            })  # fmt: skip
+            fresh = dataclasses.replace(result)
             began = time.process_time()
             for _ in fresh.iter_frames():
                 pass

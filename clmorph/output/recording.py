@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.progress import Share
+from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
 from clmorph.output.playback import Motion
 from clmorph.output.spool import Spool
-from clmorph.pipeline.result import Morph
 
 #: Called with a stage's name and the share of it that is done.
 StageProgress = Callable[[str, float], None]
@@ -50,7 +50,7 @@ class Film:
     motion: Motion
     pixelated: bool = False
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    morphs: list[Morph] = field(default_factory=list)
+    morphs: list[FrameSequence] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -71,7 +71,7 @@ class Film:
 
 @contextmanager
 def recorded(
-    morphs: Iterable[Morph],
+    morphs: Iterable[FrameSequence],
     motion: Motion,
     *,
     reverse: bool = False,
@@ -112,17 +112,15 @@ def recorded(
     report = progress or (lambda stage, share: None)
     times: list[float] = []
     rests: list[bool] = []
-    kept: list[Morph] = []
+    kept: list[FrameSequence] = []
     with Spool(np.float32 if exact else np.uint8, folder) as spool:
         for number, morph in enumerate(morphs):
             if keep:
                 kept.append(morph)
             name = f"frames {number + 1}" if n_morphs > 1 else "frames"
-            rendered = morph.__dict__.get("frames")  # those that were asked for before
             for index, t in enumerate(morph.times):
                 if number == 0 or index > 0:
-                    frame = morph.frame(float(t)) if rendered is None else rendered[index]
-                    spool.append(frame if exact else to_bytes(frame))
+                    spool.append(morph[index] if exact else to_bytes(morph[index]))
                     times.append(number + float(t))
                     rests.append(index in (0, len(morph.times) - 1))
                 done = index + 1

@@ -24,13 +24,13 @@ from clmorph._shared.printable import printable
 from clmorph._shared.progress import Report
 from clmorph._shared.validation import check_choice, check_flag, check_progress, is_path, shown
 from clmorph.errors import InputError, OutputError
+from clmorph.frames.sequence import FrameSequence
 from clmorph.output.formats import animation, archive, gif, page, sheet, stills, video
 from clmorph.output.framing import Look
 from clmorph.output.playback import Motion
 from clmorph.output.provenance import as_text
 from clmorph.output.recording import Film, StageProgress, recorded
 from clmorph.pipeline import presets as defaults
-from clmorph.pipeline.result import Morph
 
 #: Options that decide about sizes and colors, and about when frames are shown.
 SIZES = ("canvas", "scaling", "background")
@@ -205,7 +205,7 @@ def _by_ending(path: Path) -> str:
 
 
 def save(
-    morphs: Morph | Sequence[Morph],
+    morphs: FrameSequence | Sequence[FrameSequence],
     path: str | PathLike[str],
     *,
     format: str | None = None,
@@ -251,10 +251,7 @@ def save(
     OutputError
         If it cannot be written there.
     """
-    chain = [morphs] if isinstance(morphs, Morph) else morphs
-    a_chain = isinstance(chain, list | tuple) and len(chain) > 0
-    if not a_chain or not all(isinstance(morph, Morph) for morph in chain):
-        raise InputError("morphs: expected a Morph, or a sequence of at least one")
+    chain = _as_chain(morphs)
     output = Output(path, format)
     look, motion = Look(canvas, scaling, background, lossless), Motion(fps, hold, loop)
     output.check_motion(motion)
@@ -283,7 +280,20 @@ def save(
         write_all([output], film, look, lambda place, share: report(f"write {path}", share))
 
 
-def described(morphs: Sequence[Morph]) -> dict[str, Any]:
+def _as_chain(
+    morphs: FrameSequence | Sequence[FrameSequence],
+) -> Sequence[FrameSequence]:
+    """Return one morph or several as a sequence of morphs."""
+    if isinstance(morphs, FrameSequence):
+        return [morphs]
+    if isinstance(morphs, list | tuple) and len(morphs) > 0:
+        chain = [morph for morph in morphs if isinstance(morph, FrameSequence)]
+        if len(chain) == len(morphs):
+            return chain
+    raise InputError("morphs: expected a Morph, or a sequence of at least one")
+
+
+def described(morphs: Sequence[FrameSequence]) -> dict[str, Any]:
     """Return what a file tells of the morphs in it."""
     from clmorph._shared.version import __version__
 
