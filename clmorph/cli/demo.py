@@ -63,8 +63,8 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     with recorded(
         [result], Motion(), keep=True, parameters=described([result]), folder=folder,
         progress=stages,
-    ) as film:  # fmt: skip
-        write_all(outputs, film, report=lambda output, share: stages(output.path.name, share))
+    ) as recording:  # fmt: skip
+        write_all(outputs, recording, report=lambda output, share: stages(output.path.name, share))
     options = ", ".join(f"{name} {value}" for name, value in PARAMETERS.items())
     times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in stages.seconds.items())
     return [

@@ -33,9 +33,9 @@ from clmorph.errors import (
 )
 from clmorph.frames.kernel_width import is_pixel_art
 from clmorph.images.pixels import MAX_PIXELS, fit
-from clmorph.output.framing import Look
-from clmorph.output.playback import Motion, resting
-from clmorph.output.recording import Film, recorded
+from clmorph.output.framing import FrameStyle
+from clmorph.output.playback import Motion, held_frames
+from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
 from clmorph.pipeline import presets as defaults
 from clmorph.pipeline.budget import default_memory
@@ -68,7 +68,7 @@ class _Run:
         self.options = for_library({name: value for name, value in said.items() if name not in own})
         self.n_frames = said.get("frames", defaults.N_FRAMES)
         check_options(n_frames=self.n_frames, **self.options)
-        self.look = Look(**{name: said[name] for name in LOOK if name in said})
+        self.look = FrameStyle(**{name: said[name] for name in LOOK if name in said})
         self.motion = self._motion()
         for output in self.outputs:
             output.check_motion(self.motion)
@@ -82,7 +82,7 @@ class _Run:
             raise InputError(
                 f"--duration {duration:g} and --fps {given['fps']:g} contradict: give one of them"
             )
-        return Motion.lasting(duration, resting(len(self.images), self.n_frames), **given)
+        return Motion.lasting(duration, held_frames(len(self.images), self.n_frames), **given)
 
     def memory(self, pictures: Sequence[NDArray[np.float64]], operations: Operations) -> str:
         """Say what the largest of the morphs will take, frames that are kept apart."""
@@ -220,7 +220,7 @@ def _read(path: Path, settings: Settings) -> NDArray[np.float64]:
     return picture if size is None else fit(picture, size)
 
 
-def _summary(run: _Run, film: Film, stages: Stages, notes: list[Warning]) -> dict[str, Any]:
+def _summary(run: _Run, film: Recording, stages: Stages, notes: list[Warning]) -> dict[str, Any]:
     """Return what was made, for programs."""
     return {
         "outputs": [{"path": str(output.path), "format": output.name} for output in run.outputs],
@@ -280,6 +280,6 @@ def announce_idle(names: Sequence[str], outputs: Sequence[Path], format: str | N
     """Note options that make no difference to any of the outputs."""
     formats = [Output(output, format).format for output in outputs]
     for name in (*SIZES, *PACE, "lossless"):
-        if name in names and not any(name in kind.heeds for kind in formats):
+        if name in names and not any(name in kind.relevant_options for kind in formats):
             places = ", ".join(str(output) for output in outputs)
             note(f"--{name} makes no difference to {places}")

@@ -10,7 +10,7 @@ from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.endpoints import EndCorrection, Lacking, ladder, make_details
 from clmorph.frames.kernel_width import KernelWidth
-from clmorph.frames.opacity import matter, opacity
+from clmorph.frames.opacity import alpha_particles, opacity
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths, render
 from clmorph.images.color import from_space, to_space
@@ -92,7 +92,7 @@ class FrameRenderer:
 
     @cached_property
     def _alpha_particles(self) -> Particles | None:
-        return matter(*self._measures, self._plan, self._particles)
+        return alpha_particles(*self._measures, self._plan, self._particles)
 
     @cached_property
     def _uploaded_alpha(self) -> Any:

@@ -20,7 +20,7 @@ StageProgress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class Recording:
     """Frames and how they are played.
 
     Attributes
@@ -32,7 +32,7 @@ class Film:
         Theirs.
     times : (n,) array
         The morph's time in each, from 0 to the number of morphs; falling if reversed.
-    rests : (n,) array of bool
+    holds : (n,) array of bool
         Frames that are pictures themselves.
     motion : Motion
     pixelated : bool
@@ -46,7 +46,7 @@ class Film:
     frames: Sequence[NDArray[Any]]
     shapes: list[tuple[int, ...]]
     times: NDArray[np.float64]
-    rests: NDArray[np.bool_]
+    holds: NDArray[np.bool_]
     motion: Motion
     pixelated: bool = False
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -61,7 +61,7 @@ class Film:
 
     def played(self) -> list[tuple[int, float]]:
         """Return the frames of one round, each with the seconds that it is shown."""
-        return self.motion.played(self.rests)
+        return self.motion.played(self.holds)
 
     @property
     def duration(self) -> float:
@@ -82,7 +82,7 @@ def recorded(
     parameters: Mapping[str, Any] | None = None,
     folder: Path | None = None,
     progress: StageProgress | None = None,
-) -> Iterator[Film]:
+) -> Iterator[Recording]:
     """Render morphs one after the other, each frame once, onto disk.
 
     Parameters
@@ -100,18 +100,18 @@ def recorded(
     keep : bool
         Keep the morphs themselves too, for files that tell of them.
     pixelated, parameters
-        As in `Film`.
+        As in `Recording`.
     folder : Path, optional
         Where the frames are kept meanwhile.
     progress : callable, optional
 
     Yields
     ------
-    Film
+    Recording
     """
     report = progress or (lambda stage, share: None)
     times: list[float] = []
-    rests: list[bool] = []
+    holds: list[bool] = []
     kept: list[FrameSequence] = []
     with Spool(np.float32 if exact else np.uint8, folder) as spool:
         for number, morph in enumerate(morphs):
@@ -122,14 +122,14 @@ def recorded(
                 if number == 0 or index > 0:
                     spool.append(morph[index] if exact else to_bytes(morph[index]))
                     times.append(number + float(t))
-                    rests.append(index in (0, len(morph.times) - 1))
+                    holds.append(index in (0, len(morph.times) - 1))
                 done = index + 1
                 report(name, Share(done / len(morph.times), f"{done} of {len(morph.times)}"))
         step = -1 if reverse else 1
         shapes = [spool.shape(index) for index in range(len(spool))]
-        yield Film(
+        yield Recording(
             _Backwards(spool) if reverse else spool, shapes[::step], np.array(times)[::step],
-            np.array(rests)[::step], motion, pixelated, dict(parameters or {}), kept,
+            np.array(holds)[::step], motion, pixelated, dict(parameters or {}), kept,
         )  # fmt: skip
 
 

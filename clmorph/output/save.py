@@ -26,10 +26,10 @@ from clmorph._shared.validation import check_choice, check_flag, check_progress,
 from clmorph.errors import InputError, OutputError
 from clmorph.frames.sequence import FrameSequence
 from clmorph.output.formats import animation, archive, gif, page, sheet, stills, video
-from clmorph.output.framing import Look
+from clmorph.output.framing import FrameStyle
 from clmorph.output.playback import Motion
 from clmorph.output.provenance import as_text
-from clmorph.output.recording import Film, StageProgress, recorded
+from clmorph.output.recording import Recording, StageProgress, recorded
 from clmorph.pipeline import presets as defaults
 
 #: Options that decide about sizes and colors, and about when frames are shown.
@@ -46,7 +46,7 @@ class Format:
     endings : tuple of str
         The first is the usual one.
     write : callable
-        Called with a film, a look, a new path and what to report to.
+        Called with a recording, a style, a new path and what to report to.
     animated : bool
         Whether it lasts as long as its frames are shown.
     exact : bool
@@ -55,7 +55,7 @@ class Format:
         Whether it tells of the morphs, not of their frames alone.
     check : callable
         Raises OutputError if something that it needs is missing.
-    heeds : tuple of str
+    relevant_options : tuple of str
         Which options about looks and motion make a difference to it.
     fastest : float
         Frames a second that it can hold, at most; a GIF's briefer frames are taken for long ones
@@ -63,12 +63,12 @@ class Format:
     """
 
     endings: tuple[str, ...]
-    write: Callable[[Film, Look, Path, Report], None]
+    write: Callable[[Recording, FrameStyle, Path, Report], None]
     animated: bool = False
     exact: bool = False
     keep: bool = False
     check: Callable[[], None] = lambda: None
-    heeds: tuple[str, ...] = (*SIZES, *PACE)
+    relevant_options: tuple[str, ...] = (*SIZES, *PACE)
     fastest: float = math.inf
 
 
@@ -76,17 +76,20 @@ class Format:
 FORMATS: dict[str, Format] = {
     "gif": Format((".gif",), gif.write, animated=True, fastest=50.0),
     "webp": Format(
-        (".webp",), animation.write_webp, animated=True, heeds=(*SIZES, *PACE, "lossless")
+        (".webp",),
+        animation.write_webp,
+        animated=True,
+        relevant_options=(*SIZES, *PACE, "lossless"),
     ),
     "apng": Format((".apng",), animation.write_apng, animated=True),
     "mp4": Format((".mp4",), video.write_mp4, True, check=video.check_video),
     "webm": Format((".webm",), video.write_webm, True, check=video.check_video),
     "html": Format((".html", ".htm"), page.write, keep=True),
-    "sheet": Format((".png",), sheet.write, heeds=SIZES),
-    "npz": Format((".npz",), archive.write, exact=True, keep=True, heeds=()),
-    "tiff": Format((".tif", ".tiff"), stills.write_tiff, heeds=SIZES),
-    "png-folder": Format(("",), stills.write_png_folder, heeds=SIZES),
-    "tiff-folder": Format((), stills.write_tiff_folder, heeds=SIZES),
+    "sheet": Format((".png",), sheet.write, relevant_options=SIZES),
+    "npz": Format((".npz",), archive.write, exact=True, keep=True, relevant_options=()),
+    "tiff": Format((".tif", ".tiff"), stills.write_tiff, relevant_options=SIZES),
+    "png-folder": Format(("",), stills.write_png_folder, relevant_options=SIZES),
+    "tiff-folder": Format((), stills.write_tiff_folder, relevant_options=SIZES),
 }
 #: Formats whose result is a folder.
 FOLDERS = ("png-folder", "tiff-folder")
@@ -151,19 +154,19 @@ class Output:
 
 def write_all(
     outputs: Sequence[Output],
-    film: Film,
-    look: Look | None = None,
+    recording: Recording,
+    style: FrameStyle | None = None,
     report: Callable[[Output, float], None] | None = None,
     texts: Mapping[Path, str] | None = None,
 ) -> None:
-    """Write a film to one or several places: all of them whole, or none.
+    """Write a recording to one or several places: all of them whole, or none.
 
     Parameters
     ----------
     outputs : sequence of Output
-    film : Film
+    recording : Recording
         Recorded with the `exact` and `keep` of their formats.
-    look : Look, optional
+    style : FrameStyle, optional
     report : callable, optional
         Called with an output and the share of it done.
     texts : mapping, optional
@@ -174,7 +177,7 @@ def write_all(
     OutputError
         If one cannot be written.
     InputError
-        If the film cannot be shown that way, or two of them have one place.
+        If the recording cannot be shown that way, or two of them have one place.
     """
     beside = dict(texts or {})
     places = [*(output.place for output in outputs), *beside]
@@ -186,7 +189,7 @@ def write_all(
         for output, new in zip(outputs, made, strict=False):
             told = partial(report, output) if report else (lambda share: None)
             with told_as_output(output.path):
-                output.format.write(film, look or Look(), new, told)
+                output.format.write(recording, style or FrameStyle(), new, told)
 
 
 def _endings() -> list[str]:
@@ -237,7 +240,7 @@ def save(
     reverse : bool
         From the end to the beginning.
     canvas, scaling, background, lossless
-        See `clmorph.output.framing.Look`.
+        See `clmorph.output.framing.FrameStyle`.
     parameters : mapping, optional
         What the file is to tell of its making, in place of the morphs' own parameters; JSON
         must take it.
@@ -253,7 +256,7 @@ def save(
     """
     chain = _as_chain(morphs)
     output = Output(path, format)
-    look, motion = Look(canvas, scaling, background, lossless), Motion(fps, hold, loop)
+    style, motion = FrameStyle(canvas, scaling, background, lossless), Motion(fps, hold, loop)
     output.check_motion(motion)
     reverse = check_flag("reverse", reverse)
     report = check_progress(progress)
@@ -276,8 +279,8 @@ def save(
         exact=output.format.exact, keep=output.format.keep,
         pixelated=all(morph.pixelated for morph in chain), parameters=told,
         folder=output.folder, progress=progress,
-    ) as film:  # fmt: skip
-        write_all([output], film, look, lambda place, share: report(f"write {path}", share))
+    ) as recording:  # fmt: skip
+        write_all([output], recording, style, lambda place, share: report(f"write {path}", share))
 
 
 def _as_chain(

@@ -10,9 +10,9 @@ import numpy as np
 
 from clmorph._shared.progress import Report, tracked
 from clmorph.output.formats.limits import encoding
-from clmorph.output.framing import Framing, Look, in_time
+from clmorph.output.framing import FrameStyle, Framing, in_time
 from clmorph.output.provenance import as_png_info, as_text
-from clmorph.output.recording import Film
+from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -21,34 +21,36 @@ if TYPE_CHECKING:
 DEFLATE = "tiff_adobe_deflate"
 
 
-def _pictures(film: Film, look: Look, report: Report) -> Iterator["Image"]:
-    """Return the frames as they are, each at its own size, unless the look names one."""
-    framing = Framing(look, in_time(film.shapes, film.times), film.pixelated)
-    for index in tracked(range(len(film)), report):
-        frame = film.picture(index)
-        yield framing.unscaled(frame) if look.canvas == "dynamic" else framing(frame)
+def _pictures(recording: Recording, style: FrameStyle, report: Report) -> Iterator["Image"]:
+    """Return the frames as they are, each at its own size, unless the style names one."""
+    framing = Framing(style, in_time(recording.shapes, recording.times), recording.pixelated)
+    for index in tracked(range(len(recording)), report):
+        frame = recording.picture(index)
+        yield framing.unscaled(frame) if style.canvas == "dynamic" else framing(frame)
 
 
-def _names(film: Film) -> Iterator[str]:
-    digits = max(4, len(str(len(film) - 1)))
-    return (f"frame-{number:0{digits}d}" for number in range(len(film)))
+def _names(recording: Recording) -> Iterator[str]:
+    digits = max(4, len(str(len(recording) - 1)))
+    return (f"frame-{number:0{digits}d}" for number in range(len(recording)))
 
 
 @encoding("PNG")
-def write_png_folder(film: Film, look: Look, folder: Path, report: Report) -> None:
+def write_png_folder(recording: Recording, style: FrameStyle, folder: Path, report: Report) -> None:
     """Write a new folder of PNG files."""
     folder.mkdir()
-    info = as_png_info(film.parameters)
-    for name, picture in zip(_names(film), _pictures(film, look, report), strict=True):
+    info = as_png_info(recording.parameters)
+    for name, picture in zip(_names(recording), _pictures(recording, style, report), strict=True):
         picture.save(folder / f"{name}.png", pnginfo=info)
 
 
 @encoding("TIFF")
-def write_tiff_folder(film: Film, look: Look, folder: Path, report: Report) -> None:
+def write_tiff_folder(
+    recording: Recording, style: FrameStyle, folder: Path, report: Report
+) -> None:
     """Write a new folder of TIFF files."""
     folder.mkdir()
-    text = as_text(film.parameters)
-    for name, picture in zip(_names(film), _pictures(film, look, report), strict=True):
+    text = as_text(recording.parameters)
+    for name, picture in zip(_names(recording), _pictures(recording, style, report), strict=True):
         # In memory first: where a disk is full, libtiff itself would print about it.
         file = BytesIO()
         picture.save(file, format="TIFF", compression=DEFLATE, description=text)
@@ -56,16 +58,16 @@ def write_tiff_folder(film: Film, look: Look, folder: Path, report: Report) -> N
 
 
 @encoding("TIFF")
-def write_tiff(film: Film, look: Look, file: Path, report: Report) -> None:
+def write_tiff(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
     """Write one TIFF with a page for each frame."""
     import tifffile
 
-    text = as_text(film.parameters)
+    text = as_text(recording.parameters)
     # Offsets of 32 bits reach no further than 4 GiB; deflating hardly lengthens anything.
-    large = sum(math.prod(shape) + 2 * len(text) for shape in film.shapes) > 2**32 - 2**24
+    large = sum(math.prod(shape) + 2 * len(text) for shape in recording.shapes) > 2**32 - 2**24
     # Pillow's own writer keeps all pages until the last is there.
     with tifffile.TiffWriter(file, bigtiff=large) as tiff:
-        for picture in _pictures(film, look, report):
+        for picture in _pictures(recording, style, report):
             tiff.write(
                 np.asarray(picture), photometric="rgb", planarconfig="contig",
                 extrasamples=["unassalpha"] if picture.mode == "RGBA" else None,

@@ -10,10 +10,10 @@ import numpy as np
 from clmorph._shared.progress import Report, tracked
 from clmorph.errors import OutputError
 from clmorph.output.formats.limits import check_sides, encoding
-from clmorph.output.framing import Framing, Look, in_time
+from clmorph.output.framing import FrameStyle, Framing, in_time
 from clmorph.output.playback import whole_units
 from clmorph.output.provenance import as_text
-from clmorph.output.recording import Film
+from clmorph.output.recording import Recording
 
 #: Longer side, in pixels, to which small frames are enlarged.
 SIDE = 720
@@ -38,40 +38,45 @@ def check_video() -> None:
         )
 
 
-def write_mp4(film: Film, look: Look, file: Path, report: Report) -> None:
+def write_mp4(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
     """Write H.264 in an MP4 that plays while it loads."""
-    _write(film, look, file, report, "mp4", {"movflags": "+faststart+use_metadata_tags"})
+    _write(recording, style, file, report, "mp4", {"movflags": "+faststart+use_metadata_tags"})
 
 
-def write_webm(film: Film, look: Look, file: Path, report: Report) -> None:
+def write_webm(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
     """Write VP9 in a WebM; with opacity if the frames have it."""
-    _write(film, look, file, report, "webm", {})
+    _write(recording, style, file, report, "webm", {})
 
 
 def _write(
-    film: Film, look: Look, file: Path, report: Report, container: str, options: dict[str, str]
+    recording: Recording,
+    style: FrameStyle,
+    file: Path,
+    report: Report,
+    container: str,
+    options: dict[str, str],
 ) -> None:
     import av
     from av.video.reformatter import ColorRange, Colorspace
 
     framing = Framing(
-        look, in_time(film.shapes, film.times), film.pixelated, SIDE, even=True,
+        style, in_time(recording.shapes, recording.times), recording.pixelated, SIDE, even=True,
         opacity=container == "webm",
     )  # fmt: skip
     words, most = LIMITS[container]
     check_sides(framing.size, most, words)
     pixels = "yuva420p" if framing.clear else "yuv420p"
     codec, settings = CODECS[container]
-    played = film.played()
+    played = recording.played()
     lengths = [seconds for _, seconds in played]
-    rate = film.motion.rate_for(lengths)
-    # Without the encoder's version and a random number: the same film gives the same bytes.
+    rate = recording.motion.rate_for(lengths)
+    # Without the encoder's version and a random number: the same recording gives the same bytes.
     options = options | {"fflags": "+bitexact"}
     with (
         encoding(words, av.error.FFmpegError),
         av.open(str(file), "w", format=container, options=options) as movie,
     ):
-        movie.metadata["comment"] = as_text(film.parameters)
+        movie.metadata["comment"] = as_text(recording.parameters)
         stream: Any = movie.add_stream(codec, rate=rate, options=settings)
         stream.width, stream.height = framing.size
         stream.pix_fmt = pixels
@@ -88,12 +93,12 @@ def _write(
         lasting = whole_units(lengths, rate)
         shown = [(index, repeats) for (index, _), repeats in zip(played, lasting, strict=True)]
         for index, repeats in tracked(shown, report):
-            picture: Any = np.asarray(framing(film.picture(index)))
+            picture: Any = np.asarray(framing(recording.picture(index)))
             image = av.VideoFrame.from_ndarray(picture, mode).reformat(
                 format=pixels, dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG,
                 interpolation="LANCZOS",
             )  # fmt: skip
-            # A picture that rests is a frame that is repeated.
+            # A picture that holds is a frame that is repeated.
             for _ in range(repeats):
                 image.pts, image.time_base = number, Fraction(1) / rate
                 movie.mux(stream.encode(image))

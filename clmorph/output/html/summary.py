@@ -137,8 +137,8 @@ def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
     """
     widths = np.array([morph.kernel_width.at(t, morph.canvas(t)) for t in times])
     moving = morph.particles
-    resting = moving.links[:, 0] == moving.links[:, 1]
-    begun = moving.weights[:, 0] @ resting, moving.weights[:, 1] @ resting
+    held_frames = moving.links[:, 0] == moving.links[:, 1]
+    begun = moving.weights[:, 0] @ held_frames, moving.weights[:, 1] @ held_frames
     whole = moving.weights.sum(axis=0)
     dying, born = (1 - times) * begun[0], times * begun[1]
     total = (1 - times) * whole[0] + times * whole[1]
