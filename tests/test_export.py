@@ -20,7 +20,7 @@ from programs import program
 import clmorph
 from clmorph import InputError, OutputError
 from clmorph.images.pixels import to_bytes
-from clmorph.output.formats.video import CODECS
+from clmorph.output.formats.video import CONTAINERS
 from clmorph.output.framing import FrameStyle
 from clmorph.output.playback import Motion, held_frames
 from clmorph.output.provenance import read_parameters
@@ -725,7 +725,7 @@ import pathlib, sys
 import numpy as np
 from clmorph.output.save import Output, write_all
 from clmorph.output.recording import Recording
-from clmorph.output.formats.video import CODECS
+from clmorph.output.formats.video import CONTAINERS
 from clmorph.output.framing import FrameStyle
 from clmorph.output.playback import Motion
 
@@ -898,7 +898,8 @@ def test_what_encoders_raise_is_told_in_one_line(tmp_path, monkeypatch, growing,
     monkeypatch.setattr("PIL.Image.Image.save", broken)
     monkeypatch.setattr("tifffile.TiffWriter.write", broken)
     if name in ("out.mp4", "out.webm"):
-        monkeypatch.setitem(CODECS, name[4:], (CODECS[name[4:]][0], {"crf": "nothing"}))
+        broken_one = CONTAINERS[name[4:]]._replace(settings={"crf": "nothing"})
+        monkeypatch.setitem(CONTAINERS, name[4:], broken_one)
     with pytest.raises(OutputError, match=r"the encoder of .* failed .*another format") as caught:
         save(growing, tmp_path / (name or "frames"), canvas="source")
     assert "\n" not in str(caught.value)

@@ -11,7 +11,7 @@ from clmorph.cli.terminal import Stages
 from clmorph.images.pixels import as_rgb, fit, read_image
 from clmorph.output.playback import Motion
 from clmorph.output.recording import recorded
-from clmorph.output.save import Output, described, write_all
+from clmorph.output.save import Output, metadata_of, write_all
 from clmorph.pipeline.morph import morph
 from clmorph.pipeline.presets import PRESETS
 
@@ -61,7 +61,7 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     sprite, photo = demo_images()
     result = morph(sprite, photo, N_FRAMES, backend=operations, progress=stages, **PARAMETERS)  # type: ignore[arg-type]
     with recorded(
-        [result], Motion(), keep=True, parameters=described([result]), folder=folder,
+        [result], Motion(), keep=True, parameters=metadata_of([result]), folder=folder,
         progress=stages,
     ) as recording:  # fmt: skip
         write_all(outputs, recording, report=lambda output, share: stages(output.path.name, share))

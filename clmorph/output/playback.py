@@ -98,13 +98,13 @@ class Motion:
         """
         check_number("duration", duration, 0.0, 1e6, open_low=True)
         trial = cls(1.0, hold, loop).played(holds)
-        held_frames = sum(seconds - 1.0 for _, seconds in trial)
-        if duration <= held_frames:
+        held = sum(seconds - 1.0 for _, seconds in trial)
+        if duration <= held:
             raise InputError(
                 f"duration={duration:g} is no longer than the holds at the pictures, "
-                f"{held_frames:g} s: raise it, or lower hold"
+                f"{held:g} s: raise it, or lower hold"
             )
-        fps = len(trial) / (duration - held_frames)
+        fps = len(trial) / (duration - held)
         if not 0.1 <= fps <= 240.0:
             raise InputError(
                 f"duration={duration:g} means {fps:.3g} frames a second: expected 0.1 to 240; "

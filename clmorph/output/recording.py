@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from clmorph._shared.progress import Share
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
+from clmorph.output.framing import FrameStyle, Framing, in_time
 from clmorph.output.playback import Motion
 from clmorph.output.spool import Spool
 
@@ -58,6 +59,13 @@ class Recording:
     def picture(self, index: int) -> NDArray[np.uint8]:
         """Return a frame in 8 bits."""
         return to_bytes(self.frames[index])
+
+    def framing(
+        self, style: FrameStyle, side: int = 1, *, even: bool = False, opacity: bool = True
+    ) -> Framing:
+        """Return how frames are brought to one size; see `Framing` for the arguments."""
+        shapes = in_time(self.shapes, self.times)
+        return Framing(style, shapes, self.pixelated, side, even, opacity)
 
     def played(self) -> list[tuple[int, float]]:
         """Return the frames of one round, each with the seconds that it is shown."""
@@ -120,7 +128,8 @@ def recorded(
             name = f"frames {number + 1}" if n_morphs > 1 else "frames"
             for index, t in enumerate(morph.times):
                 if number == 0 or index > 0:
-                    spool.append(morph[index] if exact else to_bytes(morph[index]))
+                    frame = morph[index]
+                    spool.append(frame if exact else to_bytes(frame))
                     times.append(number + float(t))
                     holds.append(index in (0, len(morph.times) - 1))
                 done = index + 1

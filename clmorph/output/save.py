@@ -1,9 +1,7 @@
 """Write a morph, or a chain of morphs, as files that people open."""
 
 import itertools
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -21,78 +19,18 @@ from clmorph._shared.files import (
     told_as_output,
 )
 from clmorph._shared.printable import printable
-from clmorph._shared.progress import Report
 from clmorph._shared.validation import check_choice, check_flag, check_progress, is_path, shown
 from clmorph.errors import InputError, OutputError
 from clmorph.frames.sequence import FrameSequence
-from clmorph.output.formats import animation, archive, gif, page, sheet, stills, video
+from clmorph.output.formats.format import PACE, SIZES, Format
+from clmorph.output.formats.registry import FORMATS, by_ending, usual_endings
 from clmorph.output.framing import FrameStyle
+from clmorph.output.metadata import as_text
 from clmorph.output.playback import Motion
-from clmorph.output.provenance import as_text
 from clmorph.output.recording import Recording, StageProgress, recorded
 from clmorph.pipeline import presets as defaults
 
-#: Options that decide about sizes and colors, and about when frames are shown.
-SIZES = ("canvas", "scaling", "background")
-PACE = ("fps", "duration", "hold", "loop")
-
-
-@dataclass(frozen=True)
-class Format:
-    """A kind of file.
-
-    Attributes
-    ----------
-    endings : tuple of str
-        The first is the usual one.
-    write : callable
-        Called with a recording, a style, a new path and what to report to.
-    animated : bool
-        Whether it lasts as long as its frames are shown.
-    exact : bool
-        Whether it holds floats.
-    keep : bool
-        Whether it tells of the morphs, not of their frames alone.
-    check : callable
-        Raises OutputError if something that it needs is missing.
-    relevant_options : tuple of str
-        Which options about looks and motion make a difference to it.
-    fastest : float
-        Frames a second that it can hold, at most; a GIF's briefer frames are taken for long ones
-        by browsers.
-    """
-
-    endings: tuple[str, ...]
-    write: Callable[[Recording, FrameStyle, Path, Report], None]
-    animated: bool = False
-    exact: bool = False
-    keep: bool = False
-    check: Callable[[], None] = lambda: None
-    relevant_options: tuple[str, ...] = (*SIZES, *PACE)
-    fastest: float = math.inf
-
-
-#: Every kind of file by its name; those without an ending of their own need to be named.
-FORMATS: dict[str, Format] = {
-    "gif": Format((".gif",), gif.write, animated=True, fastest=50.0),
-    "webp": Format(
-        (".webp",),
-        animation.write_webp,
-        animated=True,
-        relevant_options=(*SIZES, *PACE, "lossless"),
-    ),
-    "apng": Format((".apng",), animation.write_apng, animated=True),
-    "mp4": Format((".mp4",), video.write_mp4, True, check=video.check_video),
-    "webm": Format((".webm",), video.write_webm, True, check=video.check_video),
-    "html": Format((".html", ".htm"), page.write, keep=True),
-    "sheet": Format((".png",), sheet.write, relevant_options=SIZES),
-    "npz": Format((".npz",), archive.write, exact=True, keep=True, relevant_options=()),
-    "tiff": Format((".tif", ".tiff"), stills.write_tiff, relevant_options=SIZES),
-    "png-folder": Format(("",), stills.write_png_folder, relevant_options=SIZES),
-    "tiff-folder": Format((), stills.write_tiff_folder, relevant_options=SIZES),
-}
-#: Formats whose result is a folder.
-FOLDERS = ("png-folder", "tiff-folder")
+__all__ = ["FORMATS", "PACE", "SIZES", "Output", "metadata_of", "save", "write_all"]
 
 
 class Output:
@@ -123,19 +61,19 @@ class Output:
             raise OutputError(f"path={shown(path)}: expected a path such as 'out.gif'")
         self.path = Path(path)
         if format is not None:
-            self.name = check_choice("format", format, tuple(FORMATS))
+            self.format = FORMATS[check_choice("format", format, tuple(FORMATS))]
         else:
-            self.name = _by_ending(self.path)
-        self.format = FORMATS[self.name]
+            self.format = _by_ending(self.path)
+        self.name = self.format.name
         self.format.check()
-        is_folder = self.name in FOLDERS
+        is_folder = self.format.folder
         self.place = check_place(self.path) if is_folder else check_file_place(self.path)
         with told_as_output(path):
             empty = self.place.is_dir() and is_empty(self.place)
         if is_folder and self.place.exists() and not empty:
             raise OutputError(
                 f"{path} exists already; choose a new or empty folder, or a name ending in "
-                + ", ".join(_endings())
+                + ", ".join(usual_endings())
             )
 
     @property
@@ -187,23 +125,18 @@ def write_all(
             with told_as_output(place):
                 new.write_text(text, "utf-8")
         for output, new in zip(outputs, made, strict=False):
-            told = partial(report, output) if report else (lambda share: None)
+            report_share = partial(report, output) if report else (lambda share: None)
             with told_as_output(output.path):
-                output.format.write(recording, style or FrameStyle(), new, told)
+                output.format.write(recording, style or FrameStyle(), new, report_share)
 
 
-def _endings() -> list[str]:
-    return [ending for format in FORMATS.values() for ending in format.endings[:1] if ending]
-
-
-def _by_ending(path: Path) -> str:
-    ending = path.suffix.lower()
-    for name, format in FORMATS.items():
-        if ending in format.endings:
-            return name
+def _by_ending(path: Path) -> Format:
+    format = by_ending(path)
+    if format is not None:
+        return format
     raise OutputError(
-        f"{path}: unknown ending {path.suffix!r}; expected {', '.join(_endings())}, or none for "
-        "a folder of PNG frames"
+        f"{path}: unknown ending {path.suffix!r}; expected {', '.join(usual_endings())}, or none "
+        "for a folder of PNG frames"
     )
 
 
@@ -267,9 +200,9 @@ def save(
             )
     if parameters is not None and not isinstance(parameters, Mapping):
         raise InputError(f"parameters={shown(parameters)}: expected a mapping that JSON takes")
-    told = parameters if parameters is not None else described(chain)
+    metadata = parameters if parameters is not None else metadata_of(chain)
     try:
-        as_text(told)
+        as_text(metadata)
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(
             f"parameters: expected what JSON takes ({printable(str(error), 120)})"
@@ -277,7 +210,7 @@ def save(
     with recorded(
         chain, motion, n_morphs=len(chain), reverse=reverse,
         exact=output.format.exact, keep=output.format.keep,
-        pixelated=all(morph.pixelated for morph in chain), parameters=told,
+        pixelated=all(morph.pixelated for morph in chain), parameters=metadata,
         folder=output.folder, progress=progress,
     ) as recording:  # fmt: skip
         write_all([output], recording, style, lambda place, share: report(f"write {path}", share))
@@ -296,8 +229,8 @@ def _as_chain(
     raise InputError("morphs: expected a Morph, or a sequence of at least one")
 
 
-def described(morphs: Sequence[FrameSequence]) -> dict[str, Any]:
-    """Return what a file tells of the morphs in it."""
+def metadata_of(morphs: Sequence[FrameSequence]) -> dict[str, Any]:
+    """Return the metadata of a file with these morphs."""
     from clmorph._shared.version import __version__
 
     return {"clmorph": __version__, "morphs": [dict(morph.parameters) for morph in morphs]}

@@ -1,14 +1,11 @@
-"""Animated WebP and PNG, with opacity, frame by frame."""
+"""What the writers of animated images share: sizes, durations, and what changes between frames."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clmorph._shared.progress import Report, Share, tracked
-from clmorph.output.formats.apng import write_frames
-from clmorph.output.formats.limits import check_sides, encoding
-from clmorph.output.framing import FrameStyle, Framing, in_time
+import numpy as np
+from numpy.typing import NDArray
+
 from clmorph.output.playback import whole_units
-from clmorph.output.provenance import as_exif, as_png_info
 from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:
@@ -16,68 +13,60 @@ if TYPE_CHECKING:
 
 #: Longer side, in pixels, to which small frames are enlarged.
 SIDE = 384
-#: Of lossy WebP, 0 to 100.
-WEBP_QUALITY = 90
-#: WebP's longest side, in pixels: it has 14 bits.
-WEBP_MOST = 16383
+
+#: Left, top, right, bottom, in pixels; the last two are one beyond.
+Box = tuple[int, int, int, int]
 
 
-def _framing(recording: Recording, style: FrameStyle) -> Framing:
-    return Framing(style, in_time(recording.shapes, recording.times), recording.pixelated, SIDE)
+def timed_frames(recording: Recording, per_second: int) -> list[tuple[int, int]]:
+    """Return the frames of one round: each one's index and its duration in a format's unit.
 
-
-def _milliseconds(recording: Recording) -> list[int]:
-    return whole_units([seconds for _, seconds in recording.played()], 1000)
-
-
-@encoding("WebP")
-def write_webp(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
-    """Write an animated WebP, lossy unless the style says otherwise."""
-    count = len(recording.played())
-    framing = _framing(recording, style)
-    check_sides(framing.size, WEBP_MOST, "WebP")
-    _reel(recording, framing, report).save(
-        file, format="WEBP", save_all=True, duration=_milliseconds(recording),
-        loop=int(recording.motion.loop == "once"), lossless=style.lossless, exact=style.lossless,
-        quality=80 if style.lossless else WEBP_QUALITY, method=4,
-        exif=as_exif(recording.parameters),
-    )  # fmt: skip
-    report(Share(1.0, f"{count} of {count}"))
-
-
-def _reel(recording: Recording, framing: Framing, report: Report) -> "Image":
-    """Return an image of many frames, of which one is there at a time.
-
-    Pillow makes a list of images that are to be appended, but asks one of many frames for one
-    after the other. When it asks for the next, those before are written.
+    Parameters
+    ----------
+    recording : Recording
+    per_second : int
+        Units a second.
     """
-    from PIL import Image
-
-    order = [index for index, _ in recording.played()]
-    reel = Image.new("RGBA" if framing.clear else "RGB", framing.size)
-    shown = -1
-
-    def seek(number: int) -> None:
-        nonlocal shown
-        # Afterwards Pillow winds back to the first, for which there is no use.
-        if number != shown + 1:
-            return
-        if number > 0:
-            report(Share(number / len(order), f"{number} of {len(order)}"))
-        reel.paste(framing(recording.picture(order[number])))
-        shown = number
-
-    reel.__dict__.update(n_frames=len(order), seek=seek)
-    return reel
+    played = recording.played()
+    units = whole_units([seconds for _, seconds in played], per_second)
+    return [(index, duration) for (index, _), duration in zip(played, units, strict=True)]
 
 
-@encoding("animated PNG")
-def write_apng(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
-    """Write an animated PNG."""
-    framing = _framing(recording, style)
-    durations = _milliseconds(recording)
-    shown = [(index, time) for (index, _), time in zip(recording.played(), durations, strict=True)]
-    frames = ((framing(recording.picture(index)), time) for index, time in tracked(shown, report))
-    with file.open("wb") as stream:
-        plays = int(recording.motion.loop == "once")
-        write_frames(stream, frames, durations, plays, as_png_info(recording.parameters))
+def box_of(where: NDArray[np.bool_]) -> Box:
+    """Return the smallest box around marked pixels; one pixel if none is, as no file has less.
+
+    Parameters
+    ----------
+    where : (H, W) array of bool
+    """
+    rows, columns = np.flatnonzero(where.any(axis=1)), np.flatnonzero(where.any(axis=0))
+    if len(rows) == 0:
+        return 0, 0, 1, 1
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
+def changed(before: "Image | None", after: "Image") -> Box:
+    """Return the box outside which two pictures of one size and mode are the same.
+
+    Parameters
+    ----------
+    before : Image or None
+        None for the first frame, of which all is new.
+    after : Image
+    """
+    if before is None:
+        return 0, 0, after.width, after.height
+    differs = np.asarray(before) != np.asarray(after)
+    return box_of(differs if differs.ndim == 2 else differs.any(axis=2))
+
+
+def pieces(units: int, most: int) -> list[int]:
+    """Return a duration as a sum of durations that a file can hold.
+
+    Parameters
+    ----------
+    units, most : int
+        At least 1.
+    """
+    whole, rest = divmod(units, most)
+    return [most] * whole + [rest] * (rest > 0)

@@ -13,10 +13,11 @@ from clmorph._shared.printable import reason_of, size_text
 from clmorph._shared.progress import Report, tracked
 from clmorph._shared.validation import check_number, is_path, shown
 from clmorph.errors import InputError
-from clmorph.output.bounded import UNREADABLE, from_text
+from clmorph.output.bounded import MAX_HEAD, UNREADABLE, from_text
+from clmorph.output.formats.format import Format
 from clmorph.output.formats.npz import Arrays
 from clmorph.output.framing import FrameStyle
-from clmorph.output.provenance import as_text
+from clmorph.output.metadata import as_text
 from clmorph.output.recording import Recording
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric
@@ -206,3 +207,17 @@ def _read_plan(arrays: Arrays, number: int) -> Plan | Barycentric:
         raise ValueError("its plan is none")
     parts: dict[str, Any] = found | {"shape": (rows, columns)}
     return Plan(**parts)
+
+
+def read_metadata(path: Path) -> str:
+    """Return the metadata text of an archive: its array ``parameters``."""
+    with Arrays(path, max_bytes=MAX_HEAD) as arrays:
+        return arrays.text("parameters")
+
+
+FORMATS = (
+    Format(
+        name="npz", endings=(".npz",), write=write, read_metadata=read_metadata,
+        signatures=((0, b"PK"),), exact=True, keep=True, relevant_options=(),
+    ),
+)  # fmt: skip

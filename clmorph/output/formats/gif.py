@@ -1,4 +1,4 @@
-"""GIF: one palette over all frames, so that nothing flickers."""
+"""``.gif``: one palette for all frames, so that nothing flickers."""
 
 import struct
 from collections.abc import Iterable
@@ -10,18 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.progress import Report, tracked
-from clmorph.output.formats.deltas import box_of, changed, pieces
+from clmorph.output.formats.animation import SIDE, box_of, changed, pieces, timed_frames
+from clmorph.output.formats.format import Format
 from clmorph.output.formats.limits import check_sides, encoding
-from clmorph.output.framing import FrameStyle, Framing, in_time
-from clmorph.output.playback import whole_units
-from clmorph.output.provenance import as_text
+from clmorph.output.framing import FrameStyle, Framing
+from clmorph.output.metadata import as_text, image_head
 from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-#: Longer side, in pixels, to which small frames are enlarged.
-SIDE = 384
 #: Colors of the palette; one more entry stands for what is transparent.
 COLORS = 255
 #: Entries that colors between the pictures' have at least.
@@ -39,13 +37,10 @@ MOST = 65535
 @encoding("GIF")
 def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
     """Write an animated GIF; opacity is rounded to all or nothing."""
-    seconds = [seconds for _, seconds in recording.played()]
-    framing = Framing(style, in_time(recording.shapes, recording.times), recording.pixelated, SIDE)
+    framing = recording.framing(style, SIDE)
     check_sides(framing.size, MOST, "GIF")
     palette = _palette(recording, framing)
-    shown = list(
-        zip((index for index, _ in recording.played()), whole_units(seconds, 100), strict=True)
-    )
+    shown = timed_frames(recording, 100)
     frames = (
         (_in_palette(framing(recording.picture(index)), palette, framing.nearest), units)
         for index, units in tracked(shown, report)
@@ -55,6 +50,14 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
         head["loop"] = 0
     with file.open("wb") as stream:
         _write_frames(stream, frames, head, framing.clear)
+
+
+def read_metadata(path: Path) -> str:
+    """Return the metadata text of a GIF: its comment."""
+    from PIL.GifImagePlugin import GifImageFile
+
+    with image_head(GifImageFile, path) as image:
+        return bytes(image.info.get("comment", b"")).decode("ascii", "replace")
 
 
 def _write_frames(
@@ -176,3 +179,11 @@ def _nearest(picture: "Image", palette: "Image") -> "Image":
     colors = Image.fromarray(indices, "L").convert("P")
     colors.putpalette(entries.tobytes())
     return colors
+
+
+FORMATS = (
+    Format(
+        name="gif", endings=(".gif",), write=write, read_metadata=read_metadata,
+        signatures=((0, b"GIF8"),), animated=True, fastest=50.0,
+    ),
+)  # fmt: skip

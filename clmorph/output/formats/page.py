@@ -1,5 +1,6 @@
 """``.html``: a page that plays the morph, without network."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.progress import Report, Share
-from clmorph.output.framing import FrameStyle, Framing, in_time
-from clmorph.output.html import Curve, Field, Scene, write_page
+from clmorph.output.formats.format import Format
+from clmorph.output.framing import FrameStyle
+from clmorph.output.html import Curve, Field, Scene, read_parameters, write_page
 from clmorph.output.html.summary import arrow_field, known_parameters, morph_curves
 from clmorph.output.recording import Recording
 
@@ -43,9 +45,7 @@ class _Frames(Sequence[NDArray[np.uint8]]):
 
     def __init__(self, recording: Recording, style: FrameStyle, report: Report) -> None:
         self._film, self._report = recording, report
-        self._framing = Framing(
-            style, in_time(recording.shapes, recording.times), recording.pixelated
-        )
+        self._framing = recording.framing(style)
         self._scaled = style.canvas != "dynamic"
 
     def __len__(self) -> int:
@@ -96,3 +96,16 @@ def _turned(field: Field, span: float) -> Field:
         field, positions=field.positions + field.displacement, displacement=-field.displacement,
         begin=span - field.end, end=span - field.begin,
     )  # fmt: skip
+
+
+def read_metadata(path: Path) -> str:
+    """Return the metadata text of a page."""
+    return json.dumps(read_parameters(path))
+
+
+FORMATS = (
+    Format(
+        name="html", endings=(".html", ".htm"), write=write, read_metadata=read_metadata,
+        signatures=((0, b"<!doctype"),), keep=True,
+    ),
+)  # fmt: skip

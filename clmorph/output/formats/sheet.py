@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from clmorph._shared.progress import Report, tracked
+from clmorph.output.formats.format import SIZES, Format
 from clmorph.output.formats.limits import encoding
 from clmorph.output.framing import FrameStyle, Framing, in_time
-from clmorph.output.provenance import as_png_info
+from clmorph.output.metadata import as_png_info, read_png
 from clmorph.output.recording import Recording
 
 #: Longer side, in pixels, of each picture; of small pixel art at least.
@@ -64,3 +65,11 @@ def _fitting(style: FrameStyle, shapes: list[tuple[int, ...]]) -> FrameStyle:
     # Reduced by leaving out pixels, pixel art would be hard to know again.
     scaling = "smooth" if style.scaling == "auto" else style.scaling
     return replace(style, canvas=canvas, scaling=scaling)
+
+
+FORMATS = (
+    Format(
+        name="sheet", endings=(".png",), write=write, read_metadata=read_png,
+        signatures=((0, b"\x89PNG"),), relevant_options=SIZES,
+    ),
+)  # fmt: skip

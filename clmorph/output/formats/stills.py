@@ -1,4 +1,4 @@
-"""Frames as pictures of their own: folders of PNG or TIFF, and a TIFF of many pages."""
+"""Frames as pictures of their own: ``.tif`` with many pages, and folders of PNG or TIFF."""
 
 import math
 from collections.abc import Iterator
@@ -9,9 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clmorph._shared.progress import Report, tracked
+from clmorph.output.formats.format import SIZES, Format
 from clmorph.output.formats.limits import encoding
-from clmorph.output.framing import FrameStyle, Framing, in_time
-from clmorph.output.provenance import as_png_info, as_text
+from clmorph.output.framing import FrameStyle
+from clmorph.output.metadata import (
+    IMAGE_DESCRIPTION,
+    as_png_info,
+    as_text,
+    image_head,
+    read_png,
+)
 from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:
@@ -23,7 +30,7 @@ DEFLATE = "tiff_adobe_deflate"
 
 def _pictures(recording: Recording, style: FrameStyle, report: Report) -> Iterator["Image"]:
     """Return the frames as they are, each at its own size, unless the style names one."""
-    framing = Framing(style, in_time(recording.shapes, recording.times), recording.pixelated)
+    framing = recording.framing(style)
     for index in tracked(range(len(recording)), report):
         frame = recording.picture(index)
         yield framing.unscaled(frame) if style.canvas == "dynamic" else framing(frame)
@@ -73,3 +80,29 @@ def write_tiff(recording: Recording, style: FrameStyle, file: Path, report: Repo
                 extrasamples=["unassalpha"] if picture.mode == "RGBA" else None,
                 compression="zlib", description=text, software=False, metadata=None,
             )  # fmt: skip
+
+
+def read_tiff(path: Path) -> str:
+    """Return the metadata text of a TIFF: the description of its first page."""
+    from PIL.TiffImagePlugin import TiffImageFile
+
+    with image_head(TiffImageFile, path) as image:
+        return str(image.getexif().get(IMAGE_DESCRIPTION, ""))
+
+
+#: The first bytes of a TIFF: either order of bytes, with offsets of 32 or 64 bits.
+TIFF_SIGNATURES = tuple((0, start) for start in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"))
+FORMATS = (
+    Format(
+        name="tiff", endings=(".tif", ".tiff"), write=write_tiff, read_metadata=read_tiff,
+        signatures=TIFF_SIGNATURES, relevant_options=SIZES,
+    ),
+    Format(
+        name="png-folder", endings=("",), write=write_png_folder, read_metadata=read_png,
+        signatures=((0, b"\x89PNG"),), folder=True, relevant_options=SIZES,
+    ),
+    Format(
+        name="tiff-folder", endings=(), write=write_tiff_folder, read_metadata=read_tiff,
+        signatures=TIFF_SIGNATURES, folder=True, relevant_options=SIZES,
+    ),
+)  # fmt: skip
