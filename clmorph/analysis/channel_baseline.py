@@ -18,9 +18,10 @@ from clmorph._shared.options import specifications
 from clmorph._shared.validation import check_number, check_sigma
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
+from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.kernel_width import KernelWidth, effective_count
 from clmorph.frames.particles import particles
-from clmorph.frames.render import CUT, Canvas, canvas_at, kernel_sum
+from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.pixels import as_rgb
 from clmorph.measures.lift import lift
 from clmorph.pipeline.documentation import documented

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
-from clmorph.frames.render import CUT, Canvas, kernel_sum
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.pixels import resized
 from clmorph.measures.lift import Measure
 from clmorph.transport.plan import Plan
