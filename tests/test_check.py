@@ -13,6 +13,7 @@ import pytest
 from conftest import TESTED, USABLE
 
 from clmorph import InputError
+from clmorph.backends.comparison import Finding
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import apply_quirks, choose_knobs, cpu_knobs, gpu_knobs
@@ -20,7 +21,7 @@ from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.backends.opencl.devices.install_hints import LINUX_PACKAGES, advice
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
-from clmorph.cli.conformance import Finding, check
+from clmorph.cli.conformance import check
 from clmorph.cli.main import main
 from clmorph.reference import NumPyOperations
 

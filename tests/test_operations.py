@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from clouds import PAIRS
 
+from clmorph.backends.comparison import UNIT, splat_excess, splat_tolerance
 from clmorph.backends.interface import BASE_RUNG, KERNEL_ERROR, RUNGS_PER_OCTAVE, Operations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import MOMENT_CHUNK
 from clmorph.backends.opencl.kernels.gauss_transform import cell_side, make_cells, moments_pay
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
-from clmorph.cli.conformance import UNIT, log_sum_exp_tolerance, splat_excess, splat_tolerance
+from clmorph.cli.conformance import log_sum_exp_tolerance
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()

@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 
 from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build import tuned_record
 from clmorph.backends.opencl.build import tuner as tuning
 from clmorph.backends.opencl.build.constants import choose_knobs, cpu_knobs, gpu_knobs
-from clmorph.backends.opencl.build.tuner import (
+from clmorph.backends.opencl.build.tuned_record import (
     CANDIDATES,
     forget_tuning,
     is_possible,
-    tune,
     tuned_knobs,
 )
+from clmorph.backends.opencl.build.tuner import tune
 from clmorph.backends.opencl.devices.cache import load_record, save_record
 from clmorph.cli.main import main
 
@@ -99,7 +100,7 @@ def test_quirks_come_after_tuning(device, fast_tile, monkeypatch):
     ],
 )
 def test_a_damaged_record_is_ignored(device, entry):
-    save_record(tuning._record(device.device), entry)
+    save_record(tuned_record._record(device.device), entry)
     assert tuned_knobs(device.device) == choose_knobs(device.device)
 
 

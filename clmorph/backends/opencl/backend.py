@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clmorph.backends.interface import Bins, Float32, Float64, NearPairs, PlanRows, StoredPairs
 from clmorph.backends.opencl.build.constants import Knobs
-from clmorph.backends.opencl.build.tuner import tuned_knobs
+from clmorph.backends.opencl.build.tuned_record import tuned_knobs
 from clmorph.backends.opencl.devices.process import claim_opencl, device_lock
 from clmorph.backends.opencl.kernels.clouds import Cloud
 from clmorph.backends.opencl.kernels.launches import Workspace
