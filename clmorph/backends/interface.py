@@ -78,6 +78,11 @@ class Operations(Protocol):
     precise_roundoff: float
     #: Whether precise exponents are float64 (or better), not pairs of float32.
     has_float64: bool
+    #: Bytes of memory on the device; None if all work is done in the host's memory, where the
+    #: backend knows of no limit.
+    memory_bytes: int | None
+    #: Whether the device's memory is a part of the host's, as it is with CPUs.
+    shares_host_memory: bool
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Any:
         """Take a weighted cloud.

@@ -56,6 +56,8 @@ class NumPyOperations:
     bin_size = 8
     sum_roundoff = exponent_roundoff = precise_roundoff = 2.0**-53
     has_float64 = True
+    memory_bytes: int | None = None
+    shares_host_memory = True
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
         """Take a weighted cloud."""

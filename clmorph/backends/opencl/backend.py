@@ -66,6 +66,9 @@ class OpenCLOperations:
         self.sum_roundoff = self.exponent_roundoff = 2.0**-24
         self.precise_roundoff = 2.0**-46  # inputs are pairs of float32
         self.has_float64 = self.knobs.precise == 2
+        self.memory_bytes: int | None = int(device.global_mem_size)
+        # OpenCL 2.0 deprecates the property, and a driver may lack it.
+        self.shares_host_memory = bool(getattr(device, "host_unified_memory", False))
         self.description = (
             f"{' '.join(device.name.split())} "
             f"({device.platform.name.strip()}, driver {device.driver_version.strip()})"
