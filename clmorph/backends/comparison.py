@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from clmorph.backends.interface import KERNEL_ERROR, Float64, Operations
+from clmorph.backends.interface import KERNEL_ERROR, Operations
+from clmorph.backends.records import Float64
 
 #: Unit roundoff of float32.
 UNIT = 2.0**-24

@@ -15,14 +15,11 @@ from clmorph.backends.comparison import (
     splat_excess,
     splat_tolerance,
 )
-from clmorph.backends.interface import (
-    BASE_RUNG,
-    RUNGS_PER_OCTAVE,
-    Float64,
-    Operations,
-    rounding_error,
-)
+from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.records import Float64
+from clmorph.backends.rounding import rounding_error
+from clmorph.backends.width_levels import WIDTH_LEVELS
 from clmorph.measures.lift import Measure, lift
 from clmorph.pipeline.morph import morph
 from clmorph.transport._solver.problem import largest_cost
@@ -261,12 +258,12 @@ def _check_own_widths(operations: Operations, exact: Operations) -> Iterator[Fin
         yield Finding(f"deposit, {name}", error, relative, "of the sum")
     ours = operations.adapt_widths(ours, distances, sigma)
     theirs = exact.adapt_widths(theirs, distances, sigma)
-    rungs = operations.rungs(ours)
-    # Between two rungs rounding decides.
-    wrong = np.count_nonzero(rungs != exact.rungs(theirs))
-    yield Finding("adapt_widths", float(wrong), 1e-3 * count, "rungs")
-    zoom = 2.0 ** ((rungs - BASE_RUNG) / RUNGS_PER_OCTAVE)
-    same = theirs._replace(rungs=rungs, weights=weights.astype(float) / zoom**2)
+    levels = operations.width_levels(ours)
+    # Between two levels rounding decides.
+    wrong = np.count_nonzero(levels != exact.width_levels(theirs))
+    yield Finding("adapt_widths", float(wrong), 1e-3 * count, "levels")
+    scaled = weights.astype(float) / WIDTH_LEVELS.factor(levels) ** 2
+    same = theirs._replace(width_levels=levels, weights=scaled)
     sums = operations.splat(ours, shape, sigma, 4.5 * sigma)
     error = splat_excess(sums, exact, same, shape, sigma, 4.5 * sigma, 2 * relative)
     yield Finding("splat, own widths", error, 1.0, "of the tolerance")

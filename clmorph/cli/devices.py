@@ -103,8 +103,8 @@ def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
             forget_tuning(device.handle)
             click.echo("  tuning forgotten")
             continue
-        knobs, before, after = tune(device.handle, lambda line: click.echo(f"  {line}"))
-        click.echo(f"  kept: {knobs}")
+        constants, before, after = tune(device.handle, lambda line: click.echo(f"  {line}"))
+        click.echo(f"  kept: {constants}")
         click.echo(f"  {before / 1e9:.2f} to {after / 1e9:.2f}·10⁹ pairs/s")
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.backends.interface import StoredPairs
+from clmorph.backends.records import StoredPairs
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.certificate import MAX_EXPONENT

@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.backends.interface import NearPairs, Operations, rounding_error
+from clmorph.backends.interface import Operations
+from clmorph.backends.records import NearPairs
+from clmorph.backends.rounding import rounding_error
 from clmorph.errors import InputError
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pyopencl as cl
 
-from clmorph.backends.opencl.build.constants import Knobs, apply_quirks, choose_knobs
+from clmorph.backends.opencl.build.constants import BuildConstants, apply_quirks, choose_constants
 from clmorph.backends.opencl.devices.cache import forget_cached, load_record, save_record
 from clmorph.backends.opencl.devices.quirks import find_quirks
 from clmorph.backends.opencl.devices.verdicts import verdict_key
@@ -19,25 +19,25 @@ CANDIDATES: dict[str, tuple[int, ...]] = {
 }
 
 
-def is_possible(knobs: Knobs, largest_group: int) -> bool:
+def is_possible(constants: BuildConstants, largest_group: int) -> bool:
     """Whether the kernels can be built so: work-groups cover whole tiles, and exist."""
     return (
-        knobs.group <= largest_group
-        and knobs.tile in CANDIDATES["tile"]
-        and knobs.tile % (knobs.width * knobs.group) == 0
-        and knobs.tile % knobs.unroll == 0
+        constants.group <= largest_group
+        and constants.tile in CANDIDATES["tile"]
+        and constants.tile % (constants.width * constants.group) == 0
+        and constants.tile % constants.unroll == 0
     )
 
 
-def save_tuning(device: cl.Device, best: Knobs, start: Knobs) -> None:
+def save_tuning(device: cl.Device, best: BuildConstants, start: BuildConstants) -> None:
     """Keep those constants that tuning has changed.
 
     Parameters
     ----------
     device : pyopencl.Device
-    best : Knobs
+    best : BuildConstants
         The fastest constants.
-    start : Knobs
+    start : BuildConstants
         The constants chosen by the kind of device.
     """
     entry = {
@@ -53,19 +53,19 @@ def forget_tuning(device: cl.Device) -> None:
     forget_cached(f"{_record(device)}.json")
 
 
-def tuned_knobs(device: cl.Device) -> Knobs:
+def tuned_constants(device: cl.Device) -> BuildConstants:
     """Return the constants for a device: as tuned, else by its kind; quirks obeyed."""
-    knobs = choose_knobs(device)
+    constants = choose_constants(device)
     entry = load_record(_record(device))
     if not entry:
-        return knobs
+        return constants
     # True and 16.0 equal numbers among the candidates, but are other text to a compiler.
     valid = all(
         type(value) is int and value in CANDIDATES.get(name, ()) for name, value in entry.items()
     )
-    tuned = replace(knobs, **entry) if valid else knobs
+    tuned = replace(constants, **entry) if valid else constants
     tuned = apply_quirks(tuned, find_quirks(device))
-    return tuned if is_possible(tuned, int(device.max_work_group_size)) else knobs
+    return tuned if is_possible(tuned, int(device.max_work_group_size)) else constants
 
 
 def _record(device: cl.Device) -> str:

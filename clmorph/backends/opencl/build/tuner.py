@@ -8,7 +8,7 @@ import numpy as np
 import pyopencl as cl
 
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.opencl.build.constants import Knobs, choose_knobs
+from clmorph.backends.opencl.build.constants import BuildConstants, choose_constants
 from clmorph.backends.opencl.build.tuned_record import CANDIDATES, is_possible, save_tuning
 from clmorph.errors import ClmorphError
 
@@ -18,19 +18,19 @@ LEAST_GAIN = 0.03
 POINTS, REPEATS = 4096, 7
 
 
-def variants(knobs: Knobs, name: str, largest_group: int) -> Iterator[Knobs]:
+def variants(constants: BuildConstants, name: str, largest_group: int) -> Iterator[BuildConstants]:
     """Yield what a constant could be instead; others follow where they must."""
     for value in CANDIDATES[name]:
-        other = replace(knobs, **{name: value})
+        other = replace(constants, **{name: value})
         if name in ("width", "tile") and other.tile % (other.width * other.group):
             other = replace(other, group=max(1, other.tile // other.width))
         if name == "group" and other.tile < other.width * other.group:
             other = replace(other, tile=other.width * other.group)
-        if other != knobs and is_possible(other, largest_group):
+        if other != constants and is_possible(other, largest_group):
             yield other
 
 
-def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[Knobs, float, float]:
+def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants, float, float]:
     """Try constants on a device and remember the best in the user's cache folder.
 
     Parameters
@@ -41,12 +41,12 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[Knobs, float, 
 
     Returns
     -------
-    knobs : Knobs
+    constants : BuildConstants
     before, after : float
         Point pairs per second through the log-sum-exp.
     """
     largest = int(device.max_work_group_size)
-    best = start = choose_knobs(device)
+    best = start = choose_constants(device)
     before = after = _speed(device, best)
     tell(f"{before / 1e9:6.2f}·10⁹ pairs/s without tuning")
     for name in CANDIDATES:
@@ -65,9 +65,9 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[Knobs, float, 
     return best, before, after
 
 
-def _speed(device: cl.Device, knobs: Knobs) -> float:
+def _speed(device: cl.Device, constants: BuildConstants) -> float:
     """Point pairs per second: the median of a few."""
-    operations = OpenCLOperations(device, knobs)
+    operations = OpenCLOperations(device, constants)
     rng = np.random.default_rng(0)
     cloud = operations.upload(rng.random((POINTS, 5)), np.full(POINTS, 1 / POINTS))
     potential, seconds = np.zeros(POINTS), []
