@@ -67,7 +67,7 @@ class ChannelMorph:
         frame = np.empty((*canvas.shape, 3))
         for channel, (moving, width, (start, end)) in enumerate(self.channels):
             sigma = width.at(t, canvas)
-            splats = self.operations.place(moving, t, canvas.scale, canvas.center)
+            splats = self.operations.advect(moving, t, canvas.scale, canvas.center)
             _, density = self.operations.splat(splats, canvas.shape, sigma, CUT * sigma)
             light = (1 - t) * start + t * end
             frame[..., channel] = light * pixels * density / _border_share(canvas, sigma)

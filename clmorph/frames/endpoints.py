@@ -125,7 +125,7 @@ class Details:
         )
         pitch = max(1e-3, self._spacing * 0.5 * sum(canvas.scale))
         sigma = NARROW * pitch
-        splats = self._operations.place(particles, t, canvas.scale, canvas.center)
+        splats = self._operations.advect(particles, t, canvas.scale, canvas.center)
         numerator, denominator = self._operations.splat(splats, canvas.shape, sigma, CUT * sigma)
         # Where pixels have moved apart there is less to give back than an even spread has.
         even = kernel_sum(sigma) / pitch**2
