@@ -51,6 +51,7 @@ def in_threads(function, count=8):
     return answers
 
 
+@pytest.mark.needs_device
 def test_threads_share_one_trial_of_a_device(asked, monkeypatch):
     def slow(index):
         asked.append(index)
@@ -64,6 +65,7 @@ def test_threads_share_one_trial_of_a_device(asked, monkeypatch):
     assert all(answer is answers[0] for answer in answers)
 
 
+@pytest.mark.needs_device
 def test_threads_share_one_backend(monkeypatch):
     from clmorph.backends import select as backends
 
@@ -108,6 +110,7 @@ def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, lasti
     assert (verdicts.load_verdict("key") is not None) == lasting
 
 
+@pytest.mark.needs_device
 def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path):
     closed = []
 
@@ -168,6 +171,7 @@ def test_an_interpreter_that_is_gone_is_a_reason(monkeypatch, tmp_path):
     assert "No such file" in verdicts.run_probe("0:0")["reason"]
 
 
+@pytest.mark.needs_device
 def test_the_probe_stands_any_environment(monkeypatch, tmp_path):
     """Modules of the current folder, warnings as errors and the like are not the driver's."""
     for name in ("json.py", "numpy.py", "contextlib.py"):
@@ -226,6 +230,7 @@ def test_no_probe_outlives_its_parent():
         '{"usable": true, "reason": "", "pairs_per_second": 1' + "0" * 400 + "}",
     ],
 )  # fmt: skip
+@pytest.mark.needs_device
 def test_a_damaged_verdict_is_none(asked, tmp_path, damaged):
     first = find_devices.__wrapped__()
     for file in (tmp_path / "devices").iterdir():
@@ -236,6 +241,7 @@ def test_a_damaged_verdict_is_none(asked, tmp_path, damaged):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
 @pytest.mark.parametrize("kind", ["folder", "loop", "a file for a folder"])
+@pytest.mark.needs_device
 def test_what_is_no_file_is_none(asked, tmp_path, kind):
     first = find_devices.__wrapped__()
     for file in (tmp_path / "devices").iterdir():
@@ -251,6 +257,7 @@ def test_what_is_no_file_is_none(asked, tmp_path, kind):
     devices.forget_all()
 
 
+@pytest.mark.needs_device
 def test_writers_at_once_keep_each_others_verdicts(monkeypatch, tmp_path):
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
     names = iter([f"{number:02}" for number in range(64)])
@@ -352,6 +359,7 @@ def test_pyopencls_own_cache_may_fail(device, monkeypatch):
 # --- global state -----------------------------------------------------------------------
 
 
+@pytest.mark.needs_device
 def test_no_environment_variable_changes(monkeypatch):
     changes = []
     for name in ("putenv", "unsetenv"):
@@ -446,6 +454,7 @@ def test_a_claim_is_of_this_process(monkeypatch):
     assert process._owner == os.getpid()
 
 
+@pytest.mark.needs_device
 def test_daemon_threads_do_not_abort_the_end():
     """A thread in a driver when the interpreter ends: that once ended by SIGABRT."""
     code = (
@@ -466,6 +475,7 @@ def test_errors_pass_between_processes():
     assert (str(error), error.pairs) == ("too many", 7)
 
 
+@pytest.mark.needs_device
 def test_records_are_json(asked, tmp_path):
     """Others may read what is remembered."""
     find_devices.__wrapped__()

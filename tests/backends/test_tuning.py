@@ -120,6 +120,7 @@ def test_builds_that_fail_are_passed_over(device, monkeypatch):
     assert tune(device.device, lambda line: None)[0] == start
 
 
+@pytest.mark.needs_device
 def test_the_command(capsys, fast_tile, tmp_path):
     assert main(["tune"]) == 0
     assert "1.00 to 2.00·10⁹ pairs/s" in capsys.readouterr().out

@@ -52,6 +52,7 @@ def test_a_finding_that_is_not_a_number_fails():
 
 
 @pytest.mark.full
+@pytest.mark.needs_device
 def test_report(tmp_path, capfd):
     assert main(["check", "--all", "--report", str(tmp_path / "r.json")]) == 0
     assert capfd.readouterr().out.count("pass") >= 12 * len(USABLE)
@@ -76,11 +77,13 @@ def test_report(tmp_path, capfd):
     assert USABLE[0].driver in lines[2]
 
 
+@pytest.mark.needs_device
 def test_check_of_one_device(capfd):
     assert main(["check", "--device", TESTED[0].index]) == 0
     assert capfd.readouterr().out.startswith(f"[{TESTED[0].index}] ")
 
 
+@pytest.mark.needs_device
 def test_a_failed_check_ends_with_1(monkeypatch, capfd):
     monkeypatch.setattr(
         "clmorph.cli.conformance.check", lambda operations: [Finding("x", 2.0, 1.0, "u")]
@@ -89,6 +92,7 @@ def test_a_failed_check_ends_with_1(monkeypatch, capfd):
     assert "FAIL" in capfd.readouterr().out
 
 
+@pytest.mark.needs_device
 def test_a_failing_driver_is_told_in_one_line(monkeypatch, capfd):
     def fail(operations):
         raise RuntimeError("out of\nresources")
@@ -101,6 +105,7 @@ def test_a_failing_driver_is_told_in_one_line(monkeypatch, capfd):
     assert "out of resources" in err
 
 
+@pytest.mark.needs_device
 def test_devices_table(capfd):
     assert main(["devices"]) == 0
     out = capfd.readouterr().out
@@ -116,6 +121,7 @@ def test_devices_table(capfd):
         assert record["usable"] or record["reason"]
 
 
+@pytest.mark.needs_device
 def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path):
     """What pip's PoCL is on processors it does not know: listed, with its reason, not chosen."""
     monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
@@ -135,6 +141,7 @@ def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path):
     assert not records[broken]["auto"]
 
 
+@pytest.mark.needs_device
 def test_trying_again_forgets_verdicts(monkeypatch, capfd, asked):
     try:
         for _ in range(2):

@@ -311,6 +311,7 @@ def test_nobody_reads_on(pictures):
     assert Path("x.gif").exists()
 
 
+@pytest.mark.needs_device
 def test_no_transport_at_all_fades(pictures, capfd):
     """A reach so small that every pair's mass underflows: the images cross-fade."""
     for backend in ("opencl", "numpy"):
@@ -570,6 +571,7 @@ def test_nobody_reads_what_is_printed_at_once(pictures):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no folder goes while somebody is in it")
+@pytest.mark.needs_device
 def test_a_folder_that_is_gone(pictures, monkeypatch, capfd):
     Path("gone").mkdir()
     monkeypatch.chdir("gone")

@@ -88,9 +88,6 @@ OPTIONS = [
     ("a.png b.jpg -o x.gif --preset lovely", "--preset"),
     ("a.png b.jpg -o x.gif --colour 3", "--colour"),
     ("a.png b.jpg -o x.gif --blur", "--blur"),
-    ("a.png b.jpg -o x.gif --device warp-drive", "warp-drive"),
-    ("a.png b.jpg -o x.gif --backend warp-drive", "warp-drive"),
-    ("a.png b.jpg -o x.gif --device 9:9", "9:9"),
     ("a.png b.jpg -o x.gif --device pocl --backend numpy", "contradict"),
     ("a.png b.jpg -o x.gif --blur 0.05 --epsilon 0.0025", "--blur 0.05 and --epsilon 0.0025"),
     ("a.png b.jpg -o x.gif --reach 0.3 --rho 0.09", "--reach 0.3 and --rho 0.09"),
@@ -106,6 +103,12 @@ OPTIONS = [
     ("a.png b.jpg -o x.gif --log-threshold -7", "can exceed it, log pi is below -7.6"),
     ("a.png b.jpg -o x.gif --log-threshold -7.61", "no pair of the plan exceeds it"),
     ("clear.png b.jpg -o x.gif", "clear.png: every pixel is transparent"),
+]
+#: What is said where there are devices, but not this one.
+DEVICES = [
+    ("a.png b.jpg -o x.gif --device warp-drive", "warp-drive"),
+    ("a.png b.jpg -o x.gif --backend warp-drive", "warp-drive"),
+    ("a.png b.jpg -o x.gif --device 9:9", "9:9"),
 ]
 CASES = FILES + OUTPUTS + OPTIONS
 CASES += [
@@ -147,7 +150,10 @@ def test_there_are_enough():
     assert len(set(CASES)) >= 80
 
 
-@pytest.mark.parametrize(("arguments", "words"), CASES)
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [*CASES, *(pytest.param(*case, marks=pytest.mark.needs_device) for case in DEVICES)],
+)
 def test_one_line(folder, monkeypatch, capfd, arguments, words):
     monkeypatch.chdir(folder)
     before = sorted(folder.rglob("*"))
@@ -178,6 +184,7 @@ def test_one_line(folder, monkeypatch, capfd, arguments, words):
         ({"PYOPENCL_CTX": "77"}, "PYOPENCL_CTX"),
     ],
 )
+@pytest.mark.needs_device
 def test_the_environment(folder, monkeypatch, capfd, environment, words):
     clmorph.backends.select._named_backend.cache_clear()
     clmorph.backends.select._opened.cache_clear()
@@ -217,7 +224,10 @@ LIBRARY = [
     (lambda: clmorph.morph(SMALL, SMALL, reach=None, rho=0.01), "give one of them"),
     (lambda: clmorph.morph(SMALL, SMALL, epsilon="x"), "epsilon='x'"),
     (lambda: clmorph.morph(SMALL, SMALL, rho=-4), "rho=-4"),
-    (lambda: clmorph.morph(SMALL, SMALL, backend="warp-drive"), "warp-drive"),
+    pytest.param(
+        lambda: clmorph.morph(SMALL, SMALL, backend="warp-drive"), "warp-drive",
+        marks=pytest.mark.needs_device,
+    ),
     (lambda: clmorph.morph(SMALL, SMALL, backend=7), "backend"),
     (lambda: clmorph.fit(SMALL, 1), "size"),
     (lambda: clmorph.fit([[1, 2], [3, 4]], 2), "dtype"),
@@ -231,7 +241,10 @@ LIBRARY = [
     (lambda: clmorph.analysis.metrics.step_sizes([]), "0 frames"),
     (lambda: clmorph.analysis.metrics.sharpness(np.zeros((3, 3))), "shape"),
     (lambda: clmorph.analysis.metrics.hole_fraction("x"), "no array"),
-    (lambda: clmorph.sinkhorn(FAR, FAR, 0.03), "too far apart"),
+    pytest.param(
+        lambda: clmorph.sinkhorn(FAR, FAR, 0.03), "too far apart",
+        marks=pytest.mark.needs_device,
+    ),
     (lambda: clmorph.read_image("missing.png"), "no such file"),
     (lambda: clmorph.read_image("a.png", max_pixels=0), "max_pixels"),
 ]  # fmt: skip

@@ -184,6 +184,7 @@ def test_everything_that_decides_is_recorded(capfd):
     assert told.keys().isdisjoint({"format", "output", "recipe", "max_pixels"})
 
 
+@pytest.mark.needs_device
 def test_memory_that_gave_way_is_recorded(capfd, monkeypatch):
     """On a larger device the same run would draw others."""
     rng = np.random.default_rng(8)

@@ -415,6 +415,7 @@ def test_resizing_is_torchs(paper, rng):
     assert np.abs(resize_as_published(image, 7) - np.moveaxis(wanted, 0, -1)).max() < 1e-6
 
 
+@pytest.mark.needs_device
 def test_any_two_images(tmp_path, rng):
     """One opaque and wide, one partly transparent and tall."""
     wide = rng.integers(0, 256, (9, 21, 3), dtype=np.uint8)
@@ -442,7 +443,9 @@ def test_any_two_images(tmp_path, rng):
         (["--out", "x", "--size", "large"], "--size"),
         (["--out", "x", "--source", "a.png"], "--target"),
         (["--out", "x", "--source", "no.png", "--target", "no.png"], "no.png"),
-        (["--out", "x", "--device", "nobody's"], "nobody's"),
+        pytest.param(
+            ["--out", "x", "--device", "nobody's"], "nobody's", marks=pytest.mark.needs_device
+        ),
         (["--out", "full"], "new or empty"),
         (["--out", "missing/x"], "missing"),
         (["--out", "x", "--unknown"], "--unknown"),

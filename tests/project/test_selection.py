@@ -64,6 +64,7 @@ def test_tests_without_a_grid_stay():
 
 
 @pytest.mark.full
+@pytest.mark.needs_device
 def test_one_device_can_be_named():
     def collected(*options):
         command = [sys.executable, "-m", "pytest", "-n", "0", "--collect-only", "-q", *options]

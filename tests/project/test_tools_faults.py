@@ -18,6 +18,7 @@ def tools(monkeypatch):
 
 
 @pytest.mark.full
+@pytest.mark.needs_device
 def test_runs_that_are_interrupted(capsys):
     """Ctrl-C while frames are drawn and written, over an old file and without one; a full disk."""
     import faults
@@ -46,6 +47,7 @@ def test_a_fault_is_found(capsys):
 
 
 @pytest.mark.full
+@pytest.mark.needs_device
 def test_morphs_in_threads_are_those_in_a_row(capsys):
     import soak
 
