@@ -19,7 +19,8 @@ from clmorph.frames.kernel_width import KernelWidth, effective_count
 from clmorph.frames.particles import particles
 from clmorph.frames.render import CUT, Canvas, canvas_at, kernel_sum
 from clmorph.images.pixels import as_rgb
-from clmorph.measures.lift import EXTENTS, lift
+from clmorph.measures.lift import lift
+from clmorph.measures.measure import EXTENTS
 from clmorph.pipeline import presets as defaults
 from clmorph.transport.plan import transport_plan
 from clmorph.transport.regularization import Reach, regularization

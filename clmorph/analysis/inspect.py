@@ -12,8 +12,8 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import PlanSizeError
 from clmorph.images.pixels import as_pixels
-from clmorph.measures.lift import Measure
 from clmorph.measures.lift_pair import lift_pair
+from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.measures.points import as_pair
 from clmorph.pipeline import presets as defaults

@@ -20,7 +20,8 @@ from clmorph.frames.filling import is_torn
 from clmorph.frames.render import Canvas, Sums
 from clmorph.images.color import from_space
 from clmorph.images.pixels import resized
-from clmorph.measures.lift import LUMINANCE, Measure
+from clmorph.measures.lift import LUMINANCE
+from clmorph.measures.measure import Measure
 from clmorph.measures.points import WeightedPoints
 from clmorph.pipeline import presets as defaults
 from clmorph.pipeline.result import Morph

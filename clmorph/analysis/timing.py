@@ -13,7 +13,7 @@ from clmorph.frames.particles import Particles, particles
 from clmorph.frames.render import canvas_at, render
 from clmorph.images.color import from_space
 from clmorph.images.detail import auto_sigma
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.memory import part_of
 from clmorph.pipeline.presets import PRESETS

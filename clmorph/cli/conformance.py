@@ -18,7 +18,8 @@ from clmorph.backends.interface import (
     rounding_error,
 )
 from clmorph.backends.numpy import NumPyOperations
-from clmorph.measures.lift import Measure, lift
+from clmorph.measures.lift import lift
+from clmorph.measures.measure import Measure
 from clmorph.pipeline.morph import morph
 from clmorph.transport._solver.problem import largest_cost
 

@@ -14,7 +14,8 @@ from clmorph.frames.kernel_width import SPLATTING
 from clmorph.frames.particles import UNMATCHED
 from clmorph.images.color import COLOR_SPACES
 from clmorph.images.pixels import MAX_PIXELS
-from clmorph.measures.lift import EXTENTS, MASSES
+from clmorph.measures.lift import MASSES
+from clmorph.measures.measure import EXTENTS
 from clmorph.output.framing import SCALINGS
 from clmorph.output.playback import EASES, LOOPS
 from clmorph.output.save import FORMATS

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from clmorph.backends.interface import Operations
 from clmorph.frames.render import CUT, Canvas, kernel_sum
 from clmorph.images.pixels import resized
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric
 

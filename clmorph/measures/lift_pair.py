@@ -8,7 +8,8 @@ from typing import Any
 from clmorph._shared.arrays import as_array
 from clmorph._shared.typing import ArrayLike
 from clmorph.errors import InputError
-from clmorph.measures.lift import Measure, lift
+from clmorph.measures.lift import lift
+from clmorph.measures.measure import Measure
 from clmorph.pipeline import presets as defaults
 
 

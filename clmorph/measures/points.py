@@ -12,7 +12,7 @@ from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph.backends.interface import MAX_DIMENSION, MAX_POINTS
 from clmorph.errors import InputError
-from clmorph.measures.lift import Measure, check_masses, check_measure
+from clmorph.measures.measure import Measure, check_masses, check_measure
 
 #: Largest coordinate, in the unit of blur and reach.
 MAX_COORDINATE = 1e6

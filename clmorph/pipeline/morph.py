@@ -26,8 +26,9 @@ from clmorph.frames.particles import UNMATCHED, particles
 from clmorph.images.color import COLOR_SPACES
 from clmorph.images.detail import auto_sigma
 from clmorph.images.pixels import as_pixels
-from clmorph.measures.lift import EXTENTS, MASSES, Measure
+from clmorph.measures.lift import MASSES
 from clmorph.measures.lift_pair import lift_pair
+from clmorph.measures.measure import EXTENTS, Measure
 from clmorph.measures.pixel_blocks import group_pixels
 from clmorph.output.playback import EASES, eased
 from clmorph.pipeline import presets as defaults

@@ -19,7 +19,7 @@ from clmorph.frames.particles import Particles
 from clmorph.frames.render import Canvas, Sums, Widths, canvas_at, render
 from clmorph.images.color import from_space, to_space
 from clmorph.images.detail import is_pixel_art
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric
 from clmorph.transport.potentials import Potentials

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_choice, check_number
 from clmorph.errors import InputError
-from clmorph.measures.lift import EXTENTS
+from clmorph.measures.measure import EXTENTS
 from clmorph.pipeline import presets as defaults
 
 #: What follows the last frame.
