@@ -214,9 +214,9 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
 
     Returns
     -------
-    (H, W, 3) array, or (H, W, 4) if parts are transparent
-        sRGB in [0, 1], and opacity. Colors with a profile are converted by it, those of a PNG
-        by its gamma; others are taken as sRGB.
+    (H, W, 3) float64 array, or (H, W, 4) if parts are transparent
+        sRGB in [0, 1], and opacity. A color profile converts the colors, and so does the gamma of a
+        PNG; other colors are taken as sRGB.
 
     Raises
     ------
@@ -228,8 +228,21 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     Warns
     -----
     ImageWarning
-        If only the first of several pictures is taken, a color profile cannot be used, or bits
+        If only the first of several pictures is read, a color profile cannot be used, or bits
         are lost.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from PIL import Image
+    >>> import clmorph
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "red.png"
+    ...     Image.new("RGB", (3, 2), "red").save(file)
+    ...     image = clmorph.read_image(file)
+    >>> image.shape, image[0, 0].tolist()
+    ((2, 3, 3), [1.0, 0.0, 0.0])
     """
     max_pixels = check_max_pixels(max_pixels)
     if not is_path(path):
@@ -253,7 +266,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     except MemoryError as error:
         raise FileError(f"{name} does not fit into memory; reduce it first") from error
     except Exception as error:
-        # What decoders raise for a damaged file is without end: nothing but them is run here.
+        # Decoders raise errors of any kind for damaged files, and only decoders run here.
         raise FileError(
             f"{name} cannot be decoded ({reason_of(error, REASON_LENGTH)}); is it complete?"
         ) from error

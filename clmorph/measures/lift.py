@@ -14,8 +14,8 @@ from clmorph.images.pixels import as_pixels, split_alpha
 from clmorph.measures.measure import EXTENTS, Measure, check_masses
 from clmorph.pipeline import presets as defaults
 
-#: What a pixel weighs, apart from its opacity: the same everywhere, its luminance (Y of CIE
-#: XYZ), or, said expressly, its opacity alone.
+#: Rules for the mass of a pixel, which its opacity multiplies: "uniform" is the same everywhere,
+#: "luminance" is Y of CIE XYZ, and "alpha" is the opacity alone, which the image must then have.
 MASSES = ("uniform", "luminance", "alpha")
 
 #: Share of linear red, green and blue in luminance (ITU-R BT.709).
@@ -23,7 +23,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def pixel_positions(shape: tuple[int, int], extent: str = "true") -> Array:
-    """Return where the pixels of an image stand in the common frame.
+    """Return the positions x_i of the pixels of an image in the common frame (paper, 2.3).
 
     Parameters
     ----------
@@ -36,6 +36,11 @@ def pixel_positions(shape: tuple[int, int], extent: str = "true") -> Array:
     -------
     (height * width, 2) array
         x and y, row by row.
+
+    Examples
+    --------
+    >>> pixel_positions((1, 3)).tolist()
+    [[0.0, 0.5], [0.5, 0.5], [1.0, 0.5]]
     """
     height, width = shape
     longer = max(height, width)
@@ -58,28 +63,30 @@ def lift(
     color_space: str = "srgb",
     color_metric: ArrayLike | None = None,
 ) -> Measure:
-    """Lift an image into position and color (paper, section 2.3).
+    """Lift an image into position and color: X_i = (x_i, lambda c_i) (paper, 2.3).
 
     Parameters
     ----------
-    image : array
-        See `clmorph.images.pixels.as_pixels`. Opacity, if there is any, multiplies the mass.
+    image : array_like
+        (H, W), (H, W, 1), (H, W, 3) or (H, W, 4); uint8, uint16, bool, or float in [0, 1].
+        Opacity, the fourth channel, multiplies the mass.
     color_weight : float
-        lambda: how many image sides a full step of one color channel is worth. Color spaces are
-        scaled so that it means the same in all of them.
+        lambda: the number of image sides that a full step of one color channel is worth. Color
+        spaces are scaled so that it means the same in all of them.
     weights : (H, W) array, optional
-        Masses of the pixels, at least 0, of positive sum, in place of `mass`; taken as they are
-        (times opacity).
+        Masses of the pixels, at least 0, of positive sum, in place of `mass`. They are not
+        normalized; opacity multiplies them.
     mass : {"uniform", "luminance", "alpha"}
-        The same for every pixel, by its luminance, or by its opacity alone, which there must
-        then be. The sum is 1.
+        The mass of a pixel: the same for all, its luminance, or its opacity alone, which the image
+        must then have. The masses are normalized to the sum 1.
     extent : {"true", "unit"}
-        See `pixel_positions`.
+        See `clmorph.measures.lift.pixel_positions`.
     color_space : {"srgb", "linear", "lab", "luv", "oklab"}
-        In which colors are compared.
+        The space in which colors are compared.
     color_metric : (3, 3), (H, W, 3, 3) or (H, W) array, optional
-        Metric M of color, constant or (for a source) one for each pixel; a map of numbers
-        stands for these times the identity. Distances are lambda^2 (c - d)^T M (c - d).
+        Metric M of color: constant, or (for a source) one for each pixel. A map (H, W) of numbers
+        stands for these times the identity. Squared distances of colors are
+        lambda^2 (c - d)^T M (c - d) (paper, 5).
 
     Returns
     -------
@@ -89,6 +96,18 @@ def lift(
     ------
     InputError
         If an argument cannot be used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> image = np.zeros((2, 3, 3))
+    >>> image[..., 0] = 1.0
+    >>> measure = clmorph.lift(image, color_weight=2.0)
+    >>> measure
+    <Measure of 6 points, mass 1>
+    >>> measure.points[0].tolist()
+    [0.0, 0.25, 2.0, 0.0, 0.0]
     """
     colors, alpha = split_alpha(as_pixels(image, max_pixels=MAX_POINTS))
     color_weight = check_color_weight(color_weight)
@@ -107,7 +126,7 @@ def lift(
         masses = masses.ravel()
         check_masses("weights", masses)
     colors = colors.reshape(n, 3)
-    to_space(colors[:1], color_space)  # is there such a one?
+    to_space(colors[:1], color_space)  # raises an error if there is no such space
     return Measure(
         positions=pixel_positions(shape, extent),
         colors=colors,
@@ -122,7 +141,7 @@ def lift(
 
 
 def _masses(colors: Array, alpha: Array | None, mass: str) -> Array:
-    """Masses by a rule: (N,) array of sum 1."""
+    """Return masses by a rule: (N,) array of sum 1."""
     if mass == "alpha" and alpha is None:
         raise InputError("mass='alpha': the image is opaque; use 'uniform', or an RGBA image")
     masses = np.ones(colors.shape[:2])

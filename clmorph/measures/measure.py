@@ -19,7 +19,7 @@ EXTENTS = ("true", "unit")
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Measure:
-    """A sum of Diracs sum_i a_i delta_(x_i, c_i).
+    """The measure sum_i a_i delta_(x_i, c_i) of a lifted image (paper, 2.3).
 
     Attributes
     ----------
@@ -30,18 +30,28 @@ class Measure:
     weights : (N,) array
         Masses a_i, at least 0.
     shape : (height, width)
-        Of the image that was lifted; N = height * width, row by row.
+        Of the image that was lifted; its N = height * width pixels stand row by row.
     color_weight : float
-        lambda, the weight of color against position.
+        lambda, the weight of color relative to position.
     extent : {"true", "unit"}
         How the pixels stand in the common frame.
     color_space : str
-        In which colors are compared, see `clmorph.images.color.to_space`.
+        The space in which colors are compared, see `clmorph.images.color.to_space`.
     color_metric : (3, 3) or (N, 3, 3) array, optional
-        M, with which they are compared there: (c - d)^T M (c - d), times lambda^2; one for all
-        pixels, or one each (of the source).
+        Metric M of colors in that space: squared distances are lambda^2 (c - d)^T M (c - d)
+        (paper, 5). One for all pixels, or one for each pixel (of a source).
     alpha : (N,) array, optional
         Opacity of each pixel; None if all are opaque.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> measure = clmorph.lift(np.eye(2))
+    >>> len(measure), measure.shape, measure.mass, measure.spacing
+    (4, (2, 2), 1.0, 1.0)
+    >>> measure.positions.tolist()
+    [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
     """
 
     positions: Array
@@ -53,7 +63,7 @@ class Measure:
     color_space: str = "srgb"
     color_metric: Array | None = None
     alpha: Array | None = None
-    #: Only measures of other costs have some, see `clmorph.measures.points.WeightedPoints`.
+    #: A lifted image has no offsets, see `clmorph.measures.points.WeightedPoints`.
     offsets = None
 
     def __repr__(self) -> str:
@@ -64,9 +74,10 @@ class Measure:
 
     @cached_property
     def points(self) -> Array:
-        """(N, 5) lifted points (x, y, lambda r, lambda g, lambda b); Eq. 1.
+        """(N, 5) lifted points X = (x, y, lambda r, lambda g, lambda b) (paper, 2.3, Eq. 1).
 
-        In other color spaces than sRGB their coordinates, with a metric M = L L^T these times L.
+        In another color space its coordinates stand in place of r, g, b. With a metric
+        M = L L^T they are multiplied by L (paper, 5), so that |X - Y|^2 has the metric in it.
         """
         if self.has_metric_map:
             raise InputError(
@@ -80,7 +91,7 @@ class Measure:
 
     @cached_property
     def coordinates(self) -> Array:
-        """(N, 3) colors in the space in which they are compared."""
+        """(N, 3) colors, as coordinates of the space in which they are compared."""
         return to_space(self.colors, self.color_space)
 
     @property
@@ -90,7 +101,7 @@ class Measure:
 
     @property
     def spacing(self) -> float:
-        """Distance of neighboring pixels in the common frame; the axes' mean if it differs."""
+        """Distance of neighboring pixels in the common frame; the mean of both axes."""
         height, width = self.shape
         sides = 2 * max(height, width) - 2 if self.extent == "true" else height + width - 2
         return 2.0 / max(1, sides)

@@ -1,4 +1,4 @@
-"""The two strengths of the problem: entropic and marginal, each in either of two units."""
+"""Entropic regularization and marginal penalty, each given as a length or in cost units."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from clmorph._shared.validation import as_float, check_blur, check_reach, shown
 from clmorph.errors import InputError
 from clmorph.pipeline import presets as defaults
 
-#: Length scale of creation and destruction of mass: one for both measures, or a pair; None
-#: is balanced.
+#: Length scale of the marginal penalty: one for both measures, or a pair; None is balanced.
 Reach = float | None | tuple[float | None, float | None]
 
 
 class Regularization(NamedTuple):
-    """Checked strengths.
+    """Checked entropic regularization and marginal penalty.
 
     Attributes
     ----------
@@ -43,7 +42,7 @@ def regularization(
     epsilon: Any = None,
     rho: Any = None,
 ) -> Regularization:
-    """Take blur or epsilon = blur^2, and reach or rho = reach^2: one of each.
+    """Check blur or epsilon = blur^2, and reach or rho = reach^2: one of each (paper, 2.1).
 
     Parameters
     ----------
@@ -56,7 +55,12 @@ def regularization(
     Raises
     ------
     InputError
-        If one is out of range, or both of a pair of alternatives are given.
+        If one is out of range, or both epsilon and blur or both rho and reach are given.
+
+    Examples
+    --------
+    >>> regularization(0.5, None)
+    Regularization(blur=0.5, reach=None, epsilon=0.25, rho=(inf, inf))
     """
     if epsilon is not None:
         # A default is known by its identity: 0.05 written by the caller is another object.
@@ -94,7 +98,7 @@ def _each(value: Any, function: Any) -> tuple[float | None, float | None]:
 
 
 def _root(name: str, value: Any, check: Any) -> Any:
-    """Square root of a strength, told in the strength's own name if it cannot be used."""
+    """Return the square root of epsilon or rho; errors name what the caller gave."""
     number = as_float(value)
     if number is None:
         raise InputError(f"{name}={shown(value)}: expected a positive number")
