@@ -19,7 +19,7 @@ from programs import PROGRAMS
 
 import clmorph
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.opencl.build.constants import apply_quirks, cpu_knobs, gpu_knobs
+from clmorph.backends.opencl.build.constants import apply_quirks, cpu_constants, gpu_constants
 from clmorph.backends.opencl.devices.find import Device, find_devices
 
 DEVICES = find_devices()
@@ -226,8 +226,8 @@ def variant(request: pytest.FixtureRequest) -> OpenCLOperations:
     device, swapped = request.param
     if not swapped:
         return OpenCLOperations(device.handle)
-    knobs = gpu_knobs(256) if device.kind == "CPU" else cpu_knobs(4)
-    return OpenCLOperations(device.handle, apply_quirks(knobs, frozenset({"no_float64"})))
+    constants = gpu_constants(256) if device.kind == "CPU" else cpu_constants(4)
+    return OpenCLOperations(device.handle, apply_quirks(constants, frozenset({"no_float64"})))
 
 
 @pytest.fixture(scope="session")

@@ -18,9 +18,10 @@ from clmorph._shared.options import specifications
 from clmorph._shared.validation import check_number, check_sigma
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
+from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.kernel_width import KernelWidth, effective_count
 from clmorph.frames.particles import particles
-from clmorph.frames.render import CUT, Canvas, canvas_at, kernel_sum
+from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.pixels import as_rgb
 from clmorph.measures.lift import lift
 from clmorph.pipeline.documentation import documented
@@ -66,7 +67,7 @@ class ChannelMorph:
         frame = np.empty((*canvas.shape, 3))
         for channel, (moving, width, (start, end)) in enumerate(self.channels):
             sigma = width.at(t, canvas)
-            splats = self.operations.place(moving, t, canvas.scale, canvas.center)
+            splats = self.operations.advect(moving, t, canvas.scale, canvas.center)
             _, density = self.operations.splat(splats, canvas.shape, sigma, CUT * sigma)
             light = (1 - t) * start + t * end
             frame[..., channel] = light * pixels * density / _border_share(canvas, sigma)

@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 
 from clmorph.backends.interface import Operations
+from clmorph.frames.canvas import canvas_at
 from clmorph.frames.endpoints import Details, Lacking, ladder, mean_destinations
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.options import RenderOptions
 from clmorph.frames.particles import Particles, particles
-from clmorph.frames.render import canvas_at, render
+from clmorph.frames.render import render
 from clmorph.images.color import from_space
 from clmorph.images.detail import auto_sigma
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.memory import part_of
 from clmorph.transport.plan import Plan

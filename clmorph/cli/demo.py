@@ -60,8 +60,8 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     with recorded(
         [result], Motion(), keep=True, parameters=result.parameters, folder=folder,
         progress=stages,
-    ) as film:  # fmt: skip
-        write_all(outputs, film, report=lambda output, share: stages(output.path.name, share))
+    ) as recording:  # fmt: skip
+        write_all(outputs, recording, report=lambda output, share: stages(output.path.name, share))
     shown = ("blur", "reach", "color_weight", "solve_size", "splatting")
     options = ", ".join(f"{name} {getattr(OPTIONS, name)}" for name in shown)
     times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in stages.seconds.items())

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.files import check_apart, check_place
-from clmorph._shared.printable import printable
-from clmorph.analysis.report import size_text
+from clmorph._shared.printable import printable, size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
 from clmorph.cli.common import note_warning, open_backend, read_picture
@@ -32,9 +31,9 @@ from clmorph.errors import (
 )
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.pixels import MAX_PIXELS
-from clmorph.output.framing import Look
-from clmorph.output.playback import motion_of, resting
-from clmorph.output.recording import Film, recorded
+from clmorph.output.framing import FrameStyle
+from clmorph.output.playback import held_frames, motion_of
+from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
 from clmorph.pipeline.budget import default_memory
 from clmorph.pipeline.memory import estimate
@@ -89,8 +88,8 @@ class _Run:
 
     def __post_init__(self) -> None:
         said = self.options
-        self.look = Look(said.canvas, said.scaling, said.background, said.lossless)
-        self.motion = motion_of(said, resting(len(self.images), said.n_frames))
+        self.style = FrameStyle(said.canvas, said.scaling, said.background, said.lossless)
+        self.motion = motion_of(said, held_frames(len(self.images), said.n_frames))
         for output in self.outputs:
             output.check_motion(self.motion)
 
@@ -182,7 +181,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
                 folder = beside.resolve().parent
                 texts[beside] = json.dumps(told(folder), indent=2) + "\n"
             write_all(
-                places, film, run.look,
+                places, film, run.style,
                 lambda place, share: stages(f"write {place.path.name}", share), texts,
             )  # fmt: skip
             summary = _summary(run, film, stages, notes)
@@ -205,7 +204,7 @@ def _beside(output: Path) -> Path:
     return named.with_name(f"{named.name}.json") if named.name else named / ".json"
 
 
-def _summary(run: _Run, film: Film, stages: Stages, notes: list[Warning]) -> dict[str, Any]:
+def _summary(run: _Run, film: Recording, stages: Stages, notes: list[Warning]) -> dict[str, Any]:
     """Return what was made, for programs."""
     return {
         "outputs": [{"path": str(output.path), "format": output.name} for output in run.outputs],
@@ -265,6 +264,6 @@ def announce_idle(names: Sequence[str], outputs: Sequence[Path], format: str | N
     """Note options that make no difference to any of the outputs."""
     formats = [Output(output, format).format for output in outputs]
     for name in (*SIZES, *PACE, "lossless"):
-        if name in names and not any(name in kind.heeds for kind in formats):
+        if name in names and not any(name in kind.relevant_options for kind in formats):
             places = ", ".join(str(output) for output in outputs)
             note(f"--{name} makes no difference to {places}")

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_choice, check_number, check_sigma
+from clmorph.frames.canvas import Canvas
 from clmorph.frames.options import SPLATTING, Splatting
-from clmorph.frames.render import Canvas, Widths
+from clmorph.frames.render import Widths
 
 
 def effective_count(weights: NDArray[np.float64]) -> float:

@@ -23,7 +23,7 @@ MAX_SIDE = 16384
 
 
 @dataclass(frozen=True)
-class Look:
+class FrameStyle:
     """How frames come into a file.
 
     Attributes
@@ -121,13 +121,13 @@ class Framing:
 
     Parameters
     ----------
-    look : Look
+    style : FrameStyle
     shapes : iterable of (H, W, C)
         Of the frames, in the order of the morph's time; see `in_time`.
     pixelated : bool
         Whether the pictures are pixel art.
     side : int
-        Where the look leaves the size open, the longer side is at least this long.
+        Where the style leaves the size open, the longer side is at least this long.
     even : bool
         Round the size up to even numbers, for video.
     opacity : bool
@@ -143,7 +143,7 @@ class Framing:
 
     def __init__(
         self,
-        look: Look,
+        style: FrameStyle,
         shapes: Iterable[tuple[int, ...]],
         pixelated: bool,
         side: int = 1,
@@ -151,18 +151,18 @@ class Framing:
         opacity: bool = True,
     ) -> None:
         shapes = list(shapes)
-        self.nearest = pixelated if look.scaling == "auto" else look.scaling == "nearest"
+        self.nearest = pixelated if style.scaling == "auto" else style.scaling == "nearest"
         transparent = any(shape[2] == 4 for shape in shapes)
-        self.clear = transparent and opacity and look.background is None
-        self._background = look.background or ("white" if transparent else "black")
-        if look.canvas == "dynamic":
+        self.clear = transparent and opacity and style.background is None
+        self._background = style.background or ("white" if transparent else "black")
+        if style.canvas == "dynamic":
             self.size = self._size_for_all(shapes, side)
-        elif look.canvas == "source":
+        elif style.canvas == "source":
             self.size = shapes[0][1], shapes[0][0]
-        elif look.canvas == "target":
+        elif style.canvas == "target":
             self.size = shapes[-1][1], shapes[-1][0]
         else:
-            self.size = look.canvas
+            self.size = style.canvas
         self._inner = self.size
         if even:
             self.size = self.size[0] + self.size[0] % 2, self.size[1] + self.size[1] % 2

@@ -31,8 +31,8 @@ MUCH_DROPPED = 0.25
 
 def default_memory(operations: Operations) -> float | None:
     """Return how many bytes a morph may take; None if the backend does not say what it has."""
-    device = getattr(operations, "device", None)
-    return None if device is None else MEMORY_SHARE * float(device.global_mem_size)
+    memory = operations.memory_bytes
+    return None if memory is None else MEMORY_SHARE * float(memory)
 
 
 def make_plan(

@@ -13,7 +13,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array, BoolArray
 from clmorph._shared.validation import check_number
-from clmorph.backends.interface import PlanRows
+from clmorph.backends.records import PlanRows
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport.options import HIGHEST, LOWEST
@@ -97,7 +97,7 @@ def undecided(log_threshold: float, rounding: float) -> float:
     ----------
     log_threshold : float
     rounding : float
-        By how many nats rounding may change a softmin, see `interface.rounding_error`.
+        By how many nats rounding may change a softmin, see `rounding_error`.
     """
     return ROUNDINGS * (rounding + FLOAT32 * max(1.0, abs(log_threshold)))
 

@@ -205,19 +205,20 @@ def test_without_any_driver_the_answer_is_one_line(tmp_path):
 
 
 def test_sources_are_expanded():
-    text = program.source("rows.cl")
+    text = program.source("log_sum_exp.cl")
     assert "#include" not in text
     assert '#line 1 "common.cl"' in text
     line = text.splitlines().index("#ifndef DIM")
     marker = [i for i, row in enumerate(text.splitlines()[:line]) if row.startswith("#line")][-1]
-    number = int(text.splitlines()[marker].split()[1])
-    original = (program.resources.files("clmorph.cl_kernels") / "rows.cl").read_text()
-    assert original.splitlines()[number + (line - marker) - 2] == "#ifndef DIM"
+    _, number, name = text.splitlines()[marker].split()
+    assert name == '"row_loop.cl"'
+    original = (program.resources.files("clmorph.cl_kernels") / "row_loop.cl").read_text()
+    assert original.splitlines()[int(number) + (line - marker) - 2] == "#ifndef DIM"
 
 
 def test_a_build_failure_is_one_line(device):
-    with pytest.raises(DeviceError, match=r"cannot build rows\.cl") as caught:
-        program.build(device.context, "rows.cl", {"WIDTH": 1, "SENTINEL": -1e30})
+    with pytest.raises(DeviceError, match=r"cannot build log_sum_exp\.cl") as caught:
+        program.build(device.context, "log_sum_exp.cl", {"WIDTH": 1, "SENTINEL": -1e30})
     assert "\n" not in str(caught.value)
     assert "DIM" in str(caught.value)
 
@@ -240,32 +241,32 @@ def empty_cache(monkeypatch, tmp_path):
 
 @pytest.mark.full
 def test_builds_are_kept_and_damage_is_survived(device, empty_cache, monkeypatch):
-    constants = device.knobs.rows_constants(5)
-    program.build(device.context, "rows.cl", constants)
+    constants = device.constants.row_macros(5)
+    program.build(device.context, "log_sum_exp.cl", constants)
     (file,) = empty_cache.iterdir()
     whole = file.read_bytes()
 
     # A kept build needs no source.
     with monkeypatch.context() as patch:
         patch.setattr(program, "_from_source", None)
-        program.build(device.context, "rows.cl", constants)
+        program.build(device.context, "log_sum_exp.cl", constants)
     for damaged in (b"", whole[:20], whole[:-1], whole[:-1] + b"x", b"x" * 1000):
         file.write_bytes(damaged)
-        program.build(device.context, "rows.cl", constants)
+        program.build(device.context, "log_sum_exp.cl", constants)
         kept = file.read_bytes()
         assert kept[:32] == program._digest(f"kernels/{file.name}", kept[32:])
     # A driver that refuses the binary: whole by its digest, but no program.
     name = f"kernels/{file.name}"
     file.write_bytes(program._digest(name, b"not a program") + b"not a program")
-    built = program.build(device.context, "rows.cl", constants)
+    built = program.build(device.context, "log_sum_exp.cl", constants)
     assert "log_sum_exp" in built.get_info(cl.program_info.KERNEL_NAMES)
     # Other constants, another file.
-    program.build(device.context, "rows.cl", device.knobs.rows_constants(3))
+    program.build(device.context, "log_sum_exp.cl", device.constants.row_macros(3))
     assert len(list(empty_cache.iterdir())) == 2
     # One under the other's name is not taken for it.
     (other,) = set(empty_cache.iterdir()) - {file}
     shutil.copy(other, file)
-    built = program.build(device.context, "rows.cl", constants)
+    built = program.build(device.context, "log_sum_exp.cl", constants)
     assert file.read_bytes() != other.read_bytes()
     assert "log_sum_exp" in built.get_info(cl.program_info.KERNEL_NAMES)
 

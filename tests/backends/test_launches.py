@@ -58,8 +58,8 @@ def test_no_launch_looks_at_more_than_its_share(device, monkeypatch):
         np.ones(count, np.float32),
     )  # fmt: skip
     _, cut = device.splat(splats, (40, 40), 30.0, 135.0)
-    group = device.knobs.tile_group
-    blocks = (-(-40 // (device.knobs.width * group))) ** 2
+    group = device.constants.tile_group
+    blocks = (-(-40 // (device.constants.width * group))) ** 2
     assert [size for name, size in sizes if name == "splat"] == [(group, group)] * (4 * blocks)
     monkeypatch.undo()
     assert count < LAUNCH_PARTICLES

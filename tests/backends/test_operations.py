@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from clouds import PAIRS
 
-from clmorph.backends.interface import BASE_RUNG, KERNEL_ERROR, RUNGS_PER_OCTAVE, Operations
-from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.comparison import UNIT, splat_excess, splat_tolerance
+from clmorph.backends.interface import KERNEL_ERROR, Operations
 from clmorph.backends.opencl.build.constants import MOMENT_CHUNK
 from clmorph.backends.opencl.kernels.gauss_transform import cell_side, make_cells, moments_pay
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
-from clmorph.cli.conformance import UNIT, log_sum_exp_tolerance, splat_excess, splat_tolerance
+from clmorph.backends.width_levels import WIDTH_LEVELS
+from clmorph.cli.conformance import log_sum_exp_tolerance
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()
@@ -29,13 +30,13 @@ def _potential(rng, n, epsilon):
     return 0.2 * rng.random() + epsilon * rng.normal(size=n)
 
 
-def test_twins_have_the_protocols_signatures():
+def test_twins_have_the_protocols_signatures(device):
     names = [name for name in vars(Operations) if not name.startswith("_")]
     operations = [name for name in names if callable(getattr(Operations, name, None))]
     assert len(operations) == 19
     for name in operations:
-        wanted = list(inspect.signature(getattr(Operations, name)).parameters)
-        for backend in (NumPyOperations, OpenCLOperations):
+        wanted = list(inspect.signature(getattr(Operations, name)).parameters)[1:]
+        for backend in (REFERENCE, device):
             assert list(inspect.signature(getattr(backend, name)).parameters) == wanted, name
 
 
@@ -370,7 +371,7 @@ def test_stored_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rn
     f, g, thresholds = _solved(pair, epsilon, rng)
     results = []
     for most in (1 << 22, 5000):
-        monkeypatch.setattr("clmorph.backends.opencl.kernels.log_sum_exp.FILL_PAIRS", most)
+        monkeypatch.setattr("clmorph.backends.opencl.kernels.row_loop.FILL_PAIRS", most)
         clouds = _upload(variant, pair)
         stored = variant.store_pairs(*clouds, f, g, epsilon, *thresholds, 10**9)
         results.append([variant.sum_stored(stored, x, by) for x, by in ((g, False), (f, True))])
@@ -619,13 +620,13 @@ def test_nearest_pixel_gives_each_splat_to_one_pixel(variant, method, rng):
 
 
 @pytest.mark.parametrize("t", [0.0, 0.37, 1.0])
-def test_place(variant, method, rng, t):
+def test_advect(variant, method, rng, t):
     table = rng.random((90, 6))
     links = rng.integers(0, 90, (700, 2)).astype(np.uint32)
     weights = rng.random((700, 2))
     shape, scale, center = (50, 60), (59.0, 49.0), (29.5, 24.5)
     placed = [
-        operations.place(operations.upload_particles(table, links, weights), t, scale, center)
+        operations.advect(operations.upload_particles(table, links, weights), t, scale, center)
         for operations in (variant, REFERENCE)
     ]
     sums = variant.splat(placed[0], shape, 1.5, 6.75)
@@ -769,13 +770,13 @@ def test_splats_with_own_widths(variant, method, rng, name, shape, sigma):
         )
         for backend in (variant, REFERENCE)
     ]
-    rungs, wanted = variant.rungs(own[0]), REFERENCE.rungs(own[1])
-    # Between two rungs rounding decides, and then so does float32.
-    assert np.abs(rungs - wanted).max() <= 1
-    assert np.mean(rungs != wanted) <= 1e-3
-    # From here on with the same rungs.
-    zoom = 2.0 ** ((rungs - BASE_RUNG) / RUNGS_PER_OCTAVE)
-    same = own[1]._replace(rungs=rungs, weights=weights.astype(float) / zoom**2)
+    levels, wanted = variant.width_levels(own[0]), REFERENCE.width_levels(own[1])
+    # Between two levels rounding decides, and then so does float32.
+    assert np.abs(levels - wanted).max() <= 1
+    assert np.mean(levels != wanted) <= 1e-3
+    # From here on with the same levels.
+    scaled = weights.astype(float) / WIDTH_LEVELS.factor(levels) ** 2
+    same = own[1]._replace(width_levels=levels, weights=scaled)
     got = variant.splat(own[0], shape, sigma, 4.5 * sigma)
     relative = 2 * splat_tolerance(n, CHUNKS[method])
     assert splat_excess(got, REFERENCE, same, shape, sigma, 4.5 * sigma, relative) <= 1
@@ -789,13 +790,13 @@ def test_widths_by_their_definition(variant):
         for spacing, distance, width in ((1, 0, 1), (4, 0, 4), (1, 8, 4), (0.25, 1, 0.5)):
             splats = backend.upload_splats(position, white, one, np.float32([spacing]))
             own = backend.adapt_widths(splats, np.full((41, 41), float(distance)), 1.0)
-            assert backend.rungs(own)[0] == BASE_RUNG + RUNGS_PER_OCTAVE * np.log2(width)
+            assert WIDTH_LEVELS.factor(backend.width_levels(own)[0]) == width
             _, sums = backend.splat(own, (41, 41), 1.0, 4.5)
             y, x = np.mgrid[:41, :41] - 20.0
             want = np.exp(-(x**2 + y**2) / (2 * width**2)) / width**2
             inside = (np.abs(x) <= 4.5 * width) & (np.abs(y) <= 4.5 * width)
             assert np.allclose(sums, np.where(inside, want, 0), rtol=1e-4, atol=1e-9)
-        assert backend.rungs(splats).tolist() == [BASE_RUNG]
+        assert backend.width_levels(splats).tolist() == [WIDTH_LEVELS.base]
 
 
 @pytest.mark.full

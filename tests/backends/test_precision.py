@@ -8,7 +8,7 @@ import pytest
 import clmorph
 from clmorph import ConvergenceWarning, DeviceError, lift, sinkhorn
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.opencl.build.constants import apply_quirks, choose_knobs
+from clmorph.backends.opencl.build.constants import apply_quirks, choose_constants
 from clmorph.cli.conformance import log_sum_exp_tolerance
 from clmorph.reference import NumPyOperations
 
@@ -18,10 +18,10 @@ REFERENCE = NumPyOperations()
 @pytest.fixture(params=["float64", "pairs of float32"])
 def precise_device(request, device):
     """Each device with float64, and without."""
-    knobs = choose_knobs(device.device)
+    constants = choose_constants(device.device)
     if request.param == "float64":
-        return OpenCLOperations(device.device, knobs)
-    return OpenCLOperations(device.device, apply_quirks(knobs, frozenset({"no_float64"})))
+        return OpenCLOperations(device.device, constants)
+    return OpenCLOperations(device.device, apply_quirks(constants, frozenset({"no_float64"})))
 
 
 def pictures(side=32):
@@ -125,11 +125,11 @@ def test_a_tolerance_below_rounding_is_answered_so(device, precision, tol):
 
 
 def test_no_float64_is_a_build_option(device):
-    knobs = choose_knobs(device.device, frozenset({"no_float64"}))
-    assert knobs.rows_constants(5, True)["PRECISE"] == 1
-    assert replace(knobs, precise=2).rows_constants(5, True)["PRECISE"] == 2
-    assert knobs.rows_constants(5, False)["PRECISE"] == 0
-    assert not OpenCLOperations(device.device, knobs).has_float64
+    constants = choose_constants(device.device, frozenset({"no_float64"}))
+    assert constants.row_macros(5, True)["PRECISE"] == 1
+    assert replace(constants, precise=2).row_macros(5, True)["PRECISE"] == 2
+    assert constants.row_macros(5, False)["PRECISE"] == 0
+    assert not OpenCLOperations(device.device, constants).has_float64
 
 
 def test_precise_plan_rows(precise_device):

@@ -350,7 +350,7 @@ def test_pyopencls_own_cache_may_fail(device, monkeypatch):
         return real(built, name)
 
     monkeypatch.setattr(cl, "_PYOPENCL_NO_CACHE", False)
-    built = program.build(device.context, "rows.cl", device.knobs.rows_constants(5))
+    built = program.build(device.context, "log_sum_exp.cl", device.constants.row_macros(5))
     monkeypatch.setattr(cl, "Kernel", fails)
     assert program.kernel(built, "log_sum_exp").function_name == "log_sum_exp"
     assert made[0] == "log_sum_exp"
@@ -382,7 +382,7 @@ def test_no_warning_filter_changes(device, monkeypatch):
     colors.from_space(far, "lab")  # what is imported for it is not ours
     with monkeypatch.context() as patch:
         patch.setattr(warnings, "catch_warnings", spy)
-        program.build(device.context, "rows.cl", device.knobs.rows_constants(5))
+        program.build(device.context, "log_sum_exp.cl", device.constants.row_macros(5))
         for space in colors.COLOR_SPACES:
             assert np.isfinite(colors.from_space(far, space)).all()
     assert entered == []

@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 
 from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build import tuned_record
 from clmorph.backends.opencl.build import tuner as tuning
-from clmorph.backends.opencl.build.constants import choose_knobs, cpu_knobs, gpu_knobs
-from clmorph.backends.opencl.build.tuner import (
+from clmorph.backends.opencl.build.constants import choose_constants, cpu_constants, gpu_constants
+from clmorph.backends.opencl.build.tuned_record import (
     CANDIDATES,
     forget_tuning,
     is_possible,
-    tune,
-    tuned_knobs,
+    tuned_constants,
 )
+from clmorph.backends.opencl.build.tuner import tune
 from clmorph.backends.opencl.devices.cache import load_record, save_record
 from clmorph.cli.main import main
 
@@ -27,18 +28,20 @@ def fast_tile(monkeypatch):
     """A device that likes large tiles and no others changes."""
     tried = []
 
-    def speed(device, knobs):
-        tried.append(knobs)
-        return 1e9 * (2 if knobs.tile == 128 else 1) / (1 + knobs.exp2_builtin)
+    def speed(device, constants):
+        tried.append(constants)
+        return 1e9 * (2 if constants.tile == 128 else 1) / (1 + constants.exp2_builtin)
 
     monkeypatch.setattr(tuning, "_speed", speed)
     return tried
 
 
-@pytest.mark.parametrize("knobs", [cpu_knobs(16), cpu_knobs(4), gpu_knobs(256), gpu_knobs(16)])
-def test_every_variant_can_be_built(knobs):
+@pytest.mark.parametrize(
+    "constants", [cpu_constants(16), cpu_constants(4), gpu_constants(256), gpu_constants(16)]
+)
+def test_every_variant_can_be_built(constants):
     for name in CANDIDATES:
-        for other in tuning.variants(knobs, name, 256):
+        for other in tuning.variants(constants, name, 256):
             assert is_possible(other, 256)
             assert other.tile % (other.width * other.group) == 0
             assert other.tile % other.unroll == 0
@@ -49,11 +52,11 @@ def test_variants_compute_the_same(device, rng):
     """A sample of them: constants change speed only."""
     points = rng.random((300, 5)), rng.random((200, 5))
     g = 0.1 * rng.random(200)
-    start = choose_knobs(device.device)
+    start = choose_constants(device.device)
     results = []
     for name in ("tile", "unroll", "width"):
-        for knobs in list(tuning.variants(start, name, 64))[:2]:
-            operations = OpenCLOperations(device.device, knobs)
+        for constants in list(tuning.variants(start, name, 64))[:2]:
+            operations = OpenCLOperations(device.device, constants)
             clouds = [operations.upload(x, np.full(len(x), 0.01)) for x in points]
             results.append(operations.softmin(*clouds, g, 0.01))
     assert len(results) > 3
@@ -62,7 +65,7 @@ def test_variants_compute_the_same(device, rng):
 
 def test_tuning_is_kept_and_used(device, fast_tile):
     lines = []
-    start = choose_knobs(device.device)
+    start = choose_constants(device.device)
     best, before, after = tune(device.device, lines.append)
     # Where vectors are narrow, other constants than the tile alone can lead to that tile.
     assert best.tile == 128
@@ -70,18 +73,18 @@ def test_tuning_is_kept_and_used(device, fast_tile):
     assert best in fast_tile
     assert (before, after) == (1e9, 2e9)
     assert len(lines) <= len(fast_tile)
-    assert tuned_knobs(device.device) == best
-    assert OpenCLOperations(device.device).knobs == best
+    assert tuned_constants(device.device) == best
+    assert OpenCLOperations(device.device).constants == best
     forget_tuning(device.device)
-    assert tuned_knobs(device.device) == start
+    assert tuned_constants(device.device) == start
 
 
 def test_quirks_come_after_tuning(device, fast_tile, monkeypatch):
     tune(device.device, lambda line: None)
     monkeypatch.setenv("CLMORPH_QUIRKS", "small_local_memory,no_float64")
-    knobs = tuned_knobs(device.device)
-    assert knobs.precise == 1
-    assert knobs == choose_knobs(device.device)
+    constants = tuned_constants(device.device)
+    assert constants.precise == 1
+    assert constants == choose_constants(device.device)
 
 
 @pytest.mark.parametrize(
@@ -99,17 +102,17 @@ def test_quirks_come_after_tuning(device, fast_tile, monkeypatch):
     ],
 )
 def test_a_damaged_record_is_ignored(device, entry):
-    save_record(tuning._record(device.device), entry)
-    assert tuned_knobs(device.device) == choose_knobs(device.device)
+    save_record(tuned_record._record(device.device), entry)
+    assert tuned_constants(device.device) == choose_constants(device.device)
 
 
 def test_builds_that_fail_are_passed_over(device, monkeypatch):
     from clmorph import DeviceError
 
-    start = choose_knobs(device.device)
+    start = choose_constants(device.device)
 
-    def speed(device, knobs):
-        if knobs != start:
+    def speed(device, constants):
+        if constants != start:
             raise DeviceError("no")
         return 1e9
 

@@ -13,14 +13,20 @@ import pytest
 from conftest import TESTED, USABLE
 
 from clmorph import InputError
+from clmorph.backends.comparison import Finding
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.opencl.build.constants import apply_quirks, choose_knobs, cpu_knobs, gpu_knobs
+from clmorph.backends.opencl.build.constants import (
+    apply_quirks,
+    choose_constants,
+    cpu_constants,
+    gpu_constants,
+)
 from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.backends.opencl.devices.install_hints import LINUX_PACKAGES, advice
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
-from clmorph.cli.conformance import Finding, check
+from clmorph.cli.conformance import check
 from clmorph.cli.main import main
 from clmorph.reference import NumPyOperations
 
@@ -187,22 +193,22 @@ def test_each_quirk_can_be_forced(device, monkeypatch, quirk):
     plain = find_quirks(device.device)
     monkeypatch.setenv("CLMORPH_QUIRKS", quirk)
     assert find_quirks(device.device) == plain | {quirk}
-    assert choose_knobs(device.device) == choose_knobs(device.device, plain | {quirk})
+    assert choose_constants(device.device) == choose_constants(device.device, plain | {quirk})
     forced = OpenCLOperations(device.device)
     assert all(finding.passed for finding in check(forced))
 
 
 def test_quirks_change_the_build():
-    gpu = gpu_knobs(256)
+    gpu = gpu_constants(256)
     assert apply_quirks(gpu, frozenset()) == gpu
     assert apply_quirks(gpu, frozenset({"small_groups"})).group == 16
     assert apply_quirks(gpu, frozenset({"small_groups"})).tile_group == 4
     assert apply_quirks(gpu, frozenset({"inexact_exp2"})).exp2_builtin == 0
     assert apply_quirks(gpu, frozenset({"small_local_memory"})).tile == 16
-    assert apply_quirks(cpu_knobs(16), frozenset({"small_local_memory"})).tile == 16
+    assert apply_quirks(cpu_constants(16), frozenset({"small_local_memory"})).tile == 16
     for quirk in QUIRKS:
-        for knobs in (gpu, gpu_knobs(1), cpu_knobs(16), cpu_knobs(1)):
-            made = apply_quirks(knobs, frozenset({quirk}))
+        for constants in (gpu, gpu_constants(1), cpu_constants(16), cpu_constants(1)):
+            made = apply_quirks(constants, frozenset({quirk}))
             assert made.tile % (made.group * made.width) == 0
             assert made.tile % made.unroll == 0
 
@@ -210,8 +216,8 @@ def test_quirks_change_the_build():
 @pytest.mark.full
 @pytest.mark.parametrize("quirk", ["small_groups", "inexact_exp2", "small_local_memory"])
 def test_quirks_on_a_gpus_build(device, quirk):
-    knobs = apply_quirks(gpu_knobs(256), frozenset({quirk}))
-    assert all(finding.passed for finding in check(OpenCLOperations(device.device, knobs)))
+    constants = apply_quirks(gpu_constants(256), frozenset({quirk}))
+    assert all(finding.passed for finding in check(OpenCLOperations(device.device, constants)))
 
 
 def test_unknown_quirks(device, monkeypatch):

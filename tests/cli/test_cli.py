@@ -243,7 +243,7 @@ def test_interruption_leaves_nothing(pictures, monkeypatch, capfd):
     def interrupt(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("clmorph.output.recording.Film.picture", interrupt)
+    monkeypatch.setattr("clmorph.output.recording.Recording.picture", interrupt)
     assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3"]) == 130
     assert sorted(path.name for path in pictures.iterdir()) == ["a.png", "b.jpg"]
 

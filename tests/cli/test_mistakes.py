@@ -82,7 +82,7 @@ OPTIONS = [
     ("a.png b.jpg -o x.gif --loop twice", "--loop"),
     ("a.png b.jpg -o x.gif --fps 100", "--fps 100 is too fast for x.gif"),
     ("a.png b.jpg -o x.gif --fps 10 --duration 9", "contradict"),
-    ("a.png b.jpg -o x.gif --duration 1 --hold 2", "no longer than the rests"),
+    ("a.png b.jpg -o x.gif --duration 1 --hold 2", "no longer than the holds"),
     ("a.png b.jpg -o x.gif --config missing.toml", "no such file"),
     ("a.png b.jpg -o x.gif --config text.png", "cannot be read"),
     ("a.png b.jpg -o x.gif --preset lovely", "--preset"),

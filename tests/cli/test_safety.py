@@ -23,8 +23,10 @@ from clmorph.cli.config import is_bare, read_settings
 from clmorph.cli.main import main
 from clmorph.errors import ClmorphWarning, InputError, OutputError
 from clmorph.output.bounded import MAX_TEXT, BoundedFile, from_text
+from clmorph.output.formats.webp import as_exif
+from clmorph.output.metadata import as_text
 from clmorph.output.playback import Motion
-from clmorph.output.provenance import as_exif, as_text, read_parameters
+from clmorph.output.provenance import read_parameters
 from clmorph.output.recording import recorded
 from clmorph.output.save import Output, write_all
 

@@ -6,9 +6,10 @@ from scipy.ndimage import gaussian_filter
 
 import clmorph
 from clmorph import InputError, lift, morph
+from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.filling import HOLE_COVERAGE
 from clmorph.frames.kernel_width import KernelWidth, effective_count
-from clmorph.frames.render import Canvas, Widths, canvas_at, render
+from clmorph.frames.render import Widths, render
 
 
 @pytest.mark.parametrize("sides", [(48, 48), (64, 16), (16, 64), (3, 1000), (1, 7)])

@@ -82,7 +82,9 @@ def public_functions() -> dict[str, Callable[..., Any]]:
 def _methods(kind: type) -> dict[str, Callable[..., Any]]:
     return {
         f"{kind.__name__}.{name}": value
-        for name, value in vars(kind).items()
+        for owner in reversed(kind.__mro__)
+        if owner.__module__.partition(".")[0] == "clmorph"
+        for name, value in vars(owner).items()
         if inspect.isfunction(value) and not name.startswith("_")
     }
 
@@ -198,7 +200,6 @@ def cases() -> dict[str, dict[str, Any]]:
         "quality.hole_fraction": {"coverage": np.ones((3, 3))},
         "quality.sharpness": {"frame": some["a"]},
         "quality.step_sizes": {"frames": [some["a"], some["b"]]},
-        "quality.check_morph": of_morph,
         "baseline.channel_morph": images | SOLVER | WIDTHS | {
             "blur": 0.05, "reach": 0.3, "n_frames": 2, "backend": "numpy", "extent": "true",
         },

@@ -20,11 +20,11 @@ from programs import program
 import clmorph
 from clmorph import InputError, OutputError
 from clmorph.images.pixels import to_bytes
-from clmorph.output.formats.video import CODECS
-from clmorph.output.framing import Look
-from clmorph.output.playback import Motion, resting
+from clmorph.output.formats.video import CONTAINERS
+from clmorph.output.framing import FrameStyle
+from clmorph.output.playback import Motion, held_frames
 from clmorph.output.provenance import read_parameters
-from clmorph.output.recording import Film
+from clmorph.output.recording import Recording
 from clmorph.output.save import FORMATS, Output, save, write_all
 from clmorph.output.spool import Spool
 
@@ -160,15 +160,15 @@ LENGTHS = [
 @pytest.mark.parametrize(("n_images", "n_frames", "pace", "hold"), LENGTHS)
 @pytest.mark.parametrize("loop", ["loop", "ping-pong"])
 def test_videos_last_as_long_as_the_film(tmp_path, name, n_images, n_frames, pace, hold, loop):
-    rests = resting(n_images, n_frames)
+    holds = held_frames(n_images, n_frames)
     if "duration" in pace:
-        motion = Motion.lasting(pace["duration"], rests, hold, loop)
+        motion = Motion.lasting(pace["duration"], holds, hold, loop)
     else:
         motion = Motion(pace["fps"], hold, loop)
-    frames = [np.full((16, 16, 3), 9 * n, np.uint8) for n in range(len(rests))]
-    times = np.linspace(0, n_images - 1, len(rests))
-    film = Film(frames, [frame.shape for frame in frames], times, rests, motion)
-    write_all([Output(tmp_path / name)], film, Look("source"))
+    frames = [np.full((16, 16, 3), 9 * n, np.uint8) for n in range(len(holds))]
+    times = np.linspace(0, n_images - 1, len(holds))
+    film = Recording(frames, [frame.shape for frame in frames], times, holds, motion)
+    write_all([Output(tmp_path / name)], film, FrameStyle("source"))
     told = probe(tmp_path / name)
     rate = Fraction(told["r_frame_rate"])
     assert rate == motion.rate_for([seconds for _, seconds in film.played()])
@@ -188,9 +188,9 @@ def test_videos_have_true_colors(tmp_path, name):
     """Plain colors, which no codec has an excuse for: a wrong matrix would be off by 20."""
     colors = [(200, 30, 40), (20, 180, 60), (30, 60, 220), (128, 128, 128), (255, 255, 255)]
     frames = [np.full((32, 32, 3), color, np.uint8) for color in colors]
-    film = Film(frames, [frame.shape for frame in frames], np.linspace(0, 1, 5),
+    film = Recording(frames, [frame.shape for frame in frames], np.linspace(0, 1, 5),
                 np.zeros(5, bool), Motion())  # fmt: skip
-    write_all([Output(tmp_path / name)], film, Look("source"))
+    write_all([Output(tmp_path / name)], film, FrameStyle("source"))
     for frame, color in zip(decoded(tmp_path / name), colors, strict=True):
         assert np.abs(frame.astype(int) - color).max() <= 4
 
@@ -367,9 +367,9 @@ def test_a_sprites_rarest_color_is_exact(tmp_path, busy):
         frames[1] = rng.integers(0, 255, (600, 600, 3))
     frames[0, 123, 457] = 255, 3, 9
     frames[2, 411, 77] = 7, 250, 40
-    film = Film(list(frames), [(600, 600, 3)] * 3, np.array([0, 0.5, 1]),
+    film = Recording(list(frames), [(600, 600, 3)] * 3, np.array([0, 0.5, 1]),
                 np.array([True, False, True]), Motion(), pixelated=True)  # fmt: skip
-    write_all([Output(tmp_path / "out.gif")], film, Look("source"))
+    write_all([Output(tmp_path / "out.gif")], film, FrameStyle("source"))
     told, _ = stills(tmp_path / "out.gif")
     for index in (0, 2):
         assert np.array_equal(told[index][..., :3], frames[index])
@@ -379,9 +379,9 @@ def test_bars_beside_pixel_art_have_the_backgrounds_color(tmp_path):
     """Also where frames that fit no better than by a whole factor have them, and no other."""
     rng = np.random.default_rng(10)
     frames = rng.integers(0, 255, (2, 12, 12, 3), np.uint8)
-    film = Film(list(frames), [(12, 12, 3)] * 2, np.array([0.0, 1.0]), np.ones(2, bool),
+    film = Recording(list(frames), [(12, 12, 3)] * 2, np.array([0.0, 1.0]), np.ones(2, bool),
                 Motion(), pixelated=True)  # fmt: skip
-    write_all([Output(tmp_path / "out.gif")], film, Look("40x40", background="#0a64c8"))
+    write_all([Output(tmp_path / "out.gif")], film, FrameStyle("40x40", background="#0a64c8"))
     for frame in stills(tmp_path / "out.gif")[0]:
         assert np.all(frame[:2, :, :3] == (10, 100, 200))
         assert np.all(frame[:, 38:, :3] == (10, 100, 200))
@@ -459,11 +459,12 @@ def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
     """All of a frame comes in: stripes one pixel wide turn gray instead of one of their colors."""
     large = np.zeros((1000, 1500, 3), np.uint8)
     large[:, ::2] = 255
-    film = Film([large] * 12, [large.shape] * 12, np.linspace(0, 1, 12), np.zeros(12, bool),
+    film = Recording([large] * 12, [large.shape] * 12, np.linspace(0, 1, 12), np.zeros(12, bool),
                 Motion(), pixelated)  # fmt: skip
     for look, size in (
-        (Look(), (192, 128)), (Look("30x20"), (30, 20)), (Look("300x100"), (300, 100)),
-        (Look("source"), (1500, 1000)), (Look(scaling="nearest"), (192, 128)),
+        (FrameStyle(), (192, 128)), (FrameStyle("30x20"), (30, 20)),
+        (FrameStyle("300x100"), (300, 100)),
+        (FrameStyle("source"), (1500, 1000)), (FrameStyle(scaling="nearest"), (192, 128)),
     ):  # fmt: skip
         write_all([Output(tmp_path / "sheet.png")], film, look)
         with Image.open(tmp_path / "sheet.png") as sheet:
@@ -474,7 +475,7 @@ def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
             assert 5 * (30 + 12) + 12 < width <= 5 * (60 + 12) + 12
         else:
             assert width == 5 * (size[0] + 12) + 12
-        if look == Look():
+        if look == FrameStyle():
             assert np.abs(first[4:-4, 4:-4].astype(int) - 128).max() < 20
         if look.scaling == "nearest":
             assert set(np.unique(first)) <= {0, 255}
@@ -483,9 +484,9 @@ def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
 def test_captions_of_a_contact_sheet_do_not_touch(tmp_path):
     """Below pictures of one column: with white between, and whole."""
     frames = np.zeros((5, 40, 1, 3), np.uint8)
-    film = Film(list(frames), [(40, 1, 3)] * 5, np.linspace(0, 12, 5), np.zeros(5, bool),
+    film = Recording(list(frames), [(40, 1, 3)] * 5, np.linspace(0, 12, 5), np.zeros(5, bool),
                 Motion())  # fmt: skip
-    write_all([Output(tmp_path / "sheet.png")], film, Look("1x40"))
+    write_all([Output(tmp_path / "sheet.png")], film, FrameStyle("1x40"))
     with Image.open(tmp_path / "sheet.png") as sheet:
         gray = np.asarray(sheet.convert("L"))
     ink = np.flatnonzero((gray[12 + 40 + 1 : -8] < 128).any(axis=0))
@@ -572,14 +573,15 @@ SQUARES = """
 import sys
 import numpy as np
 from clmorph.output.save import Output, write_all
-from clmorph.output.recording import Film
-from clmorph.output.framing import Look
+from clmorph.output.recording import Recording
+from clmorph.output.framing import FrameStyle
 from clmorph.output.playback import Motion
 
 squares = np.random.default_rng(0).integers(0, 255, (8, 17, 22, 3), np.uint8)
 frames = list(np.kron(squares, np.ones((1, 16, 16, 1), np.uint8)))
-film = Film(frames, [frames[0].shape] * 8, np.linspace(0, 1, 8), np.ones(8, bool), Motion(20, 0.1))
-write_all([Output(sys.argv[1])], film, Look("source"))
+film = Recording(frames, [frames[0].shape] * 8, np.linspace(0, 1, 8), np.ones(8, bool),
+                 Motion(20, 0.1))
+write_all([Output(sys.argv[1])], film, FrameStyle("source"))
 """
 
 
@@ -680,7 +682,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, na
     def full(*args, **options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Film, "picture", full)
+    monkeypatch.setattr(Recording, "picture", full)
     monkeypatch.setattr("clmorph.output.formats.archive._write_array", full)
     with pytest.raises(OutputError, match="No space left"):
         save(growing, path, format=name)
@@ -722,9 +724,9 @@ GROWTH = """
 import pathlib, sys
 import numpy as np
 from clmorph.output.save import Output, write_all
-from clmorph.output.recording import Film
-from clmorph.output.formats.video import CODECS
-from clmorph.output.framing import Look
+from clmorph.output.recording import Recording
+from clmorph.output.formats.video import CONTAINERS
+from clmorph.output.framing import FrameStyle
 from clmorph.output.playback import Motion
 
 def most():
@@ -742,9 +744,9 @@ class Frames:
 name, folder, side, *counts = sys.argv[1:]
 peaks = []
 for count in map(int, counts):
-    film = Film(Frames(int(side)), [(int(side), int(side), 3)] * count, np.linspace(0, 1, count),
-                np.zeros(count, bool), Motion())
-    write_all([Output(f"{folder}/{count}{name}")], film, Look("source"))
+    film = Recording(Frames(int(side)), [(int(side), int(side), 3)] * count,
+                     np.linspace(0, 1, count), np.zeros(count, bool), Motion())
+    write_all([Output(f"{folder}/{count}{name}")], film, FrameStyle("source"))
     peaks.append(most())
 print(peaks[1] - peaks[0])
 """
@@ -769,8 +771,10 @@ def test_memory_does_not_grow_with_the_number_of_frames(tmp_path, name):
 def test_progress_is_that_of_the_writing(tmp_path, growing, monkeypatch, name):
     """Once for each frame, when it has been read and before the next is, up to the whole."""
     events = []
-    read = Film.picture
-    monkeypatch.setattr(Film, "picture", lambda self, n: (events.append("read"), read(self, n))[1])
+    read = Recording.picture
+    monkeypatch.setattr(
+        Recording, "picture", lambda self, n: (events.append("read"), read(self, n))[1]
+    )
     ending = (FORMATS[name].endings or ("",))[0]
 
     def progress(stage, share):
@@ -792,10 +796,10 @@ def test_frames_that_repeat_or_stay_for_minutes_last_as_long(tmp_path, name, dep
     frames = np.zeros((5, 6, 7, depth), np.uint8)
     frames[3:, 2:4, 3:5] = [200, 200, 200, 255][:depth]
     frames[[0, 1, 3], 1:3, 1:4, -1] = 255
-    rests = np.array([True, False, False, False, True])
-    film = Film(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 5), rests,
+    holds = np.array([True, False, False, False, True])
+    film = Recording(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 5), holds,
                 Motion(10, 700.0, "ping-pong"))  # fmt: skip
-    write_all([Output(tmp_path / name)], film, Look("source", lossless=True))
+    write_all([Output(tmp_path / name)], film, FrameStyle("source", lossless=True))
     told, durations = stills(tmp_path / name)
     assert sum(durations) == pytest.approx(1000 * film.duration)
     ends, shown = np.cumsum(durations), np.cumsum([seconds for _, seconds in film.played()]) * 1000
@@ -818,9 +822,9 @@ def test_ffmpeg_sees_the_same_frames(tmp_path, rng, name, clear):
         frame[2:9, 2 * number : 2 * number + 9, :3] = rng.choice([40, 90, 200], (7, 9, 1))
         frame[2:9, 2 * number : 2 * number + 9, 3] = 255
     frames = frames if clear else frames[..., :3]
-    film = Film(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 6),
+    film = Recording(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 6),
                 np.zeros(6, bool), Motion(10))  # fmt: skip
-    write_all([Output(tmp_path / name)], film, Look("source"))
+    write_all([Output(tmp_path / name)], film, FrameStyle("source"))
     raw = subprocess.run(
         [program("ffmpeg"), "-v", "error", "-i", tmp_path / name, "-f", "rawvideo", "-pix_fmt",
          "rgba", "-"], capture_output=True, check=True,
@@ -845,10 +849,10 @@ def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):
         for _ in range(100):
             spool.append(rng.integers(0, 255, (256, 256, 3), np.uint8))
         shapes = [(256, 256, 3)] * 100
-        film = Film(spool, shapes, np.linspace(0, 1, 100), np.zeros(100, bool), Motion())
+        film = Recording(spool, shapes, np.linspace(0, 1, 100), np.zeros(100, bool), Motion())
         tracemalloc.start()
         try:
-            write_all([Output(tmp_path / "out.gif")], film, Look("source"))
+            write_all([Output(tmp_path / "out.gif")], film, FrameStyle("source"))
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
@@ -864,7 +868,7 @@ def test_pictures_that_a_file_cannot_hold_are_refused_at_once(tmp_path, monkeypa
     wide = np.zeros((2, most + 2, 3), np.uint8)
     for width, fits in ((most + 2 - most % 2, False), (most, True)):
         frames = [wide[:, :width]] * 2
-        film = Film(frames, [frame.shape for frame in frames], np.array([0.0, 1.0]),
+        film = Recording(frames, [frame.shape for frame in frames], np.array([0.0, 1.0]),
                     np.zeros(2, bool), Motion())  # fmt: skip
         if fits:
             write_all([Output(tmp_path / name)], film)
@@ -876,7 +880,7 @@ def test_pictures_that_a_file_cannot_hold_are_refused_at_once(tmp_path, monkeypa
                 )  # fmt: skip
             continue
         with monkeypatch.context() as patch:
-            patch.setattr(Film, "picture", lambda *args: pytest.fail("encoding has begun"))
+            patch.setattr(Recording, "picture", lambda *args: pytest.fail("encoding has begun"))
             with pytest.raises(InputError, match=f"at most {most}: set a smaller") as caught:
                 write_all([Output(tmp_path / name)], film)
         assert "\n" not in str(caught.value)
@@ -894,7 +898,8 @@ def test_what_encoders_raise_is_told_in_one_line(tmp_path, monkeypatch, growing,
     monkeypatch.setattr("PIL.Image.Image.save", broken)
     monkeypatch.setattr("tifffile.TiffWriter.write", broken)
     if name in ("out.mp4", "out.webm"):
-        monkeypatch.setitem(CODECS, name[4:], (CODECS[name[4:]][0], {"crf": "nothing"}))
+        broken_one = CONTAINERS[name[4:]]._replace(settings={"crf": "nothing"})
+        monkeypatch.setitem(CONTAINERS, name[4:], broken_one)
     with pytest.raises(OutputError, match=r"the encoder of .* failed .*another format") as caught:
         save(growing, tmp_path / (name or "frames"), canvas="source")
     assert "\n" not in str(caught.value)

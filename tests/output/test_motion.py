@@ -1,4 +1,4 @@
-"""When frames are shown: easing, rests, loops, durations."""
+"""When frames are shown: easing, holds, loops, durations."""
 
 from fractions import Fraction
 
@@ -7,7 +7,7 @@ import pytest
 
 import clmorph
 from clmorph import InputError
-from clmorph.output.playback import EASES, Motion, eased, resting, whole_units
+from clmorph.output.playback import EASES, Motion, eased, held_frames, whole_units
 
 EVEN = np.linspace(0, 1, 11)
 
@@ -39,39 +39,39 @@ def test_a_morph_takes_it(rng):
 
 
 def test_rests_of_a_chain():
-    assert resting(2, 4).tolist() == [True, False, False, True]
-    assert np.flatnonzero(resting(4, 5)).tolist() == [0, 4, 8, 12]
-    assert len(resting(4, 5)) == 13
+    assert held_frames(2, 4).tolist() == [True, False, False, True]
+    assert np.flatnonzero(held_frames(4, 5)).tolist() == [0, 4, 8, 12]
+    assert len(held_frames(4, 5)) == 13
 
 
 def test_rounds():
-    rests = resting(2, 4)
-    forth = Motion(10, 1.0, "loop").played(rests)
+    holds = held_frames(2, 4)
+    forth = Motion(10, 1.0, "loop").played(holds)
     assert forth == [(0, 1.1), (1, 0.1), (2, 0.1), (3, 1.1)]
-    back = Motion(10, 1.0, "ping-pong").played(rests)
+    back = Motion(10, 1.0, "ping-pong").played(holds)
     assert [index for index, _ in back] == [0, 1, 2, 3, 2, 1]
     assert sum(seconds for _, seconds in back) == pytest.approx(2.6)
-    assert [index for index, _ in Motion(loop="ping-pong").played(resting(2, 2))] == [0, 1]
+    assert [index for index, _ in Motion(loop="ping-pong").played(held_frames(2, 2))] == [0, 1]
 
 
 @pytest.mark.parametrize("loop", ["loop", "ping-pong", "once"])
 @pytest.mark.parametrize("n_images", [2, 3])
 def test_durations_that_were_asked_for(loop, n_images):
-    rests = resting(n_images, 10)
-    motion = Motion.lasting(7.5, rests, 0.5, loop)
-    assert sum(seconds for _, seconds in motion.played(rests)) == pytest.approx(7.5)
+    holds = held_frames(n_images, 10)
+    motion = Motion.lasting(7.5, holds, 0.5, loop)
+    assert sum(seconds for _, seconds in motion.played(holds)) == pytest.approx(7.5)
 
 
 def test_impossible_durations():
-    rests = resting(2, 10)
+    holds = held_frames(2, 10)
     for duration, words in (
-        (1.0, "no longer than the rests"),
+        (1.0, "no longer than the holds"),
         (1.3001, "frames a second"),
         (1e5, "frames a second"),
         (-1, "duration=-1"),
     ):
         with pytest.raises(InputError, match=words):
-            Motion.lasting(duration, rests, 0.65)
+            Motion.lasting(duration, holds, 0.65)
 
 
 def test_rounding_does_not_add_up():
@@ -95,5 +95,5 @@ def test_rates_at_which_rests_are_frames():
         (0.1, 0.5, 30), (29, 0.3, 58), (240, 0.001, 240), (12.5, 0.4, 12.5), (12.5, 0.3, 37.5),
     ):  # fmt: skip
         motion = Motion(fps, hold)
-        lengths = [seconds for _, seconds in motion.played(resting(2, 4))]
+        lengths = [seconds for _, seconds in motion.played(held_frames(2, 4))]
         assert motion.rate_for(lengths) == rate, (fps, hold)

@@ -13,7 +13,7 @@ from PIL import Image
 import clmorph
 from clmorph import InputError, OutputError, displacement_statistics, morph
 from clmorph._shared.printable import printable
-from clmorph.frames.render import canvas_at
+from clmorph.frames.canvas import canvas_at
 from clmorph.images.pixels import to_bytes
 from clmorph.output.html import (
     Curve,

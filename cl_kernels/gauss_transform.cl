@@ -13,7 +13,7 @@
 // to 3; that is all of a + b <= 6 and what it takes to fill vectors. A cell's moments are
 // TERMS x (weight, red, green, blue), b slowest.
 //
-// Particles come in bins as splat.cl sorts them, cells x cells to a bin; those in an
+// Particles come in bins as particles.cl sorts them, cells x cells to a bin; those in an
 // outermost bin, yet outside of it, are beyond any pixel's reach and left out. A strip of
 // rows of bins is done at a time, all steps of it.
 //
@@ -207,7 +207,7 @@ void sum_moments(
     const uint first_bin, const uint strip_bin, // first bin of the strip, of this launch
     const uint first_particle, const uint last_particle,
     const int margin, const int n_bins_x, const int cells, const float per_pixel,
-    const __global uint* restrict bin_starts,   // (bins + 1,) of this rung
+    const __global uint* restrict bin_starts,   // (bins + 1,) of this width level
     const __global float2* restrict positions,  // sorted into bins
     const __global float4* restrict samples,    // sorted into bins: weight, weighed color
     __global float* restrict moments,           // (bins of the strip, cells, cells, TERMS, 4)
@@ -267,7 +267,7 @@ __kernel void sum_rows(
     const uint first_row, const int span, const int width,
     const uint strip_bin, const int margin, const int n_bins_x, const int cells,
     const int per_pixel, const int phases, const int reach, const int taps,
-    const __global uint* restrict bin_starts,    // (bins + 1,) of this rung
+    const __global uint* restrict bin_starts,    // (bins + 1,) of this width level
     const __global float* restrict coefficients, // (phases, taps, ORDERS, 4 equal ones)
     const __global float* restrict moments,      // (bins of the strip, cells, cells, TERMS, 4)
     __global float* restrict along_x)            // (rows of the strip, width, ORDERS, 4)

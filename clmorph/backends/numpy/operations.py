@@ -1,15 +1,11 @@
 """NumPy twins, in float64, of the operations that run on a device."""
 
-from collections.abc import Iterator
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.backends.interface import (
-    BASE_RUNG,
-    RUNGS,
-    RUNGS_PER_OCTAVE,
+from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
+from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
+from clmorph.backends.records import (
     Bins,
     Float32,
     Float64,
@@ -18,35 +14,7 @@ from clmorph.backends.interface import (
     StoredPairs,
     bin_grid,
 )
-
-#: Entries of a dense block of rows, so that memory stays bounded (128 MB of float64).
-BLOCK_ENTRIES = 1 << 24
-
-
-class Cloud(NamedTuple):
-    """A weighted cloud: (N, D) points, the logarithms of its (N,) masses, cost offsets."""
-
-    points: Float64
-    log_weights: Float64
-    offsets: Float64
-
-
-class ParticleSet(NamedTuple):
-    """Moving particles, as given to `NumPyOperations.upload_particles`."""
-
-    table: Float64
-    links: NDArray[np.uint32]
-    weights: Float64
-
-
-class Splats(NamedTuple):
-    """Resting particles: (K, 2) pixel positions, (K, 3) colors, (K,) masses and spacings."""
-
-    positions: Float64
-    colors: Float64
-    weights: Float64
-    spacings: Float64
-    rungs: NDArray[np.int64] | None = None  # if widths differ
+from clmorph.backends.width_levels import WIDTH_LEVELS
 
 
 class NumPyOperations:
@@ -56,6 +24,8 @@ class NumPyOperations:
     bin_size = 8
     sum_roundoff = exponent_roundoff = precise_roundoff = 2.0**-53
     has_float64 = True
+    memory_bytes: int | None = None
+    shares_host_memory = True
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
         """Take a weighted cloud."""
@@ -75,7 +45,7 @@ class NumPyOperations:
     ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
         result = np.empty(len(rows.points))
-        for block, exponents in _exponent_blocks(rows, columns, potential, epsilon, near):
+        for block, exponents in exponent_blocks(rows, columns, potential, epsilon, near):
             largest = exponents.max(axis=1)
             total = np.exp(exponents - largest[:, None]).sum(axis=1)
             result[block] = -epsilon * (largest + np.log(total))
@@ -113,7 +83,7 @@ class NumPyOperations:
         keep = np.ones((len(rows.points), len(columns.points)), bool)
         found, skipped = np.empty(len(keep)), np.empty(len(keep))
         largest = 0.0
-        for block, exponents in _exponent_blocks(rows, columns, potential, epsilon):
+        for block, exponents in exponent_blocks(rows, columns, potential, epsilon):
             top = exponents.max(axis=1, keepdims=True)
             share = np.exp(exponents - top)
             share /= share.sum(axis=1, keepdims=True)
@@ -126,7 +96,7 @@ class NumPyOperations:
             # Shares too small for any number may grow when potentials change.
             left[~keep[block].all(axis=1)] += np.finfo(float).tiny
             skipped[block] = left / (1.0 - left)
-            cost = np.where(keep[block], _costs(rows.points[block], columns.points), 0.0)
+            cost = np.where(keep[block], costs(rows.points[block], columns.points), 0.0)
             largest = max(largest, float(cost.max()))
         counts = keep.sum(axis=1)
         return NearPairs(keep, found, skipped, int(counts.sum()), int(counts.max()), largest)
@@ -141,7 +111,7 @@ class NumPyOperations:
     ) -> Float64:
         """Return max_j [(g_j - C_ij) / epsilon + log b_j], in nats."""
         result = np.empty(len(rows.points))
-        for block, exponents in _exponent_blocks(rows, columns, potential, epsilon, near):
+        for block, exponents in exponent_blocks(rows, columns, potential, epsilon, near):
             result[block] = exponents.max(axis=1)
         return result
 
@@ -158,7 +128,7 @@ class NumPyOperations:
     ) -> NDArray[np.int64]:
         """Return how many pairs of each row `plan_rows` keeps."""
         counts = np.zeros(len(rows.points), np.int64)
-        blocks = _plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
+        blocks = plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
         for block, _, keep in blocks:
             counts[block] = keep.sum(axis=1)
         return counts
@@ -177,7 +147,7 @@ class NumPyOperations:
     ) -> PlanRows:
         """Return the pairs of the plan (Eq. 2) above a threshold."""
         lengths, indices, mass = [np.zeros(1, np.int64)], [], []
-        blocks = _plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
+        blocks = plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
         for _, log_plan, keep in blocks:
             lengths.append(keep.sum(axis=1))
             indices.append(np.nonzero(keep)[1].astype(np.int32))
@@ -199,7 +169,7 @@ class NumPyOperations:
     ) -> StoredPairs | None:
         """Keep log pi_ij of pairs, as a whole matrix with -inf elsewhere."""
         whole = np.full((len(rows.points), len(columns.points)), -np.inf)
-        blocks = _plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
+        blocks = plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
         for block, log_plan, keep in blocks:
             whole[block] = np.where(keep, log_plan, -np.inf)
         if near[0] is not None and near[1] is not None:
@@ -227,7 +197,7 @@ class NumPyOperations:
         """Return mean and covariance of each row's destinations."""
         n, dimension = rows.points.shape
         mean, covariance = np.empty((n, dimension)), np.empty((n, dimension, dimension))
-        for block, exponents in _exponent_blocks(rows, columns, g, epsilon, near):
+        for block, exponents in exponent_blocks(rows, columns, g, epsilon, near):
             share = np.exp(exponents + softmin[block, None] / epsilon)
             share /= share.sum(axis=1, keepdims=True)
             mean[block] = share @ columns.points
@@ -252,7 +222,7 @@ class NumPyOperations:
     ) -> NDArray[np.int32]:
         """Return columns drawn from each plan row."""
         draws = np.empty(thresholds.shape, np.int32)
-        for block, exponents in _exponent_blocks(rows, columns, g, epsilon, near):
+        for block, exponents in exponent_blocks(rows, columns, g, epsilon, near):
             sums = np.cumsum(np.exp(exponents + softmin[block, None] / epsilon), axis=1)
             sums /= sums[:, -1:]
             for row, (own, wanted) in enumerate(zip(sums, thresholds[block], strict=True)):
@@ -268,7 +238,7 @@ class NumPyOperations:
         """Take moving particles."""
         return ParticleSet(table, links, weights)
 
-    def place(
+    def advect(
         self,
         particles: ParticleSet,
         t: float,
@@ -313,13 +283,17 @@ class NumPyOperations:
             np.minimum(distances, 1e30), splats.positions[:, ::-1].T, order=1, mode="nearest"
         )
         width = np.maximum(sigma * splats.spacings, gap) / sigma
-        rungs = np.rint(RUNGS_PER_OCTAVE * np.log2(np.maximum(width, 1e-30))) + BASE_RUNG
-        rungs = np.clip(rungs, 0, RUNGS - 1).astype(np.int64)
-        return splats._replace(weights=splats.weights / _zoom(rungs) ** 2, rungs=rungs)
+        octaves = np.log2(np.maximum(width, 1e-30))
+        levels = np.rint(WIDTH_LEVELS.per_octave * octaves) + WIDTH_LEVELS.base
+        levels = np.clip(levels, 0, WIDTH_LEVELS.count - 1).astype(np.int64)
+        weights = splats.weights / WIDTH_LEVELS.factor(levels) ** 2
+        return splats._replace(weights=weights, width_levels=levels)
 
-    def rungs(self, splats: Splats) -> NDArray[np.int64]:
-        """Return on which rung each splat stands."""
-        return np.full(len(splats.weights), BASE_RUNG) if splats.rungs is None else splats.rungs
+    def width_levels(self, splats: Splats) -> NDArray[np.int64]:
+        """Return the width level of each splat."""
+        if splats.width_levels is None:
+            return np.full(len(splats.weights), WIDTH_LEVELS.base)
+        return splats.width_levels
 
     def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:
         """Sort splats into bins."""
@@ -341,67 +315,17 @@ class NumPyOperations:
             part = slice(first, first + chunk)
             x = np.arange(width) - splats.positions[part, 0, None]
             y = np.arange(height) - splats.positions[part, 1, None]
-            zoom = _zoom(self.rungs(splats)[part, None])
-            along_x = _kernel(x / zoom, sigma, radius)
+            factor = WIDTH_LEVELS.factor(self.width_levels(splats)[part, None])
+            along_x = kernel_1d(x / factor, sigma, radius)
             # The kernel is a product, so the sum over particles is a matrix product.
-            along_y = _kernel(y / zoom, sigma, radius) * splats.weights[part, None]
+            along_y = kernel_1d(y / factor, sigma, radius) * splats.weights[part, None]
             sums[0] += along_y.T @ along_x
             for channel in range(3):
                 sums[channel + 1] += (along_y * splats.colors[part, channel, None]).T @ along_x
         return np.moveaxis(sums[1:], 0, -1), sums[0]
 
 
-def _costs(x: Float64, y: Float64) -> Float64:
-    """|x_i - y_j|^2 / 2."""
-    costs = np.zeros((len(x), len(y)))
-    for d in range(x.shape[1]):
-        costs += 0.5 * (x[:, d, None] - y[:, d]) ** 2
-    return costs
-
-
-def _exponent_blocks(
-    rows: Cloud,
-    columns: Cloud,
-    potential: Float64,
-    epsilon: float,
-    near: NearPairs | None = None,
-) -> Iterator[tuple[slice, Float64]]:
-    """Yield (g_j - C_ij) / epsilon + log b_j for blocks of rows."""
-    step = max(1, BLOCK_ENTRIES // max(1, len(columns.points)))
-    for first in range(0, len(rows.points), step):
-        block = slice(first, first + step)
-        exponents = -_costs(rows.points[block], columns.points)
-        exponents += potential - columns.offsets
-        exponents -= rows.offsets[block, None]
-        exponents /= epsilon
-        exponents += columns.log_weights
-        if near is not None:
-            exponents[~near.pairs[block]] = -np.inf
-        yield block, exponents
-
-
-def _plan_blocks(
-    rows: Cloud,
-    columns: Cloud,
-    f: Float64,
-    g: Float64,
-    epsilon: float,
-    row_thresholds: Float64,
-    column_thresholds: Float64,
-) -> Iterator[tuple[slice, Float64, NDArray[np.bool_]]]:
-    """Yield log pi_ij, and which of them are kept, for blocks of rows."""
-    for block, exponents in _exponent_blocks(rows, columns, g, epsilon):
-        log_plan = exponents + (f[block] / epsilon + rows.log_weights[block])[:, None]
-        keep = log_plan > np.minimum(row_thresholds[block][:, None], column_thresholds)
-        yield block, log_plan, keep & (log_plan > -np.inf)
-
-
-def _zoom(rungs: NDArray[np.int64]) -> Float64:
-    """Widths of rungs, in units of the base's."""
-    return np.asarray(2.0 ** ((rungs - BASE_RUNG) / RUNGS_PER_OCTAVE))
-
-
-def _kernel(d: Float64, sigma: float, radius: float) -> Float64:
+def kernel_1d(d: Float64, sigma: float, radius: float) -> Float64:
     """One-dimensional kernel at distances d (pixels): cut Gaussian, or the pixel's box."""
     if sigma == 0:
         return ((d >= -0.5) & (d < 0.5)).astype(float)

@@ -1,9 +1,11 @@
-// Sums over pairs that are kept in memory, each with its log2 pi_ij, at potentials that have
-// changed since: of every row, log2 sum_j 2^(log2 pi_ij + change_j).
+// Sums over pairs of a plan that are kept in memory, each with its log2 pi_ij, at potentials that have
+// changed since: of every row, log2 sum_j 2^(log2 pi_ij + change_j), changes in powers of two.
 //
-// Pairs lie in slices of SLICE rows, the first of all its rows before the second, so that
-// neighboring lanes read neighboring numbers. A slice has as many places for each row as its
-// fullest row needs, rounded up to UNROLL; those that are left over hold SENTINEL.
+// Pairs are kept in sliced ELLPACK, SELL-C-sigma (Kreutzer, Hager, Wellein, Fehske and Bishop 2014,
+// SIAM J. Sci. Comput. 36(5), C401-C423; SLICE is C): in slices of SLICE rows, the first pair of all rows
+// before the second, so that neighboring lanes read neighboring numbers. A slice has as many places for
+// each row as its fullest row needs, rounded up to UNROLL; places that are left over hold SENTINEL. The
+// host sorts rows by their length inside windows of sigma rows, so that few places are left over.
 //
 // Launch: get_global_id(0) is a group of WIDTH consecutive rows; WIDTH divides SLICE.
 //
