@@ -22,7 +22,7 @@ from clmorph.images.pixels import as_rgb
 from clmorph.measures.lift import lift
 from clmorph.measures.measure import EXTENTS
 from clmorph.pipeline import presets as defaults
-from clmorph.transport.plan import transport_plan
+from clmorph.transport.plan_building import transport_plan
 from clmorph.transport.regularization import Reach, regularization
 from clmorph.transport.sinkhorn import check_solver_options, sinkhorn
 

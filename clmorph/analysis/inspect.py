@@ -26,10 +26,12 @@ from clmorph.pipeline.budget import (
 )
 from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import StageProgress, check_options
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.displacement import Displacement, displacement_of, displacement_statistics
 from clmorph.transport.divergence import sinkhorn_divergence
-from clmorph.transport.plan import Plan, transport_plan
-from clmorph.transport.plan_sampling import MAX_DRAWS, Barycentric
+from clmorph.transport.plan import Plan
+from clmorph.transport.plan_building import transport_plan
+from clmorph.transport.plan_sampling import MAX_DRAWS
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.refine_plan import refined
 from clmorph.transport.regularization import Reach

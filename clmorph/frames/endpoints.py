@@ -18,8 +18,8 @@ from clmorph.backends.interface import Operations
 from clmorph.frames.render import CUT, Canvas, kernel_sum
 from clmorph.images.pixels import resized
 from clmorph.measures.measure import Measure
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from clmorph.errors import InputError
 from clmorph.images.color import COLOR_SPACES, to_space
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_image_measure
+from clmorph.transport.barycentric import Barycentric, check_barycentric
 from clmorph.transport.plan import Plan, check_plan
-from clmorph.transport.plan_sampling import Barycentric, check_barycentric
 
 #: What happens to mass that the plan does not move: "fade" draws it dying at its source
 #: and being born at its target; "drop" leaves it out, as the paper's code does.

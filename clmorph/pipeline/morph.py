@@ -35,8 +35,9 @@ from clmorph.pipeline import presets as defaults
 from clmorph.pipeline.budget import check_ways, make_plan
 from clmorph.pipeline.optimal_width import NO_DIVERGENCE, optimal_curve
 from clmorph.pipeline.result import Morph
+from clmorph.transport.barycentric import Barycentric, destination_colors
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import MAX_DRAWS, Barycentric, destination_colors
+from clmorph.transport.plan_sampling import MAX_DRAWS
 from clmorph.transport.pruning import check_log_threshold
 from clmorph.transport.regularization import Reach, regularization
 from clmorph.transport.sinkhorn import check_solver_options, sinkhorn

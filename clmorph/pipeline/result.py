@@ -20,8 +20,8 @@ from clmorph.frames.render import Canvas, Sums, Widths, canvas_at, render
 from clmorph.images.color import from_space, to_space
 from clmorph.images.detail import is_pixel_art
 from clmorph.measures.measure import Measure
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric
 from clmorph.transport.potentials import Potentials
 
 #: Opacity that no 8 bits show.
