@@ -288,7 +288,7 @@ def test_dimensions_are_as_many_as_is_said(rng):
     words = {11: "eleven"}[most]
     readme = (Path(__file__).parents[1] / "README.md").read_text("utf-8")
     assert f"one to {words} dimensions" in readme
-    assert f"D from 1 to {most}." in clmorph.transport.sinkhorn.__doc__
+    assert f"D from 1 to {most}." in clmorph.sinkhorn.__doc__
     assert f"any dimension up to {most}" in clmorph.measures.points.__doc__
     for dimension in (1, most):
         pair = [(np.ones(5), rng.random((5, dimension))) for _ in range(2)]
