@@ -17,8 +17,9 @@ from scipy.ndimage import gaussian_filter
 
 import clmorph
 from clmorph import ConvergenceWarning, Measure, Plan, reference
+from clmorph.frames.canvas import canvas_at
 from clmorph.frames.kernel_width import KernelWidth, effective_count
-from clmorph.frames.render import Sums, canvas_at, render
+from clmorph.frames.render import Sums, render
 
 SIDE = 12
 TIMES = (0.2, 0.5, 0.85)

@@ -1,1 +1,1 @@
-"""Look at a transport or a morph: numbers, times, figures, metrics, a baseline."""
+"""FrameStyle at a transport or a morph: numbers, times, figures, metrics, a baseline."""

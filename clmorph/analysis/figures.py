@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.files import atomic_path, check_file_place
-from clmorph._shared.printable import reason_of
+from clmorph._shared.printable import percent, reason_of, size_text, time_text
 from clmorph.analysis.drawing import (
     ARROWS,
     BLUE,
@@ -23,7 +23,7 @@ from clmorph.analysis.drawing import (
     show,
     step_of,
 )
-from clmorph.analysis.report import Inspection, percent, size_text, time_text
+from clmorph.analysis.report import Inspection
 from clmorph.errors import OutputError
 from clmorph.measures.measure import Measure
 from clmorph.transport.displacement import Displacement

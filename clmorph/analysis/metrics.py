@@ -1,5 +1,7 @@
 """How good frames are: divergences on the path (paper, 4.3, Table 2), holes, sharpness, steps."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
@@ -16,121 +18,38 @@ from clmorph._shared.validation import (
 )
 from clmorph.backends.select import Backend
 from clmorph.errors import InputError
+from clmorph.frames.as_measure import (
+    FRAME_WEIGHTS,
+    MERGED_POINTS,
+    frame_measure,
+    particle_measure,
+)
 from clmorph.frames.filling import is_torn
-from clmorph.frames.render import Canvas, Sums
-from clmorph.images.color import from_space
+from clmorph.frames.sequence import check_frame_sequence
 from clmorph.images.pixels import resized
 from clmorph.measures.lift import LUMINANCE
-from clmorph.measures.measure import Measure
 from clmorph.measures.points import WeightedPoints
-from clmorph.pipeline import presets as defaults
 from clmorph.pipeline.result import Morph
 from clmorph.transport.divergence import Divergence, sinkhorn_divergence
+from clmorph.transport.options import SolverOptions
 from clmorph.transport.regularization import regularization
+
+__all__ = [
+    "frame_measure",
+    "hole_fraction",
+    "particle_measure",
+    "path_divergence",
+    "sharpness",
+    "step_sizes",
+]
 
 Array = NDArray[np.float64]
 
-#: How a frame is taken as a measure: every pixel the same mass (the paper), or its kernel mass.
-FRAME_WEIGHTS = ("kernel", "uniform")
 #: What frames are compared with: the target image, or the particles themselves.
 REFERENCES = ("target", "particles")
 
 #: The largest value that a coverage or a frame may have: its squares are still numbers.
 LARGEST = 1e30
-#: Points to which particles are merged before they are compared.
-MERGED_POINTS = 8192
-
-
-def frame_measure(
-    morph: Morph, t: float, *, weights: str = "kernel", sums: Sums | None = None
-) -> WeightedPoints:
-    """Take a frame as a measure, lifted as the images were.
-
-    Parameters
-    ----------
-    morph : Morph
-    t : float
-    weights : {"kernel", "uniform"}
-        A pixel's mass: what the particles' kernels give it, of the particles' mass in all; or
-        the same for every pixel, of sum 1 (the paper's way, which cannot see holes).
-    sums : Sums, optional
-        What `morph.sums(t)` or another rendering returned; the frame itself if not given.
-
-    Returns
-    -------
-    WeightedPoints
-
-    Raises
-    ------
-    InputError
-        If an option is none of these.
-    """
-    check_morph(morph)
-    t = check_number("t", t, 0.0, 1.0)
-    check_choice("weights", weights, FRAME_WEIGHTS)
-    canvas = morph.canvas(t)
-    if sums is None:
-        sums = morph.sums(t)
-        colors = morph.frame(t)[..., :3].astype(float)
-    else:
-        _check_sums(sums, canvas)
-        colors = from_space(sums.colors, morph.particles.path_space)
-    n = canvas.shape[0] * canvas.shape[1]
-    masses = np.full(n, 1.0 / n)
-    if weights == "kernel":
-        masses = np.maximum(sums.density.ravel(), 0.0)
-        masses = masses * (morph.particles.mass(t) / masses.sum())
-    return WeightedPoints(_lifted(morph, _frame_positions(canvas), colors.reshape(n, 3)), masses)
-
-
-def particle_measure(
-    morph: Morph, t: float, *, max_points: int = MERGED_POINTS
-) -> tuple[WeightedPoints, float]:
-    """Return the particles at time t as a measure, those near each other merged.
-
-    Parameters
-    ----------
-    morph : Morph
-    t : float
-    max_points : int
-        Particles are merged to their centers of mass in cells of one size, in position and
-        color, the smallest that leaves no more points than this.
-
-    Returns
-    -------
-    measure : WeightedPoints
-    spread : float
-        Root mean square distance of particles to the point they were merged to, in image sides;
-        0 if none was.
-    """
-    check_morph(morph)
-    t = check_number("t", t, 0.0, 1.0)
-    max_points = check_integer("max_points", max_points, 16, 1 << 20)
-    moving = morph.particles
-    mass = (1 - t) * moving.weights[:, 0] + t * moving.weights[:, 1]
-    links = moving.links[mass > 0]
-    mass = mass[mass > 0]
-    at = (1 - t) * moving.table[links[:, 0], :5] + t * moving.table[links[:, 1], :5]
-    points = _lifted(morph, at[:, :2], from_space(at[:, 2:], moving.path_space))
-    if len(points) <= max_points:
-        return WeightedPoints(points, mass), 0.0
-    low, high = points.min(axis=0), points.max(axis=0)
-    size = float(np.max(high - low)) / 64
-    while True:
-        # 12 bits an axis: the cell's number in one integer.
-        cells = np.minimum((points - low) / size, 4095).astype(np.int64)
-        key = cells @ (np.int64(1) << (12 * np.arange(points.shape[1], dtype=np.int64)))
-        _, group = np.unique(key, return_inverse=True)
-        count = int(group.max()) + 1
-        if count <= max_points:
-            break
-        size *= max(1.05, (count / max_points) ** 0.25)
-    merged = np.asarray(np.bincount(group, mass), float)
-    centers = np.column_stack(
-        [np.bincount(group, mass * points[:, d]) / merged for d in range(points.shape[1])]
-    )
-    spread = np.sum(mass * np.sum((points - centers[group]) ** 2, axis=1)) / mass.sum()
-    return WeightedPoints(centers, merged), float(np.sqrt(spread))
 
 
 def path_divergence(
@@ -141,7 +60,7 @@ def path_divergence(
     weights: str | None = None,
     blur: float | None = None,
     reach: float | None = None,
-    tol: float = defaults.TOL,
+    tol: float = SolverOptions.tol,
     max_points: int = MERGED_POINTS,
     backend: Backend | None = None,
     progress: Callable[[float], None] | None = None,
@@ -176,7 +95,7 @@ def path_divergence(
     InputError
         If an option cannot be used, or the morph's reach is a pair and none is given.
     """
-    check_morph(morph)
+    check_frame_sequence(morph)
     check_choice("to", to, REFERENCES)
     report = check_progress(progress)
     if morph.source.has_metric_map:
@@ -256,20 +175,6 @@ def step_sizes(frames: Sequence[ArrayLike]) -> Array:
     )
 
 
-def check_morph(morph: Morph) -> None:
-    """Raise InputError unless this is a Morph."""
-    if not isinstance(morph, Morph):
-        raise InputError(f"morph={shown(morph)}: expected a Morph, as clmorph.morph returns it")
-
-
-def _check_sums(sums: Sums, canvas: Canvas) -> None:
-    if not isinstance(sums, Sums) or np.shape(sums.density) != canvas.shape:
-        raise InputError(
-            f"sums={shown(sums)}: expected what morph.sums returns for the same t, of a frame of "
-            f"shape {canvas.shape}"
-        )
-
-
 def _as_array(name: str, values: ArrayLike, dimensions: tuple[int, ...]) -> Array:
     """Return an array of one of these numbers of dimensions; pictures have 3 or 4 channels."""
     wanted = "(H, W)" if dimensions == (2,) else "(H, W, 3) or (H, W, 4)"
@@ -280,19 +185,3 @@ def _as_array(name: str, values: ArrayLike, dimensions: tuple[int, ...]) -> Arra
     if not np.all(np.abs(array) <= LARGEST):
         raise InputError(f"{name} holds NaN, infinity or numbers above {LARGEST:g}")
     return array
-
-
-def _frame_positions(canvas: Canvas) -> Array:
-    """Where the pixels of a canvas stand in the common frame."""
-    y, x = np.mgrid[: canvas.shape[0], : canvas.shape[1]].reshape(2, -1)
-    pixels = np.column_stack((x, y)) - np.asarray(canvas.center)
-    return 0.5 + pixels / np.maximum(canvas.scale, 1e-9)
-
-
-def _lifted(morph: Morph, positions: Array, colors: Array) -> Array:
-    """(K, 5) points, as `Measure.points` lifts them."""
-    source = morph.source
-    return Measure(
-        positions, colors, np.ones(len(colors)), source.shape, source.color_weight, source.extent,
-        source.color_space, source.color_metric,
-    ).points  # fmt: skip

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from clmorph._shared.printable import percent, size_text, time_text
 from clmorph.measures.measure import Measure
 from clmorph.pipeline.memory import Memory
 from clmorph.transport.displacement import Displacement
@@ -270,31 +271,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list):
         return [_finite(part) for part in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def size_text(n_bytes: float) -> str:
-    """Return a number of bytes for people."""
-    units = ["bytes", "kB", "MB", "GB", "TB"]
-    power = 0
-    while n_bytes >= 999.5 and power < len(units) - 1:
-        n_bytes, power = n_bytes / 1000.0, power + 1
-    return f"{_three(n_bytes)} {units[power]}"
-
-
-def time_text(seconds: float) -> str:
-    """Return a time for people."""
-    if seconds < 0.9995:
-        return f"{_three(1000 * seconds)} ms"
-    return f"{_three(seconds)} s" if seconds < 99.5 else f"{_three(seconds / 60)} min"
-
-
-def percent(share: float) -> str:
-    """Return a share for people."""
-    return f"{_three(100 * share)} %"
-
-
-def _three(number: float) -> str:
-    """Return a number of at least 0 with about three digits, never as a power of ten."""
-    if number >= 99.95:
-        return f"{number:.0f}"
-    return f"{number:.3g}" if number >= 1e-4 or number == 0 else "under 0.0001"

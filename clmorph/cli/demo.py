@@ -11,19 +11,16 @@ from clmorph.cli.terminal import Stages
 from clmorph.images.pixels import as_rgb, fit, read_image
 from clmorph.output.playback import Motion
 from clmorph.output.recording import recorded
-from clmorph.output.save import Output, described, write_all
+from clmorph.output.save import Output, write_all
 from clmorph.pipeline.morph import morph
-from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.options import MorphOptions
 
 #: Pixels for each block of the sprite, and the photograph's side.
 SPRITE_ZOOM = 6
 PHOTO_SIDE = 256
-N_FRAMES = 40
-#: A little more blur than the preset: few colors meet many.
-PARAMETERS = {name: value for name, value in PRESETS["photo"].items() if name != "size"} | {
-    "blur": 0.04,
-    "color_weight": 1.0,
-}
+#: A little more blur than usual: few colors meet many. The pictures are drawn as large as they
+#: are.
+OPTIONS = MorphOptions(n_frames=40, size=None, blur=0.04, color_weight=1.0)
 
 
 def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -59,17 +56,18 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     files = [folder / f"clmorph-demo{ending}" for ending in (".gif", ".html", ".png")]
     outputs = [Output(file) for file in files]
     sprite, photo = demo_images()
-    result = morph(sprite, photo, N_FRAMES, backend=operations, progress=stages, **PARAMETERS)  # type: ignore[arg-type]
+    result = morph(sprite, photo, OPTIONS, backend=operations, progress=stages)
     with recorded(
-        [result], Motion(), keep=True, parameters=described([result]), folder=folder,
+        [result], Motion(), keep=True, parameters=result.parameters, folder=folder,
         progress=stages,
-    ) as film:  # fmt: skip
-        write_all(outputs, film, report=lambda output, share: stages(output.path.name, share))
-    options = ", ".join(f"{name} {value}" for name, value in PARAMETERS.items())
+    ) as recording:  # fmt: skip
+        write_all(outputs, recording, report=lambda output, share: stages(output.path.name, share))
+    shown = ("blur", "reach", "color_weight", "solve_size", "splatting")
+    options = ", ".join(f"{name} {getattr(OPTIONS, name)}" for name in shown)
     times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in stages.seconds.items())
     return [
         f"images: {sprite.shape[1]}x{sprite.shape[0]} to {photo.shape[1]}x{photo.shape[0]}, "
-        f"{N_FRAMES} frames, {len(result.particles)} particles",
+        f"{OPTIONS.n_frames} frames, {len(result.particles)} particles",
         f"parameters: {options}",
         f"solver: {result.potentials.message}",
         f"times: {times}",

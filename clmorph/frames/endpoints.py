@@ -15,16 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
-from clmorph.frames.render import CUT, Canvas, kernel_sum
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.pixels import resized
 from clmorph.measures.measure import Measure
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
 
 Array = NDArray[np.float64]
-
-#: What is done about the ends: nothing (Eq. 4 as printed), or the above.
-ENDPOINTS = ("exact", "paper")
 
 #: Kernel width of what is given back, in distances of pixels: hardly reaches the next.
 NARROW = 0.3
@@ -127,7 +125,7 @@ class Details:
         )
         pitch = max(1e-3, self._spacing * 0.5 * sum(canvas.scale))
         sigma = NARROW * pitch
-        splats = self._operations.place(particles, t, canvas.scale, canvas.center)
+        splats = self._operations.advect(particles, t, canvas.scale, canvas.center)
         numerator, denominator = self._operations.splat(splats, canvas.shape, sigma, CUT * sigma)
         # Where pixels have moved apart there is less to give back than an even spread has.
         even = kernel_sum(sigma) / pitch**2

@@ -6,12 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_choice, check_number, check_sigma
-from clmorph.frames.render import Canvas, Widths
-
-#: How particles become pixels: with the width of Eq. 4; with one of its own for every
-#: particle, by the density around it; with sigma_start throughout, or each into its nearest
-#: pixel (the paper's two baselines).
-SPLATTING = ("adaptive", "local", "fixed", "none")
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.options import SPLATTING, Splatting
+from clmorph.frames.render import Widths
 
 
 def effective_count(weights: NDArray[np.float64]) -> float:
@@ -46,7 +43,7 @@ class KernelWidth:
     gamma: float
     n_start: float
     n_end: float
-    splatting: str = "adaptive"
+    splatting: Splatting = "adaptive"
     curve: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def __post_init__(self) -> None:

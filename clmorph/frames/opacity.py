@@ -1,4 +1,4 @@
-"""What of a morph is opaque: areas and opacities that travel with the particles' masses."""
+"""Opacity of frames: areas and opacities that travel with the particles' masses."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +11,15 @@ from clmorph.transport.plan import Plan
 
 Array = NDArray[np.float64]
 
-#: Halfway, matter may thin out to this share before it lets the ground through: particles never
-#: spread quite evenly, and that alone must not show.
+#: Halfway, coverage may fall to this share before opacity falls: particles never spread quite
+#: evenly, and that alone must not show.
 THINNEST = 0.5
-#: Cracks up to twice this share of the canvas's longer side are closed: where matter parts, it
-#: tears like paper, and the ground would show as scratches.
+#: Cracks up to twice this share of the canvas's longer side are closed: where particles part, the
+#: background would show as scratches.
 CRACK = 0.015
 
 
-def matter(
+def alpha_particles(
     source: Measure, target: Measure, plan: Plan | Barycentric, moving: Particles
 ) -> Particles | None:
     """Return the area and the opacity of particles, as particles.
@@ -79,7 +79,7 @@ def opacity(sums: Sums, area: float, t: float) -> Array:
     Parameters
     ----------
     sums : Sums
-        Rendering of `matter`, holes left open.
+        Rendering of `alpha_particles`, holes left open.
     area : float
         Its mass at time t.
     t : float

@@ -8,6 +8,7 @@ same root mean square distance in every space; so a color weight means the same 
 from __future__ import annotations
 
 from functools import cache
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -18,7 +19,8 @@ from clmorph.errors import InputError
 
 #: "srgb": as stored (the paper). "linear": light. "lab", "luv": CIE 1976, D65. "oklab":
 #: Ottosson, "A perceptual color space for image processing" (2020).
-COLOR_SPACES = ("srgb", "linear", "lab", "luv", "oklab")
+ColorSpace = Literal["srgb", "linear", "lab", "luv", "oklab"]
+COLOR_SPACES = get_args(ColorSpace)
 
 #: Oklab: linear sRGB to cone responses, and their cube roots to lightness and two opponents.
 _TO_CONES = np.array(

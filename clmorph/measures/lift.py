@@ -9,14 +9,10 @@ from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_choice, check_color_weight
 from clmorph.backends.interface import MAX_POINTS
 from clmorph.errors import InputError
-from clmorph.images.color import as_metric, to_space
+from clmorph.images.color import ColorSpace, as_metric, to_space
 from clmorph.images.pixels import as_pixels, split_alpha
-from clmorph.measures.measure import EXTENTS, Measure, check_masses
-from clmorph.pipeline import presets as defaults
-
-#: Rules for the mass of a pixel, which its opacity multiplies: "uniform" is the same everywhere,
-#: "luminance" is Y of CIE XYZ, and "alpha" is the opacity alone, which the image must then have.
-MASSES = ("uniform", "luminance", "alpha")
+from clmorph.measures.measure import Measure, check_masses
+from clmorph.measures.options import EXTENTS, MASSES, Extent, LiftOptions, Mass
 
 #: Share of linear red, green and blue in luminance (ITU-R BT.709).
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -55,12 +51,12 @@ def pixel_positions(shape: tuple[int, int], extent: str = "true") -> Array:
 
 def lift(
     image: ArrayLike,
-    color_weight: float = defaults.COLOR_WEIGHT,
+    color_weight: float = LiftOptions.color_weight,
     *,
     weights: ArrayLike | None = None,
-    mass: str = "uniform",
-    extent: str = "true",
-    color_space: str = "srgb",
+    mass: Mass = LiftOptions.mass,
+    extent: Extent = LiftOptions.extent,
+    color_space: ColorSpace = LiftOptions.color_space,
     color_metric: ArrayLike | None = None,
 ) -> Measure:
     """Lift an image into position and color: X_i = (x_i, lambda c_i) (paper, 2.3).

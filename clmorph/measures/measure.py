@@ -11,10 +11,10 @@ from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_choice, check_color_weight, shown
 from clmorph.errors import InputError
 from clmorph.images.color import COLOR_SPACES, square_root, to_space
+from clmorph.measures.options import EXTENTS
 
 #: How pixels stand in the common frame: "true" keeps the aspect ratio, "unit" stretches
 #: each axis to [0, 1].
-EXTENTS = ("true", "unit")
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from clmorph._shared.validation import as_float, check_choice, check_flag, shown
 from clmorph.errors import InputError
+from clmorph.output.options import SCALINGS, Scaling, StyleOptions
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-#: How frames are enlarged and reduced; "auto" asks what the pictures are.
-SCALINGS = ("auto", "nearest", "smooth")
 #: Canvases with a name: of every frame its own, the first picture's, the last one's.
 CANVASES = ("dynamic", "source", "target")
 #: A canvas's largest side, in pixels.
@@ -24,7 +23,7 @@ MAX_SIDE = 16384
 
 
 @dataclass(frozen=True)
-class Look:
+class FrameStyle:
     """How frames come into a file.
 
     Attributes
@@ -50,7 +49,7 @@ class Look:
     """
 
     canvas: Any = "dynamic"
-    scaling: str = "auto"
+    scaling: Scaling = StyleOptions.scaling
     background: str | None = None
     lossless: bool = False
 
@@ -59,17 +58,28 @@ class Look:
         check_choice("scaling", self.scaling, SCALINGS)
         object.__setattr__(self, "lossless", check_flag("lossless", self.lossless))
         if self.background is not None:
-            from PIL import ImageColor
+            check_color(self.background)
 
-            try:
-                if not isinstance(self.background, str):
-                    raise TypeError
-                ImageColor.getrgb(self.background)
-            except (ValueError, AttributeError, TypeError):
-                raise InputError(
-                    f"background={shown(self.background)}: expected a color such as 'white' or "
-                    "'#204060'"
-                ) from None
+
+def check_color(color: Any) -> str:
+    """Return a color that Pillow knows.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    from PIL import ImageColor
+
+    try:
+        if not isinstance(color, str):
+            raise TypeError
+        ImageColor.getrgb(color)
+    except (ValueError, AttributeError, TypeError):
+        raise InputError(
+            f"background={shown(color)}: expected a color such as 'white' or '#204060'"
+        ) from None
+    return color
 
 
 def as_canvas(canvas: Any) -> Any:
@@ -111,13 +121,13 @@ class Framing:
 
     Parameters
     ----------
-    look : Look
+    style : FrameStyle
     shapes : iterable of (H, W, C)
         Of the frames, in the order of the morph's time; see `in_time`.
     pixelated : bool
         Whether the pictures are pixel art.
     side : int
-        Where the look leaves the size open, the longer side is at least this long.
+        Where the style leaves the size open, the longer side is at least this long.
     even : bool
         Round the size up to even numbers, for video.
     opacity : bool
@@ -133,7 +143,7 @@ class Framing:
 
     def __init__(
         self,
-        look: Look,
+        style: FrameStyle,
         shapes: Iterable[tuple[int, ...]],
         pixelated: bool,
         side: int = 1,
@@ -141,18 +151,18 @@ class Framing:
         opacity: bool = True,
     ) -> None:
         shapes = list(shapes)
-        self.nearest = pixelated if look.scaling == "auto" else look.scaling == "nearest"
+        self.nearest = pixelated if style.scaling == "auto" else style.scaling == "nearest"
         transparent = any(shape[2] == 4 for shape in shapes)
-        self.clear = transparent and opacity and look.background is None
-        self._background = look.background or ("white" if transparent else "black")
-        if look.canvas == "dynamic":
+        self.clear = transparent and opacity and style.background is None
+        self._background = style.background or ("white" if transparent else "black")
+        if style.canvas == "dynamic":
             self.size = self._size_for_all(shapes, side)
-        elif look.canvas == "source":
+        elif style.canvas == "source":
             self.size = shapes[0][1], shapes[0][0]
-        elif look.canvas == "target":
+        elif style.canvas == "target":
             self.size = shapes[-1][1], shapes[-1][0]
         else:
-            self.size = look.canvas
+            self.size = style.canvas
         self._inner = self.size
         if even:
             self.size = self.size[0] + self.size[0] % 2, self.size[1] + self.size[1] % 2

@@ -1,4 +1,4 @@
-"""When each frame is shown: easing, rests at the pictures, loops."""
+"""When each frame is shown: easing, holds at the pictures, loops."""
 
 import math
 from dataclasses import dataclass
@@ -9,17 +9,13 @@ from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_choice, check_number
 from clmorph.errors import InputError
-from clmorph.pipeline import presets as defaults
+from clmorph.output.options import EASES, FPS, LOOPS, Ease, Loop, PlaybackOptions
 
-#: How the morph's time runs while frames follow one another evenly.
-EASES = ("linear", "smooth", "in", "out")
-#: What comes after the last frame: the first, the way back, or nothing.
-LOOPS = ("loop", "ping-pong", "once")
 #: Frames a second from which a rest that is rounded to whole ones is not seen to be.
 SMOOTH = 30
 
 
-def eased(times: NDArray[np.float64], ease: str) -> NDArray[np.float64]:
+def eased(times: NDArray[np.float64], ease: Ease) -> NDArray[np.float64]:
     """Return the times of a morph that frames at even times show.
 
     Parameters
@@ -66,9 +62,9 @@ class Motion:
         If one of them cannot be used.
     """
 
-    fps: float = defaults.FPS
-    hold: float = defaults.HOLD
-    loop: str = "loop"
+    fps: float = FPS
+    hold: float = PlaybackOptions.hold
+    loop: Loop = PlaybackOptions.loop
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fps", check_number("fps", self.fps, 0.1, 240.0))
@@ -77,16 +73,16 @@ class Motion:
 
     @classmethod
     def lasting(
-        cls, duration: float, rests: NDArray[np.bool_], hold: float = defaults.HOLD,
-        loop: str = "loop",
+        cls, duration: float, holds: NDArray[np.bool_], hold: float = PlaybackOptions.hold,
+        loop: Loop = PlaybackOptions.loop,
     ) -> "Motion":  # fmt: skip
         """Return the motion whose one round takes so many seconds.
 
         Parameters
         ----------
         duration : float
-            Seconds, rests included.
-        rests : (n,) array of bool
+            Seconds, holds included.
+        holds : (n,) array of bool
             Frames that are pictures themselves.
         hold, loop
             As above.
@@ -94,17 +90,17 @@ class Motion:
         Raises
         ------
         InputError
-            If the rests alone take longer, or nothing would be seen to move.
+            If the holds alone take longer, or nothing would be seen to move.
         """
         check_number("duration", duration, 0.0, 1e6, open_low=True)
-        trial = cls(1.0, hold, loop).played(rests)
-        resting = sum(seconds - 1.0 for _, seconds in trial)
-        if duration <= resting:
+        trial = cls(1.0, hold, loop).played(holds)
+        held = sum(seconds - 1.0 for _, seconds in trial)
+        if duration <= held:
             raise InputError(
-                f"duration={duration:g} is no longer than the rests at the pictures, "
-                f"{resting:g} s: raise it, or lower hold"
+                f"duration={duration:g} is no longer than the holds at the pictures, "
+                f"{held:g} s: raise it, or lower hold"
             )
-        fps = len(trial) / (duration - resting)
+        fps = len(trial) / (duration - held)
         if not 0.1 <= fps <= 240.0:
             raise InputError(
                 f"duration={duration:g} means {fps:.3g} frames a second: expected 0.1 to 240; "
@@ -141,16 +137,35 @@ class Motion:
         there = list(range(n_frames))
         return there + there[-2:0:-1] if self.loop == "ping-pong" else there
 
-    def played(self, rests: NDArray[np.bool_]) -> list[tuple[int, float]]:
+    def played(self, holds: NDArray[np.bool_]) -> list[tuple[int, float]]:
         """Return the frames of one round and the seconds that each is shown.
 
         Parameters
         ----------
-        rests : (n,) array of bool
+        holds : (n,) array of bool
             Frames that are pictures themselves.
         """
         even = 1.0 / self.fps
-        return [(index, even + self.hold * rests[index]) for index in self.order(len(rests))]
+        return [(index, even + self.hold * holds[index]) for index in self.order(len(holds))]
+
+
+def motion_of(options: PlaybackOptions, holds: NDArray[np.bool_]) -> Motion:
+    """Return the motion that options ask for.
+
+    Parameters
+    ----------
+    options : PlaybackOptions
+    holds : (n,) array of bool
+        Frames that are pictures themselves.
+
+    Raises
+    ------
+    InputError
+        If the duration cannot be had.
+    """
+    if options.duration is not None:
+        return Motion.lasting(options.duration, holds, options.hold, options.loop)
+    return Motion(FPS if options.fps is None else options.fps, options.hold, options.loop)
 
 
 def whole_units(seconds: list[float], per_second: int | Fraction) -> list[int]:
@@ -167,13 +182,13 @@ def whole_units(seconds: list[float], per_second: int | Fraction) -> list[int]:
     list of int
         At least 1 each.
     """
-    # Halves, which rests easily leave, all go up, whatever the sums' own rounding: equal
+    # Halves, which holds easily leave, all go up, whatever the sums' own rounding: equal
     # durations side by side stay equal.
     ends = np.floor(np.cumsum(seconds) * float(per_second) + (0.5 + 1e-6)).astype(int)
     return [max(1, int(units)) for units in np.diff(ends, prepend=0)]
 
 
-def resting(n_images: int, n_frames: int) -> NDArray[np.bool_]:
+def held_frames(n_images: int, n_frames: int) -> NDArray[np.bool_]:
     """Return which frames of a chain of morphs are pictures themselves.
 
     Parameters
@@ -187,6 +202,6 @@ def resting(n_images: int, n_frames: int) -> NDArray[np.bool_]:
     -------
     ((n_images - 1) (n_frames - 1) + 1,) array of bool
     """
-    rests = np.zeros((n_images - 1) * (n_frames - 1) + 1, bool)
-    rests[:: n_frames - 1] = True
-    return rests
+    holds = np.zeros((n_images - 1) * (n_frames - 1) + 1, bool)
+    holds[:: n_frames - 1] = True
+    return holds

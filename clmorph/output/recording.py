@@ -10,17 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.progress import Share
+from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
+from clmorph.output.framing import FrameStyle, Framing, in_time
 from clmorph.output.playback import Motion
 from clmorph.output.spool import Spool
-from clmorph.pipeline.result import Morph
 
 #: Called with a stage's name and the share of it that is done.
 StageProgress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class Recording:
     """Frames and how they are played.
 
     Attributes
@@ -32,7 +33,7 @@ class Film:
         Theirs.
     times : (n,) array
         The morph's time in each, from 0 to the number of morphs; falling if reversed.
-    rests : (n,) array of bool
+    holds : (n,) array of bool
         Frames that are pictures themselves.
     motion : Motion
     pixelated : bool
@@ -46,11 +47,11 @@ class Film:
     frames: Sequence[NDArray[Any]]
     shapes: list[tuple[int, ...]]
     times: NDArray[np.float64]
-    rests: NDArray[np.bool_]
+    holds: NDArray[np.bool_]
     motion: Motion
     pixelated: bool = False
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    morphs: list[Morph] = field(default_factory=list)
+    morphs: list[FrameSequence] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -59,9 +60,16 @@ class Film:
         """Return a frame in 8 bits."""
         return to_bytes(self.frames[index])
 
+    def framing(
+        self, style: FrameStyle, side: int = 1, *, even: bool = False, opacity: bool = True
+    ) -> Framing:
+        """Return how frames are brought to one size; see `Framing` for the arguments."""
+        shapes = in_time(self.shapes, self.times)
+        return Framing(style, shapes, self.pixelated, side, even, opacity)
+
     def played(self) -> list[tuple[int, float]]:
         """Return the frames of one round, each with the seconds that it is shown."""
-        return self.motion.played(self.rests)
+        return self.motion.played(self.holds)
 
     @property
     def duration(self) -> float:
@@ -71,7 +79,7 @@ class Film:
 
 @contextmanager
 def recorded(
-    morphs: Iterable[Morph],
+    morphs: Iterable[FrameSequence],
     motion: Motion,
     *,
     reverse: bool = False,
@@ -82,7 +90,7 @@ def recorded(
     parameters: Mapping[str, Any] | None = None,
     folder: Path | None = None,
     progress: StageProgress | None = None,
-) -> Iterator[Film]:
+) -> Iterator[Recording]:
     """Render morphs one after the other, each frame once, onto disk.
 
     Parameters
@@ -100,38 +108,37 @@ def recorded(
     keep : bool
         Keep the morphs themselves too, for files that tell of them.
     pixelated, parameters
-        As in `Film`.
+        As in `Recording`.
     folder : Path, optional
         Where the frames are kept meanwhile.
     progress : callable, optional
 
     Yields
     ------
-    Film
+    Recording
     """
     report = progress or (lambda stage, share: None)
     times: list[float] = []
-    rests: list[bool] = []
-    kept: list[Morph] = []
+    holds: list[bool] = []
+    kept: list[FrameSequence] = []
     with Spool(np.float32 if exact else np.uint8, folder) as spool:
         for number, morph in enumerate(morphs):
             if keep:
                 kept.append(morph)
             name = f"frames {number + 1}" if n_morphs > 1 else "frames"
-            rendered = morph.__dict__.get("frames")  # those that were asked for before
             for index, t in enumerate(morph.times):
                 if number == 0 or index > 0:
-                    frame = morph.frame(float(t)) if rendered is None else rendered[index]
+                    frame = morph[index]
                     spool.append(frame if exact else to_bytes(frame))
                     times.append(number + float(t))
-                    rests.append(index in (0, len(morph.times) - 1))
+                    holds.append(index in (0, len(morph.times) - 1))
                 done = index + 1
                 report(name, Share(done / len(morph.times), f"{done} of {len(morph.times)}"))
         step = -1 if reverse else 1
         shapes = [spool.shape(index) for index in range(len(spool))]
-        yield Film(
+        yield Recording(
             _Backwards(spool) if reverse else spool, shapes[::step], np.array(times)[::step],
-            np.array(rests)[::step], motion, pixelated, dict(parameters or {}), kept,
+            np.array(holds)[::step], motion, pixelated, dict(parameters or {}), kept,
         )  # fmt: skip
 
 

@@ -1,15 +1,16 @@
 """Write a morph, or a chain of morphs, as files that people open."""
 
+from __future__ import annotations
+
 import itertools
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clmorph._shared.files import (
     atomic_paths,
@@ -20,76 +21,23 @@ from clmorph._shared.files import (
     is_empty,
     told_as_output,
 )
+from clmorph._shared.options import Options, specifications, unknown_option
 from clmorph._shared.printable import printable
-from clmorph._shared.progress import Report
-from clmorph._shared.validation import check_choice, check_flag, check_progress, is_path, shown
+from clmorph._shared.validation import check_choice, check_progress, is_path, shown
 from clmorph.errors import InputError, OutputError
-from clmorph.output.formats import animation, archive, gif, page, sheet, stills, video
-from clmorph.output.framing import Look
-from clmorph.output.playback import Motion
-from clmorph.output.provenance import as_text
-from clmorph.output.recording import Film, StageProgress, recorded
-from clmorph.pipeline import presets as defaults
-from clmorph.pipeline.result import Morph
+from clmorph.frames.sequence import FrameSequence
+from clmorph.output.formats.format import PACE, SIZES, Format
+from clmorph.output.formats.registry import FORMATS, by_ending, usual_endings
+from clmorph.output.framing import FrameStyle
+from clmorph.output.metadata import as_text
+from clmorph.output.options import PlaybackOptions, StyleOptions
+from clmorph.output.playback import Motion, motion_of
+from clmorph.output.recording import Recording, StageProgress, recorded
 
-#: Options that decide about sizes and colors, and about when frames are shown.
-SIZES = ("canvas", "scaling", "background")
-PACE = ("fps", "duration", "hold", "loop")
+#: The options of `save`.
+SAVED = ("fps", "duration", "hold", "loop", "reverse", *specifications(StyleOptions))
 
-
-@dataclass(frozen=True)
-class Format:
-    """A kind of file.
-
-    Attributes
-    ----------
-    endings : tuple of str
-        The first is the usual one.
-    write : callable
-        Called with a film, a look, a new path and what to report to.
-    animated : bool
-        Whether it lasts as long as its frames are shown.
-    exact : bool
-        Whether it holds floats.
-    keep : bool
-        Whether it tells of the morphs, not of their frames alone.
-    check : callable
-        Raises OutputError if something that it needs is missing.
-    heeds : tuple of str
-        Which options about looks and motion make a difference to it.
-    fastest : float
-        Frames a second that it can hold, at most; a GIF's briefer frames are taken for long ones
-        by browsers.
-    """
-
-    endings: tuple[str, ...]
-    write: Callable[[Film, Look, Path, Report], None]
-    animated: bool = False
-    exact: bool = False
-    keep: bool = False
-    check: Callable[[], None] = lambda: None
-    heeds: tuple[str, ...] = (*SIZES, *PACE)
-    fastest: float = math.inf
-
-
-#: Every kind of file by its name; those without an ending of their own need to be named.
-FORMATS: dict[str, Format] = {
-    "gif": Format((".gif",), gif.write, animated=True, fastest=50.0),
-    "webp": Format(
-        (".webp",), animation.write_webp, animated=True, heeds=(*SIZES, *PACE, "lossless")
-    ),
-    "apng": Format((".apng",), animation.write_apng, animated=True),
-    "mp4": Format((".mp4",), video.write_mp4, True, check=video.check_video),
-    "webm": Format((".webm",), video.write_webm, True, check=video.check_video),
-    "html": Format((".html", ".htm"), page.write, keep=True),
-    "sheet": Format((".png",), sheet.write, heeds=SIZES),
-    "npz": Format((".npz",), archive.write, exact=True, keep=True, heeds=()),
-    "tiff": Format((".tif", ".tiff"), stills.write_tiff, heeds=SIZES),
-    "png-folder": Format(("",), stills.write_png_folder, heeds=SIZES),
-    "tiff-folder": Format((), stills.write_tiff_folder, heeds=SIZES),
-}
-#: Formats whose result is a folder.
-FOLDERS = ("png-folder", "tiff-folder")
+__all__ = ["FORMATS", "PACE", "SIZES", "Output", "metadata_of", "save", "write_all"]
 
 
 class Output:
@@ -120,19 +68,19 @@ class Output:
             raise OutputError(f"path={shown(path)}: expected a path such as 'out.gif'")
         self.path = Path(path)
         if format is not None:
-            self.name = check_choice("format", format, tuple(FORMATS))
+            self.format = FORMATS[check_choice("format", format, tuple(FORMATS))]
         else:
-            self.name = _by_ending(self.path)
-        self.format = FORMATS[self.name]
+            self.format = _by_ending(self.path)
+        self.name = self.format.name
         self.format.check()
-        is_folder = self.name in FOLDERS
+        is_folder = self.format.folder
         self.place = check_place(self.path) if is_folder else check_file_place(self.path)
         with told_as_output(path):
             empty = self.place.is_dir() and is_empty(self.place)
         if is_folder and self.place.exists() and not empty:
             raise OutputError(
                 f"{path} exists already; choose a new or empty folder, or a name ending in "
-                + ", ".join(_endings())
+                + ", ".join(usual_endings())
             )
 
     @property
@@ -151,19 +99,19 @@ class Output:
 
 def write_all(
     outputs: Sequence[Output],
-    film: Film,
-    look: Look | None = None,
+    recording: Recording,
+    style: FrameStyle | None = None,
     report: Callable[[Output, float], None] | None = None,
     texts: Mapping[Path, str] | None = None,
 ) -> None:
-    """Write a film to one or several places: all of them whole, or none.
+    """Write a recording to one or several places: all of them whole, or none.
 
     Parameters
     ----------
     outputs : sequence of Output
-    film : Film
+    recording : Recording
         Recorded with the `exact` and `keep` of their formats.
-    look : Look, optional
+    style : FrameStyle, optional
     report : callable, optional
         Called with an output and the share of it done.
     texts : mapping, optional
@@ -174,7 +122,7 @@ def write_all(
     OutputError
         If one cannot be written.
     InputError
-        If the film cannot be shown that way, or two of them have one place.
+        If the recording cannot be shown that way, or two of them have one place.
     """
     beside = dict(texts or {})
     places = [*(output.place for output in outputs), *beside]
@@ -184,41 +132,29 @@ def write_all(
             with told_as_output(place):
                 new.write_text(text, "utf-8")
         for output, new in zip(outputs, made, strict=False):
-            told = partial(report, output) if report else (lambda share: None)
+            report_share = partial(report, output) if report else (lambda share: None)
             with told_as_output(output.path):
-                output.format.write(film, look or Look(), new, told)
+                output.format.write(recording, style or FrameStyle(), new, report_share)
 
 
-def _endings() -> list[str]:
-    return [ending for format in FORMATS.values() for ending in format.endings[:1] if ending]
-
-
-def _by_ending(path: Path) -> str:
-    ending = path.suffix.lower()
-    for name, format in FORMATS.items():
-        if ending in format.endings:
-            return name
+def _by_ending(path: Path) -> Format:
+    format = by_ending(path)
+    if format is not None:
+        return format
     raise OutputError(
-        f"{path}: unknown ending {path.suffix!r}; expected {', '.join(_endings())}, or none for "
-        "a folder of PNG frames"
+        f"{path}: unknown ending {path.suffix!r}; expected {', '.join(usual_endings())}, or none "
+        "for a folder of PNG frames"
     )
 
 
 def save(
-    morphs: Morph | Sequence[Morph],
+    morphs: FrameSequence | Sequence[FrameSequence],
     path: str | PathLike[str],
     *,
     format: str | None = None,
-    fps: float = defaults.FPS,
-    hold: float = defaults.HOLD,
-    loop: str = "loop",
-    reverse: bool = False,
-    canvas: Any = "dynamic",
-    scaling: str = "auto",
-    background: str | None = None,
-    lossless: bool = False,
     parameters: Mapping[str, Any] | None = None,
     progress: StageProgress | None = None,
+    **given: Any,
 ) -> None:
     """Write a morph, or a chain of morphs, to a file chosen by its ending.
 
@@ -232,17 +168,14 @@ def save(
         page a frame), or no ending (a new folder of PNG frames). What is there is replaced.
     format : str, optional
         A name of `FORMATS`, in place of the ending.
-    fps, hold, loop
-        See `clmorph.output.playback.Motion`.
-    reverse : bool
-        From the end to the beginning.
-    canvas, scaling, background, lossless
-        See `clmorph.output.framing.Look`.
     parameters : mapping, optional
-        What the file is to tell of its making, in place of the morphs' own parameters; JSON
-        must take it.
+        Metadata of the file in place of the recipe; JSON must take it.
     progress : callable, optional
         Called with a stage's name and the share of it done.
+    **given
+        Options of `PlaybackOptions` (fps, duration, hold, loop, reverse) and of `StyleOptions`
+        (canvas, scaling, background, lossless), in place of those that the first morph was made
+        with.
 
     Raises
     ------
@@ -251,14 +184,15 @@ def save(
     OutputError
         If it cannot be written there.
     """
-    chain = [morphs] if isinstance(morphs, Morph) else morphs
-    a_chain = isinstance(chain, list | tuple) and len(chain) > 0
-    if not a_chain or not all(isinstance(morph, Morph) for morph in chain):
-        raise InputError("morphs: expected a Morph, or a sequence of at least one")
+    chain = _as_chain(morphs)
     output = Output(path, format)
-    look, motion = Look(canvas, scaling, background, lossless), Motion(fps, hold, loop)
+    for name in given:
+        if name not in SAVED:
+            raise InputError(unknown_option(name, dict.fromkeys(SAVED)))
+    options = chain[0].options.replace(**given)
+    style = FrameStyle(options.canvas, options.scaling, options.background, options.lossless)
+    motion = motion_of(options, held_frames_of(chain))
     output.check_motion(motion)
-    reverse = check_flag("reverse", reverse)
     report = check_progress(progress)
     for one, other in itertools.pairwise(chain):
         if not np.array_equal(one.target.colors, other.source.colors):
@@ -267,24 +201,60 @@ def save(
             )
     if parameters is not None and not isinstance(parameters, Mapping):
         raise InputError(f"parameters={shown(parameters)}: expected a mapping that JSON takes")
-    told = parameters if parameters is not None else described(chain)
+    metadata = parameters if parameters is not None else metadata_of(chain, options)
     try:
-        as_text(told)
+        as_text(metadata)
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(
             f"parameters: expected what JSON takes ({printable(str(error), 120)})"
         ) from None
     with recorded(
-        chain, motion, n_morphs=len(chain), reverse=reverse,
+        chain, motion, n_morphs=len(chain), reverse=options.reverse,
         exact=output.format.exact, keep=output.format.keep,
-        pixelated=all(morph.pixelated for morph in chain), parameters=told,
+        pixelated=all(morph.pixelated for morph in chain), parameters=metadata,
         folder=output.folder, progress=progress,
-    ) as film:  # fmt: skip
-        write_all([output], film, look, lambda place, share: report(f"write {path}", share))
+    ) as recording:  # fmt: skip
+        write_all([output], recording, style, lambda place, share: report(f"write {path}", share))
 
 
-def described(morphs: Sequence[Morph]) -> dict[str, Any]:
-    """Return what a file tells of the morphs in it."""
-    from clmorph._shared.version import __version__
+def _as_chain(
+    morphs: FrameSequence | Sequence[FrameSequence],
+) -> Sequence[FrameSequence]:
+    """Return one morph or several as a sequence of morphs."""
+    if isinstance(morphs, FrameSequence):
+        return [morphs]
+    if isinstance(morphs, list | tuple) and len(morphs) > 0:
+        chain = [morph for morph in morphs if isinstance(morph, FrameSequence)]
+        if len(chain) == len(morphs):
+            return chain
+    raise InputError("morphs: expected a Morph, or a sequence of at least one")
 
-    return {"clmorph": __version__, "morphs": [dict(morph.parameters) for morph in morphs]}
+
+def held_frames_of(chain: Sequence[FrameSequence]) -> NDArray[np.bool_]:
+    """Return which frames of a chain are pictures themselves: (n,) array."""
+    steps = [len(morph) - 1 for morph in chain]
+    holds = np.zeros(1 + sum(steps), bool)
+    holds[[0, *np.cumsum(steps)]] = True
+    return holds
+
+
+def metadata_of(morphs: Sequence[FrameSequence], options: Options) -> dict[str, Any]:
+    """Return the recipe that a file holds.
+
+    Parameters
+    ----------
+    morphs : sequence of Morph
+    options : Options
+        The first morph's, with those given when it is saved. Morphs that were made with other
+        options than the first are listed one by one.
+    """
+    pace = {*specifications(PlaybackOptions), *specifications(StyleOptions)}
+    each = [
+        {name: value for name, value in morph.options.as_dict().items() if name not in pace}
+        for morph in morphs
+    ]
+    metadata = dict(morphs[0].parameters)
+    if all(one == each[0] for one in each):
+        return metadata | {"options": options.outside()}
+    del metadata["options"]
+    return metadata | {"morphs": [morph.options.outside() for morph in morphs]}

@@ -11,9 +11,10 @@ from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.memory import affordable, estimate, predict_pairs
 from clmorph.transport.barycentric import Barycentric, barycentric_plan
+from clmorph.transport.options import MAX_DRAWS
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_building import transport_plan
-from clmorph.transport.plan_sampling import MAX_DRAWS, draw_pairs, n_draws, sample_plan
+from clmorph.transport.plan_sampling import draw_pairs, n_draws, sample_plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.pruning import REMEDY, check_reachable
 from clmorph.transport.refine_plan import drawn, refined
@@ -26,8 +27,8 @@ MUCH_DROPPED = 0.25
 
 def default_memory(operations: Operations) -> float | None:
     """Return how many bytes a morph may take; None if the backend does not say what it has."""
-    device = getattr(operations, "device", None)
-    return None if device is None else MEMORY_SHARE * float(device.global_mem_size)
+    memory = operations.memory_bytes
+    return None if memory is None else MEMORY_SHARE * float(memory)
 
 
 def make_plan(

@@ -7,19 +7,17 @@ prefers grain to blur: an average of colors is a color that no particle has.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_progress
-from clmorph.analysis.metrics import check_morph, frame_measure, particle_measure
 from clmorph.errors import InputError
+from clmorph.frames.as_measure import frame_measure, particle_measure
 from clmorph.frames.render import Widths
+from clmorph.frames.sequence import check_frame_sequence
+from clmorph.pipeline.result import Morph
 from clmorph.transport.divergence import sinkhorn_divergence
-
-if TYPE_CHECKING:
-    from clmorph.pipeline.result import Morph
 
 #: What those are told whose morph has none.
 NO_DIVERGENCE = (
@@ -38,7 +36,7 @@ POINTS = 4096
 
 
 def optimal_curve(
-    morph: "Morph", *, progress: Callable[[float], None] | None = None
+    morph: Morph, *, progress: Callable[[float], None] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the kernel widths whose frames are nearest to the particles.
 
@@ -60,7 +58,7 @@ def optimal_curve(
         If the morph has no divergence: its reach is a pair, or its metric of color a map.
     """
     report = check_progress(progress)
-    check_morph(morph)
+    check_frame_sequence(morph)
     if morph.source.has_metric_map or isinstance(morph.potentials.reach, tuple):
         raise InputError(NO_DIVERGENCE)
     widths = []
@@ -70,7 +68,7 @@ def optimal_curve(
     return KNOTS, np.array(widths)
 
 
-def _objective(morph: "Morph", t: float) -> Callable[[float], float]:
+def _objective(morph: Morph, t: float) -> Callable[[float], float]:
     """Divergence of the frame at t to its particles, as a function of the width."""
     particles, _ = particle_measure(morph, t, max_points=POINTS)
     blur, reach = morph.potentials.blur, morph.potentials.reach

@@ -13,11 +13,11 @@ from clmorph._shared.validation import check_integer, check_number
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_measures
-from clmorph.pipeline import presets as defaults
 from clmorph.transport.certificate import Certificate
+from clmorph.transport.options import Reach, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.pruning import check_log_threshold, no_pair_kept
-from clmorph.transport.regularization import Reach, Regularization, regularization
+from clmorph.transport.regularization import Regularization, regularization
 
 #: Largest number of pairs of a dense plan; coordinate differences alone then take 1.3 GB.
 MAX_PAIRS = 1 << 25
@@ -86,10 +86,10 @@ def _log(weights: Array) -> Array:
 def sinkhorn(
     source: MeasureLike,
     target: MeasureLike,
-    blur: float = defaults.BLUR,
-    reach: Reach = defaults.REACH,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
+    blur: float | None = None,
+    reach: Reach = None,
+    tol: float = SolverOptions.tol,
+    max_iter: int = SolverOptions.max_iter,
     *,
     epsilon: float | None = None,
     rho: float | tuple[float, float] | None = None,

@@ -17,12 +17,12 @@ from clmorph._shared.validation import check_progress, shown
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.pipeline import presets as defaults
 from clmorph.transport._solver.iteration import REPEATED
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS
 from clmorph.transport._solver.state import ROUNDING_MARGIN
 from clmorph.transport.certificate import SUM_ERROR
+from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.regularization import Regularization, regularization
 from clmorph.transport.sinkhorn import (
@@ -129,15 +129,15 @@ class Divergence:
 def sinkhorn_divergence(
     source: MeasureLike,
     target: MeasureLike,
-    blur: float = defaults.BLUR,
-    reach: float | None = defaults.REACH,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
+    blur: float | None = None,
+    reach: float | None = None,
+    tol: float = SolverOptions.tol,
+    max_iter: int = SolverOptions.max_iter,
     backend: Backend = "auto",
     *,
     epsilon: float | None = None,
     rho: float | None = None,
-    precision: str = "auto",
+    precision: Precision = "auto",
     cross: Potentials | None = None,
     progress: Progress | None = None,
 ) -> Divergence:

@@ -8,9 +8,9 @@ from clmorph._shared.validation import check_choice, check_number
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError, PlanSizeError
 from clmorph.measures.points import MeasureLike, as_pair
-from clmorph.pipeline import presets as defaults
 from clmorph.transport._solver.plan_softmin import plan_softmin
 from clmorph.transport._solver.problem import largest_cost
+from clmorph.transport.options import RELATIVE_TO, PruningOptions, RelativeTo
 from clmorph.transport.plan import BYTES_PER_PAIR, Plan
 from clmorph.transport.potentials import Potentials, check_origin, check_potentials
 from clmorph.transport.pruning import (
@@ -21,20 +21,16 @@ from clmorph.transport.pruning import (
     undecided,
 )
 
-#: The largest pair that the share `relative` refers to: that of the row or the column, or that of
-#: the whole plan.
-RELATIVE_TO = ("rows", "plan")
-
 
 def transport_plan(
     source: MeasureLike,
     target: MeasureLike,
     potentials: Potentials,
     *,
-    relative: float = defaults.PLAN_RELATIVE,
-    relative_to: str = "rows",
+    relative: float = PruningOptions.relative,
+    relative_to: RelativeTo = "rows",
     log_threshold: float | None = None,
-    max_bytes: float = defaults.MAX_PLAN_BYTES,
+    max_bytes: float = PruningOptions.max_bytes,
     backend: Backend = "auto",
 ) -> Plan:
     """Build the plan of potentials (paper, Eq. 2) as sparse rows, never as a dense matrix.

@@ -13,11 +13,9 @@ from clmorph.backends.select import Backend
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.plan_softmin import plan_softmin, row_mass, row_softmin
 from clmorph.transport._solver.softmin import Softmin
+from clmorph.transport.options import MAX_DRAWS
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials
-
-#: Largest number of draws from one row.
-MAX_DRAWS = 4096
 
 
 @dataclass(frozen=True, eq=False)

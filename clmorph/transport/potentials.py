@@ -12,7 +12,8 @@ from clmorph._shared.typing import Array
 from clmorph._shared.validation import as_float, check_blur, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.transport.certificate import Certificate
-from clmorph.transport.regularization import Reach, regularization
+from clmorph.transport.options import Reach
+from clmorph.transport.regularization import regularization
 
 #: The ways in which a solve can end, and what each means.
 STATUSES = {

@@ -13,13 +13,12 @@ import numpy as np
 
 from clmorph._shared.typing import Array, BoolArray
 from clmorph._shared.validation import check_number
-from clmorph.backends.interface import PlanRows
+from clmorph.backends.records import PlanRows
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure
+from clmorph.transport.options import HIGHEST, LOWEST
 from clmorph.transport.potentials import Potentials
 
-#: Bounds of log_threshold, in nats.
-LOWEST, HIGHEST = -1e4, 1e4
 #: Pairs within this many rounding errors of the threshold are decided in float64.
 ROUNDINGS = 4.0
 #: Rounding of float32, in which devices hold log pi_ij of a pair.
@@ -98,7 +97,7 @@ def undecided(log_threshold: float, rounding: float) -> float:
     ----------
     log_threshold : float
     rounding : float
-        By how many nats rounding may change a softmin, see `interface.rounding_error`.
+        By how many nats rounding may change a softmin, see `rounding_error`.
     """
     return ROUNDINGS * (rounding + FLOAT32 * max(1.0, abs(log_threshold)))
 

@@ -20,18 +20,24 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning, DeviceError, InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.pipeline import presets as defaults
 from clmorph.transport._solver import geomloss as geomloss_schedule
 from clmorph.transport._solver.iteration import SHORT, Iteration
 from clmorph.transport._solver.multiscale import Multiscale
 from clmorph.transport._solver.problem import Problem, largest_cost
 from clmorph.transport._solver.softmin import MANY_PAIRS
 from clmorph.transport._solver.state import measured
+from clmorph.transport.options import (
+    METHODS,
+    PRECISIONS,
+    AlgorithmOptions,
+    Method,
+    Precision,
+    Reach,
+    SolverOptions,
+)
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Reach, Regularization, regularization
+from clmorph.transport.regularization import Regularization, regularization
 
-METHODS = ("certified", "geomloss")
-PRECISIONS = ("auto", "float32", "float64")
 #: Values of `multiscale` beside True and False.
 MULTISCALE = ("auto",)
 #: Relative difference of masses up to which balanced transport is feasible.
@@ -44,17 +50,17 @@ MAX_SPREAD = 1e12
 def sinkhorn(
     source: MeasureLike,
     target: MeasureLike,
-    blur: float = defaults.BLUR,
-    reach: Reach = defaults.REACH,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
+    blur: float | None = None,
+    reach: Reach = None,
+    tol: float = SolverOptions.tol,
+    max_iter: int = SolverOptions.max_iter,
     backend: Backend = "auto",
     *,
     epsilon: float | None = None,
     rho: float | tuple[float, float] | None = None,
-    method: str = "certified",
-    scaling: float = defaults.SCALING,
-    precision: str = "auto",
+    method: Method = AlgorithmOptions.method,
+    scaling: float = AlgorithmOptions.scaling,
+    precision: Precision = AlgorithmOptions.precision,
     start: Potentials | None = None,
     progress: Progress | None = None,
     multiscale: bool | str = "auto",
@@ -70,12 +76,14 @@ def sinkhorn(
     ----------
     source, target : Measure, WeightedPoints, or (weights (N,), points (N, D))
         Both in one space, with D from 1 to 11. Weights may be zero, and their sums may differ.
-    blur : float
-        Entropic length scale, in the points' unit (for images: the longer side).
+    blur : float, optional
+        Entropic length scale, in the points' unit (for images: the longer side); 0.03 if neither
+        `blur` nor `epsilon` is given.
     reach : float, None, or a pair (reach_source, reach_target)
         Length scale, in the points' unit, of the marginal penalty: beyond it mass is destroyed and
-        created rather than moved. None is balanced transport, which needs equal masses. With a
-        pair, each half belongs to one measure; one None is semi-unbalanced transport.
+        created rather than moved. None, the default, is balanced transport, which needs equal
+        masses. With a pair, each half belongs to one measure; one None is semi-unbalanced
+        transport.
     tol : float
         Residual at which the iteration stops, in units of epsilon.
     max_iter : int
@@ -171,10 +179,10 @@ def sinkhorn(
 
 
 def check_solver_options(
-    tol: Any = defaults.TOL,
-    max_iter: Any = defaults.MAX_ITER,
+    tol: Any = SolverOptions.tol,
+    max_iter: Any = SolverOptions.max_iter,
     method: Any = "certified",
-    scaling: Any = defaults.SCALING,
+    scaling: Any = AlgorithmOptions.scaling,
     precision: Any = "auto",
     multiscale: Any = "auto",
 ) -> tuple[float, int, float]:

@@ -16,11 +16,9 @@ from PIL import Image
 
 from clmorph.cli.main import main
 from clmorph.cli.main import morph as command
-from clmorph.output.provenance import (
-    as_exif,
-    as_png_info,
-    read_parameters,
-)
+from clmorph.output.formats.webp import as_exif
+from clmorph.output.metadata import as_png_info
+from clmorph.output.provenance import read_parameters
 from fuzzing.mutations import mutated
 
 #: Seconds that one run may take.

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 import clmorph
-from clmorph.analysis.metrics import frame_measure, particle_measure
+from clmorph.frames.as_measure import frame_measure, particle_measure
 from paper import drawing
 from paper.pair import SMOOTHNESS
 from paper.setting import (

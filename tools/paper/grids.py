@@ -3,7 +3,8 @@
 import numpy as np
 
 import clmorph
-from clmorph.frames.render import canvas_at, render
+from clmorph.frames.canvas import canvas_at
+from clmorph.frames.render import render
 from paper import drawing
 from paper.setting import AS_PAPER_TEXT, Section, Setting, paper_morph
 from paper.timelines import TIMES, sizes

@@ -1,1 +1,1 @@
-"""Files that people open: one module for each kind."""
+"""The formats of files: one module each, which exports its writer, endings, reader and limits."""

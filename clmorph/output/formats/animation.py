@@ -1,82 +1,72 @@
-"""Animated WebP and PNG, with opacity, frame by frame."""
+"""What the writers of animated images share: sizes, durations, and what changes between frames."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clmorph._shared.progress import Report, Share, tracked
-from clmorph.output.formats.apng import write_frames
-from clmorph.output.formats.limits import check_sides, encoding
-from clmorph.output.framing import Framing, Look, in_time
+import numpy as np
+from numpy.typing import NDArray
+
 from clmorph.output.playback import whole_units
-from clmorph.output.provenance import as_exif, as_png_info
-from clmorph.output.recording import Film
+from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 #: Longer side, in pixels, to which small frames are enlarged.
 SIDE = 384
-#: Of lossy WebP, 0 to 100.
-WEBP_QUALITY = 90
-#: WebP's longest side, in pixels: it has 14 bits.
-WEBP_MOST = 16383
+
+#: Left, top, right, bottom, in pixels; the last two are one beyond.
+Box = tuple[int, int, int, int]
 
 
-def _framing(film: Film, look: Look) -> Framing:
-    return Framing(look, in_time(film.shapes, film.times), film.pixelated, SIDE)
+def timed_frames(recording: Recording, per_second: int) -> list[tuple[int, int]]:
+    """Return the frames of one round: each one's index and its duration in a format's unit.
 
-
-def _milliseconds(film: Film) -> list[int]:
-    return whole_units([seconds for _, seconds in film.played()], 1000)
-
-
-@encoding("WebP")
-def write_webp(film: Film, look: Look, file: Path, report: Report) -> None:
-    """Write an animated WebP, lossy unless the look says otherwise."""
-    count = len(film.played())
-    framing = _framing(film, look)
-    check_sides(framing.size, WEBP_MOST, "WebP")
-    _reel(film, framing, report).save(
-        file, format="WEBP", save_all=True, duration=_milliseconds(film),
-        loop=int(film.motion.loop == "once"), lossless=look.lossless, exact=look.lossless,
-        quality=80 if look.lossless else WEBP_QUALITY, method=4, exif=as_exif(film.parameters),
-    )  # fmt: skip
-    report(Share(1.0, f"{count} of {count}"))
-
-
-def _reel(film: Film, framing: Framing, report: Report) -> "Image":
-    """Return an image of many frames, of which one is there at a time.
-
-    Pillow makes a list of images that are to be appended, but asks one of many frames for one
-    after the other. When it asks for the next, those before are written.
+    Parameters
+    ----------
+    recording : Recording
+    per_second : int
+        Units a second.
     """
-    from PIL import Image
-
-    order = [index for index, _ in film.played()]
-    reel = Image.new("RGBA" if framing.clear else "RGB", framing.size)
-    shown = -1
-
-    def seek(number: int) -> None:
-        nonlocal shown
-        # Afterwards Pillow winds back to the first, for which there is no use.
-        if number != shown + 1:
-            return
-        if number > 0:
-            report(Share(number / len(order), f"{number} of {len(order)}"))
-        reel.paste(framing(film.picture(order[number])))
-        shown = number
-
-    reel.__dict__.update(n_frames=len(order), seek=seek)
-    return reel
+    played = recording.played()
+    units = whole_units([seconds for _, seconds in played], per_second)
+    return [(index, duration) for (index, _), duration in zip(played, units, strict=True)]
 
 
-@encoding("animated PNG")
-def write_apng(film: Film, look: Look, file: Path, report: Report) -> None:
-    """Write an animated PNG."""
-    framing = _framing(film, look)
-    durations = _milliseconds(film)
-    shown = [(index, time) for (index, _), time in zip(film.played(), durations, strict=True)]
-    frames = ((framing(film.picture(index)), time) for index, time in tracked(shown, report))
-    with file.open("wb") as stream:
-        plays = int(film.motion.loop == "once")
-        write_frames(stream, frames, durations, plays, as_png_info(film.parameters))
+def box_of(where: NDArray[np.bool_]) -> Box:
+    """Return the smallest box around marked pixels; one pixel if none is, as no file has less.
+
+    Parameters
+    ----------
+    where : (H, W) array of bool
+    """
+    rows, columns = np.flatnonzero(where.any(axis=1)), np.flatnonzero(where.any(axis=0))
+    if len(rows) == 0:
+        return 0, 0, 1, 1
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
+def changed(before: "Image | None", after: "Image") -> Box:
+    """Return the box outside which two pictures of one size and mode are the same.
+
+    Parameters
+    ----------
+    before : Image or None
+        None for the first frame, of which all is new.
+    after : Image
+    """
+    if before is None:
+        return 0, 0, after.width, after.height
+    differs = np.asarray(before) != np.asarray(after)
+    return box_of(differs if differs.ndim == 2 else differs.any(axis=2))
+
+
+def pieces(units: int, most: int) -> list[int]:
+    """Return a duration as a sum of durations that a file can hold.
+
+    Parameters
+    ----------
+    units, most : int
+        At least 1.
+    """
+    whole, rest = divmod(units, most)
+    return [most] * whole + [rest] * (rest > 0)

@@ -1,4 +1,4 @@
-"""Animated PNG, written frame by frame.
+"""``.apng``: animated PNG, with opacity, written frame by frame.
 
 Pillow's own writer keeps all frames until the last is there. Here each is a PNG of Pillow's,
 whose data become a frame's. Chunks as in Portable Network Graphics (PNG) Specification, Third
@@ -9,17 +9,37 @@ import struct
 import zlib
 from collections.abc import Iterable, Iterator
 from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from clmorph.output.formats.deltas import changed, pieces
+from clmorph._shared.progress import Report, tracked
+from clmorph.output.formats.animation import SIDE, changed, pieces, timed_frames
+from clmorph.output.formats.format import Format
+from clmorph.output.formats.limits import encoding
+from clmorph.output.framing import FrameStyle
+from clmorph.output.metadata import as_png_info, read_png
+from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:
     from PIL.Image import Image
     from PIL.PngImagePlugin import PngInfo
 
+#: The first bytes of every PNG.
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 #: A delay's numerator has 16 bits; this is in milliseconds.
 LONGEST = 65_000
+
+
+@encoding("animated PNG")
+def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
+    """Write an animated PNG."""
+    framing = recording.framing(style, SIDE)
+    timed = timed_frames(recording, 1000)
+    frames = ((framing(recording.picture(index)), time) for index, time in tracked(timed, report))
+    with file.open("wb") as stream:
+        plays = int(recording.motion.loop == "once")
+        durations = [duration for _, duration in timed]
+        write_frames(stream, frames, durations, plays, as_png_info(recording.parameters))
 
 
 def write_frames(
@@ -41,7 +61,7 @@ def write_frames(
     plays : int
         How often it is played; 0 for ever.
     info : PngInfo
-        What the head of the file tells.
+        The metadata.
     """
     count = sum(len(pieces(duration, LONGEST)) for duration in durations)
     before: Image | None = None
@@ -87,3 +107,11 @@ def _chunks(picture: "Image", info: "PngInfo | None") -> Iterator[tuple[bytes, b
         length, kind = struct.unpack_from(">I4s", whole, place)
         yield kind, whole[place + 8 : place + 8 + length]
         place += 12 + length
+
+
+FORMATS = (
+    Format(
+        name="apng", endings=(".apng",), write=write, read_metadata=read_png,
+        signatures=((0, SIGNATURE[:4]),), animated=True,
+    ),
+)  # fmt: skip

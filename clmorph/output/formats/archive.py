@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.printable import reason_of
+from clmorph._shared.printable import reason_of, size_text
 from clmorph._shared.progress import Report, tracked
 from clmorph._shared.validation import check_number, is_path, shown
-from clmorph.analysis.report import size_text
 from clmorph.errors import InputError
-from clmorph.output.bounded import UNREADABLE, from_text
+from clmorph.output.bounded import MAX_HEAD, UNREADABLE, from_text
+from clmorph.output.formats.format import Format
 from clmorph.output.formats.npz import Arrays
-from clmorph.output.framing import Look
-from clmorph.output.provenance import as_text
-from clmorph.output.recording import Film
+from clmorph.output.framing import FrameStyle
+from clmorph.output.metadata import as_text
+from clmorph.output.recording import Recording
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
 
@@ -67,17 +67,17 @@ class Archive:
         return self.plans[0]
 
 
-def write(film: Film, look: Look, file: Path, report: Report) -> None:
+def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
     """Write frames (floats), times, parameters, and the plan and potentials of each morph.
 
     Frames of one size are one array ``frames`` (n, H, W, C); others are ``frame_0000`` and so
     on.
     """
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:
-        _write_frames(archive, film, report)
-        _write_array(archive, "times", film.times)
-        _write_array(archive, "parameters", np.array(as_text(film.parameters)))
-        for number, morph in enumerate(film.morphs):
+        _write_frames(archive, recording, report)
+        _write_array(archive, "times", recording.times)
+        _write_array(archive, "parameters", np.array(as_text(recording.parameters)))
+        for number, morph in enumerate(recording.morphs):
             _write_array(archive, f"f_{number}", morph.potentials.f)
             _write_array(archive, f"g_{number}", morph.potentials.g)
             names = PLAN_ARRAYS if isinstance(morph.plan, Plan) else BARYCENTRIC_ARRAYS
@@ -85,24 +85,24 @@ def write(film: Film, look: Look, file: Path, report: Report) -> None:
                 _write_array(archive, f"plan_{number}_{name}", getattr(morph.plan, name))
 
 
-def _write_frames(archive: zipfile.ZipFile, film: Film, report: Report) -> None:
+def _write_frames(archive: zipfile.ZipFile, recording: Recording, report: Report) -> None:
     """Write frames one by one: they need not all be in memory."""
-    indices = range(len(film))
-    if len(set(film.shapes)) > 1:
-        digits = max(4, len(str(len(film) - 1)))
+    indices = range(len(recording))
+    if len(set(recording.shapes)) > 1:
+        digits = max(4, len(str(len(recording) - 1)))
         for index in tracked(indices, report):
-            _write_array(archive, f"frame_{index:0{digits}d}", film.frames[index])
+            _write_array(archive, f"frame_{index:0{digits}d}", recording.frames[index])
         return
-    first = film.frames[0]
+    first = recording.frames[0]
     header = {
         "descr": np.lib.format.dtype_to_descr(first.dtype),
         "fortran_order": False,
-        "shape": (len(film), *first.shape),
+        "shape": (len(recording), *first.shape),
     }
     with archive.open(_entry("frames"), "w", force_zip64=True) as stream:
         np.lib.format.write_array_header_1_0(stream, header)
         for index in tracked(indices, report):
-            stream.write(np.ascontiguousarray(film.frames[index]).tobytes())
+            stream.write(np.ascontiguousarray(recording.frames[index]).tobytes())
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
@@ -207,3 +207,17 @@ def _read_plan(arrays: Arrays, number: int) -> Plan | Barycentric:
         raise ValueError("its plan is none")
     parts: dict[str, Any] = found | {"shape": (rows, columns)}
     return Plan(**parts)
+
+
+def read_metadata(path: Path) -> str:
+    """Return the metadata text of an archive: its array ``parameters``."""
+    with Arrays(path, max_bytes=MAX_HEAD) as arrays:
+        return arrays.text("parameters")
+
+
+FORMATS = (
+    Format(
+        name="npz", endings=(".npz",), write=write, read_metadata=read_metadata,
+        signatures=((0, b"PK"),), exact=True, keep=True, relevant_options=(),
+    ),
+)  # fmt: skip

@@ -1,4 +1,4 @@
-"""GIF: one palette over all frames, so that nothing flickers."""
+"""``.gif``: one palette for all frames, so that nothing flickers."""
 
 import struct
 from collections.abc import Iterable
@@ -10,18 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.progress import Report, tracked
-from clmorph.output.formats.deltas import box_of, changed, pieces
+from clmorph.output.formats.animation import SIDE, box_of, changed, pieces, timed_frames
+from clmorph.output.formats.format import Format
 from clmorph.output.formats.limits import check_sides, encoding
-from clmorph.output.framing import Framing, Look, in_time
-from clmorph.output.playback import whole_units
-from clmorph.output.provenance import as_text
-from clmorph.output.recording import Film
+from clmorph.output.framing import FrameStyle, Framing
+from clmorph.output.metadata import as_text, image_head
+from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-#: Longer side, in pixels, to which small frames are enlarged.
-SIDE = 384
 #: Colors of the palette; one more entry stands for what is transparent.
 COLORS = 255
 #: Entries that colors between the pictures' have at least.
@@ -37,22 +35,29 @@ MOST = 65535
 
 
 @encoding("GIF")
-def write(film: Film, look: Look, file: Path, report: Report) -> None:
+def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
     """Write an animated GIF; opacity is rounded to all or nothing."""
-    seconds = [seconds for _, seconds in film.played()]
-    framing = Framing(look, in_time(film.shapes, film.times), film.pixelated, SIDE)
+    framing = recording.framing(style, SIDE)
     check_sides(framing.size, MOST, "GIF")
-    palette = _palette(film, framing)
-    shown = list(zip((index for index, _ in film.played()), whole_units(seconds, 100), strict=True))
+    palette = _palette(recording, framing)
+    shown = timed_frames(recording, 100)
     frames = (
-        (_in_palette(framing(film.picture(index)), palette, framing.nearest), units)
+        (_in_palette(framing(recording.picture(index)), palette, framing.nearest), units)
         for index, units in tracked(shown, report)
     )
-    head: dict[str, Any] = {"comment": as_text(film.parameters).encode()}
-    if film.motion.loop != "once":
+    head: dict[str, Any] = {"comment": as_text(recording.parameters).encode()}
+    if recording.motion.loop != "once":
         head["loop"] = 0
     with file.open("wb") as stream:
         _write_frames(stream, frames, head, framing.clear)
+
+
+def read_metadata(path: Path) -> str:
+    """Return the metadata text of a GIF: its comment."""
+    from PIL.GifImagePlugin import GifImageFile
+
+    with image_head(GifImageFile, path) as image:
+        return bytes(image.info.get("comment", b"")).decode("ascii", "replace")
 
 
 def _write_frames(
@@ -91,19 +96,19 @@ def _still(picture: "Image", duration: int, options: dict[str, Any]) -> bytes:
     return stream.getvalue()
 
 
-def _palette(film: Film, framing: Framing) -> "Image":
+def _palette(recording: Recording, framing: Framing) -> "Image":
     """Return an image whose palette suits all frames, and what stands beside them.
 
     Of pixel art the pictures' own colors are kept exactly, if they leave enough entries.
     """
     from PIL import Image
 
-    pixels = sum(height * width for height, width, _ in film.shapes)
+    pixels = sum(height * width for height, width, _ in recording.shapes)
     step = max(1, pixels // SAMPLES)
     # Copies: a view would keep its frame.
-    samples = [_colors(film, framing, index)[::step].copy() for index in range(len(film))]
+    samples = [_colors(recording, framing, index)[::step].copy() for index in range(len(recording))]
     pool = np.concatenate(samples)
-    exact = _exact(film, framing)
+    exact = _exact(recording, framing)
     # Every one of these counts, also those that the samples have missed.
     chosen = _as_rgb(np.union1d(pool, exact))
     if len(chosen) > COLORS:
@@ -119,21 +124,21 @@ def _palette(film: Film, framing: Framing) -> "Image":
     return palette
 
 
-def _exact(film: Film, framing: Framing) -> NDArray[np.uint32]:
+def _exact(recording: Recording, framing: Framing) -> NDArray[np.uint32]:
     """Return the colors that must not change: the bars', and of pixel art the pictures' own."""
     ground = np.array([framing.ground or (0, 0, 0)], np.uint8)
     bars = own = _as_numbers(ground)
     if framing.nearest:
-        for index in np.flatnonzero(film.rests):
-            own = np.union1d(own, _colors(film, framing, int(index)))
+        for index in np.flatnonzero(recording.holds):
+            own = np.union1d(own, _colors(recording, framing, int(index)))
             if len(own) > COLORS - LEAST:
                 return bars
     return own
 
 
-def _colors(film: Film, framing: Framing, index: int) -> NDArray[np.uint32]:
+def _colors(recording: Recording, framing: Framing, index: int) -> NDArray[np.uint32]:
     """Return the colors of a frame's pixels that are seen, as numbers."""
-    picture = np.asarray(framing.unscaled(film.picture(index)))
+    picture = np.asarray(framing.unscaled(recording.picture(index)))
     seen = picture[picture[..., 3] >= OPAQUE] if picture.shape[2] == 4 else picture
     return _as_numbers(seen[..., :3].reshape(-1, 3))
 
@@ -174,3 +179,11 @@ def _nearest(picture: "Image", palette: "Image") -> "Image":
     colors = Image.fromarray(indices, "L").convert("P")
     colors.putpalette(entries.tobytes())
     return colors
+
+
+FORMATS = (
+    Format(
+        name="gif", endings=(".gif",), write=write, read_metadata=read_metadata,
+        signatures=((0, b"GIF8"),), animated=True, fastest=50.0,
+    ),
+)  # fmt: skip

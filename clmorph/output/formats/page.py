@@ -1,5 +1,6 @@
 """``.html``: a page that plays the morph, without network."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,42 +10,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.progress import Report, Share
-from clmorph.output.framing import Framing, Look, in_time
-from clmorph.output.html import Curve, Field, Scene, write_page
+from clmorph.output.formats.format import Format
+from clmorph.output.framing import FrameStyle
+from clmorph.output.html import Curve, Field, Scene, read_parameters, write_page
 from clmorph.output.html.summary import arrow_field, known_parameters, morph_curves
-from clmorph.output.recording import Film
+from clmorph.output.recording import Recording
 
 
-def write(film: Film, look: Look, file: Path, report: Report) -> None:
-    """Write one self-contained page, frames at their own sizes unless the look names one."""
-    span = float(max(len(film.morphs), 1))
-    backwards = bool(film.times[0] > film.times[-1])
-    fields = list(_fields(film))
+def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
+    """Write one self-contained page, frames at their own sizes unless the style names one."""
+    span = float(max(len(recording.morphs), 1))
+    backwards = bool(recording.times[0] > recording.times[-1])
+    fields = list(_fields(recording))
     scene = Scene(
-        frames=_Frames(film, look, report),
-        times=span - film.times if backwards else film.times,
-        fps=film.motion.fps,
-        hold=film.motion.hold,
-        loop=film.motion.loop,
-        title=_title(film),
-        pixelated=film.pixelated if look.scaling == "auto" else look.scaling == "nearest",
-        curves=_curves(film),
+        frames=_Frames(recording, style, report),
+        times=span - recording.times if backwards else recording.times,
+        fps=recording.motion.fps,
+        hold=recording.motion.hold,
+        loop=recording.motion.loop,
+        title=_title(recording),
+        pixelated=recording.pixelated if style.scaling == "auto" else style.scaling == "nearest",
+        curves=_curves(recording),
         field=[_turned(field, span) for field in fields] if backwards else fields,
-        parameters=film.parameters,
-        facts=known_parameters(film.morphs[0]) if len(film.morphs) == 1 else {},
-        extent=film.morphs[0].source.extent,
+        parameters=recording.parameters,
+        facts=known_parameters(recording.morphs[0]) if len(recording.morphs) == 1 else {},
+        extent=recording.morphs[0].source.extent,
     )
     with file.open("w", encoding="ascii", newline="\n") as stream:
         write_page(scene, stream)
 
 
 class _Frames(Sequence[NDArray[np.uint8]]):
-    """A film's frames as the look wants them, each reported when it is read."""
+    """A recording's frames as the style wants them, each reported when it is read."""
 
-    def __init__(self, film: Film, look: Look, report: Report) -> None:
-        self._film, self._report = film, report
-        self._framing = Framing(look, in_time(film.shapes, film.times), film.pixelated)
-        self._scaled = look.canvas != "dynamic"
+    def __init__(self, recording: Recording, style: FrameStyle, report: Report) -> None:
+        self._film, self._report = recording, report
+        self._framing = recording.framing(style)
+        self._scaled = style.canvas != "dynamic"
 
     def __len__(self) -> int:
         return len(self._film)
@@ -57,30 +59,30 @@ class _Frames(Sequence[NDArray[np.uint8]]):
         return np.asarray(picture)
 
 
-def _title(film: Film) -> str:
-    """Return the pictures' names, where the film's parameters tell them."""
-    images = film.parameters.get("images") or ()
+def _title(recording: Recording) -> str:
+    """Return the pictures' names, where the recording's parameters tell them."""
+    images = recording.parameters.get("images") or ()
     names = [Path(str(image["file"])).stem for image in images if "file" in image]
-    ordered = names[::-1] if film.times[0] > film.times[-1] else names
+    ordered = names[::-1] if recording.times[0] > recording.times[-1] else names
     return " → ".join(ordered) or "Morph"
 
 
-def _curves(film: Film) -> list[Curve]:
+def _curves(recording: Recording) -> list[Curve]:
     """Return the curves of each morph of a chain, one after the other."""
-    owner = np.minimum(film.times.astype(int), len(film.morphs) - 1)
+    owner = np.minimum(recording.times.astype(int), len(recording.morphs) - 1)
     curves: dict[str, Curve] = {}
-    for number, morph in enumerate(film.morphs):
+    for number, morph in enumerate(recording.morphs):
         mine = owner == number
-        for curve in morph_curves(morph, film.times[mine] - number):
+        for curve in morph_curves(morph, recording.times[mine] - number):
             whole = curves.setdefault(
-                curve.name, Curve(curve.name, curve.unit, np.zeros(len(film)))
+                curve.name, Curve(curve.name, curve.unit, np.zeros(len(recording)))
             )
             whole.values[mine] = curve.values
     return list(curves.values())
 
 
-def _fields(film: Film) -> list[Field]:
-    found = [(number, arrow_field(morph)) for number, morph in enumerate(film.morphs)]
+def _fields(recording: Recording) -> list[Field]:
+    found = [(number, arrow_field(morph)) for number, morph in enumerate(recording.morphs)]
     return [
         replace(field, begin=float(number), end=number + 1.0)
         for number, field in found
@@ -94,3 +96,16 @@ def _turned(field: Field, span: float) -> Field:
         field, positions=field.positions + field.displacement, displacement=-field.displacement,
         begin=span - field.end, end=span - field.begin,
     )  # fmt: skip
+
+
+def read_metadata(path: Path) -> str:
+    """Return the metadata text of a page."""
+    return json.dumps(read_parameters(path))
+
+
+FORMATS = (
+    Format(
+        name="html", endings=(".html", ".htm"), write=write, read_metadata=read_metadata,
+        signatures=((0, b"<!doctype"),), keep=True,
+    ),
+)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Frames as pictures of their own: folders of PNG or TIFF, and a TIFF of many pages."""
+"""Frames as pictures of their own: ``.tif`` with many pages, and folders of PNG or TIFF."""
 
 import math
 from collections.abc import Iterator
@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clmorph._shared.progress import Report, tracked
+from clmorph.output.formats.format import SIZES, Format
 from clmorph.output.formats.limits import encoding
-from clmorph.output.framing import Framing, Look, in_time
-from clmorph.output.provenance import as_png_info, as_text
-from clmorph.output.recording import Film
+from clmorph.output.framing import FrameStyle
+from clmorph.output.metadata import (
+    IMAGE_DESCRIPTION,
+    as_png_info,
+    as_text,
+    image_head,
+    read_png,
+)
+from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -21,34 +28,36 @@ if TYPE_CHECKING:
 DEFLATE = "tiff_adobe_deflate"
 
 
-def _pictures(film: Film, look: Look, report: Report) -> Iterator["Image"]:
-    """Return the frames as they are, each at its own size, unless the look names one."""
-    framing = Framing(look, in_time(film.shapes, film.times), film.pixelated)
-    for index in tracked(range(len(film)), report):
-        frame = film.picture(index)
-        yield framing.unscaled(frame) if look.canvas == "dynamic" else framing(frame)
+def _pictures(recording: Recording, style: FrameStyle, report: Report) -> Iterator["Image"]:
+    """Return the frames as they are, each at its own size, unless the style names one."""
+    framing = recording.framing(style)
+    for index in tracked(range(len(recording)), report):
+        frame = recording.picture(index)
+        yield framing.unscaled(frame) if style.canvas == "dynamic" else framing(frame)
 
 
-def _names(film: Film) -> Iterator[str]:
-    digits = max(4, len(str(len(film) - 1)))
-    return (f"frame-{number:0{digits}d}" for number in range(len(film)))
+def _names(recording: Recording) -> Iterator[str]:
+    digits = max(4, len(str(len(recording) - 1)))
+    return (f"frame-{number:0{digits}d}" for number in range(len(recording)))
 
 
 @encoding("PNG")
-def write_png_folder(film: Film, look: Look, folder: Path, report: Report) -> None:
+def write_png_folder(recording: Recording, style: FrameStyle, folder: Path, report: Report) -> None:
     """Write a new folder of PNG files."""
     folder.mkdir()
-    info = as_png_info(film.parameters)
-    for name, picture in zip(_names(film), _pictures(film, look, report), strict=True):
+    info = as_png_info(recording.parameters)
+    for name, picture in zip(_names(recording), _pictures(recording, style, report), strict=True):
         picture.save(folder / f"{name}.png", pnginfo=info)
 
 
 @encoding("TIFF")
-def write_tiff_folder(film: Film, look: Look, folder: Path, report: Report) -> None:
+def write_tiff_folder(
+    recording: Recording, style: FrameStyle, folder: Path, report: Report
+) -> None:
     """Write a new folder of TIFF files."""
     folder.mkdir()
-    text = as_text(film.parameters)
-    for name, picture in zip(_names(film), _pictures(film, look, report), strict=True):
+    text = as_text(recording.parameters)
+    for name, picture in zip(_names(recording), _pictures(recording, style, report), strict=True):
         # In memory first: where a disk is full, libtiff itself would print about it.
         file = BytesIO()
         picture.save(file, format="TIFF", compression=DEFLATE, description=text)
@@ -56,18 +65,44 @@ def write_tiff_folder(film: Film, look: Look, folder: Path, report: Report) -> N
 
 
 @encoding("TIFF")
-def write_tiff(film: Film, look: Look, file: Path, report: Report) -> None:
+def write_tiff(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
     """Write one TIFF with a page for each frame."""
     import tifffile
 
-    text = as_text(film.parameters)
+    text = as_text(recording.parameters)
     # Offsets of 32 bits reach no further than 4 GiB; deflating hardly lengthens anything.
-    large = sum(math.prod(shape) + 2 * len(text) for shape in film.shapes) > 2**32 - 2**24
+    large = sum(math.prod(shape) + 2 * len(text) for shape in recording.shapes) > 2**32 - 2**24
     # Pillow's own writer keeps all pages until the last is there.
     with tifffile.TiffWriter(file, bigtiff=large) as tiff:
-        for picture in _pictures(film, look, report):
+        for picture in _pictures(recording, style, report):
             tiff.write(
                 np.asarray(picture), photometric="rgb", planarconfig="contig",
                 extrasamples=["unassalpha"] if picture.mode == "RGBA" else None,
                 compression="zlib", description=text, software=False, metadata=None,
             )  # fmt: skip
+
+
+def read_tiff(path: Path) -> str:
+    """Return the metadata text of a TIFF: the description of its first page."""
+    from PIL.TiffImagePlugin import TiffImageFile
+
+    with image_head(TiffImageFile, path) as image:
+        return str(image.getexif().get(IMAGE_DESCRIPTION, ""))
+
+
+#: The first bytes of a TIFF: either order of bytes, with offsets of 32 or 64 bits.
+TIFF_SIGNATURES = tuple((0, start) for start in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"))
+FORMATS = (
+    Format(
+        name="tiff", endings=(".tif", ".tiff"), write=write_tiff, read_metadata=read_tiff,
+        signatures=TIFF_SIGNATURES, relevant_options=SIZES,
+    ),
+    Format(
+        name="png-folder", endings=("",), write=write_png_folder, read_metadata=read_png,
+        signatures=((0, b"\x89PNG"),), folder=True, relevant_options=SIZES,
+    ),
+    Format(
+        name="tiff-folder", endings=(), write=write_tiff_folder, read_metadata=read_tiff,
+        signatures=TIFF_SIGNATURES, folder=True, relevant_options=SIZES,
+    ),
+)  # fmt: skip

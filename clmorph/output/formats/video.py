@@ -1,30 +1,66 @@
-"""MP4 (H.264) and WebM (VP9), by the FFmpeg that PyAV brings."""
+"""``.mp4`` (H.264) and ``.webm`` (VP9), by the FFmpeg that PyAV brings."""
 
 from fractions import Fraction
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from clmorph._shared.progress import Report, tracked
 from clmorph.errors import OutputError
+from clmorph.output.formats.format import Format
 from clmorph.output.formats.limits import check_sides, encoding
-from clmorph.output.framing import Framing, Look, in_time
+from clmorph.output.framing import FrameStyle
+from clmorph.output.metadata import as_text
 from clmorph.output.playback import whole_units
-from clmorph.output.provenance import as_text
-from clmorph.output.recording import Film
+from clmorph.output.recording import Recording
 
 #: Longer side, in pixels, to which small frames are enlarged.
 SIDE = 720
-#: Each container's codec and its options: constant quality, visually near to lossless.
-CODECS: dict[str, tuple[str, dict[str, str]]] = {
-    # x264's macroblock tree reads memory that nothing was written to, so bytes would differ.
-    "mp4": ("libx264", {"crf": "14", "preset": "medium", "mbtree": "0"}),
-    "webm": ("libvpx-vp9", {"crf": "16", "b": "0", "deadline": "good", "cpu-used": "3"}),
-}
-#: What they are called, and their encoders' longest side, in pixels.
-LIMITS = {"mp4": ("H.264", 16384), "webm": ("VP9", 65536)}
+
+
+class Container(NamedTuple):
+    """A container of video, and the encoder for it.
+
+    Attributes
+    ----------
+    codec : str
+        FFmpeg's name of the encoder.
+    settings : dict
+        The encoder's options: constant quality, visually near to lossless.
+    options : dict
+        The container's options.
+    words : str
+        The name of the encoding, for people.
+    longest_side : int
+        The encoder's longest side, in pixels.
+    opacity : bool
+        Whether it can hold opacity.
+    """
+
+    codec: str
+    settings: dict[str, str]
+    options: dict[str, str]
+    words: str
+    longest_side: int
+    opacity: bool
+
+
+#: By FFmpeg's name of the container.
+CONTAINERS = {
+    "mp4": Container(
+        # x264's macroblock tree reads memory that nothing was written to, so bytes would differ.
+        "libx264", {"crf": "14", "preset": "medium", "mbtree": "0"},
+        # The index stands first, so that a page plays the file while it loads.
+        {"movflags": "+faststart+use_metadata_tags"}, "H.264", 16384, opacity=False,
+    ),
+    "webm": Container(
+        "libvpx-vp9", {"crf": "16", "b": "0", "deadline": "good", "cpu-used": "3"},
+        {}, "VP9", 65536, opacity=True,
+    ),
+}  # fmt: skip
 #: ITU-T H.273 code points: the matrix and primaries of BT.709, the transfer curve of sRGB.
 BT709, SRGB_CURVE = 1, 13
 
@@ -38,40 +74,27 @@ def check_video() -> None:
         )
 
 
-def write_mp4(film: Film, look: Look, file: Path, report: Report) -> None:
-    """Write H.264 in an MP4 that plays while it loads."""
-    _write(film, look, file, report, "mp4", {"movflags": "+faststart+use_metadata_tags"})
-
-
-def write_webm(film: Film, look: Look, file: Path, report: Report) -> None:
-    """Write VP9 in a WebM; with opacity if the frames have it."""
-    _write(film, look, file, report, "webm", {})
-
-
 def _write(
-    film: Film, look: Look, file: Path, report: Report, container: str, options: dict[str, str]
+    container: str, recording: Recording, style: FrameStyle, file: Path, report: Report
 ) -> None:
+    """Write a video, in WebM with opacity if the frames have it."""
     import av
     from av.video.reformatter import ColorRange, Colorspace
 
-    framing = Framing(
-        look, in_time(film.shapes, film.times), film.pixelated, SIDE, even=True,
-        opacity=container == "webm",
-    )  # fmt: skip
-    words, most = LIMITS[container]
-    check_sides(framing.size, most, words)
+    codec, settings, options, words, longest_side, opacity = CONTAINERS[container]
+    framing = recording.framing(style, SIDE, even=True, opacity=opacity)
+    check_sides(framing.size, longest_side, words)
     pixels = "yuva420p" if framing.clear else "yuv420p"
-    codec, settings = CODECS[container]
-    played = film.played()
+    played = recording.played()
     lengths = [seconds for _, seconds in played]
-    rate = film.motion.rate_for(lengths)
-    # Without the encoder's version and a random number: the same film gives the same bytes.
+    rate = recording.motion.rate_for(lengths)
+    # Without the encoder's version and a random number: the same recording gives the same bytes.
     options = options | {"fflags": "+bitexact"}
     with (
         encoding(words, av.error.FFmpegError),
         av.open(str(file), "w", format=container, options=options) as movie,
     ):
-        movie.metadata["comment"] = as_text(film.parameters)
+        movie.metadata["comment"] = as_text(recording.parameters)
         stream: Any = movie.add_stream(codec, rate=rate, options=settings)
         stream.width, stream.height = framing.size
         stream.pix_fmt = pixels
@@ -88,12 +111,12 @@ def _write(
         lasting = whole_units(lengths, rate)
         shown = [(index, repeats) for (index, _), repeats in zip(played, lasting, strict=True)]
         for index, repeats in tracked(shown, report):
-            picture: Any = np.asarray(framing(film.picture(index)))
+            picture: Any = np.asarray(framing(recording.picture(index)))
             image = av.VideoFrame.from_ndarray(picture, mode).reformat(
                 format=pixels, dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG,
                 interpolation="LANCZOS",
             )  # fmt: skip
-            # A picture that rests is a frame that is repeated.
+            # A picture that holds is a frame that is repeated.
             for _ in range(repeats):
                 image.pts, image.time_base = number, Fraction(1) / rate
                 movie.mux(stream.encode(image))
@@ -101,3 +124,29 @@ def _write(
             if number == sum(lasting):
                 # Before the last report: what the encoder has looked ahead at is still to come.
                 movie.mux(stream.encode(None))
+
+
+def _read_metadata(container: str, path: Path) -> str:
+    """Return the metadata text of a video: its comment."""
+    if find_spec("av") is None:
+        raise ValueError('videos need the extra "video": pip install "clmorph[video]"')
+    import av
+
+    try:
+        # A stream, and one kind of file: what stands in it must not name others to be opened.
+        with path.open("rb") as file, av.open(file, format=container) as movie:
+            tags = {name.lower(): value for name, value in movie.metadata.items()}
+    except av.error.FFmpegError as error:
+        raise ValueError(error.strerror or error) from None
+    return tags.get("comment", "")
+
+
+FORMATS = tuple(
+    Format(
+        name=name, endings=(f".{name}",), write=partial(_write, name),
+        read_metadata=partial(_read_metadata, name), signatures=(signature,), animated=True,
+        check=check_video,
+    )
+    # In MP4 four bytes of length stand before the signature.
+    for name, signature in (("mp4", (4, b"ftyp")), ("webm", (0, b"\x1aE\xdf\xa3")))
+)  # fmt: skip

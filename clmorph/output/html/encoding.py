@@ -45,7 +45,7 @@ class Encoder:
 
     Each frame may take an equal share of what is left, or a quarter more if it is without loss;
     what it does not need is the next ones'. From the first frame on that needs more, all are
-    compressed with loss, as a film that changes between both would flicker.
+    compressed with loss, as a recording that changes between both would flicker.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ WHOLE = 1e-9
 def frame_boxes(sizes: Sequence[tuple[int, int]], times: Array, extent: str = "true") -> Array:
     """Return the size of each frame, borders of pixels included, and of the unit square in it.
 
-    The canvas grows by whole pixels (`clmorph.frames.render.canvas_at`), but what is on it moves
+    The canvas grows by whole pixels (`clmorph.frames.canvas.canvas_at`), but what is on it moves
     smoothly: pixels per unit go evenly from one image's to the next.
 
     Parameters

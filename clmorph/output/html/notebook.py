@@ -5,9 +5,9 @@ from html import escape
 import numpy as np
 
 from clmorph._shared.validation import check_number
+from clmorph.frames.sequence import FrameSequence
 from clmorph.output.html.page import page
 from clmorph.output.html.summary import scene_of
-from clmorph.pipeline.result import Morph
 
 #: The most that frames may take in a notebook's output, in bytes of text.
 NOTEBOOK_BYTES = 8e6
@@ -18,7 +18,7 @@ HEIGHT = 640
 
 
 def repr_html(
-    morph: Morph, *, max_pixels: float = NOTEBOOK_PIXELS, max_bytes: float = NOTEBOOK_BYTES
+    morph: FrameSequence, *, max_pixels: float = NOTEBOOK_PIXELS, max_bytes: float = NOTEBOOK_BYTES
 ) -> str:
     """Return a morph for a notebook: an iframe that holds its page and may reach nothing else.
 

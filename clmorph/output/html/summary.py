@@ -6,10 +6,10 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
 from clmorph.output.html.scene import Curve, Field, Scene
-from clmorph.pipeline import presets as defaults
-from clmorph.pipeline.result import Morph
+from clmorph.output.options import FPS, PlaybackOptions
 from clmorph.transport.plan import Plan
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ class RenderedFrames(Sequence[NDArray[np.uint8]]):
     times : (n,) array
     """
 
-    def __init__(self, morph: Morph, times: Array) -> None:
+    def __init__(self, morph: FrameSequence, times: Array) -> None:
         self._morph = morph
         self._times = times
 
@@ -47,12 +47,12 @@ class RenderedFrames(Sequence[NDArray[np.uint8]]):
 
 
 def scene_of(
-    morph: Morph,
+    morph: FrameSequence,
     frames: Sequence[NDArray[Any]] | None = None,
     *,
     times: NDArray[np.float64] | None = None,
-    fps: float = defaults.FPS,
-    hold: float = defaults.HOLD,
+    fps: float = FPS,
+    hold: float = PlaybackOptions.hold,
     loop: str = "ping-pong",
     title: str = "Morph",
     pixelated: bool | None = None,
@@ -122,7 +122,7 @@ class _EightBits(Sequence[NDArray[np.uint8]]):
         return frame if frame.dtype == np.uint8 else to_bytes(frame)
 
 
-def morph_curves(morph: Morph, times: Array) -> tuple[Curve, ...]:
+def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
     """Return kernel width and the shares of mass that travels, dies and is born.
 
     Parameters
@@ -137,8 +137,8 @@ def morph_curves(morph: Morph, times: Array) -> tuple[Curve, ...]:
     """
     widths = np.array([morph.kernel_width.at(t, morph.canvas(t)) for t in times])
     moving = morph.particles
-    resting = moving.links[:, 0] == moving.links[:, 1]
-    begun = moving.weights[:, 0] @ resting, moving.weights[:, 1] @ resting
+    held_frames = moving.links[:, 0] == moving.links[:, 1]
+    begun = moving.weights[:, 0] @ held_frames, moving.weights[:, 1] @ held_frames
     whole = moving.weights.sum(axis=0)
     dying, born = (1 - times) * begun[0], times * begun[1]
     total = (1 - times) * whole[0] + times * whole[1]
@@ -150,7 +150,7 @@ def morph_curves(morph: Morph, times: Array) -> tuple[Curve, ...]:
     return tuple(curves)
 
 
-def arrow_field(morph: Morph, most: int = ARROWS) -> Field | None:
+def arrow_field(morph: FrameSequence, most: int = ARROWS) -> Field | None:
     """Return where the mass of each place of the source goes, on average.
 
     Parameters
@@ -188,7 +188,7 @@ def arrow_field(morph: Morph, most: int = ARROWS) -> Field | None:
     return Field(starts, mean(ends) - starts, total[kept] / total.max())
 
 
-def known_parameters(morph: Morph) -> dict[str, Any]:
+def known_parameters(morph: FrameSequence) -> dict[str, Any]:
     """Return what a morph knows of how it was made, as JSON takes it."""
     from clmorph._shared.version import __version__
 

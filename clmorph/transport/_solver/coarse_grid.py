@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph.backends.interface import StoredPairs
+from clmorph.backends.records import StoredPairs
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.certificate import MAX_EXPONENT

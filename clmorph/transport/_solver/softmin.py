@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph.backends.interface import NearPairs, Operations, rounding_error
+from clmorph.backends.interface import Operations
+from clmorph.backends.records import NearPairs
+from clmorph.backends.rounding import rounding_error
 from clmorph.errors import InputError
 
 #: Problems with at least this many pairs of points are solved through coarser problems, and with

@@ -1,0 +1,136 @@
+"""Frames and particles as measures, lifted as the images were, to be compared by transport."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.validation import check_choice, check_integer, check_number, shown
+from clmorph.errors import InputError
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.render import Sums
+from clmorph.frames.sequence import FrameSequence, check_frame_sequence
+from clmorph.images.color import from_space
+from clmorph.measures.measure import Measure
+from clmorph.measures.points import WeightedPoints
+
+Array = NDArray[np.float64]
+
+#: The mass of a pixel in a frame's measure: its kernel mass, or the same for all (the paper).
+FRAME_WEIGHTS = ("kernel", "uniform")
+#: Points to which particles are merged before they are compared.
+MERGED_POINTS = 8192
+
+
+def frame_measure(
+    morph: FrameSequence, t: float, *, weights: str = "kernel", sums: Sums | None = None
+) -> WeightedPoints:
+    """Take a frame as a measure, lifted as the images were.
+
+    Parameters
+    ----------
+    morph : Morph
+    t : float
+    weights : {"kernel", "uniform"}
+        A pixel's mass: what the particles' kernels give it, of the particles' mass in all; or
+        the same for every pixel, of sum 1 (the paper's way, which cannot see holes).
+    sums : Sums, optional
+        What `morph.sums(t)` or another rendering returned; the frame itself if not given.
+
+    Returns
+    -------
+    WeightedPoints
+
+    Raises
+    ------
+    InputError
+        If an option is none of these.
+    """
+    check_frame_sequence(morph)
+    t = check_number("t", t, 0.0, 1.0)
+    check_choice("weights", weights, FRAME_WEIGHTS)
+    canvas = morph.canvas(t)
+    if sums is None:
+        sums = morph.sums(t)
+        colors = morph.frame(t)[..., :3].astype(float)
+    else:
+        _check_sums(sums, canvas)
+        colors = from_space(sums.colors, morph.particles.path_space)
+    n = canvas.shape[0] * canvas.shape[1]
+    masses = np.full(n, 1.0 / n)
+    if weights == "kernel":
+        masses = np.maximum(sums.density.ravel(), 0.0)
+        masses = masses * (morph.particles.mass(t) / masses.sum())
+    return WeightedPoints(_lifted(morph, _frame_positions(canvas), colors.reshape(n, 3)), masses)
+
+
+def particle_measure(
+    morph: FrameSequence, t: float, *, max_points: int = MERGED_POINTS
+) -> tuple[WeightedPoints, float]:
+    """Return the particles at time t as a measure, those near each other merged.
+
+    Parameters
+    ----------
+    morph : Morph
+    t : float
+    max_points : int
+        Particles are merged to their centers of mass in cells of one size, in position and
+        color, the smallest that leaves no more points than this.
+
+    Returns
+    -------
+    measure : WeightedPoints
+    spread : float
+        Root mean square distance of particles to the point they were merged to, in image sides;
+        0 if none was.
+    """
+    check_frame_sequence(morph)
+    t = check_number("t", t, 0.0, 1.0)
+    max_points = check_integer("max_points", max_points, 16, 1 << 20)
+    moving = morph.particles
+    mass = (1 - t) * moving.weights[:, 0] + t * moving.weights[:, 1]
+    links = moving.links[mass > 0]
+    mass = mass[mass > 0]
+    at = (1 - t) * moving.table[links[:, 0], :5] + t * moving.table[links[:, 1], :5]
+    points = _lifted(morph, at[:, :2], from_space(at[:, 2:], moving.path_space))
+    if len(points) <= max_points:
+        return WeightedPoints(points, mass), 0.0
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = float(np.max(high - low)) / 64
+    while True:
+        # 12 bits an axis: the cell's number in one integer.
+        cells = np.minimum((points - low) / size, 4095).astype(np.int64)
+        key = cells @ (np.int64(1) << (12 * np.arange(points.shape[1], dtype=np.int64)))
+        _, group = np.unique(key, return_inverse=True)
+        count = int(group.max()) + 1
+        if count <= max_points:
+            break
+        size *= max(1.05, (count / max_points) ** 0.25)
+    merged = np.asarray(np.bincount(group, mass), float)
+    centers = np.column_stack(
+        [np.bincount(group, mass * points[:, d]) / merged for d in range(points.shape[1])]
+    )
+    spread = np.sum(mass * np.sum((points - centers[group]) ** 2, axis=1)) / mass.sum()
+    return WeightedPoints(centers, merged), float(np.sqrt(spread))
+
+
+def _check_sums(sums: Sums, canvas: Canvas) -> None:
+    if not isinstance(sums, Sums) or np.shape(sums.density) != canvas.shape:
+        raise InputError(
+            f"sums={shown(sums)}: expected what morph.sums returns for the same t, of a frame of "
+            f"shape {canvas.shape}"
+        )
+
+
+def _frame_positions(canvas: Canvas) -> Array:
+    """Where the pixels of a canvas stand in the common frame."""
+    y, x = np.mgrid[: canvas.shape[0], : canvas.shape[1]].reshape(2, -1)
+    pixels = np.column_stack((x, y)) - np.asarray(canvas.center)
+    return 0.5 + pixels / np.maximum(canvas.scale, 1e-9)
+
+
+def _lifted(morph: FrameSequence, positions: Array, colors: Array) -> Array:
+    """(K, 5) points, as `Measure.points` lifts them."""
+    source = morph.source
+    return Measure(
+        positions, colors, np.ones(len(colors)), source.shape, source.color_weight, source.extent,
+        source.color_space, source.color_metric,
+    ).points  # fmt: skip

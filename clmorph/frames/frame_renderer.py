@@ -1,0 +1,164 @@
+"""Render the frames of one morph: colors, opacity, and exact ends."""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import Operations
+from clmorph.frames.canvas import Canvas, canvas_at
+from clmorph.frames.endpoints import EndCorrection, Lacking, ladder, make_details
+from clmorph.frames.kernel_width import KernelWidth
+from clmorph.frames.opacity import alpha_particles, opacity
+from clmorph.frames.particles import Particles
+from clmorph.frames.render import Sums, Widths, render
+from clmorph.images.color import from_space, to_space
+from clmorph.measures.measure import Measure
+from clmorph.transport.barycentric import Barycentric
+from clmorph.transport.plan import Plan
+
+#: Opacity below which 8 bits show nothing.
+UNSEEN = 1 / 1024
+
+
+class FrameRenderer:
+    """Renders a morph at any time, and keeps what its frames share.
+
+    Particles are uploaded to the device, and the correction of the ends is computed, when the
+    first frame needs them.
+
+    Parameters
+    ----------
+    source, target : Measure
+    plan : Plan or Barycentric
+    particles : Particles
+        Made of these.
+    kernel_width : KernelWidth
+    operations : Operations
+    endpoints : {"exact", "paper"}
+    unmatched : {"fade", "drop"}
+    """
+
+    def __init__(
+        self,
+        source: Measure,
+        target: Measure,
+        plan: Plan | Barycentric,
+        particles: Particles,
+        kernel_width: KernelWidth,
+        operations: Operations,
+        endpoints: str,
+        unmatched: str,
+    ) -> None:
+        self._measures, self._plan, self._particles = (source, target), plan, particles
+        self._kernel_width, self._operations = kernel_width, operations
+        self._endpoints, self._unmatched = endpoints, unmatched
+        #: Time and opacity of the frame that was rendered last.
+        self._last_opacity: tuple[float, NDArray[np.float64]] | None = None
+
+    def canvas(self, t: float) -> Canvas:
+        """Return the canvas at time t."""
+        source, target = self._measures
+        return canvas_at(t, source.shape, target.shape, source.extent)
+
+    def frame(self, t: float) -> NDArray[np.float32]:
+        """Render the frame at time t: (H, W, 3) or, with opacity, (H, W, 4) array."""
+        canvas = self.canvas(t)
+        picture = self._picture(t, self.sums(t), self._correction)
+        if self._correction is not None:
+            picture = np.clip(picture + self._correction.resting(t, canvas), 0.0, 1.0)
+        return picture.astype(np.float32)
+
+    def sums(self, t: float, widths: Widths | None = None) -> Sums:
+        """Render colors, coverage and density at time t, without the correction of the ends.
+
+        Parameters
+        ----------
+        t : float
+        widths : Widths, optional
+            In place of the morph's.
+        """
+        canvas = self.canvas(t)
+        widths = widths or self._kernel_width.widths(t, canvas)
+        # Where nothing is seen there are no holes to fill.
+        fill = True if self._alpha_particles is None else self._opacity(t) > UNSEEN
+        mass = self._particles.mass(t)
+        return render(self._operations, self._uploaded, mass, t, canvas, widths, fill=fill)
+
+    @cached_property
+    def _uploaded(self) -> Any:
+        return self._upload(self._particles)
+
+    @cached_property
+    def _alpha_particles(self) -> Particles | None:
+        return alpha_particles(*self._measures, self._plan, self._particles)
+
+    @cached_property
+    def _uploaded_alpha(self) -> Any:
+        assert self._alpha_particles is not None  # as the caller saw
+        return self._upload(self._alpha_particles)
+
+    def _upload(self, particles: Particles) -> Any:
+        return self._operations.upload_particles(
+            particles.table, particles.links, particles.weights
+        )
+
+    def _opacity(self, t: float) -> NDArray[np.float64]:
+        """Return the opacity of the frame at t, ends uncorrected: (H, W) array."""
+        if self._last_opacity is not None and self._last_opacity[0] == t:
+            return self._last_opacity[1]
+        assert self._alpha_particles is not None
+        area, canvas = self._alpha_particles.mass(t), self.canvas(t)
+        sums = render(
+            self._operations, self._uploaded_alpha, area, t, canvas,
+            self._kernel_width.widths(t, canvas), fill=False,
+        )  # fmt: skip
+        opaque = opacity(sums, area, t)
+        self._last_opacity = t, opaque
+        return opaque
+
+    def _picture(
+        self, t: float, sums: Sums, correction: EndCorrection | None
+    ) -> NDArray[np.float64]:
+        """Return colors and, if there is one, opacity, before the rest of the ends is added."""
+        colors = sums.colors
+        if correction is not None:
+            canvas = self.canvas(t)
+            colors = colors + correction.moving(t, canvas, self._kernel_width.at(t, canvas))
+        picture = from_space(colors, self._particles.path_space)
+        if self._alpha_particles is None:
+            return picture
+        return np.dstack((picture, self._opacity(t)))
+
+    @cached_property
+    def _correction(self) -> EndCorrection | None:
+        """The correction of both ends; None if they stay as the kernel draws them."""
+        if self._endpoints == "paper":
+            return None
+        lacking = self._lacking(0.0), self._lacking(1.0)
+        correction = EndCorrection(
+            make_details(self._operations, self._measures, self._plan, lacking, self._unmatched)
+        )
+        for end, measure in enumerate(self._measures):
+            picture = self._picture(float(end), self.sums(float(end)), correction)
+            image = measure.colors.reshape(*measure.shape, 3)
+            rest = image - picture[..., :3]
+            if self._alpha_particles is not None:
+                alpha = np.ones(measure.shape)
+                if measure.alpha is not None:
+                    alpha = measure.alpha.reshape(measure.shape)
+                rest = np.dstack((np.where(alpha[..., None] > 0, rest, 0.0), alpha))
+                rest[..., 3] -= picture[..., 3]
+            correction.set_rest(end, rest)
+        return correction
+
+    def _lacking(self, end: float) -> Lacking:
+        """Return what the frame at t = 0 or 1 lacks, for the kernel widths near that end."""
+        times = np.linspace(end, 0.5, 9)
+        widths = ladder(np.array([self._kernel_width.at(t, self.canvas(t)) for t in times]))
+        measure = self._measures[round(end)]
+        wanted = to_space(measure.colors, self._particles.path_space).reshape(*measure.shape, 3)
+        own = self._kernel_width.widths(end, self.canvas(end))
+        frames = [self.sums(end, own._replace(sigma=width)).colors for width in widths]
+        return Lacking(widths, wanted - np.array(frames))

@@ -1,0 +1,101 @@
+"""What files, pages and measures of quality draw from: the frames of a morph and its transport."""
+
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.validation import shown
+from clmorph.errors import InputError
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.kernel_width import KernelWidth
+from clmorph.frames.particles import Particles
+from clmorph.frames.render import Sums, Widths
+from clmorph.measures.measure import Measure
+from clmorph.transport.barycentric import Barycentric
+from clmorph.transport.plan import Plan
+from clmorph.transport.potentials import Potentials
+
+Frame = NDArray[np.float32]
+
+
+class FrameSequence(Sequence[Frame]):
+    """Frames at given times, with the transport that they come from.
+
+    It is a sequence: ``len(frames)``, ``frames[i]``, ``frames[i:j]`` and iteration give the frames
+    at `times`. `frame` gives one at any time.
+
+    Attributes
+    ----------
+    source, target : Measure
+    potentials : Potentials
+    plan : Plan or Barycentric
+    particles : Particles
+    times : (n_frames,) array
+        Ascending, from 0 to 1.
+    kernel_width : KernelWidth
+    endpoints : {"exact", "paper"}
+        Whether the first and the last frame are the images themselves.
+    unmatched : {"fade", "drop"}
+        Whether mass that does not travel is drawn.
+    options : Options
+        What it was made with, playback and style of files included.
+    """
+
+    source: Measure
+    target: Measure
+    potentials: Potentials
+    plan: Plan | Barycentric
+    particles: Particles
+    times: NDArray[np.float64]
+    kernel_width: KernelWidth
+    endpoints: str
+    unmatched: str
+    options: Any
+
+    @property
+    @abstractmethod
+    def parameters(self) -> Mapping[str, Any]:
+        """The recipe, as `json.dumps` takes it."""
+
+    @abstractmethod
+    def canvas(self, t: float) -> Canvas:
+        """Return the canvas at time t."""
+
+    @abstractmethod
+    def frame(self, t: float) -> Frame:
+        """Render the frame at time t: (H(t), W(t), 3) or (H(t), W(t), 4) array."""
+
+    @abstractmethod
+    def sums(self, t: float, *, widths: Widths | None = None) -> Sums:
+        """Render colors, coverage and density at time t."""
+
+    @property
+    @abstractmethod
+    def pixelated(self) -> bool:
+        """Whether both images are pixel art."""
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | list[Frame]:
+        """Return the frame at ``times[index]``, or a list of frames for a slice."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        return self.frame(float(self.times[index]))
+
+    def iter_frames(self) -> Iterator[Frame]:
+        """Render the frames one by one, without keeping them."""
+        return (self.frame(float(t)) for t in self.times)
+
+
+def check_frame_sequence(morph: FrameSequence) -> None:
+    """Raise InputError unless this is a morph."""
+    if not isinstance(morph, FrameSequence):
+        raise InputError(f"morph={shown(morph)}: expected a Morph, as clmorph.morph returns it")

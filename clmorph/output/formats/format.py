@@ -1,0 +1,74 @@
+"""What a format of files consists of."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from clmorph._shared.progress import Report
+from clmorph.output.framing import FrameStyle
+from clmorph.output.recording import Recording
+
+#: Options that decide about sizes and colors, and about when frames are shown.
+SIZES = ("canvas", "scaling", "background")
+PACE = ("fps", "duration", "hold", "loop")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A format of files: how it is recognized, written and read.
+
+    Attributes
+    ----------
+    name : str
+        Its value of the option `format`.
+    endings : tuple of str
+        The first is the usual one; an empty one stands for a folder. A format without endings is
+        chosen by its name alone.
+    write : callable
+        Called with a recording, a frame style, a new path and a function that reports the share
+        done.
+    read_metadata : callable
+        Called with a path; returns the text of the metadata in a file of this format, empty if
+        there is none.
+    signatures : tuple of (offset, bytes)
+        A file has this format if these bytes stand at one of these offsets.
+    animated : bool
+        Whether a file is played: its frames have durations.
+    folder : bool
+        Whether the result is a folder of files, each with the signature.
+    exact : bool
+        Whether frames are stored as floats.
+    keep : bool
+        Whether the writer needs the morphs, not only their frames.
+    check : callable
+        Raises OutputError if a library that the format needs is missing.
+    relevant_options : tuple of str
+        The options of frame style and playback that the format uses.
+    fastest : float
+        The most frames a second. Browsers slow down GIFs with briefer frames.
+    """
+
+    name: str
+    endings: tuple[str, ...]
+    write: Callable[[Recording, FrameStyle, Path, Report], None]
+    read_metadata: Callable[[Path], str]
+    signatures: tuple[tuple[int, bytes], ...]
+    animated: bool = False
+    folder: bool = False
+    exact: bool = False
+    keep: bool = False
+    check: Callable[[], None] = lambda: None
+    relevant_options: tuple[str, ...] = (*SIZES, *PACE)
+    fastest: float = math.inf
+
+    def matches(self, start: bytes) -> bool:
+        """Return whether a file that starts with these bytes has this format.
+
+        Text may start with white space and be written in capitals.
+        """
+        text = start.lstrip().lower()
+        return any(
+            start.startswith(mark, offset) or text.startswith(mark, offset)
+            for offset, mark in self.signatures
+        )

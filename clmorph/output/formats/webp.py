@@ -1,0 +1,106 @@
+"""``.webp``: animated WebP, with opacity, lossy or lossless."""
+
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clmorph._shared.progress import Report, Share
+from clmorph.output.bounded import MAX_HEAD, MAX_TEXT
+from clmorph.output.formats.animation import SIDE, timed_frames
+from clmorph.output.formats.format import PACE, SIZES, Format
+from clmorph.output.formats.limits import check_sides, encoding
+from clmorph.output.framing import FrameStyle, Framing
+from clmorph.output.metadata import IMAGE_DESCRIPTION, as_text
+from clmorph.output.recording import Recording
+
+if TYPE_CHECKING:
+    from PIL.Image import Exif, Image
+
+#: Quality of lossy WebP, 0 to 100; effort of lossless WebP.
+LOSSY_QUALITY, LOSSLESS_EFFORT = 90, 80
+#: The longest side, in pixels: it has 14 bits.
+LONGEST_SIDE = 16383
+#: Chunks that are looked at before Exif is found: one a frame, and some more.
+MAX_CHUNKS = 1_000_000
+
+
+@encoding("WebP")
+def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
+    """Write an animated WebP, lossy unless the style is lossless."""
+    framing = recording.framing(style, SIDE)
+    check_sides(framing.size, LONGEST_SIDE, "WebP")
+    frames = timed_frames(recording, 1000)
+    _reel(recording, [index for index, _ in frames], framing, report).save(
+        file, format="WEBP", save_all=True, duration=[duration for _, duration in frames],
+        loop=int(recording.motion.loop == "once"), lossless=style.lossless, exact=style.lossless,
+        quality=LOSSLESS_EFFORT if style.lossless else LOSSY_QUALITY, method=4,
+        exif=as_exif(recording.parameters),
+    )  # fmt: skip
+    report(Share(1.0, f"{len(frames)} of {len(frames)}"))
+
+
+def _reel(recording: Recording, order: list[int], framing: Framing, report: Report) -> "Image":
+    """Return an image of many frames, of which only one is in memory at a time.
+
+    Pillow makes a list of images that are to be appended, but asks one of many frames for one
+    after the other. When it asks for the next, those before are written.
+    """
+    from PIL import Image
+
+    reel = Image.new("RGBA" if framing.clear else "RGB", framing.size)
+    position = -1
+
+    def seek(number: int) -> None:
+        nonlocal position
+        # Afterwards Pillow winds back to the first, for which there is no use.
+        if number != position + 1:
+            return
+        if number > 0:
+            report(Share(number / len(order), f"{number} of {len(order)}"))
+        reel.paste(framing(recording.picture(order[number])))
+        position = number
+
+    reel.n_frames = len(order)  # type: ignore[attr-defined]
+    reel.seek = seek  # type: ignore[assignment, method-assign]
+    return reel
+
+
+def as_exif(parameters: Mapping[str, Any]) -> "Exif":
+    """Return parameters as the description in Exif."""
+    from PIL import Image
+
+    exif = Image.Exif()
+    exif[IMAGE_DESCRIPTION] = as_text(parameters)
+    return exif
+
+
+def read_metadata(path: Path) -> str:
+    """Return the description in a WebP's Exif; Pillow would read all frames to reach it.
+
+    Chunks as in RFC 9649, section 2.3: four letters, the length as 4 bytes, an even number of
+    bytes.
+    """
+    from PIL import Image
+
+    with path.open("rb") as file:
+        if file.read(12)[8:] != b"WEBP":
+            raise ValueError("it is of no kind that clmorph writes")
+        for _ in range(MAX_CHUNKS):
+            kind, length = struct.unpack("<4sI", file.read(8))
+            if kind == b"EXIF":
+                if length > MAX_HEAD:
+                    raise ValueError(f"its parameters have more than {MAX_TEXT} characters")
+                exif = Image.Exif()
+                exif.load(file.read(length))
+                return str(exif.get(IMAGE_DESCRIPTION, ""))
+            file.seek(length + length % 2, 1)
+    return ""
+
+
+FORMATS = (
+    Format(
+        name="webp", endings=(".webp",), write=write, read_metadata=read_metadata,
+        signatures=((0, b"RIFF"),), animated=True, relevant_options=(*SIZES, *PACE, "lossless"),
+    ),
+)  # fmt: skip

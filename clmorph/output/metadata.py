@@ -1,0 +1,71 @@
+"""The metadata of files: the options that made them, as text."""
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clmorph.output.bounded import MAX_HEAD, MAX_TEXT, BoundedFile
+
+if TYPE_CHECKING:
+    from PIL.ImageFile import ImageFile
+    from PIL.PngImagePlugin import PngInfo
+
+#: The first key of every metadata text, by which it is recognized; in PNG the name of its chunk.
+MARK = "clmorph"
+#: The tag of Exif and TIFF for a text about an image.
+IMAGE_DESCRIPTION = 0x010E
+
+
+def as_text(parameters: Mapping[str, Any]) -> str:
+    """Return parameters as JSON in ASCII.
+
+    Raises
+    ------
+    TypeError, ValueError, RecursionError
+        If JSON cannot represent them, or the text is longer than `MAX_TEXT`.
+    """
+    text = json.dumps(dict(parameters), allow_nan=False)
+    if len(text) > MAX_TEXT:
+        raise ValueError(f"{len(text)} characters are too many: files hold at most {MAX_TEXT}")
+    return text
+
+
+def as_png_info(parameters: Mapping[str, Any]) -> "PngInfo":
+    """Return parameters as a text chunk of PNG."""
+    from PIL.PngImagePlugin import PngInfo
+
+    info = PngInfo()
+    info.add_text(MARK, as_text(parameters))
+    return info
+
+
+def read_png(path: Path) -> str:
+    """Return the metadata text of a PNG, animated or not."""
+    from PIL.PngImagePlugin import PngImageFile
+
+    with image_head(PngImageFile, path) as image:
+        return str(image.info.get(MARK, ""))
+
+
+@contextmanager
+def image_head(reader: "type[ImageFile]", path: Path) -> Iterator["ImageFile"]:
+    """Give what Pillow reads of an image before its pixels, at most `MAX_HEAD` bytes.
+
+    Parameters
+    ----------
+    reader : class of Pillow
+    path : Path
+
+    Yields
+    ------
+    ImageFile
+    """
+    from PIL import Image
+
+    try:
+        with BoundedFile(path, in_all=MAX_HEAD) as file, reader(file) as image:
+            yield image
+    except Image.DecompressionBombError as error:
+        raise ValueError(str(error)) from None

@@ -1,0 +1,975 @@
+"""Files that people open: each is read by a library that did not write it, or by ffprobe."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+import weakref
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from programs import program
+
+import clmorph
+from clmorph import InputError, OutputError
+from clmorph.images.pixels import to_bytes
+from clmorph.output.formats.video import CONTAINERS
+from clmorph.output.framing import FrameStyle
+from clmorph.output.playback import Motion, held_frames
+from clmorph.output.provenance import read_parameters
+from clmorph.output.recording import Recording
+from clmorph.output.save import FORMATS, Output, save, write_all
+from clmorph.output.spool import Spool
+
+#: The least peak signal-to-noise ratio of lossy files, in decibels, on small photographs: of
+#: GIF and WebP at the frames' own size, where WebP halves the resolution of hues; of videos four
+#: times enlarged.
+LEAST_PSNR = {"webp": 30.0, "mp4": 35.0, "webm": 35.0, "gif": 30.0}
+
+
+@pytest.fixture(scope="module")
+def morph():
+    """Two pieces of photographs, 24 x 32 and 24 x 32, twelve frames."""
+    from skimage import data
+
+    pair = [clmorph.fit(image[:384, :512] / 255, 32) for image in (data.astronaut(), data.coffee())]
+    return clmorph.morph(*pair, 12, splatting="local", sigma_start="auto", sigma_end="auto")
+
+
+@pytest.fixture(scope="module")
+def growing():
+    """A canvas that grows from 6 x 8 to 12 x 16."""
+    rng = np.random.default_rng(3)
+    return clmorph.morph(rng.random((6, 8, 3)), rng.random((12, 16, 3)), 5)
+
+
+@pytest.fixture(scope="module")
+def clear():
+    """Frames with opacity."""
+    rng = np.random.default_rng(4)
+    images = rng.random((2, 10, 10, 4))
+    images[..., 3] = images[..., 3] > 0.4
+    return clmorph.morph(*images, 4)
+
+
+def stills(file):
+    """The frames of an animation as Pillow decodes them, and their milliseconds."""
+    with Image.open(file) as animation:
+        frames, durations = [], []
+        for number in range(animation.n_frames):
+            animation.seek(number)
+            frames.append(np.asarray(animation.convert("RGBA")))
+            durations.append(animation.info.get("duration"))
+        return frames, durations
+
+
+def decoded(file):
+    """The frames of a video as the system's ffmpeg decodes them, by the tags in the file."""
+    shape = probe(file)["height"], probe(file)["width"], 3
+    raw = subprocess.run(
+        [program("ffmpeg"), "-v", "error", "-i", file, "-f", "rawvideo", "-sws_flags",
+         "accurate_rnd+full_chroma_int+bicubic", "-pix_fmt", "rgb24", "-"],
+        capture_output=True, check=True,
+    ).stdout  # fmt: skip
+    return np.frombuffer(raw, np.uint8).reshape(-1, *shape)
+
+
+def probe(file):
+    told = subprocess.run(
+        [program("ffprobe"), "-v", "error", "-count_frames", "-show_streams", "-show_format", "-of",
+         "json", file],
+        capture_output=True, check=True, text=True,
+    ).stdout  # fmt: skip
+    found = json.loads(told)
+    assert len(found["streams"]) == 1
+    return found["streams"][0] | {"format": found["format"]}
+
+
+def psnr(one, other):
+    error = np.mean((one.astype(float) - other.astype(float)) ** 2)
+    return 10 * np.log10(255**2 / error)
+
+
+def wanted(morph):
+    return [to_bytes(frame) for frame in morph.frames]
+
+
+@pytest.mark.parametrize("name", ["out.apng", "out.webp"])
+def test_lossless_animations_are_the_frames(tmp_path, morph, name):
+    save(morph, tmp_path / name, canvas="source", lossless=True, fps=25, hold=0.5)
+    frames, durations = stills(tmp_path / name)
+    assert len(frames) == 12
+    for frame, want in zip(frames, wanted(morph), strict=True):
+        assert np.array_equal(frame[..., :3], want)
+    assert durations == [540, *[40] * 10, 540]
+    with Image.open(tmp_path / name) as animation:
+        assert animation.info["loop"] == 0
+
+
+@pytest.mark.parametrize("name", ["out.apng", "out.webp"])
+def test_lossless_animations_keep_opacity(tmp_path, clear, name):
+    save(clear, tmp_path / name, canvas="source", lossless=True)
+    for frame, want in zip(stills(tmp_path / name)[0], wanted(clear), strict=True):
+        # WebP forgets what color is under no opacity at all.
+        seen = want[..., 3:] > 0 if name == "out.webp" else True
+        assert np.array_equal(frame * seen, want * seen)
+
+
+@pytest.mark.parametrize("name", ["out.gif", "out.webp"])
+def test_lossy_animations_are_close(tmp_path, morph, name):
+    save(morph, tmp_path / name, canvas="source", scaling="nearest")
+    frames, durations = stills(tmp_path / name)
+    for frame, want in zip(frames, wanted(morph), strict=True):
+        assert psnr(frame[..., :3], want) > LEAST_PSNR[name[4:]]
+    assert sum(durations) == pytest.approx(1000 * (12 / 20 + 2 * 0.65))
+
+
+@pytest.mark.parametrize(("name", "codec"), [("out.mp4", "h264"), ("out.webm", "vp9")])
+def test_videos(tmp_path, morph, name, codec):
+    """Codec, size, length, color tags, and colors as another decoder sees them."""
+    save(morph, tmp_path / name, canvas="128x96", fps=30, hold=0.1)
+    told = probe(tmp_path / name)
+    tags = ("codec_name", "width", "height", "pix_fmt", "r_frame_rate", "color_range")
+    tags += ("color_space", "color_primaries", "color_transfer", "nb_read_frames")
+    assert [told[tag] for tag in tags] == [
+        codec, 128, 96, "yuv420p", "30/1", "tv", "bt709", "bt709", "iec61966-2-1", "18",
+    ]  # fmt: skip
+    assert float(told["format"]["duration"]) == pytest.approx(18 / 30, abs=0.002)
+    order = [0] * 3 + list(range(12)) + [11] * 3
+    for frame, index in zip(decoded(tmp_path / name), order, strict=True):
+        large = Image.fromarray(wanted(morph)[index]).resize((128, 96), Image.Resampling.BICUBIC)
+        assert psnr(frame, np.asarray(large)) > LEAST_PSNR[name[4:]]
+
+
+#: Pictures, frames of each morph, frames a second or seconds in all, rest at the pictures.
+LENGTHS = [
+    (2, 4, {"duration": 3.0}, 0.65), (2, 4, {"fps": 1.0}, 0.4), (2, 6, {"duration": 2.0}, 0.3),
+    (2, 12, {"duration": 1.7}, 0.65), (3, 5, {"fps": 7.0}, 0.33), (3, 4, {"fps": 1.5}, 0.1),
+    (3, 6, {"duration": 4.321}, 0.123), (2, 3, {"fps": 240.0}, 0.0), (2, 3, {"fps": 0.3}, 0.9),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["out.mp4", "out.webm"])
+@pytest.mark.parametrize(("n_images", "n_frames", "pace", "hold"), LENGTHS)
+@pytest.mark.parametrize("loop", ["loop", "ping-pong"])
+def test_videos_last_as_long_as_the_film(tmp_path, name, n_images, n_frames, pace, hold, loop):
+    holds = held_frames(n_images, n_frames)
+    if "duration" in pace:
+        motion = Motion.lasting(pace["duration"], holds, hold, loop)
+    else:
+        motion = Motion(pace["fps"], hold, loop)
+    frames = [np.full((16, 16, 3), 9 * n, np.uint8) for n in range(len(holds))]
+    times = np.linspace(0, n_images - 1, len(holds))
+    film = Recording(frames, [frame.shape for frame in frames], times, holds, motion)
+    write_all([Output(tmp_path / name)], film, FrameStyle("source"))
+    told = probe(tmp_path / name)
+    rate = Fraction(told["r_frame_rate"])
+    assert rate == motion.rate_for([seconds for _, seconds in film.played()])
+    assert abs(float(told["format"]["duration"]) - film.duration) < 1 / rate + 0.002
+    assert abs(int(told["nb_read_frames"]) / rate - film.duration) < 1 / rate
+    # Every picture begins when it should, in frames.
+    grays = [-99.0, *(frame.mean() for frame in decoded(tmp_path / name))]
+    begins = np.flatnonzero(np.abs(np.diff(grays)) > 4)
+    ends = np.cumsum([seconds for _, seconds in film.played()])
+    if loop == "loop":
+        assert len(begins) == len(film)
+        assert np.abs(begins[1:] - ends[:-1] * float(rate)).max() < 0.51
+
+
+@pytest.mark.parametrize("name", ["out.mp4", "out.webm"])
+def test_videos_have_true_colors(tmp_path, name):
+    """Plain colors, which no codec has an excuse for: a wrong matrix would be off by 20."""
+    colors = [(200, 30, 40), (20, 180, 60), (30, 60, 220), (128, 128, 128), (255, 255, 255)]
+    frames = [np.full((32, 32, 3), color, np.uint8) for color in colors]
+    film = Recording(frames, [frame.shape for frame in frames], np.linspace(0, 1, 5),
+                np.zeros(5, bool), Motion())  # fmt: skip
+    write_all([Output(tmp_path / name)], film, FrameStyle("source"))
+    for frame, color in zip(decoded(tmp_path / name), colors, strict=True):
+        assert np.abs(frame.astype(int) - color).max() <= 4
+
+
+def test_odd_sizes_in_videos_are_made_even(tmp_path):
+    rng = np.random.default_rng(0)
+    odd = clmorph.morph(rng.random((7, 9, 3)), rng.random((9, 5, 3)), 3)
+    save(odd, tmp_path / "out.mp4", canvas="source")
+    told = probe(tmp_path / "out.mp4")
+    assert (told["width"], told["height"]) == (10, 8)
+    save(odd, tmp_path / "out.mp4", canvas="33x21")
+    told = probe(tmp_path / "out.mp4")
+    assert (told["width"], told["height"]) == (34, 22)
+
+
+def decoded_clear(file):
+    """The frames of a WebM with their opacity, which FFmpeg's own decoder of VP9 leaves out."""
+    shape = probe(file)["height"], probe(file)["width"], 4
+    raw = subprocess.run(
+        [program("ffmpeg"), "-v", "error", "-c:v", "libvpx-vp9", "-i", file, "-f", "rawvideo",
+         "-pix_fmt", "rgba", "-"], capture_output=True, check=True,
+    ).stdout  # fmt: skip
+    return np.frombuffer(raw, np.uint8).reshape(-1, *shape).astype(float)
+
+
+def test_webm_keeps_opacity(tmp_path, clear):
+    save(clear, tmp_path / "out.webm", canvas="64x64", hold=0)
+    opacities = set()
+    for frame, want in zip(decoded_clear(tmp_path / "out.webm"), wanted(clear), strict=True):
+        small = Image.fromarray(want).convert("RGBa")
+        large = small.resize((64, 64), Image.Resampling.BICUBIC).convert("RGBA")
+        large = np.asarray(large).astype(float)
+        assert np.abs(frame[..., 3] - large[..., 3]).max() <= 8
+        seen = large[..., 3] > 200
+        assert np.abs(frame - large)[seen].mean() < 12
+        opacities |= set(np.round(large[..., 3].ravel() / 16))
+    assert opacities == set(range(17))  # nothing of all this is for want of opacity
+    save(clear, tmp_path / "out.mp4", canvas="64x64", background="#00ff00")
+    corner = decoded(tmp_path / "out.mp4")[0]
+    green = (corner[..., 1] > 200) & (corner[..., 0] < 80) & (corner[..., 2] < 80)
+    assert green.mean() > 0.2
+
+
+@pytest.mark.parametrize("name", ["frames", "out.tif", "tiff-folder"])
+def test_stills_are_the_frames_at_their_own_sizes(tmp_path, growing, name):
+    save(growing, tmp_path / name, format=name if name == "tiff-folder" else None)
+    if name == "out.tif":
+        with Image.open(tmp_path / name) as pages:
+            found = []
+            for number in range(pages.n_frames):
+                pages.seek(number)
+                found.append(np.asarray(pages))
+    else:
+        ending = "png" if name == "frames" else "tif"
+        files = sorted((tmp_path / name).iterdir())
+        assert [file.name for file in files] == [f"frame-{i:04d}.{ending}" for i in range(5)]
+        found = []
+        for file in files:
+            with Image.open(file) as picture:
+                found.append(np.asarray(picture))
+    for frame, want in zip(found, wanted(growing), strict=True):
+        assert np.array_equal(frame, want)
+    assert found[0].shape == (6, 8, 3)
+    assert found[-1].shape == (12, 16, 3)
+
+
+def test_tifffile_reads_pages_too(tmp_path, clear):
+    import tifffile
+
+    save(clear, tmp_path / "out.tiff")
+    with tifffile.TiffFile(tmp_path / "out.tiff") as tiff:
+        for page, want in zip(tiff.pages, wanted(clear), strict=True):
+            assert np.array_equal(page.asarray(), want)
+
+
+def test_npz_loads_again(tmp_path, morph, growing):
+    for one in (morph, growing):
+        save(one, tmp_path / "out.npz")
+        loaded = clmorph.load(tmp_path / "out.npz")
+        for frame, want in zip(loaded.frames, one.frames, strict=True):
+            assert frame.dtype == np.float32
+            assert np.array_equal(frame, want)
+        assert np.array_equal(loaded.times, one.times)
+        assert (loaded.plan.to_scipy() != one.plan.to_scipy()).nnz == 0
+        assert np.array_equal(loaded.plan.whole_row_mass, one.plan.whole_row_mass)
+        assert np.array_equal(loaded.potentials[0][0], one.potentials.f)
+        assert loaded.parameters["morphs"][0]["blur"] == 0.05
+    with np.load(tmp_path / "out.npz") as plain:  # without us
+        assert plain["frame_0000"].shape == (6, 8, 3)
+    save(morph, tmp_path / "out.npz")
+    with np.load(tmp_path / "out.npz") as plain:
+        assert plain["frames"].shape == (12, 24, 32, 3)
+
+
+def test_npz_of_mean_destinations_and_of_chains(tmp_path, rng):
+    images = rng.random((3, 6, 6, 3))
+    chain = [clmorph.morph(*pair, 3, barycentric=True) for pair in (images[:2], images[1:])]
+    save(chain, tmp_path / "out.npz")
+    loaded = clmorph.load(tmp_path / "out.npz")
+    assert loaded.times.tolist() == [0, 0.5, 1, 1.5, 2]
+    for plan, one in zip(loaded.plans, chain, strict=True):
+        assert np.array_equal(plan.covariance, one.plan.covariance)
+
+
+def test_what_is_no_archive_is_refused(tmp_path, rng):
+    np.savez(tmp_path / "other.npz", a=rng.random(3))
+    (tmp_path / "text.npz").write_text("not one")
+    for name in ("other.npz", "text.npz", "missing.npz"):
+        with pytest.raises(InputError, match=name) as caught:
+            clmorph.load(tmp_path / name)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_gif_has_one_palette(tmp_path, morph):
+    """No local color tables: what does not move does not flicker."""
+    save(morph, tmp_path / "out.gif")
+    data = (tmp_path / "out.gif").read_bytes()
+    # Image descriptors: a comma, four numbers, flags; the top bit announces a table, by which
+    # a writer may repeat the one for all.
+    table = data[13 : 13 + 255 * 3]
+    descriptors = list(re.finditer(rb"\x21\xf9\x04.{5}\x2c.{8}(.)", data, re.DOTALL))
+    assert len(descriptors) == 12
+    for found in descriptors:
+        if found[1][0] & 0x80:
+            assert data[found.end() : found.end() + 255 * 3] == table
+    with Image.open(tmp_path / "out.gif") as gif:
+        assert gif.size == (384, 288)
+        assert gif.info["loop"] == 0
+
+
+def test_pixel_art_is_not_dithered_and_keeps_its_pixels(tmp_path):
+    """All colors of the sprites are in the palette, and pixels are squares."""
+    rng = np.random.default_rng(5)
+    colors = rng.random((5, 3))
+    sprites = colors[rng.integers(0, 5, (2, 12, 12))]
+    art = clmorph.morph(*sprites, 4, splatting="none", blur=0.01)
+    assert art.pixelated
+    save(art, tmp_path / "out.gif")
+    frames, _ = stills(tmp_path / "out.gif")
+    for frame in frames:
+        assert frame.shape == (384, 384, 4)
+        assert np.array_equal(frame, np.kron(frame[::32, ::32], np.ones((32, 32, 1))))
+    for end, sprite in ((0, sprites[0]), (-1, sprites[1])):
+        assert np.array_equal(frames[end][::32, ::32, :3], to_bytes(sprite))
+
+
+@pytest.mark.parametrize("depth", [3, 4])
+def test_a_chain_of_sprites_of_many_colors_is_exact(tmp_path, depth):
+    """60 colors each, 180 in all; colors of pixels that are not seen take no entries."""
+    rng = np.random.default_rng(8)
+    sprites = rng.random((3, 60, depth))[np.arange(3)[:, None, None], rng.permuted(
+        np.resize(np.arange(60), (3, 20, 20)), axis=1)]  # fmt: skip
+    if depth == 4:
+        sprites[..., 3] = rng.random((3, 20, 20)) > 0.2
+        hidden = sprites[..., 3] == 0
+        sprites[hidden, :3] = rng.random((hidden.sum(), 3))
+    chain = [clmorph.morph(*pair, 4, splatting="none") for pair in (sprites[:2], sprites[1:])]
+    save(chain, tmp_path / "out.gif", canvas="source", scaling="nearest")
+    frames, _ = stills(tmp_path / "out.gif")
+    for frame, sprite in zip(frames[::3], sprites, strict=True):
+        want = to_bytes(sprite)
+        seen = want[..., 3] > 0 if depth == 4 else np.ones((20, 20), bool)
+        assert np.array_equal(frame[..., 3] > 0, seen)
+        assert np.array_equal(frame[seen][:, :3], want[seen][:, :3])
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_sprites_rarest_color_is_exact(tmp_path, busy):
+    """One pixel of a million, whether the frames between have many colors or few."""
+    rng = np.random.default_rng(9)
+    frames = np.zeros((3, 600, 600, 3), np.uint8)
+    frames[:, :300] = 90, 120, 30
+    if busy:
+        frames[1] = rng.integers(0, 255, (600, 600, 3))
+    frames[0, 123, 457] = 255, 3, 9
+    frames[2, 411, 77] = 7, 250, 40
+    film = Recording(list(frames), [(600, 600, 3)] * 3, np.array([0, 0.5, 1]),
+                np.array([True, False, True]), Motion(), pixelated=True)  # fmt: skip
+    write_all([Output(tmp_path / "out.gif")], film, FrameStyle("source"))
+    told, _ = stills(tmp_path / "out.gif")
+    for index in (0, 2):
+        assert np.array_equal(told[index][..., :3], frames[index])
+
+
+def test_bars_beside_pixel_art_have_the_backgrounds_color(tmp_path):
+    """Also where frames that fit no better than by a whole factor have them, and no other."""
+    rng = np.random.default_rng(10)
+    frames = rng.integers(0, 255, (2, 12, 12, 3), np.uint8)
+    film = Recording(list(frames), [(12, 12, 3)] * 2, np.array([0.0, 1.0]), np.ones(2, bool),
+                Motion(), pixelated=True)  # fmt: skip
+    write_all([Output(tmp_path / "out.gif")], film, FrameStyle("40x40", background="#0a64c8"))
+    for frame in stills(tmp_path / "out.gif")[0]:
+        assert np.all(frame[:2, :, :3] == (10, 100, 200))
+        assert np.all(frame[:, 38:, :3] == (10, 100, 200))
+
+
+def test_a_gif_of_few_colors_is_exact(tmp_path):
+    ramp = np.linspace(0, 1, 12).reshape(3, 4, 1) * np.ones(3)
+    save(clmorph.morph(ramp, ramp, 2), tmp_path / "out.gif", canvas="source")
+    for frame in stills(tmp_path / "out.gif")[0]:
+        assert np.array_equal(frame[..., :3], to_bytes(ramp))
+
+
+def test_a_gif_rounds_opacity(tmp_path, clear):
+    save(clear, tmp_path / "out.gif", canvas="source")
+    for frame, want in zip(stills(tmp_path / "out.gif")[0], wanted(clear), strict=True):
+        assert np.array_equal(frame[..., 3] > 0, want[..., 3] >= 128)
+    save(clear, tmp_path / "flat.gif", canvas="source", background="red")
+    first = stills(tmp_path / "flat.gif")[0][0]
+    assert first[..., 3].min() == 255
+    hidden = wanted(clear)[0][..., 3] == 0
+    assert np.all(first[hidden][:, 0] > 200)
+
+
+def test_shapes_are_kept_on_a_common_canvas(tmp_path):
+    """A wide frame among tall ones gets bars, and is not stretched."""
+    pair = np.ones((4, 16, 3)), np.ones((16, 4, 3))
+    save(clmorph.morph(*pair, 2, extent="unit"), tmp_path / "out.gif")
+    wide = stills(tmp_path / "out.gif")[0][0][..., :3]
+    assert wide.shape == (384, 384, 3)
+    assert wide[192].min() > 250
+    assert wide[:96].max() < 5
+
+
+def test_canvases(tmp_path, growing):
+    for canvas, size in (("source", (8, 6)), ("target", (16, 12)), ("40x20", (40, 20))):
+        save(growing, tmp_path / "out.apng", canvas=canvas)
+        with Image.open(tmp_path / "out.apng") as animation:
+            assert animation.size == size
+        shutil.rmtree(tmp_path / "frames", ignore_errors=True)
+        save(growing, tmp_path / "frames", canvas=canvas)
+        for file in (tmp_path / "frames").iterdir():
+            with Image.open(file) as picture:
+                assert picture.size == size
+
+
+@pytest.mark.parametrize("name", [name for name in FORMATS if name not in ("npz", "html")])
+def test_canvases_are_those_of_the_pictures_as_given_when_reversed(tmp_path, growing, name):
+    ending = (FORMATS[name].endings or ("",))[0]
+    path = tmp_path / f"out{ending}"
+    for canvas, size in (("source", (8, 6)), ("target", (16, 12))):
+        shutil.rmtree(path, ignore_errors=True)
+        save(growing, path, format=name, canvas=canvas, reverse=True)
+        if name in ("mp4", "webm"):
+            told = probe(path)
+            assert (told["width"], told["height"]) == size
+            continue
+        with Image.open(sorted(path.iterdir())[0] if path.is_dir() else path) as picture:
+            if name == "sheet":  # one row; cells are wider, for their captions
+                assert picture.height == size[1] + 34 + 12
+            else:
+                assert picture.size == size
+
+
+def test_contact_sheet(tmp_path, growing):
+    save(growing, tmp_path / "sheet.PNG", scaling="nearest")
+    with Image.open(tmp_path / "sheet.PNG") as sheet:
+        assert sheet.n_frames == 1
+        assert sheet.size == (5 * (192 + 12) + 12, 144 + 22 + 24)
+        first = sheet.crop((12, 12, 12 + 192, 12 + 144)).resize((8, 6), Image.Resampling.BOX)
+    assert np.array_equal(np.asarray(first), wanted(growing)[0])
+
+
+@pytest.mark.parametrize("pixelated", [False, True])
+def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
+    """All of a frame comes in: stripes one pixel wide turn gray instead of one of their colors."""
+    large = np.zeros((1000, 1500, 3), np.uint8)
+    large[:, ::2] = 255
+    film = Recording([large] * 12, [large.shape] * 12, np.linspace(0, 1, 12), np.zeros(12, bool),
+                Motion(), pixelated)  # fmt: skip
+    for look, size in (
+        (FrameStyle(), (192, 128)), (FrameStyle("30x20"), (30, 20)),
+        (FrameStyle("300x100"), (300, 100)),
+        (FrameStyle("source"), (1500, 1000)), (FrameStyle(scaling="nearest"), (192, 128)),
+    ):  # fmt: skip
+        write_all([Output(tmp_path / "sheet.png")], film, look)
+        with Image.open(tmp_path / "sheet.png") as sheet:
+            width, height = sheet.size
+            first = np.asarray(sheet)[12 : 12 + size[1], 12 : 12 + size[0]]
+        assert height == 2 * (size[1] + 34) + 12
+        if look.canvas == (30, 20):
+            assert 5 * (30 + 12) + 12 < width <= 5 * (60 + 12) + 12
+        else:
+            assert width == 5 * (size[0] + 12) + 12
+        if look == FrameStyle():
+            assert np.abs(first[4:-4, 4:-4].astype(int) - 128).max() < 20
+        if look.scaling == "nearest":
+            assert set(np.unique(first)) <= {0, 255}
+
+
+def test_captions_of_a_contact_sheet_do_not_touch(tmp_path):
+    """Below pictures of one column: with white between, and whole."""
+    frames = np.zeros((5, 40, 1, 3), np.uint8)
+    film = Recording(list(frames), [(40, 1, 3)] * 5, np.linspace(0, 12, 5), np.zeros(5, bool),
+                Motion())  # fmt: skip
+    write_all([Output(tmp_path / "sheet.png")], film, FrameStyle("1x40"))
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        gray = np.asarray(sheet.convert("L"))
+    ink = np.flatnonzero((gray[12 + 40 + 1 : -8] < 128).any(axis=0))
+    gaps = np.diff(ink)
+    assert np.count_nonzero(gaps >= 9) == 4
+    assert ink[0] >= 9
+    assert ink[-1] < gray.shape[1] - 9
+    pictures = np.flatnonzero(gray[20] < 128)
+    centers = np.split(ink, np.flatnonzero(gaps >= 9) + 1)
+    for column, letters in zip(pictures, centers, strict=True):
+        assert abs(column - letters.mean()) < 6
+
+
+def test_loops(tmp_path, growing):
+    for loop, order, told in (
+        ("loop", [0, 1, 2, 3, 4], 0),
+        ("ping-pong", [0, 1, 2, 3, 4, 3, 2, 1], 0),
+        ("once", [0, 1, 2, 3, 4], 1),
+    ):
+        save(growing, tmp_path / "out.apng", canvas="target", scaling="nearest", loop=loop)
+        frames, durations = stills(tmp_path / "out.apng")
+        assert len(frames) == len(order)
+        assert np.array_equal(frames[4][..., :3], wanted(growing)[4])
+        assert durations[0] == durations[4] == 700
+        with Image.open(tmp_path / "out.apng") as animation:
+            assert animation.info["loop"] == told
+        for place, index in enumerate(order):
+            assert np.array_equal(frames[place], frames[index])
+
+
+def test_reverse_and_chains(tmp_path, growing):
+    save(growing, tmp_path / "frames", reverse=True)
+    with Image.open(tmp_path / "frames" / "frame-0000.png") as first:
+        assert np.array_equal(np.asarray(first), wanted(growing)[-1])
+    rng = np.random.default_rng(3)
+    images = rng.random((6, 8, 3)), rng.random((12, 16, 3)), rng.random((5, 5, 3))
+    chain = [clmorph.morph(*pair, 4) for pair in (images[:2], images[1:])]
+    save(chain, tmp_path / "tour")
+    files = sorted((tmp_path / "tour").iterdir())
+    assert len(files) == 7
+    for file, image in zip(files[::3], images, strict=True):
+        with Image.open(file) as picture:
+            assert np.abs(np.asarray(picture).astype(int) - to_bytes(image)).max() <= 1
+    save(chain, tmp_path / "tour.apng", canvas="source", hold=1)
+    assert stills(tmp_path / "tour.apng")[1] == [1050, 50, 50, 1050, 50, 50, 1050]
+
+
+@pytest.mark.parametrize("name", [name for name in FORMATS if name != "html"])
+def test_every_format_tells_what_made_it(tmp_path, growing, name):
+    ending = (FORMATS[name].endings or ("",))[0]
+    path = tmp_path / f"out{ending}"
+    told = {"clmorph": "9", "options": {"blur": 0.03, "name": 'ü "quoted" </script> \\ \n'}}
+    save(growing, path, format=name, parameters=told)
+    assert read_parameters(path) == told
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+def contents(path):
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return [file.read_bytes() for file in files]
+
+
+@pytest.fixture(scope="module")
+def written_before(tmp_path_factory, growing):
+    """A film's bytes in every format, each written at least two seconds ago: ZIP's unit."""
+    found = {}
+    for name, format in FORMATS.items():
+        path = tmp_path_factory.mktemp(name) / f"out{(format.endings or ('',))[0]}"
+        save(growing, path, format=name)
+        found[name] = contents(path)
+    time.sleep(2.1)
+    return found
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_the_same_film_gives_the_same_bytes(tmp_path, growing, written_before, name):
+    path = tmp_path / f"out{(FORMATS[name].endings or ('',))[0]}"
+    save(growing, path, format=name)
+    assert contents(path) == written_before[name]
+
+
+#: Writes a film of noise in large squares, some of which change.
+SQUARES = """
+import sys
+import numpy as np
+from clmorph.output.save import Output, write_all
+from clmorph.output.recording import Recording
+from clmorph.output.framing import FrameStyle
+from clmorph.output.playback import Motion
+
+squares = np.random.default_rng(0).integers(0, 255, (8, 17, 22, 3), np.uint8)
+frames = list(np.kron(squares, np.ones((1, 16, 16, 1), np.uint8)))
+film = Recording(frames, [frames[0].shape] * 8, np.linspace(0, 1, 8), np.ones(8, bool),
+                 Motion(20, 0.1))
+write_all([Output(sys.argv[1])], film, FrameStyle("source"))
+"""
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    "name", [name for name in FORMATS if FORMATS[name].endings and not FORMATS[name].keep]
+)
+def test_bytes_do_not_depend_on_what_was_in_memory(tmp_path, name):
+    """glibc fills memory that is taken with what it is told."""
+    found = []
+    for filling in ("1", "77"):
+        (tmp_path / filling).mkdir()
+        path = tmp_path / filling / f"out{FORMATS[name].endings[0]}"
+        environment = os.environ | {"MALLOC_PERTURB_": filling}
+        subprocess.run([sys.executable, "-c", SQUARES, path], check=True, env=environment)
+        found.append(contents(path))
+    assert found[0] == found[1]
+
+
+@pytest.fixture(scope="module", params=[0, 1, 2])
+def partly_clear(request):
+    """A chain of which one picture alone has opacity: a hole in it.
+
+    Where neither picture of a morph has any, its frames have none: there are frames of both kinds.
+    """
+    rng = np.random.default_rng(11)
+    images = [rng.choice([0.1, 0.5, 0.9], (8, 8, 3)) for _ in range(3)]
+    alpha = np.ones((8, 8))
+    alpha[2:6, 2:6] = 0
+    images[request.param] = np.dstack((images[request.param], alpha))
+    chain = [clmorph.morph(*pair, 4, splatting="none") for pair in pairwise(images)]
+    depths = {frame.shape[2] for morph in chain for frame in morph.frames}
+    assert depths == ({4} if request.param == 1 else {3, 4})
+    return chain, images
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_chains_with_opacity_in_one_picture(tmp_path, partly_clear, name):
+    """It is there in that one's frame, and in the others' all is seen; or it lies on white."""
+    chain, images = partly_clear
+    path = tmp_path / f"out{(FORMATS[name].endings or ('',))[0]}"
+    enlarged = name in ("webm", "mp4", "sheet")
+    # What codecs blur at the edges of 4 x 4 squares of one color, they do not in the middle.
+    canvas = {"sheet": "64x64", "webm": "128x128", "mp4": "128x128"}.get(name, "source")
+    look = {"canvas": canvas, "scaling": "nearest", "lossless": True, "hold": 0}
+    save(chain, path, format=name, **look)
+    if name == "html":
+        assert read_parameters(path)["clmorph"]
+        return
+    if name == "npz":
+        frames = [to_bytes(frame) for frame in clmorph.load(path).frames]
+    elif name == "webm":
+        frames = decoded_clear(path)
+    elif name == "mp4":
+        frames = decoded(path)
+    elif name == "sheet":
+        with Image.open(path) as sheet:
+            pixels = np.asarray(sheet)
+        assert pixels.shape == (2 * (64 + 34) + 12, 5 * (64 + 12) + 12, 3)
+        frames = [
+            pixels[top : top + 64, left : left + 64]
+            for top in (12, 12 + 98) for left in range(12, 12 + 5 * 76, 76)
+        ][:7]  # fmt: skip
+    elif path.is_dir():
+        frames = [np.asarray(Image.open(file)) for file in sorted(path.iterdir())]
+    else:
+        frames = stills(path)[0]
+    assert len(frames) == 7
+    for frame, image in zip(frames[::3], images, strict=True):
+        if enlarged:
+            unit = len(frame) // 8
+            frame = frame[unit // 2 :: unit, unit // 2 :: unit]
+        want = to_bytes(image)
+        seen = want[..., 3] > 0 if want.shape[2] == 4 else np.ones((8, 8), bool)
+        within = 12 if name in ("webm", "mp4") else 1
+        if name == "mp4" or name == "sheet":
+            assert frame.shape == (8, 8, 3)
+            assert frame[~seen].min(initial=255) >= 255 - within
+        elif frame.shape[2] == 4:
+            assert np.abs(frame[..., 3] - 255.0 * seen).max() <= within
+        else:
+            assert name == "npz"
+            assert seen.all()
+        # Hues have half the resolution in videos, so only gray is compared there.
+        error = frame[..., :3].astype(float) - want[..., :3]
+        error = error @ [0.2126, 0.7152, 0.0722] if name in ("webm", "mp4") else error
+        assert np.abs(error[seen]).max() <= within
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, name):
+    ending = (FORMATS[name].endings or ("",))[0]
+    path = tmp_path / f"out{ending}"
+    folder = name.endswith("folder")
+    if not folder:
+        path.write_text("before")
+
+    def full(*args, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Recording, "picture", full)
+    monkeypatch.setattr("clmorph.output.formats.archive._write_array", full)
+    with pytest.raises(OutputError, match="No space left"):
+        save(growing, path, format=name)
+    assert [file.name for file in tmp_path.iterdir()] == ([] if folder else [path.name])
+    assert folder or path.read_text() == "before"
+
+
+@pytest.mark.parametrize(
+    "name", ["out.gif", "out.apng", "out.webp", "out.tif", "out.npz", "out.html", "frames"]
+)
+def test_frames_are_not_held(tmp_path, monkeypatch, name):
+    """They are rendered one by one, wait on disk, and are read again one by one."""
+    rng = np.random.default_rng(6)
+    result = clmorph.morph(*rng.random((2, 8, 8, 3)), 20)
+    alive, most = [0], []
+
+    def gone():
+        alive[0] -= 1
+
+    def watched(frame):
+        frame = frame.copy()  # of its own memory, which every view of it keeps
+        alive[0] += 1
+        most.append(alive[0])
+        weakref.finalize(frame, gone)
+        return frame
+
+    render, read = clmorph.Morph.frame, Spool.__getitem__
+    monkeypatch.setattr(clmorph.Morph, "frame", lambda self, t: watched(render(self, t)))
+    monkeypatch.setattr(Spool, "__getitem__", lambda self, index: watched(read(self, index)))
+    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 1000)
+    save(result, tmp_path / name, loop="ping-pong")
+    assert len(most) >= 40
+    assert max(most) <= 3
+
+
+#: Writes a film of smooth frames that move, made when they are read, and tells by how many MB
+#: more memory was ever taken for many than for some.
+GROWTH = """
+import pathlib, sys
+import numpy as np
+from clmorph.output.save import Output, write_all
+from clmorph.output.recording import Recording
+from clmorph.output.formats.video import CONTAINERS
+from clmorph.output.framing import FrameStyle
+from clmorph.output.playback import Motion
+
+def most():
+    status = pathlib.Path("/proc/self/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) / 1e3
+
+class Frames:
+    def __init__(self, side):
+        self.waves = np.linspace(0, 7, side)[:, None] + np.linspace(0, 5, side)
+
+    def __getitem__(self, index):
+        waves = np.sin(self.waves + 0.2 * index)[..., None] + [0.1, 0.3, 0.7]
+        return (127.5 + 70 * waves).clip(0, 255).astype(np.uint8)
+
+name, folder, side, *counts = sys.argv[1:]
+peaks = []
+for count in map(int, counts):
+    film = Recording(Frames(int(side)), [(int(side), int(side), 3)] * count,
+                     np.linspace(0, 1, count), np.zeros(count, bool), Motion())
+    write_all([Output(f"{folder}/{count}{name}")], film, FrameStyle("source"))
+    peaks.append(most())
+print(peaks[1] - peaks[0])
+"""
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", [".gif", ".webp", ".apng", ".tif", "", ".mp4", ".webm"])
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path, name):
+    """By the system's account: what image libraries take is not Python's."""
+    if not Path("/proc/self/status").exists():
+        pytest.skip("memory is told elsewhere on this system")
+    # Encoders of videos look ahead by some dozens of frames.
+    side, some, many = (300, 80, 160) if name in (".mp4", ".webm") else (600, 10, 60)
+    run = [sys.executable, "-c", GROWTH, name, tmp_path, str(side), str(some), str(many)]
+    told = subprocess.run(run, capture_output=True, check=True, text=True).stdout
+    one = side**2 * 3 / 1e6
+    held = 0.5 if name in (".mp4", ".webm") else 0.1  # of a frame
+    assert float(told) < held * one * (many - some)
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_progress_is_that_of_the_writing(tmp_path, growing, monkeypatch, name):
+    """Once for each frame, when it has been read and before the next is, up to the whole."""
+    events = []
+    read = Recording.picture
+    monkeypatch.setattr(
+        Recording, "picture", lambda self, n: (events.append("read"), read(self, n))[1]
+    )
+    ending = (FORMATS[name].endings or ("",))[0]
+
+    def progress(stage, share):
+        if stage.startswith("write "):
+            events.append(float(share))
+
+    save(growing, tmp_path / f"out{ending}", format=name, loop="ping-pong", progress=progress)
+    shares = [event for event in events if event != "read"]
+    count = 8 if FORMATS[name].animated else 5
+    assert shares == pytest.approx(np.arange(1, count + 1) / count)
+    if name not in ("npz", "html"):
+        assert events[-2 * count :] == [part for share in shares for part in ("read", share)]
+
+
+@pytest.mark.parametrize("name", ["out.gif", "out.apng", "out.webp"])
+@pytest.mark.parametrize("depth", [3, 4])
+def test_frames_that_repeat_or_stay_for_minutes_last_as_long(tmp_path, name, depth):
+    """Longer than a frame's duration has digits for; one that is all clear is one, too."""
+    frames = np.zeros((5, 6, 7, depth), np.uint8)
+    frames[3:, 2:4, 3:5] = [200, 200, 200, 255][:depth]
+    frames[[0, 1, 3], 1:3, 1:4, -1] = 255
+    holds = np.array([True, False, False, False, True])
+    film = Recording(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 5), holds,
+                Motion(10, 700.0, "ping-pong"))  # fmt: skip
+    write_all([Output(tmp_path / name)], film, FrameStyle("source", lossless=True))
+    told, durations = stills(tmp_path / name)
+    assert sum(durations) == pytest.approx(1000 * film.duration)
+    ends, shown = np.cumsum(durations), np.cumsum([seconds for _, seconds in film.played()]) * 1000
+    for (index, _), end in zip(film.played(), shown, strict=True):
+        seen = told[np.searchsorted(ends, end - 50)]
+        if depth == 3:
+            assert np.array_equal(seen[..., :3], frames[index])
+        else:
+            assert np.array_equal(seen[..., 3], frames[index][..., 3])
+            there = frames[index][..., 3:] > 0
+            assert np.array_equal(seen * there, frames[index] * there)
+
+
+@pytest.mark.parametrize("name", ["out.gif", "out.apng"])
+@pytest.mark.parametrize("clear", [False, True])
+def test_ffmpeg_sees_the_same_frames(tmp_path, rng, name, clear):
+    """Another decoder of what is put together here, part by part."""
+    frames = np.zeros((6, 20, 24, 4), np.uint8)
+    for number, frame in enumerate(frames):
+        frame[2:9, 2 * number : 2 * number + 9, :3] = rng.choice([40, 90, 200], (7, 9, 1))
+        frame[2:9, 2 * number : 2 * number + 9, 3] = 255
+    frames = frames if clear else frames[..., :3]
+    film = Recording(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 6),
+                np.zeros(6, bool), Motion(10))  # fmt: skip
+    write_all([Output(tmp_path / name)], film, FrameStyle("source"))
+    raw = subprocess.run(
+        [program("ffmpeg"), "-v", "error", "-i", tmp_path / name, "-f", "rawvideo", "-pix_fmt",
+         "rgba", "-"], capture_output=True, check=True,
+    ).stdout  # fmt: skip
+    seen = np.frombuffer(raw, np.uint8).reshape(-1, 20, 24, 4)
+    assert len(seen) == 6
+    if not clear:
+        assert np.array_equal(seen[..., :3], frames)
+    else:
+        assert np.array_equal(seen[..., 3], frames[..., 3])
+        assert np.array_equal(seen * (seen[..., 3:] > 0), frames)
+
+
+@pytest.mark.full
+def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):
+    """Of a hundred frames of 256 x 256, 20 MB, only samples are in memory."""
+    import tracemalloc
+
+    monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 1000)
+    rng = np.random.default_rng(7)
+    with Spool(np.uint8, tmp_path) as spool:
+        for _ in range(100):
+            spool.append(rng.integers(0, 255, (256, 256, 3), np.uint8))
+        shapes = [(256, 256, 3)] * 100
+        film = Recording(spool, shapes, np.linspace(0, 1, 100), np.zeros(100, bool), Motion())
+        tracemalloc.start()
+        try:
+            write_all([Output(tmp_path / "out.gif")], film, FrameStyle("source"))
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert peak < 14e6
+
+
+@pytest.mark.parametrize(
+    ("name", "most"), [("out.webp", 16383), ("out.gif", 65535), ("out.mp4", 16384),
+                       ("out.webm", 65536)]
+)  # fmt: skip
+def test_pictures_that_a_file_cannot_hold_are_refused_at_once(tmp_path, monkeypatch, name, most):
+    """And the largest that it can hold are written."""
+    wide = np.zeros((2, most + 2, 3), np.uint8)
+    for width, fits in ((most + 2 - most % 2, False), (most, True)):
+        frames = [wide[:, :width]] * 2
+        film = Recording(frames, [frame.shape for frame in frames], np.array([0.0, 1.0]),
+                    np.zeros(2, bool), Motion())  # fmt: skip
+        if fits:
+            write_all([Output(tmp_path / name)], film)
+            if name.endswith(("gif", "webp")):
+                assert stills(tmp_path / name)[0][0].shape == (2, most, 4)
+            else:
+                assert (probe(tmp_path / name)["width"], probe(tmp_path / name)["height"]) == (
+                    most, 2
+                )  # fmt: skip
+            continue
+        with monkeypatch.context() as patch:
+            patch.setattr(Recording, "picture", lambda *args: pytest.fail("encoding has begun"))
+            with pytest.raises(InputError, match=f"at most {most}: set a smaller") as caught:
+                write_all([Output(tmp_path / name)], film)
+        assert "\n" not in str(caught.value)
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "name", ["out.webp", "out.gif", "out.apng", "out.mp4", "out.webm", "out.tif", "", "out.png"]
+)
+def test_what_encoders_raise_is_told_in_one_line(tmp_path, monkeypatch, growing, name):
+    def broken(*args, **options):
+        raise RuntimeError("ERROR adding frame\nof two lines")
+
+    monkeypatch.setattr("PIL.Image.Image.paste", broken)
+    monkeypatch.setattr("PIL.Image.Image.save", broken)
+    monkeypatch.setattr("tifffile.TiffWriter.write", broken)
+    if name in ("out.mp4", "out.webm"):
+        broken_one = CONTAINERS[name[4:]]._replace(settings={"crf": "nothing"})
+        monkeypatch.setitem(CONTAINERS, name[4:], broken_one)
+    with pytest.raises(OutputError, match=r"the encoder of .* failed .*another format") as caught:
+        save(growing, tmp_path / (name or "frames"), canvas="source")
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_refusals(tmp_path, growing, monkeypatch):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a.png").write_text("")
+    (tmp_path / "dir.gif").mkdir()
+    for name, words in [
+        ("out.bmp", "unknown ending '.bmp'; expected .gif, .webp, .apng"),
+        ("no/where/out.gif", "no folder"),
+        ("file", "exists already"),
+        ("full", "exists already"),
+        ("dir.gif", "is a folder"),
+        ("file/out.gif", "no"),
+        ("x" * 300 + ".gif", "no such place|cannot be written"),
+    ]:
+        with pytest.raises(OutputError, match=words) as caught:
+            Output(tmp_path / name)
+        assert "\n" not in str(caught.value)
+    for nothing in (None, "", 3):
+        with pytest.raises(OutputError, match="path"):
+            Output(nothing)
+    for options, words in (
+        ({"format": "mov"}, "format='mov'"),
+        ({"fps": 0}, "fps=0"),
+        ({"fps": 60}, "fps=60 is too fast for"),
+        ({"hold": -1}, "hold=-1"),
+        ({"loop": "twice"}, "loop='twice'"),
+        ({"canvas": "big"}, "canvas='big'"),
+        ({"canvas": "0x10"}, "canvas='0x10'"),
+        ({"canvas": (10, 99999)}, "canvas="),
+        ({"scaling": "bicubic"}, "scaling="),
+        ({"background": "reddish"}, "background='reddish'"),
+    ):
+        with pytest.raises(InputError, match=re.escape(words)) as caught:
+            save(growing, tmp_path / "out.gif", **options)
+        assert "\n" not in str(caught.value)
+    for nothing in ([], None, [1]):
+        with pytest.raises(InputError, match="expected a Morph"):
+            save(nothing, tmp_path / "out.gif")
+    monkeypatch.setattr("clmorph.output.formats.video.find_spec", lambda name: None)
+    for name in ("out.mp4", "out.webm"):
+        with pytest.raises(OutputError, match=r"pip install \"clmorph\[video\]\""):
+            save(growing, tmp_path / name)
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_a_folder_that_cannot_be_listed_is_told(tmp_path, monkeypatch):
+    """Its rights let files be made in it, not be seen."""
+    place = tmp_path / "frames"
+    place.mkdir()
+
+    def refuse(folder):
+        raise PermissionError(13, "Permission denied", str(folder))
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(OutputError, match=r"frames cannot be written \(Permission denied\)"):
+        Output(place)
+
+
+def test_archives_that_are_not_there(tmp_path, rng):
+    with pytest.raises(InputError, match=r"gone\.npz: no such file$"):
+        clmorph.load(tmp_path / "gone.npz")
+    with pytest.raises(InputError, match=r"cannot be read \("):
+        clmorph.load(tmp_path)
+    morph = clmorph.morph(*rng.random((2, 5, 6, 3)), 3, backend="numpy")
+    save(morph, tmp_path / "x.npz")
+    with pytest.raises(InputError, match=r"take [\d.]+ (kB|bytes), expected at most 900 bytes; if"):
+        clmorph.load(tmp_path / "x.npz", max_bytes=900)

@@ -1,0 +1,411 @@
+"""The page as text, and what it is made of; how it behaves is in test_viewer_page.py."""
+
+import base64
+import hashlib
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import clmorph
+from clmorph import InputError, OutputError, displacement_statistics, morph
+from clmorph._shared.printable import printable
+from clmorph.frames.canvas import canvas_at
+from clmorph.images.pixels import to_bytes
+from clmorph.output.html import (
+    Curve,
+    Field,
+    Scene,
+    page,
+    read_parameters,
+    repr_html,
+    scene_of,
+    write_page,
+)
+from clmorph.output.html.encoding import QUALITIES, Encoder
+from clmorph.output.html.geometry import frame_boxes
+
+HOSTILE = '</script><img src="http://127.0.0.1/x" onerror=alert(1)>&amp;\'"\u2028\u00e9\U0001f431\0'
+
+
+def decoded(text):
+    """Frames of a page, as arrays."""
+    blocks = re.findall(r'<script type="image/\w+" class="frame">([^<]*)</script>', text)
+    pictures = [Image.open(io.BytesIO(base64.b64decode(block))) for block in blocks]
+    return [np.asarray(picture.convert("RGBA")) for picture in pictures]
+
+
+def known(text):
+    """What the script of a page knows."""
+    return json.loads(re.search(r'id="clmorph-scene">([^<]*)</script>', text)[1])
+
+
+def random_frames(rng, count=4, shape=(6, 8, 3)):
+    return [rng.integers(0, 256, shape, dtype=np.uint8) for _ in range(count)]
+
+
+def small_morph(rng, shapes=((9, 12), (14, 10)), **options):
+    images = [rng.random((*shape, 3)) for shape in shapes]
+    return morph(*images, n_frames=5, backend="numpy", blur=0.1, **options)
+
+
+def test_frames_are_kept_without_loss(rng):
+    sizes = [(1, 1, 3), (5, 7, 3), (33, 2, 4), (20, 21, 4)]
+    frames = [rng.integers(0, 256, size, dtype=np.uint8) for size in sizes]
+    text = page(Scene(frames, np.arange(4.0)))
+    for got, want in zip(decoded(text), frames, strict=True):
+        if want.shape[2] == 3:
+            assert np.array_equal(got[..., :3], want)
+            assert np.all(got[..., 3] == 255)
+        else:
+            seen = want[..., 3] > 0
+            assert np.array_equal(got[..., 3], want[..., 3])
+            assert np.array_equal(got[seen], want[seen])
+    assert known(text)["notes"] == []
+    assert known(text)["sizes"] == [[1, 1], [7, 5], [2, 33], [21, 20]]
+
+
+def test_without_webp_frames_are_png(rng, monkeypatch):
+    from PIL import features
+
+    monkeypatch.setattr(features, "check", lambda name: name != "webp")
+    frames = random_frames(rng)
+    text = page(Scene(frames, np.arange(4.0)))
+    assert text.count('type="image/png"') == 4
+    for got, want in zip(decoded(text), frames, strict=True):
+        assert np.array_equal(got[..., :3], want)
+    with pytest.raises(OutputError, match="more than"):
+        page(Scene(frames, np.arange(4.0)), max_bytes=400)
+
+
+def test_a_page_has_at_most_the_bytes_it_may_have(rng):
+    smooth = np.clip(np.add.outer(np.arange(96), np.arange(96))[..., None] + [0, 20, 40], 0, 255)
+    frames = [
+        np.clip(smooth + rng.normal(0, 6, smooth.shape), 0, 255).astype(np.uint8) for _ in range(6)
+    ]
+    frames[0] = np.zeros_like(frames[0])
+    whole = sum(len(Encoder(1, 1e9).encode(frame).text) for frame in frames)
+    limit = 0.4 * whole
+    text = page(Scene(frames, np.arange(6.0)), max_bytes=limit)
+    assert sum(map(len, re.findall(r'class="frame">([^<]*)<', text))) <= limit
+    (note,) = known(text)["notes"]
+    lossy = int(note.split()[0])
+    got = decoded(text)
+    different = [not np.array_equal(a[..., :3], b) for a, b in zip(got, frames, strict=True)]
+    assert sum(different) == lossy > 0
+    # Never back and forth.
+    assert different == sorted(different)
+    assert not different[0]
+    for a, b in zip(got, frames, strict=True):
+        assert np.abs(a[..., :3].astype(float) - b).mean() < 12
+    assert re.search(rf"quality ({'|'.join(map(str, QUALITIES))}) or better", note)
+    with pytest.raises(OutputError, match="fewer or smaller frames") as caught:
+        page(Scene(frames, np.arange(6.0)), max_bytes=2000)
+    assert "\n" not in str(caught.value)
+
+
+class ReadOnce:
+    """A sequence that tells what is read, and when."""
+
+    def __init__(self, frames, log):
+        self.frames, self.log = frames, log
+
+    def __len__(self):
+        return len(self.frames)
+
+    def __getitem__(self, index):
+        frame = self.frames[index]
+        self.log.append(("read", index))
+        return frame
+
+
+def test_frames_are_read_once_in_order_and_written_at_once(rng):
+    log = []
+
+    class File(io.StringIO):
+        def write(self, text):
+            if 'class="frame"' in text:
+                assert text.count('class="frame"') == 1
+                log.append(("write", None))
+            return super().write(text)
+
+    file = File()
+    scene = Scene(ReadOnce(random_frames(rng, 3), log), np.arange(3.0))
+    assert log == []
+    write_page(scene, file)
+    assert [what for what, _ in log] == ["read", "write"] * 3
+    assert [index for what, index in log if what == "read"] == [0, 1, 2]
+    assert file.getvalue() == page(scene)
+
+
+def test_everything_foreign_is_escaped(rng, tmp_path):
+    parameters = {HOSTILE.replace("\0", ""): {"a": [HOSTILE, 1, None, True]}, "b": HOSTILE}
+    scene = Scene(
+        random_frames(rng, 2), [0, 1], title=HOSTILE, parameters=parameters, notes=[HOSTILE],
+        curves=[Curve(HOSTILE, HOSTILE, [1, 2])],
+    )  # fmt: skip
+    text = page(scene)
+    assert text.isascii()
+    assert "<img" not in text
+    assert "\0" not in text
+    # The template's own script, frames and data: not one more.
+    assert text.count("<script") == text.count("</script>") == 5
+    path = tmp_path / "page.html"
+    path.write_text(text)
+    assert read_parameters(path) == parameters
+    assert known(text)["notes"] == [printable(HOSTILE)]
+    plain = page(Scene(random_frames(rng, 2), [0, 1], title="{{frames}} {{script}}"))
+    assert "<title>{{frames}} {{script}}</title>" in plain
+
+
+def test_nothing_but_the_page_itself_may_run_or_be_loaded(rng):
+    text = page(Scene(random_frames(rng, 2), [0, 1]))
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)[1]
+    rules = dict(rule.split(" ", 1) for rule in policy.split("; "))
+    assert rules["default-src"] == "'none'"
+    assert rules["img-src"] == "data: blob:"
+    for rule, tag in (("script-src", "script"), ("style-src", "style")):
+        content = re.search(rf"<{tag}>(.*?)</{tag}>", text, re.DOTALL)[1]
+        digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
+        assert rules[rule] == f"'sha256-{digest}'"
+    assert not re.search(r"\son\w+=", re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
+    # The name of SVG's elements, which is no address.
+    assert set(re.findall(r"(?:https?|wss?|ftp)://[\w.]+", text)) == {"http://www.w3.org"}
+    assert not re.search(r'(?:src|href)="(?!data:,")', text)
+
+
+def test_parameters_are_read_from_the_page_alone(rng, tmp_path):
+    parameters = {
+        "blur": 0.03,
+        "reach": "balanced",
+        "sizes": [[1, 2], None],
+        "name": "K\u00e4tzchen",
+    }
+    path = tmp_path / "page.html"
+    with path.open("w", encoding="ascii") as file:
+        write_page(Scene(random_frames(rng), np.arange(4.0), parameters=parameters), file)
+    assert read_parameters(path) == parameters
+    assert read_parameters(str(path)) == parameters
+    bare = tmp_path / "bare.html"
+    bare.write_text(page(Scene(random_frames(rng), np.arange(4.0))))
+    assert read_parameters(bare) == {}
+    (tmp_path / "empty.html").write_text("")
+    (tmp_path / "other.html").write_text("<!doctype html><title>other</title>")
+    marker = '<script type="application/json" id="clmorph-parameters">'
+    (tmp_path / "torn.html").write_text(marker + '{"a": 1')
+    (tmp_path / "list.html").write_text(marker + "[1]</script>")
+    for name in ("empty", "other", "torn", "list", "missing"):
+        with pytest.raises(InputError, match="expected a page") as caught:
+            read_parameters(tmp_path / f"{name}.html")
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="expected a page"):
+        read_parameters(None)
+
+
+FRAMES = [np.zeros((2, 2, 3), np.uint8)] * 2
+ZEROS = np.zeros((2, 2))
+REFUSED = {
+    "no frames": (lambda: Scene([], []), "at least one"),
+    "times": (lambda: Scene(FRAMES, [0.0]), "2 frames and 1 times"),
+    "descending": (lambda: Scene(FRAMES, [1, 0]), "ascending"),
+    "nan": (lambda: Scene(FRAMES, [0, np.nan]), "finite"),
+    "words": (lambda: Scene(FRAMES, ["a", "b"]), "numbers"),
+    "fps": (lambda: Scene(FRAMES, [0, 1], fps=0), "fps=0"),
+    "hold": (lambda: Scene(FRAMES, [0, 1], hold=-1), "hold=-1"),
+    "loop": (lambda: Scene(FRAMES, [0, 1], loop="twice"), "'ping-pong'"),
+    "extent": (lambda: Scene(FRAMES, [0, 1], extent="cm"), "extent='cm'"),
+    "title": (lambda: Scene(FRAMES, [0, 1], title=3), "title is a int"),
+    "note": (lambda: Scene(FRAMES, [0, 1], notes=[3]), "note is a int"),
+    "parameters": (lambda: Scene(FRAMES, [0, 1], parameters={"a": np.inf}), "not JSON"),
+    "no parameters": (lambda: Scene(FRAMES, [0, 1], parameters=[1]), "is a list"),
+    "objects": (lambda: Scene(FRAMES, [0, 1], parameters={"a": object()}), "not JSON"),
+    "short curve": (lambda: Scene(FRAMES, [0, 1], curves=[Curve("a", "b", [1])]), "1 values"),
+    "flat curve": (lambda: Curve("a", "b", ZEROS), "shape"),
+    "infinite curve": (lambda: Curve("a", "b", [np.inf]), "finite"),
+    "nameless curve": (lambda: Curve(None, "b", [1]), "name is a NoneType"),
+    "field": (lambda: Field(ZEROS, ZEROS[:1]), "one for each"),
+    "field's shape": (lambda: Field(ZEROS[:, :1], ZEROS), "positions have shape"),
+    "field's weights": (lambda: Field(ZEROS, ZEROS, [1, -1]), "negative"),
+    "field's times": (lambda: Field(ZEROS, ZEROS, begin=1, end=1), "end=1"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused(case):
+    make, words = REFUSED[case]
+    with pytest.raises(InputError, match=words) as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [np.zeros((2, 2, 3)), np.zeros((2, 2), np.uint8), np.zeros((2, 0, 3), np.uint8), "frame"],
+)
+def test_refused_frames(frame):
+    with pytest.raises(InputError, match=r"frame 1 is .*uint8"):
+        page(Scene([FRAMES[0], frame], [0, 1]))
+
+
+def test_sequences_of_other_lengths_than_they_say():
+    class Lies(list):
+        def __len__(self):
+            return 2
+
+    for count in (1, 3):
+        with pytest.raises(InputError, match="frames"):
+            page(Scene(Lies(FRAMES[:1] * count), [0, 1]))
+
+
+@pytest.mark.parametrize("extent", ["true", "unit"])
+@pytest.mark.parametrize(
+    "shapes", [((64, 48), (48, 64)), ((9, 14), (31, 20)), ((40, 40), (80, 80))]
+)
+def test_pixels_stand_where_the_morph_has_them(extent, shapes):
+    """Common frame -> pixel -> box -> common frame is the identity, at every time."""
+    times = np.linspace(0, 1, 23)
+    canvases = [canvas_at(t, *shapes, extent) for t in times]
+    boxes = frame_boxes([canvas.shape for canvas in canvases], times, extent)
+    for canvas, (width, height, across, down) in zip(canvases, boxes, strict=True):
+        # The place of a point in the frame, as a share of it, from the frame's center.
+        in_frame = 0.3 * np.array(canvas.scale) / np.array(canvas.shape[::-1])
+        assert np.allclose(in_frame * (width, height), 0.3 * np.array([across, down]))
+    if extent == "true":
+        assert np.allclose(boxes[:, 2:], 1)
+    # Sides follow the motion, not the rounded canvas; true ones lack less than a pixel of it.
+    ends = boxes[[0, -1]]
+    assert np.allclose(ends[:, 0] / ends[:, 1], [w / h for h, w in shapes])
+    if extent == "unit":
+        # Along a smooth curve: second differences are tiny.
+        assert np.abs(np.diff(boxes[:, 2:], 2, axis=0)).max() < 0.01
+
+
+def test_boxes_of_chains_and_of_frames_that_no_morph_makes():
+    times = np.array([0, 0.5, 1, 1, 1.5, 2])
+    sizes = [(11, 11), (16, 16), (21, 21), (21, 21), (16, 16), (11, 11)]
+    boxes = frame_boxes(sizes, times)
+    assert np.allclose(boxes[:, 0], [11 / 10, 16 / 15, 21 / 20, 21 / 20, 16 / 15, 11 / 10])
+    odd = frame_boxes([(11, 11), (99, 50), (11, 11)], np.array([0, 0.5, 1.0]))
+    assert np.allclose(odd[1], [50 / 98, 99 / 98, 1, 1])
+    assert np.all(np.isfinite(frame_boxes([(1, 1), (1, 1)], np.array([0, 1.0]))))
+    for extent in ("true", "unit"):
+        line = frame_boxes([(1, 12), (4, 9), (7, 7)], np.array([0, 0.5, 1.0]), extent)
+        assert np.all(np.isfinite(line))
+        assert np.all(line[:, :2] > 0)
+
+
+@pytest.mark.parametrize("unmatched", ["fade", "drop"])
+def test_curves_are_those_of_the_particles(rng, unmatched):
+    result = small_morph(rng, unmatched=unmatched, reach=0.2)
+    scene = scene_of(result)
+    curves = {curve.name: curve for curve in scene.curves}
+    assert np.allclose(curves["kernel width"].values, result.sigma)
+    r, c = result.plan.marginals
+    dying = np.maximum(result.source.weights - r, 0).sum() if unmatched == "fade" else 0.0
+    born = np.maximum(result.target.weights - c, 0).sum() if unmatched == "fade" else 0.0
+    for k, t in enumerate(result.times):
+        total = result.particles.mass(t)
+        values = {name: curve.values[k] for name, curve in curves.items()}
+        assert values["mass dying"] == pytest.approx(100 * (1 - t) * dying / total)
+        assert values["mass born"] == pytest.approx(100 * t * born / total)
+        shares = [values[f"mass {name}"] for name in ("traveling", "dying", "born")]
+        assert sum(shares) == pytest.approx(100)
+    if unmatched == "fade":
+        assert born > 0.01
+        assert dying > 0.01
+    assert [curve.unit for curve in scene.curves] == ["pixels"] + ["% of mass"] * 3
+
+
+def test_arrows_are_mean_displacements(rng):
+    result = small_morph(rng)
+    moved = displacement_statistics(result.source, result.target, result.plan)
+    field = scene_of(result).field
+    # Fewer pixels than arrows: one for each pixel.
+    pixels = max(result.source.shape) - 1
+    assert np.allclose(field.positions, result.source.positions)
+    assert np.allclose(field.displacement * pixels, moved.field.reshape(-1, 2))
+    assert field.weights.max() == 1
+
+
+def test_arrows_of_large_images_are_few(rng):
+    result = small_morph(rng, shapes=((30, 50), (9, 9)))
+    field = scene_of(result).field
+    assert len(field.positions) == 10 * 17  # three by three pixels each, at most 24 along a side
+    moved = displacement_statistics(result.source, result.target, result.plan)
+    block = (slice(3, 6), slice(6, 9))
+    mass = moved.source_mass[block]
+    mean = (moved.field[block] * mass[..., None]).sum((0, 1)) / mass.sum() / 49
+    assert np.allclose(field.displacement[17 + 2], mean)
+    # As exact where only means of the plan are known.
+    means = clmorph.morph(
+        result.source.colors.reshape(30, 50, 3), result.target.colors.reshape(9, 9, 3),
+        n_frames=5, backend="numpy", blur=0.1, barycentric=True,
+    )  # fmt: skip
+    again = scene_of(means).field
+    assert np.allclose(again.displacement, field.displacement, atol=1e-4)
+
+
+def test_scene_of_a_morph(rng, tmp_path):
+    result = small_morph(rng)
+    text = page(scene_of(result, title="Two", parameters={"size": 12, "blur": "mine"}))
+    for got, want in zip(decoded(text), result.frames, strict=True):
+        assert np.array_equal(got[..., :3], to_bytes(want))
+    (tmp_path / "page.html").write_text(text)
+    parameters = read_parameters(tmp_path / "page.html")
+    assert parameters["size"] == 12
+    assert parameters["blur"] == "mine"
+    assert parameters["source_size"] == [12, 9]
+    assert parameters["iterations"] == result.potentials.n_iter
+    assert "<title>Two</title>" in text
+    # Frames that are at hand are not rendered again; floats are rounded.
+    given = scene_of(result, result.frames)
+    assert np.array_equal(given.frames[2], to_bytes(result.frames[2]))
+    assert page(given) == page(scene_of(result, [to_bytes(frame) for frame in result.frames]))
+    balanced = small_morph(rng, reach=(None, 0.4))
+    assert scene_of(balanced).parameters["reach"] == ["balanced", 0.4]
+    with pytest.raises(InputError, match="frames"):
+        scene_of(result, result.frames[:2])
+
+
+def test_frames_are_rendered_only_when_read(rng, monkeypatch):
+    result = small_morph(rng)
+    asked = []
+    frame = clmorph.Morph.frame
+    monkeypatch.setattr(clmorph.Morph, "frame", lambda self, t: asked.append(t) or frame(self, t))
+    scene = scene_of(result)
+    assert asked == []
+    assert len(scene.frames[1:3]) == 2
+    page(scene)
+    assert asked == result.times.tolist()
+
+
+def test_sprites_are_shown_as_squares(rng):
+    sprite = np.kron(rng.integers(0, 2, (6, 6, 3)), np.ones((3, 3, 1))).astype(float)
+    photo = rng.random((18, 18, 3))
+    for pair, wanted in (
+        ((sprite, sprite), True),
+        ((sprite, photo), False),  # as in every other file
+        ((photo, photo), False),
+    ):
+        result = morph(*pair, n_frames=2, backend="numpy", blur=0.2)
+        assert scene_of(result).pixelated is wanted
+        assert scene_of(result, pixelated=not wanted).pixelated is not wanted
+
+
+def test_notebooks_stay_small(rng):
+    result = small_morph(rng)
+    whole = repr_html(result)
+    assert whole.startswith("<iframe srcdoc=")
+    assert 'sandbox="allow-scripts allow-downloads"' in whole
+    assert "allow-same-origin" not in whole
+    assert whole.count("class=&quot;frame&quot;") == 5
+    few = repr_html(result, max_pixels=3 * 14 * 10)
+    assert few.count("class=&quot;frame&quot;") == 3
+    assert "3 of 5 frames are shown" in few
+    assert "frames are shown" not in whole
+    assert repr_html(result, max_pixels=1).count("class=&quot;frame&quot;") == 2
+    with pytest.raises(OutputError, match="more than"):
+        repr_html(result, max_bytes=50)
