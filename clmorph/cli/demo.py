@@ -19,11 +19,10 @@ from clmorph.pipeline.presets import PRESETS
 SPRITE_ZOOM = 6
 PHOTO_SIDE = 256
 N_FRAMES = 40
-#: A little more blur than the preset: few colors meet many.
-PARAMETERS = {name: value for name, value in PRESETS["photo"].items() if name != "size"} | {
-    "blur": 0.04,
-    "color_weight": 1.0,
-}
+#: In place of the preset's: a little more blur, because few colors meet many.
+CHANGES: dict[str, float] = {"blur": 0.04, "color_weight": 1.0}
+#: All options of the morph. The pictures have their sizes already.
+OPTIONS = {name: value for name, value in PRESETS["photo"].items() if name != "size"} | CHANGES
 
 
 def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -49,7 +48,7 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     Returns
     -------
     list of str
-        What to tell the user: parameters, times, files.
+        Lines for the user: pictures, options, times, files.
 
     Raises
     ------
@@ -59,19 +58,23 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     files = [folder / f"clmorph-demo{ending}" for ending in (".gif", ".html", ".png")]
     outputs = [Output(file) for file in files]
     sprite, photo = demo_images()
-    result = morph(sprite, photo, N_FRAMES, backend=operations, progress=stages, **PARAMETERS)  # type: ignore[arg-type]
+    result = morph(sprite, photo, N_FRAMES, backend=operations, progress=stages, **OPTIONS)  # type: ignore[arg-type]
     with recorded(
         [result], Motion(), keep=True, parameters=metadata_of([result]), folder=folder,
         progress=stages,
     ) as recording:  # fmt: skip
-        write_all(outputs, recording, report=lambda output, share: stages(output.path.name, share))
-    options = ", ".join(f"{name} {value}" for name, value in PARAMETERS.items())
-    times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in stages.seconds.items())
+        write_all(
+            outputs, recording,
+            report=lambda output, share: stages(f"write {output.path.name}", share),
+        )  # fmt: skip
+    options = {"frames": N_FRAMES, **CHANGES}
+    given = " ".join(f"--{name.replace('_', '-')} {value:g}" for name, value in options.items())
+    seconds = ", ".join(f"{stage} {time:.1f} s" for stage, time in stages.seconds.items())
     return [
-        f"images: {sprite.shape[1]}x{sprite.shape[0]} to {photo.shape[1]}x{photo.shape[0]}, "
-        f"{N_FRAMES} frames, {len(result.particles)} particles",
-        f"parameters: {options}",
+        f"pictures: {sprite.shape[1]}x{sprite.shape[0]} into {photo.shape[1]}x{photo.shape[0]} "
+        f"pixels, {len(result.particles)} particles",
+        f"options: --preset photo {given}",
         f"solver: {result.potentials.message}",
-        f"times: {times}",
+        f"times: {seconds}",
         *(f"wrote {file.name}" for file in files),
     ]

@@ -33,7 +33,7 @@ from clmorph.errors import (
 )
 from clmorph.frames.kernel_width import is_pixel_art
 from clmorph.images.pixels import MAX_PIXELS, fit
-from clmorph.output.framing import FrameStyle
+from clmorph.output.framing import FrameStyle, enlargement_note
 from clmorph.output.playback import Motion, held_frames
 from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
@@ -184,6 +184,9 @@ def run_morph(
                 )
                 film = replace(film, parameters=files.recipe(
                     settings, images, operations.description))  # fmt: skip
+            enlarged = enlargement_note(run.look, film.shapes, film.pixelated, settings.get("size"))
+            if enlarged and any("canvas" in place.format.relevant_options for place in places):
+                note(enlarged)
             texts = {}
             for beside in recipes:
                 folder = beside.resolve().parent

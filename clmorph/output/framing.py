@@ -21,6 +21,8 @@ SCALINGS = ("auto", "nearest", "smooth")
 CANVASES = ("dynamic", "source", "target")
 #: A canvas's largest side, in pixels.
 MAX_SIDE = 16384
+#: Enlargement from which frames look soft.
+ENLARGED = 1.25
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,10 @@ class FrameStyle:
     scaling: str = "auto"
     background: str | None = None
     lossless: bool = False
+
+    def is_nearest(self, pixelated: bool) -> bool:
+        """Return whether pixels are enlarged as squares, for pictures that are pixel art or not."""
+        return pixelated if self.scaling == "auto" else self.scaling == "nearest"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "canvas", as_canvas(self.canvas))
@@ -106,6 +112,60 @@ def in_time(shapes: Iterable[tuple[int, ...]], times: NDArray[Any]) -> list[tupl
     return [shapes[index] for index in np.argsort(times, kind="stable")]
 
 
+def enlargement(canvas: Any, shapes: Iterable[tuple[int, ...]]) -> float:
+    """Return how many times a canvas of a given size enlarges the frame that it enlarges least.
+
+    Parameters
+    ----------
+    canvas : {"dynamic", "source", "target"} or (width, height)
+    shapes : iterable of (H, W, C)
+
+    Returns
+    -------
+    float
+        At most 1 if a frame is at least as large as the canvas, and for canvases with a name,
+        whose size comes from the frames.
+    """
+    if isinstance(canvas, str):
+        return 1.0
+    width, height = canvas
+    return min(min(width / shape[1], height / shape[0]) for shape in shapes)
+
+
+def enlargement_note(
+    style: FrameStyle, shapes: Iterable[tuple[int, ...]], pixelated: bool, size: int | None
+) -> str | None:
+    """Return what to tell a user whose canvas enlarges all frames and so makes them soft.
+
+    Parameters
+    ----------
+    style : FrameStyle
+    shapes : iterable of (H, W, C)
+        Of the frames.
+    pixelated : bool
+        Whether the pictures are pixel art, which stays sharp.
+    size : int or None
+        The longer side to which pictures were reduced (``--size``); None if they were not.
+
+    Returns
+    -------
+    str or None
+        None unless frames are enlarged by at least `ENLARGED`.
+    """
+    shapes = list(shapes)
+    factor = enlargement(style.canvas, shapes)
+    if factor < ENLARGED or style.is_nearest(pixelated):
+        return None
+    height, width, _ = max(shapes, key=lambda shape: (max(shape[:2]), shape[0] * shape[1]))
+    note = (
+        f"frames of up to {width}x{height} pixels are enlarged {factor:.2g} times to fit the "
+        f"canvas of {style.canvas[0]}x{style.canvas[1]}"
+    )
+    if size is None or max(height, width) < size:
+        return f"{note}: the pictures themselves have no more pixels"
+    return f"{note}; for sharper frames, which take longer, add --size {round(size * factor)}"
+
+
 class Framing:
     """Bring frames to one size.
 
@@ -141,7 +201,7 @@ class Framing:
         opacity: bool = True,
     ) -> None:
         shapes = list(shapes)
-        self.nearest = pixelated if style.scaling == "auto" else style.scaling == "nearest"
+        self.nearest = style.is_nearest(pixelated)
         transparent = any(shape[2] == 4 for shape in shapes)
         self.clear = transparent and opacity and style.background is None
         self._background = style.background or ("white" if transparent else "black")
