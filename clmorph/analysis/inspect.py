@@ -103,6 +103,18 @@ color_space, color_metric, weights, backend
         If the particles of a morph would not all fit into `max_memory`.
     PruningWarning
         If `log_threshold` drops more than a quarter of the plan's mass.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> found = clmorph.inspect(left, right, blur=0.1, reach=0.3, backend="numpy")
+    >>> round(found.transported + found.destroyed, 2)
+    1.0
+    >>> found.divergence.value > 0
+    True
     """
     options = check_options(
         n_frames, blur, reach, color_weight, epsilon=epsilon, rho=rho, tol=tol,
