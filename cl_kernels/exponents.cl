@@ -1,4 +1,4 @@
-// Arithmetic of the exponents e_ij of rows.cl, in one of three widths. What follows them,
+// Arithmetic of the exponents e_ij of row_loop.cl, in one of three widths. What follows them,
 // exponentials of numbers near 0 and their sums, is float32 in all.
 //
 // -D PRECISE  0 (default): float32; an error of about 2e-8 C / epsilon nats.
@@ -6,7 +6,7 @@
 //             float64; 4 times the time. Dekker 1971; Ogita, Rump, Oishi 2005 (Dot2).
 //             2: float64; on CPUs 2.3 times the time.
 // Inputs are float32 in all: PLANES of them, the second with what the first rounds off.
-// -D DIM, TILE  see rows.cl
+// -D DIM, TILE  see row_loop.cl
 
 #ifndef PRECISE
 #define PRECISE 0

@@ -3,155 +3,23 @@
 //     numerator(p) = sum_k w_k K(p - p_k) c_k,   denominator(p) = sum_k w_k K(p - p_k),
 //     K(d) = exp(-|d|^2 / (2 sigma^2)) where |d_x|, |d_y| <= radius, else 0,
 //
-// in four steps without atomics, so that the result does not depend on scheduling:
-// place the particles at time t, count them by bin, sort them into bins (the order
-// inside a bin is the particles' own), and let every tile of pixels gather the bins
-// within its reach. Bins are squares of 1 / bins_per_pixel pixels, a power of two; bin
-// (0, 0) begins `margin` bins outside the canvas, and particles farther out fall into the
-// outermost ones. Where particles are many, moments.cl takes the place of the last step.
+// distances, sigma and radius in pixels, without atomics, so that the result does not depend on
+// scheduling: particles come sorted into bins (see particles.cl and bins.cl), and every tile of pixels
+// gathers the bins within its reach. Where particles are many, gauss_transform.cl takes the place of
+// the gather. Particles of different width levels are gathered one level after the other.
 //
-// Widths can differ between particles: each then stands on a rung of a ladder of widths
-// (choose_rungs), every rung has bins of its own, and rungs are gathered one by one.
-//
-// -D RUNGS       rungs of the ladder
-// -D BASE_RUNG   the one whose width is sigma; RUNGS_PER_OCTAVE of them double the width
 // -D CHUNK       particles added up before they join the total (bounds rounding)
 // -D TILE_GROUP  work-items of a splatting work-group along x and y
 
 #include "common.cl"
+#include "bins.cl"
 
-#ifndef RUNGS
-#error "RUNGS, BASE_RUNG and RUNGS_PER_OCTAVE (ladder of widths) must be given"
-#endif
 #ifndef CHUNK
 #define CHUNK 256 // rounding grows with CHUNK + n / CHUNK
 #endif
 #ifndef TILE_GROUP
 #define TILE_GROUP 1
 #endif
-
-// Position, weight, color and spacing of every particle at time t. One work-item each.
-__kernel void place(
-    const uint first, const float t, const float2 scale, const float2 center,
-    const __global float* restrict table,       // (points, 6): x, y in the frame, color, spacing
-    const __global uint2* restrict links,       // (particles,): where it starts, where it ends
-    const __global float2* restrict weights,    // (particles,): weight at t = 0 and at t = 1
-    __global float* restrict positions,         // (particles, 2): pixels
-    __global float* restrict samples,           // (particles, 4): weight, color
-    __global float* restrict spacings)          // (particles,): pixels
-{
-    const size_t i = (size_t)first + get_global_id(0);
-    const uint2 link = links[i];
-    const __global float* a = table + 6 * (size_t)link.x;
-    const __global float* b = table + 6 * (size_t)link.y;
-    const float s = 1.0f - t;
-    positions[2 * i] = (s * a[0] + t * b[0] - 0.5f) * scale.x + center.x;
-    positions[2 * i + 1] = (s * a[1] + t * b[1] - 0.5f) * scale.y + center.y;
-    samples[4 * i] = s * weights[i].x + t * weights[i].y;
-    for (int channel = 0; channel < 3; ++channel)
-        samples[4 * i + 1 + channel] = s * a[2 + channel] + t * b[2 + channel];
-    spacings[i] = (s * a[5] + t * b[5]) * 0.5f * (scale.x + scale.y);
-}
-
-// Samples whose first color is the weight: their sums are those of masses and of squares.
-__kernel void weigh(
-    const uint first,
-    const __global float4* restrict samples, // (particles,): weight, color
-    __global float4* restrict weighed)       // (particles,): weight, weight, 0, 0
-{
-    const size_t i = (size_t)first + get_global_id(0);
-    const float weight = samples[i].x;
-    weighed[i] = (float4)(weight, weight, 0.0f, 0.0f);
-}
-
-// Rung of every particle: its width is the larger of sigma times its own spacing and of half
-// the distance between particles where it stands, which is read between pixels, bilinearly.
-// Its weight is scaled so that the kernel's sum is that of sigma.
-__kernel void choose_rungs(
-    const uint first, const int2 shape, // (width, height) of the canvas
-    const float sigma,
-    const __global float* restrict distances,  // (height, width): pixels
-    const __global float2* restrict positions, // (particles,)
-    const __global float4* restrict samples,   // (particles,): weight, color
-    const __global float* restrict spacings,   // (particles,): pixels
-    __global uchar* restrict rungs,            // (particles,)
-    __global float4* restrict scaled)          // (particles,): samples, their weights scaled
-{
-    const size_t i = (size_t)first + get_global_id(0);
-    const float x = clamp(positions[i].x, 0.0f, shape.x - 1.0f);
-    const float y = clamp(positions[i].y, 0.0f, shape.y - 1.0f);
-    const int x0 = min((int)x, max(0, shape.x - 2));
-    const int y0 = min((int)y, max(0, shape.y - 2));
-    const int x1 = min(x0 + 1, shape.x - 1);
-    const int y1 = min(y0 + 1, shape.y - 1);
-    const float u = x - x0;
-    const float v = y - y0;
-    const float above = (1.0f - u) * distances[y0 * shape.x + x0] + u * distances[y0 * shape.x + x1];
-    const float below = (1.0f - u) * distances[y1 * shape.x + x0] + u * distances[y1 * shape.x + x1];
-    const float gap = 0.5f * ((1.0f - v) * above + v * below);
-    const float width = max(sigma * spacings[i], gap) / sigma;
-    const float rung = rint(RUNGS_PER_OCTAVE * log2(max(width, 1e-30f))) + BASE_RUNG;
-    rungs[i] = (uchar)clamp(rung, 0.0f, RUNGS - 1.0f);
-    // (sigma / width)^2, for the width of the rung
-    const float ratio = exp2((BASE_RUNG - (float)rungs[i]) * (2.0f / RUNGS_PER_OCTAVE));
-    scaled[i] = (float4)(samples[i].x * ratio, samples[i].y, samples[i].z, samples[i].w);
-}
-
-// Which bin a pixel position falls into. (n_bins_x, n_bins_y) include the margins.
-static inline uint bin_of(
-    const float2 position, const float bins_per_pixel, const int margin, const int2 n_bins)
-{
-    const int bx = (int)clamp(floor(position.x * bins_per_pixel) + margin, 0.0f, n_bins.x - 1.0f);
-    const int by = (int)clamp(floor(position.y * bins_per_pixel) + margin, 0.0f, n_bins.y - 1.0f);
-    return (uint)(by * n_bins.x + bx);
-}
-
-// counts[slice][bin] = particles of this slice in the bin. One work-item a slice of
-// consecutive particles, from first_slice on; counts are zero before. Slices come first so
-// that no two cores write to the same cache line.
-__kernel void count_bins(
-    const uint n_particles, const uint slice_size, const uint first_slice, const uint all_bins,
-    const float bins_per_pixel, const int margin, const int2 n_bins,
-    const uint rung_bins, // bins of one rung; 0 if there are no rungs
-    const __global float2* restrict positions, // (n_particles,)
-    const __global uchar* restrict rungs,      // (n_particles,)
-    __global uint* restrict counts)            // (slices, bins of all rungs)
-{
-    const uint slice = first_slice + get_global_id(0);
-    const uint end = min(n_particles, (slice + 1) * slice_size);
-    __global uint* own = counts + (size_t)slice * all_bins;
-    for (uint i = slice * slice_size; i < end; ++i)
-        ++own[(size_t)rung_bins * rungs[i] + bin_of(positions[i], bins_per_pixel, margin, n_bins)];
-}
-
-// Sort into bins: slots[slice][bin] is where the slice's first particle of the bin goes.
-__kernel void fill_bins(
-    const uint n_particles, const uint slice_size, const uint first_slice, const uint all_bins,
-    const float bins_per_pixel, const int margin, const int2 n_bins,
-    const uint rung_bins, // bins of one rung; 0 if there are no rungs
-    const __global float2* restrict positions, // (n_particles,)
-    const __global uchar* restrict rungs,      // (n_particles,)
-    const __global float4* restrict samples,   // (n_particles,)
-    __global uint* restrict slots,             // (slices, bins of all rungs)
-    __global uint* restrict order,             // (n_particles,)
-    __global float2* restrict sorted_positions,
-    __global float4* restrict sorted_samples)  // (n_particles,): weight, weight times color
-{
-    const uint slice = first_slice + get_global_id(0);
-    const uint end = min(n_particles, (slice + 1) * slice_size);
-    __global uint* own = slots + (size_t)slice * all_bins;
-    for (uint i = slice * slice_size; i < end; ++i) {
-        const size_t bin =
-            (size_t)rung_bins * rungs[i] + bin_of(positions[i], bins_per_pixel, margin, n_bins);
-        const uint slot = own[bin]++;
-        order[slot] = i;
-        sorted_positions[slot] = positions[i];
-        const float4 sample = samples[i];
-        const float weight = sample.x;
-        sorted_samples[slot] =
-            (float4)(weight, weight * sample.y, weight * sample.z, weight * sample.w);
-    }
-}
 
 // One-dimensional kernel at WIDTH pixels. nearest: the box of one pixel, half open, in
 // which every particle falls into exactly one pixel.
@@ -191,7 +59,7 @@ void splat(
     const uint last_particle, const float bins_per_pixel, const int margin, const int2 n_bins,
     const float exponent_scale, // -log2(e) / (2 sigma^2)
     const float radius, const int nearest,
-    const __global uint* restrict bin_starts,     // (bins + 1,) of this rung
+    const __global uint* restrict bin_starts,     // (bins + 1,) of this width level
     const __global float2* restrict positions,    // sorted into bins
     const __global float4* restrict samples,      // sorted into bins: weight, weighed color
     const ulong plane,                            // padded height * padded width

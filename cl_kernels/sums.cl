@@ -1,5 +1,7 @@
 // Powers of two and their sums, in float32 or far more exact, as bounds of a transport value need.
 //
+// Included after row_loop.cl, whose exponents it sums.
+//
 // -D BOUNDED 0 (default): float32.
 //            1: in the width of the exponents, which must be PRECISE (see exponents.cl). With
 //            float64 powers are exact to 2^-44 and additions to 2^-53, with unevaluated sums of
@@ -163,3 +165,31 @@ static inline void store_sum(const sreal s, const size_t at, const size_t plane,
 #endif
 }
 #endif // BOUNDED
+
+// Add the staged columns (see row_loop.cl) to m = max_j reference_of(e_ij) and s = sum_j 2^(e_ij - m), but for the
+// sum over these columns themselves, which is returned: sums of sums round less than one long sum.
+static inline sreal add_tile(
+    const ereal* u, const __local staged_real* staged, vreal* maximum, sreal* sum)
+{
+    vreal m = *maximum;
+    sreal s = *sum;
+    sreal s_tile = NO_SUM;
+    for (uint j = 0; j < TILE; j += UNROLL) {
+        ereal e[UNROLL];
+        vreal m_new = m;
+#pragma unroll
+        for (int c = 0; c < UNROLL; ++c) {
+            e[c] = exponent(u, staged, j + c);
+            m_new = max(m_new, reference_of(e[c]));
+        }
+        s = rescaled(s, m - m_new);
+        s_tile = rescaled(s_tile, m - m_new);
+#pragma unroll
+        for (int c = 0; c < UNROLL; ++c)
+            s_tile = sum_of(s_tile, power_above(e[c], m_new));
+        m = m_new;
+    }
+    *maximum = m;
+    *sum = s;
+    return s_tile;
+}

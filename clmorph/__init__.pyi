@@ -77,6 +77,12 @@ from .output.save import (
 from .pipeline.morph import (
     morph as morph,
 )
+from .pipeline.options import (
+    MorphOptions as MorphOptions,
+)
+from .pipeline.recipe import (
+    load_options as load_options,
+)
 from .pipeline.result import (
     Morph as Morph,
 )
@@ -131,6 +137,7 @@ __all__ = [
     "Measure",
     "MemoryWarning",
     "Morph",
+    "MorphOptions",
     "OutputError",
     "Particles",
     "Plan",
@@ -145,6 +152,7 @@ __all__ = [
     "inspect",
     "lift",
     "load",
+    "load_options",
     "morph",
     "particles",
     "read_image",

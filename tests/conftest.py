@@ -3,7 +3,8 @@
 ``pytest`` tests the operations on every usable device, in the build that is chosen for it, and what
 is written over them on one device or another, with a share of each grid of parameters;
 ``pytest --full`` runs everything, but for a device that repeats another one; ``--device NAME``
-tests one device.
+tests one device. Without any usable device the tests of NumPy run, "auto" means NumPy, and the
+tests that need a device are skipped.
 """
 
 import os
@@ -18,7 +19,7 @@ from programs import PROGRAMS
 
 import clmorph
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.opencl.build.constants import apply_quirks, cpu_knobs, gpu_knobs
+from clmorph.backends.opencl.build.constants import apply_quirks, cpu_constants, gpu_constants
 from clmorph.backends.opencl.devices.find import Device, find_devices
 
 DEVICES = find_devices()
@@ -28,6 +29,8 @@ TESTED = list(USABLE)
 #: Comma-separated parts of names that CI requires among the tested devices; names of programs
 #: are for the tests that need them.
 REQUIRED = set(os.environ.get("CLMORPH_TEST_REQUIRE", "").split(",")) - {"", *PROGRAMS}
+#: Why a test is skipped where OpenCL has no usable device.
+NO_DEVICE = "needs a usable OpenCL device, and there is none (clmorph devices says what to install)"
 #: Parameters that name a device; grids are thinned for each device by itself.
 OF_DEVICES = ("variant", "device", "any_backend")
 
@@ -49,8 +52,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "full: a long test, run with --full only")
+    config.addinivalue_line("markers", "needs_device: skipped without a usable OpenCL device")
     name = config.getoption("--device")
     if name is None:
+        if not TESTED:
+            os.environ["CLMORPH_DEVICE"] = "numpy"
         return
     TESTED[:] = [device for device in USABLE if device.matches(name)][:1]
     if not TESTED:
@@ -70,15 +76,13 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
         f"OpenCL device {device}{'' if device in TESTED or not device.usable else ', not tested'}"
         for device in DEVICES
     ]
+    if not TESTED:
+        lines.append("no usable OpenCL device: tests run on NumPy, or are skipped if they need one")
     lines.append(f"tests: {'all' if config.getoption('--full') else 'a share; --full runs all'}")
     return lines
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    if not TESTED:
-        raise pytest.UsageError(
-            "no usable OpenCL device: install one, for example with pip install '.[cpu,test]'"
-        )
     for name in REQUIRED:
         if not any(device.matches(name) for device in TESTED):
             raise pytest.UsageError(f"no usable OpenCL device matches the required {name!r}")
@@ -96,6 +100,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     the columns, pairs of float32), and the reverse.
     """
     labels = [_label(device) for device in TESTED]
+    if not TESTED:
+        _without_device(metafunc)
+        return
     if "variant" in metafunc.fixturenames:
         variants = [(device, False) for device in TESTED]
         ids = labels
@@ -111,12 +118,26 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("any_backend", names, ids=["numpy", *labels], scope="session")
 
 
+def _without_device(metafunc: pytest.Metafunc) -> None:
+    """Let NumPy be the only backend; what needs a device is one test that is skipped."""
+    if "any_backend" in metafunc.fixturenames:
+        metafunc.parametrize("any_backend", ["numpy"], scope="session")
+    for name, value in (("variant", (None, False)), ("device", None)):
+        if name in metafunc.fixturenames:
+            absent = pytest.param(value, marks=pytest.mark.skip(reason=NO_DEVICE), id="no-device")
+            metafunc.parametrize(name, [absent], indirect=True, scope="session")
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Without --full, leave out long tests and most of each grid of parameters.
 
     Of a grid so many combinations are left as its longest axis has values, and each value of every
     axis is among them. With --full a device that repeats another one is tested so.
     """
+    if not TESTED:
+        for item in items:
+            if item.get_closest_marker("needs_device") is not None:
+                item.add_marker(pytest.mark.skip(reason=NO_DEVICE))
     full = config.getoption("--full")
     everything = {item for item in items if full and not _is_repeated(_device_of(item))}
     functions: dict[str, list[pytest.Item]] = defaultdict(list)
@@ -205,8 +226,8 @@ def variant(request: pytest.FixtureRequest) -> OpenCLOperations:
     device, swapped = request.param
     if not swapped:
         return OpenCLOperations(device.handle)
-    knobs = gpu_knobs(256) if device.kind == "CPU" else cpu_knobs(4)
-    return OpenCLOperations(device.handle, apply_quirks(knobs, frozenset({"no_float64"})))
+    constants = gpu_constants(256) if device.kind == "CPU" else cpu_constants(4)
+    return OpenCLOperations(device.handle, apply_quirks(constants, frozenset({"no_float64"})))
 
 
 @pytest.fixture(scope="session")

@@ -50,7 +50,7 @@ def best_and_median(action, repeats: int) -> tuple[float, float]:
 
 def multiply_add_peak(operations: OpenCLOperations) -> float:
     """Scalar multiply-adds per second that the device reaches on registers."""
-    width = 16 if operations.knobs.width > 1 else 2
+    width = 16 if operations.constants.width > 1 else 2
     program = cl.Program(operations.context, PEAK_SOURCE.format(width=width))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Non-empty compiler output")
@@ -71,8 +71,8 @@ def slowdowns(operations: OpenCLOperations, n: int, repeats: int) -> str:
     """How many times as long precise and bounded log-sum-exps take, by float64 and by pairs."""
     told = []
     for precise in (2, 1) if operations.has_float64 else (1,):
-        knobs = replace(operations.knobs, precise=precise)
-        wider = OpenCLOperations(operations.device, knobs)
+        constants = replace(operations.constants, precise=precise)
+        wider = OpenCLOperations(operations.device, constants)
         cloud = wider.upload(np.random.default_rng(0).random((n, 5)), np.full(n, 1 / n))
         arguments = cloud, cloud, np.zeros(n), 0.0025
         kinds = (

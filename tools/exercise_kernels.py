@@ -20,18 +20,18 @@ import pyopencl as cl
 
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.opencl.build import constants as knobs
-from clmorph.backends.opencl.build.constants import cpu_knobs, gpu_knobs
+from clmorph.backends.opencl.build import constants as build_constants
+from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.reference import NumPyOperations
 
 #: Both kinds of devices, with float64 and without.
 BUILDS = {
-    "scalar-16": gpu_knobs(16),
-    "scalar-64-pairs": replace(gpu_knobs(64), precise=1),
-    "vector-4": cpu_knobs(4),
-    "vector-16-pairs": replace(cpu_knobs(16), precise=1),
+    "scalar-16": gpu_constants(16),
+    "scalar-64-pairs": replace(gpu_constants(64), precise=1),
+    "vector-4": cpu_constants(4),
+    "vector-16-pairs": replace(cpu_constants(16), precise=1),
 }
 
 
@@ -93,9 +93,9 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     moving = operations.upload_particles(
         rng.random((40, 6)), rng.integers(0, 40, (150, 2)).astype(np.uint32), rng.random((150, 2))
     )
-    splats = operations.place(moving, 0.3, (20.0, 15.0), (10.0, 7.5))
+    splats = operations.advect(moving, 0.3, (20.0, 15.0), (10.0, 7.5))
     own = operations.adapt_widths(splats, 4 * rng.random((16, 21)), 1.3)
-    results.append(operations.rungs(own).astype(float))
+    results.append(operations.width_levels(own).astype(float))
     results += operations.deposit(splats, (16, 21))
     resting = operations.upload_splats(
         rng.uniform(-9, 30, (90, 2)).astype(np.float32),
@@ -142,7 +142,7 @@ def main(arguments: list[str]) -> int:
         print(f"no OpenCL platform is called {platform!r}", file=sys.stderr)
         return 2
     keep_buffers()
-    knobs.MOMENT_CHUNK = 16  # so few particles come in several chunks
+    build_constants.MOMENT_CHUNK = 16  # so few particles come in several chunks
     began = time.perf_counter()
     wanted = exercise(NumPyOperations())
     got = exercise(OpenCLOperations(device, BUILDS[build]))

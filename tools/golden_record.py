@@ -190,7 +190,7 @@ def calls(backend: str, folder: Path) -> Iterator[tuple[str, Any]]:
     yield "divergence", fields(near, "value", "interval")
     common: dict[str, Any] = {
         "n_frames": 4, "blur": 0.05, "reach": 0.3, "color_weight": 0.7, "sigma_start": 1.2,
-        "sigma_end": 0.5, "gamma": 0.5, "splatting": "adaptive", "path_space": "srgb",
+        "sigma_end": 0.5, "splatting": "adaptive", "path_space": "srgb",
         "endpoints": "exact", "unmatched": "fade", "extent": "true", "backend": backend,
         "solve_size": None, "max_particles": None,
     }  # fmt: skip
@@ -210,11 +210,15 @@ def calls(backend: str, folder: Path) -> Iterator[tuple[str, Any]]:
             record.append(digest(path_divergence(result, [0, 0.5], to="target")[0].value))
             record.append(digest([hole_fraction(result.coverage(0.5)), sharpness(frames[1])]))
         yield f"morph: {name}", record
-    channels = channel_morph(a, b, 4, blur=0.05, reach=0.3, backend=backend)
+    channels = channel_morph(a, b, n_frames=4, blur=0.05, reach=0.3, extent="true", backend=backend)
     yield "channels", digest(channels.frames)
     if backend == "numpy":
+        plain = {"extent": "true", "unmatched": "fade", "log_threshold": None}
         tiny = clmorph.fit(a, 10), clmorph.fit(b, 10)
-        yield "reference", digest([np.asarray(f) for f in clmorph.reference.morph(*tiny).frames])
+        yield (
+            "reference",
+            digest([np.asarray(f) for f in clmorph.reference.morph(*tiny, **plain).frames]),
+        )
         return
     # Large enough to be solved through coarser problems.
     large = [clmorph.lift(clmorph.fit(found[name] / 255.0, 120), 0.5) for name in "ab"]

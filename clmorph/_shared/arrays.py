@@ -8,9 +8,9 @@ refused, with a word of what to do: masked entries, imaginary parts, texts, spar
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.printable import printable
+from clmorph._shared.typing import AnyArray, Array
 from clmorph._shared.validation import as_float
 from clmorph.errors import InputError
 
@@ -18,7 +18,7 @@ from clmorph.errors import InputError
 NUMBERS = "biuf"
 
 
-def as_array(name: str, value: Any, expected: str = "an array of numbers") -> NDArray[Any]:
+def as_array(name: str, value: Any, expected: str = "an array of numbers") -> AnyArray:
     """Return a value as an array of numbers, of its own dtype, in this machine's byte order.
 
     Parameters
@@ -71,7 +71,7 @@ def as_array(name: str, value: Any, expected: str = "an array of numbers") -> ND
     return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
 
-def as_floats(name: str, value: Any, expected: str = "an array of numbers") -> NDArray[np.float64]:
+def as_floats(name: str, value: Any, expected: str = "an array of numbers") -> Array:
     """Return a value as a new array of float64, in C order; see `as_array`.
 
     Numbers beyond float64 become infinite.
@@ -99,7 +99,7 @@ _MAY_HOLD_MASKS = (list, tuple, np.ma.MaskedArray)
 _DEEPEST = 64
 
 
-def _from_objects(name: str, array: NDArray[Any], value: Any, expected: str) -> NDArray[Any]:
+def _from_objects(name: str, array: AnyArray, value: Any, expected: str) -> AnyArray:
     """Return an array of Python objects as floats, if all of them are numbers."""
     if array.ndim == 0 and as_float(array.item()) is None:
         raise _no_array(name, value, expected)

@@ -24,6 +24,8 @@ class Share(float):
         return self
 
 
+#: Called with the name of a stage and the share of it that is done.
+StageProgress = Callable[[str, float], None]
 #: Called with the share of one piece of work that is done.
 Report = Callable[[float], None]
 Item = TypeVar("Item")

@@ -4,15 +4,18 @@ Red, green and blue are three independent distributions of light over the image 
 sums of light, so where the channels go different ways colors appear that neither image has.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clmorph._shared.validation import check_choice, check_integer, check_number, check_sigma
+from clmorph._shared.options import specifications
+from clmorph._shared.validation import check_number, check_sigma
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.frames.canvas import Canvas, canvas_at
@@ -20,12 +23,18 @@ from clmorph.frames.kernel_width import KernelWidth, effective_count
 from clmorph.frames.particles import particles
 from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.pixels import as_rgb
-from clmorph.measures.lift import EXTENTS, lift
-from clmorph.pipeline import presets as defaults
+from clmorph.measures.lift import lift
+from clmorph.pipeline.documentation import documented
+from clmorph.pipeline.keywords import MorphKeywords
+from clmorph.pipeline.options import PAPER, MorphOptions
+from clmorph.transport.options import SolverOptions
 from clmorph.transport.plan import transport_plan
-from clmorph.transport.regularization import Reach, strengths
-from clmorph.transport.sinkhorn import check_solver_options, sinkhorn
+from clmorph.transport.sinkhorn import sinkhorn
 
+#: The options of `channel_morph`.
+CHANNEL_OPTIONS = (
+    *specifications(SolverOptions), "sigma_start", "sigma_end", "gamma", "extent", "n_frames",
+)  # fmt: skip
 #: Light that even a black pixel counts for, so that no channel is empty.
 DARKEST = 1e-6
 
@@ -81,7 +90,7 @@ class ChannelMorph:
         frame = np.empty((*canvas.shape, 3))
         for channel, (moving, width, (start, end)) in enumerate(self.channels):
             sigma = width.at(t, canvas)
-            splats = self.operations.place(moving, t, canvas.scale, canvas.center)
+            splats = self.operations.advect(moving, t, canvas.scale, canvas.center)
             _, density = self.operations.splat(splats, canvas.shape, sigma, CUT * sigma)
             light = (1 - t) * start + t * end
             frame[..., channel] = light * pixels * density / _border_share(canvas, sigma)
@@ -97,20 +106,13 @@ class ChannelMorph:
         return list(self.iter_frames())
 
 
+@documented(MorphOptions, CHANNEL_OPTIONS, PAPER)
 def channel_morph(
     image_a: ArrayLike,
     image_b: ArrayLike,
-    n_frames: int = defaults.N_FRAMES,
-    blur: float = defaults.BLUR,
-    reach: Reach = defaults.REACH,
-    sigma_start: float = defaults.SIGMA_START,
-    sigma_end: float = defaults.SIGMA_END,
-    gamma: float = defaults.GAMMA,
-    backend: Backend = "auto",
     *,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
-    extent: str = "true",
+    backend: Backend = "auto",
+    **given: Unpack[MorphKeywords],
 ) -> ChannelMorph:
     """Morph each color channel by itself, by transport in the image plane.
 
@@ -120,8 +122,9 @@ def channel_morph(
         See `clmorph.images.pixels.as_rgb`; a channel's mass is its light. It is scaled to 1 for the
         transport, so that channels of any brightness can be balanced, and its sum then changes
         evenly.
-    n_frames, blur, reach, sigma_start, sigma_end, gamma, backend, tol, max_iter, extent
-        As for `clmorph.morph`.
+    backend : str or Operations
+        See `clmorph.get_backend`.
+    {options}
 
     Returns
     -------
@@ -143,34 +146,37 @@ def channel_morph(
     >>> len(baseline.channels), len(baseline.frames)
     (3, 4)
     """
-    n_frames = check_integer("n_frames", n_frames, 2, 100_000)
-    strengths(blur, reach)
-    check_choice("extent", extent, EXTENTS)
-    tol, max_iter, _ = check_solver_options(tol, max_iter)
-    sigma_start = check_sigma("sigma_start", sigma_start)
-    sigma_end = check_sigma("sigma_end", sigma_end)
-    gamma = check_number("gamma", gamma, 0.0, 1e4)
+    options = PAPER.chosen(CHANNEL_OPTIONS, given)
+    start, end, gamma = (
+        check_sigma("sigma_start", options.sigma_start),
+        check_sigma("sigma_end", options.sigma_end),
+        options.gamma or 0.0,
+    )
     operations = get_backend(backend)
     pictures = as_rgb(image_a, "image_a"), as_rgb(image_b, "image_b")
     channels = []
     for channel in range(3):
         light = [np.maximum(picture[..., channel], DARKEST) for picture in pictures]
         source, target = (
-            lift(picture, 0.0, weights=values / values.sum(), extent=extent)
+            lift(picture, 0.0, weights=values / values.sum(), extent=options.extent)
             for picture, values in zip(pictures, light, strict=True)
         )
-        potentials = sinkhorn(source, target, blur, reach, tol, max_iter, operations)
+        potentials = sinkhorn(source, target, backend=operations, **options.of(SolverOptions))
         plan = transport_plan(source, target, potentials, backend=operations)
         moving = particles(source, target, plan)
         width = KernelWidth(
-            sigma_start, sigma_end, gamma,
+            start, end, gamma,
             effective_count(source.weights), effective_count(target.weights),
         )  # fmt: skip
         uploaded = operations.upload_particles(moving.table, moving.links, moving.weights)
         channels.append((uploaded, width, (float(light[0].mean()), float(light[1].mean()))))
     shapes = [(picture.shape[0], picture.shape[1]) for picture in pictures]
     return ChannelMorph(
-        (shapes[0], shapes[1]), np.linspace(0.0, 1.0, n_frames), channels, operations, extent
+        (shapes[0], shapes[1]),
+        np.linspace(0.0, 1.0, options.n_frames),
+        channels,
+        operations,
+        options.extent,
     )
 
 

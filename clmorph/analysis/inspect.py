@@ -1,21 +1,24 @@
 """A look at the transport between two images: its numbers, before any frame is drawn."""
 
+from __future__ import annotations
+
 import time
-from typing import Any
+from typing import Any, Unpack
 
 from numpy.typing import ArrayLike
 
+from clmorph._shared.options import specifications
+from clmorph._shared.progress import StageProgress
 from clmorph._shared.validation import check_flag, check_number, check_progress
 from clmorph.analysis.report import Inspection, Seconds
 from clmorph.analysis.timing import SAMPLED_PAIRS, fill_seconds, frame_seconds
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import PlanSizeError
-from clmorph.images.pixels import as_pixels
 from clmorph.measures.lift import Measure
-from clmorph.measures.lift_pair import lift_pair
+from clmorph.measures.options import LiftOptions
+from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import as_pair
-from clmorph.pipeline import presets as defaults
 from clmorph.pipeline.budget import (
     check_ways,
     choose_way,
@@ -23,58 +26,51 @@ from clmorph.pipeline.budget import (
     make_plan,
     warn_if_much_is_dropped,
 )
+from clmorph.pipeline.documentation import documented
+from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.memory import estimate
-from clmorph.pipeline.morph import StageProgress, check_options
+from clmorph.pipeline.morph import Problem, as_options, fitted
+from clmorph.pipeline.options import BudgetOptions, MorphOptions
+from clmorph.pipeline.presets import PresetName
 from clmorph.transport.displacement import Displacement, displacement_of, displacement_statistics
 from clmorph.transport.divergence import sinkhorn_divergence
+from clmorph.transport.options import MAX_DRAWS, PruningOptions, Reach, SolverOptions
 from clmorph.transport.plan import Plan, transport_plan
-from clmorph.transport.plan_sampling import MAX_DRAWS, Barycentric
+from clmorph.transport.plan_sampling import Barycentric
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.refine_plan import PixelCells, in_cells, refined
-from clmorph.transport.regularization import Reach
+from clmorph.transport.refine_plan import refined
 from clmorph.transport.sinkhorn import sinkhorn
 
 __all__ = ["Inspection", "Seconds", "inspect"]
 
+#: The options that decide about the transport, and about what a morph by it would take.
+INSPECTED = (
+    *specifications(LiftOptions), *specifications(BudgetOptions), *specifications(SolverOptions),
+    "log_threshold", "n_frames",
+)  # fmt: skip
 
+
+@documented(MorphOptions, INSPECTED)
 def inspect(
     image_a: ArrayLike,
     image_b: ArrayLike,
+    options: MorphOptions | None = None,
     *,
-    blur: float = defaults.BLUR,
-    reach: Reach = defaults.REACH,
-    color_weight: float = defaults.COLOR_WEIGHT,
-    epsilon: float | None = None,
-    rho: float | tuple[float, float] | None = None,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
-    extent: str = "true",
-    mass: str = "uniform",
-    color_space: str = "srgb",
-    color_metric: ArrayLike | None = None,
-    weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
-    solve_size: int | None = None,
-    max_particles: int | None = None,
-    max_memory: float | None = None,
-    log_threshold: float | None = None,
-    n_frames: int = defaults.N_FRAMES,
+    preset: PresetName | None = None,
     backend: Backend = "auto",
+    weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
+    color_metric: ArrayLike | None = None,
     divergence: bool = True,
-    max_bytes: float = defaults.MAX_PLAN_BYTES,
+    max_bytes: float = PruningOptions.max_bytes,
     progress: StageProgress | None = None,
+    **given: Unpack[MorphKeywords],
 ) -> Inspection:
     """Solve the transport between two images and measure it; draw no morph.
 
     Parameters
     ----------
-    image_a, image_b, blur, reach, color_weight, epsilon, rho, tol, max_iter, extent, mass, \
-color_space, color_metric, weights, backend
+    image_a, image_b, options, preset, backend, weights, color_metric
         As in `clmorph.morph`.
-    solve_size, max_particles, max_memory, log_threshold
-        As in `clmorph.morph`: the first and the last decide what is looked at, the others what a
-        morph would draw.
-    n_frames : int
-        For how many frames time is estimated.
     divergence : bool
         Whether to compute the Sinkhorn divergence: two further, easier solves.
     max_bytes : float
@@ -83,6 +79,7 @@ color_space, color_metric, weights, backend
     progress : callable, optional
         Called with a stage's name ("transport", "divergence", "plan", "timing") and the share
         of it done.
+    {options}
 
     Returns
     -------
@@ -116,36 +113,23 @@ color_space, color_metric, weights, backend
     >>> found.divergence.value > 0
     True
     """
-    options = check_options(
-        n_frames, blur, reach, color_weight, epsilon=epsilon, rho=rho, tol=tol,
-        max_iter=max_iter, extent=extent, mass=mass, color_space=color_space,
-        solve_size=solve_size, max_particles=max_particles, max_memory=max_memory,
-        log_threshold=log_threshold,
-    )  # fmt: skip
+    chosen = as_options(options, preset, given)
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
-    n_frames, tol, max_iter, solve_size, max_particles, max_memory, log_threshold = (
-        options[name] for name in (
-            "n_frames", "tol", "max_iter", "solve_size", "max_particles", "max_memory",
-            "log_threshold",
-        )
-    )  # fmt: skip
-    images = as_pixels(image_a, "image_a"), as_pixels(image_b, "image_b")
-    whole = lift_pair(
-        images, color_weight, weights=weights, mass=mass, extent=extent,
-        color_space=color_space, color_metric=color_metric,
-    )  # fmt: skip
-    coarsest = solve_size or max(whole[0].shape + whole[1].shape)
-    cells = in_cells(whole[0], coarsest), in_cells(whole[1], coarsest)
-    source, target = cells[0].coarse, cells[1].coarse
+    problem = Problem(fitted((image_a, image_b), chosen, weights, color_metric), chosen)
+    whole = problem.measures(weights, color_metric)
+    blocks = problem.blocks(*whole)
+    source, target = blocks[0].coarse, blocks[1].coarse
+    tol, max_iter, log_threshold = chosen.tol, chosen.max_iter, chosen.log_threshold
+    max_particles, max_memory, n_frames = chosen.max_particles, chosen.max_memory, chosen.n_frames
     operations = get_backend(backend)
-    check_ways(*cells, operations, max_memory=max_memory, log_threshold=log_threshold)
+    check_ways(*blocks, operations, max_memory=max_memory, log_threshold=log_threshold)
     report("transport", 0.0)
     began = time.perf_counter()
     potentials = sinkhorn(
-        source, target, blur, reach, tol, max_iter, operations, epsilon=epsilon, rho=rho,
-        progress=lambda share: report("transport", share),
+        source, target, backend=operations, progress=lambda share: report("transport", share),
+        **chosen.of(SolverOptions),
     )  # fmt: skip
     transport_seconds = time.perf_counter() - began
 
@@ -172,9 +156,9 @@ color_space, color_metric, weights, backend
 
     report("timing", 0.0)
     way = choose_way(
-        *cells, potentials, operations, max_particles, max_memory, log_threshold, stacklevel=2
+        *blocks, potentials, operations, max_particles, max_memory, log_threshold, stacklevel=2
     )
-    drawn, moving = _drawn(cells, potentials, plan, pairs, way, operations)
+    drawn, moving = _drawn(blocks, potentials, plan, pairs, way, operations)
     frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations)
     report("timing", 1.0)
     return Inspection(
@@ -223,7 +207,7 @@ def _plan(
 
 
 def _drawn(
-    cells: tuple[PixelCells, PixelCells],
+    blocks: tuple[PixelBlocks, PixelBlocks],
     potentials: Potentials,
     plan: Plan | None,
     pairs: int,
@@ -231,19 +215,19 @@ def _drawn(
     operations: Operations,
 ) -> tuple[Plan | Barycentric | None, int]:
     """Return what a morph would draw, as far as it may be built, and how much would travel."""
-    finest = finest_pixels(*cells)
+    finest = finest_pixels(*blocks)
     if way:
-        made = make_plan(*cells, potentials, operations, **way)
+        made = make_plan(*blocks, potentials, operations, **way)
         return made, len(made)
     if plan is not None:
-        made = refined(plan, *cells)
+        made = refined(plan, *blocks)
         return made, len(made)
     if finest == 1:
         return None, pairs
     # A sample stands for the plan that may not be built: between pixels, as what is drawn.
-    draws = max(1, min(MAX_DRAWS // finest, SAMPLED_PAIRS // len(cells[0].fine)))
+    draws = max(1, min(MAX_DRAWS // finest, SAMPLED_PAIRS // len(blocks[0].fine)))
     way = {"sample": draws} if finest <= MAX_DRAWS else {"barycentric": True}
-    return make_plan(*cells, potentials, operations, **way), pairs * finest
+    return make_plan(*blocks, potentials, operations, **way), pairs * finest
 
 
 def _no_divergence(source: Measure, potentials: Potentials, wanted: bool) -> str:

@@ -1,5 +1,7 @@
 """How good frames are: divergences on the path (paper, 4.3, Table 2), holes, sharpness, steps."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
@@ -27,10 +29,10 @@ from clmorph.frames.sequence import check_frame_sequence
 from clmorph.images.pixels import resized
 from clmorph.measures.lift import LUMINANCE
 from clmorph.measures.points import WeightedPoints
-from clmorph.pipeline import presets as defaults
 from clmorph.pipeline.result import Morph
 from clmorph.transport.divergence import Divergence, sinkhorn_divergence
-from clmorph.transport.regularization import strengths
+from clmorph.transport.options import SolverOptions
+from clmorph.transport.regularization import regularization
 
 __all__ = [
     "frame_measure",
@@ -58,7 +60,7 @@ def path_divergence(
     weights: str | None = None,
     blur: float | None = None,
     reach: float | None = None,
-    tol: float = defaults.TOL,
+    tol: float = SolverOptions.tol,
     max_points: int = MERGED_POINTS,
     backend: Backend | None = None,
     progress: Callable[[float], None] | None = None,
@@ -111,7 +113,7 @@ def path_divergence(
     if morph.source.has_metric_map:
         raise InputError("a cost with a metric for each source pixel is no distance")
     blur = morph.potentials.blur if blur is None else blur
-    given = strengths(blur, morph.potentials.reach if reach is None else reach)
+    given = regularization(blur, morph.potentials.reach if reach is None else reach)
     own_reach = given.reach
     if isinstance(own_reach, tuple):
         raise InputError(f"the reach is {own_reach}: give one reach for both measures")

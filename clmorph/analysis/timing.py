@@ -9,14 +9,15 @@ import numpy as np
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import canvas_at
 from clmorph.frames.endpoints import Details, Lacking, ladder, mean_destinations
-from clmorph.frames.kernel_width import KernelWidth, auto_sigma
+from clmorph.frames.kernel_width import KernelWidth
+from clmorph.frames.options import RenderOptions
 from clmorph.frames.particles import Particles, particles
 from clmorph.frames.render import render
 from clmorph.images.color import from_space
+from clmorph.images.detail import auto_sigma
 from clmorph.measures.lift import Measure
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.memory import part_of
-from clmorph.pipeline.presets import PRESETS
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric, sample_plan
 from clmorph.transport.potentials import Potentials
@@ -118,11 +119,10 @@ def _time(
     source: Measure, target: Measure, plan: Plan | Barycentric, operations: Operations
 ) -> tuple[float, float]:
     """Seconds of one frame, and of what is done once before the first."""
-    preset = PRESETS["photo"]
-    space = str(preset["path_space"])
+    space = RenderOptions.path_space
     shapes, images = (source.shape, target.shape), _images(source, target)
     start, end = (auto_sigma(image) for image in images)
-    width = KernelWidth(start, end, 0.0, 1.0, 1.0, str(preset["splatting"]))
+    width = KernelWidth(start, end, 0.0, 1.0, 1.0, RenderOptions.splatting)
     made: list[Any] = []
 
     def make() -> None:

@@ -1,67 +1,24 @@
 """The few expensive operations that every backend implements.
 
-`clmorph.reference.NumPyOperations` and `clmorph.backends.opencl.backend.OpenCLOperations` have
+`clmorph.backends.numpy.NumPyOperations` and `clmorph.backends.opencl.backend.OpenCLOperations` have
 these methods with these signatures. All the mathematics of the package is written once
 over them, so a disagreement between two backends names one operation.
 """
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from clmorph.backends.records import Bins, Float32, Float64, NearPairs, PlanRows, StoredPairs
 
 #: Points of one cloud: kernels count columns in float32, exactly up to here.
 MAX_POINTS = 1 << 24
 #: Dimensions of points: a kernel keeps one register for each.
 MAX_DIMENSION = 11
 
-#: Where particles differ in width, they stand on rungs of a ladder: rung r has the width
-#: sigma 2^((r - BASE_RUNG) / RUNGS_PER_OCTAVE), from sigma / 4 to 45 sigma.
-RUNGS, BASE_RUNG, RUNGS_PER_OCTAVE = 16, 4, 2
-
 #: By how much a splat's kernel may be off, as a share of its peak.
 KERNEL_ERROR = 1e-6
-
-Float64 = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-
-
-class PlanRows(NamedTuple):
-    """Kept pairs of a plan, row after row, columns ascending inside a row."""
-
-    indptr: NDArray[np.int64]  #: (N + 1,) where each row begins
-    indices: NDArray[np.int32]  #: (kept,) column of each pair
-    mass: Float64  #: (kept,) mass of each pair
-
-
-class Bins(NamedTuple):
-    """Particles sorted into square bins of the canvas and its margin."""
-
-    shape: tuple[int, int]  #: bins along y and x, margins included
-    starts: NDArray[np.int64]  #: (bins + 1,) where each bin begins in `order`
-    order: NDArray[np.int64]  #: (K,) particles by bin; inside a bin in their own order
-
-
-class NearPairs(NamedTuple):
-    """The pairs of two clouds that matter, as `Operations.near_pairs` found them.
-
-    What is left out is known: a row's sum over all columns is at most 1 + `skipped` times that
-    over these pairs, for the potential and epsilon that they were found for.
-    """
-
-    pairs: Any  #: the backend's own
-    softmin: Float64  #: (N,) T(g) over these pairs, or over some more; cost units
-    skipped: Float64  #: (N,) above 0 where anything is left out
-    n_pairs: int  #: pairs that are visited
-    n_columns: int  #: most columns of a row
-    largest: float  #: largest cost among them, cost units
-
-
-class StoredPairs(NamedTuple):
-    """Pairs of a plan that a backend keeps, see `Operations.store_pairs`."""
-
-    pairs: Any  #: the backend's own
-    n_pairs: int
 
 
 class Operations(Protocol):
@@ -72,12 +29,17 @@ class Operations(Protocol):
     #: Side of a bin in pixels.
     bin_size: int
     #: Relative errors of one rounding: in a sum of exponentials, in an exponent, and in a
-    #: precise exponent. See `rounding_error`.
+    #: precise exponent. See `clmorph.backends.rounding.rounding_error`.
     sum_roundoff: float
     exponent_roundoff: float
     precise_roundoff: float
     #: Whether precise exponents are float64 (or better), not pairs of float32.
     has_float64: bool
+    #: Bytes of memory on the device; None if all work is done in the host's memory, where the
+    #: backend knows of no limit.
+    memory_bytes: int | None
+    #: Whether the device's memory is a part of the host's, as it is with CPUs.
+    shares_host_memory: bool
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Any:
         """Take a weighted cloud.
@@ -342,7 +304,7 @@ class Operations(Protocol):
             Its mass at t = 0 and at t = 1.
         """
 
-    def place(
+    def advect(
         self,
         particles: Any,
         t: float,
@@ -392,8 +354,8 @@ class Operations(Protocol):
     def adapt_widths(self, splats: Any, distances: Float64, sigma: float) -> Any:
         """Give every splat a width of its own: Eq. 3 with the distance of neighbors there.
 
-        max(sigma * spacing, distance / 2), rounded to a rung of the ladder of widths around
-        sigma; distances are read between pixels bilinearly, and at the border outside.
+        max(sigma * spacing, distance / 2), rounded to one of the `width_levels.WIDTH_LEVELS`
+        around sigma; distances are read between pixels bilinearly, and at the border outside.
 
         Parameters
         ----------
@@ -410,8 +372,8 @@ class Operations(Protocol):
             kernel over the canvas is that of a kernel of width sigma.
         """
 
-    def rungs(self, splats: Any) -> NDArray[np.int64]:
-        """Return on which rung each splat stands: (K,) array, BASE_RUNG without own widths."""
+    def width_levels(self, splats: Any) -> NDArray[np.int64]:
+        """Return the width level of each splat: (K,) array, the base level without own widths."""
 
     def bin_splats(self, splats: Any, shape: tuple[int, int], margin: int) -> Bins:
         """Sort splats into bins.
@@ -450,28 +412,3 @@ class Operations(Protocol):
         denominator : (height, width) array
             sum_k w_k K(p - p_k)
         """
-
-
-def rounding_error(operations: Operations, n_columns: int, largest: float, precise: bool) -> float:
-    """Return by how many nats a log-sum-exp of `operations` may be off.
-
-    A few roundings of each term (8 units, the exponential's error included), the random
-    walk of a sum of `n_columns` terms, and one rounding of an exponent of size C / epsilon;
-    several happen, but tiles make the numbers smaller.
-
-    Parameters
-    ----------
-    operations : Operations
-    n_columns : int
-    largest : float
-        The largest C / epsilon.
-    precise : bool
-    """
-    in_exponent = operations.precise_roundoff if precise else operations.exponent_roundoff
-    return operations.sum_roundoff * (8 + 2 * n_columns**0.5) + in_exponent * largest
-
-
-def bin_grid(shape: tuple[int, int], margin: int, size: float) -> tuple[int, int]:
-    """Return the number of bins along y and x for a canvas and its margin."""
-    height, width = (int(-(-side // size)) + 2 * margin for side in shape)
-    return height, width

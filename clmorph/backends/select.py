@@ -2,15 +2,12 @@
 
 import os
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import Any
 
 from clmorph._shared.validation import shown
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import InputError
-
-if TYPE_CHECKING:
-    import pyopencl as cl
 
 #: What `backend` may be: see `get_backend`.
 Backend = str | Operations
@@ -70,8 +67,8 @@ def _named_backend(name: str, pyopencl_ctx: str) -> Operations:
 
 
 @Once
-def _opened(handle: "cl.Device") -> Operations:
-    """Return the operations on a device: the same ones, whatever name it was chosen by."""
+def _opened(handle: Any) -> Operations:
+    """Return the operations on a `pyopencl.Device`: the same ones for each of its names."""
     from clmorph.backends.opencl.backend import OpenCLOperations
 
     return OpenCLOperations(handle)

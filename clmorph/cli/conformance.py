@@ -1,33 +1,28 @@
 """Compare a device with NumPy: every operation, and one whole morph."""
 
 import platform
-import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.backends.interface import (
-    BASE_RUNG,
-    KERNEL_ERROR,
-    RUNGS_PER_OCTAVE,
-    Float64,
-    Operations,
-    rounding_error,
+from clmorph.backends.comparison import (
+    LARGEST_BOUND,
+    UNIT,
+    Finding,
+    splat_excess,
+    splat_tolerance,
 )
+from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.records import Float64
+from clmorph.backends.rounding import rounding_error
+from clmorph.backends.width_levels import WIDTH_LEVELS
 from clmorph.measures.lift import Measure, lift
 from clmorph.pipeline.morph import morph
 from clmorph.transport._solver.problem import largest_cost
-
-#: Unit roundoff of float32.
-UNIT = 2.0**-24
-#: Nats that bounds of a softmin may come to in these comparisons.
-LARGEST_BOUND = 1e-5
-#: Seconds over which the best throughput is taken.
-THROUGHPUT_SECONDS = 0.5
 
 Cloud = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -46,78 +41,6 @@ def log_sum_exp_tolerance(
     """
     largest = largest_cost(rows[0], columns[0]) / epsilon
     return rounding_error(operations, len(columns[1]), largest, precise)
-
-
-def splat_tolerance(count: int, chunk: int = 1024) -> float:
-    """Return the relative error that float32 sums of `count` splats may have.
-
-    The additions of a chunk, the sum of the chunks, and an exponent of up to 30 rounded a
-    few times.
-    """
-    return UNIT * (chunk + count / chunk + 4 * 30)
-
-
-def splat_excess(
-    sums: tuple[Float64, Float64],
-    exact: Operations,
-    splats: Any,
-    shape: tuple[int, int],
-    sigma: float,
-    radius: float,
-    relative: float,
-) -> float:
-    """Return how far the sums of a splat are from what they may be, in units of tolerance.
-
-    The cut may lie anywhere from `radius` to `sigma` beyond; around that, the tolerance is
-    `relative` and KERNEL_ERROR of every kernel.
-
-    Parameters
-    ----------
-    sums : numerator, denominator
-        What some operations returned.
-    exact : Operations
-    splats
-        Of the exact operations; no color below 0.
-    shape, sigma, radius
-        As given to `splat`.
-    relative : float
-        Rounding error, by `splat_tolerance`.
-    """
-    near, far = (exact.splat(splats, shape, sigma, cut) for cut in (radius, radius + sigma))
-    tolerance = relative * far[1] + np.finfo(float).tiny
-    if sigma > 0:
-        _, kernels = exact.splat(splats, shape, 1e6 * (sigma + radius), radius + sigma)
-        tolerance += KERNEL_ERROR * kernels
-    excess = 0.0
-    for got, low, high in zip(sums, near, far, strict=True):
-        outside = np.maximum(low - got, got - high)
-        scaled = outside / tolerance.reshape(shape + (1,) * (got.ndim - 2))
-        # Written so that NaN is a failure.
-        excess = max(excess, float(np.nan_to_num(scaled, nan=np.inf).max()))
-    return excess
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One comparison.
-
-    Attributes
-    ----------
-    name : str
-    error, tolerance : float
-        Largest error and what it may be, in `unit`.
-    unit : str
-    """
-
-    name: str
-    error: float
-    tolerance: float
-    unit: str
-
-    @property
-    def passed(self) -> bool:
-        """Whether the error is within the tolerance."""
-        return bool(self.error <= self.tolerance)
 
 
 def _picture(side: int, phase: float) -> NDArray[np.float64]:
@@ -335,12 +258,12 @@ def _check_own_widths(operations: Operations, exact: Operations) -> Iterator[Fin
         yield Finding(f"deposit, {name}", error, relative, "of the sum")
     ours = operations.adapt_widths(ours, distances, sigma)
     theirs = exact.adapt_widths(theirs, distances, sigma)
-    rungs = operations.rungs(ours)
-    # Between two rungs rounding decides.
-    wrong = np.count_nonzero(rungs != exact.rungs(theirs))
-    yield Finding("adapt_widths", float(wrong), 1e-3 * count, "rungs")
-    zoom = 2.0 ** ((rungs - BASE_RUNG) / RUNGS_PER_OCTAVE)
-    same = theirs._replace(rungs=rungs, weights=weights.astype(float) / zoom**2)
+    levels = operations.width_levels(ours)
+    # Between two levels rounding decides.
+    wrong = np.count_nonzero(levels != exact.width_levels(theirs))
+    yield Finding("adapt_widths", float(wrong), 1e-3 * count, "levels")
+    scaled = weights.astype(float) / WIDTH_LEVELS.factor(levels) ** 2
+    same = theirs._replace(width_levels=levels, weights=scaled)
     sums = operations.splat(ours, shape, sigma, 4.5 * sigma)
     error = splat_excess(sums, exact, same, shape, sigma, 4.5 * sigma, 2 * relative)
     yield Finding("splat, own widths", error, 1.0, "of the tolerance")
@@ -353,20 +276,6 @@ def _check_morph(operations: Operations) -> Finding:
     )
     error = max(float(np.abs(a - b).max()) for a, b in zip(ours.frames, theirs.frames, strict=True))
     return Finding("morph", 255 * error, 1.0, "of 255")
-
-
-def throughput(operations: Operations, points: int = 4096) -> float:
-    """Return point pairs per second through the log-sum-exp, the best of a few."""
-    rng = np.random.default_rng(0)
-    cloud = operations.upload(rng.random((points, 5)), np.full(points, 1 / points))
-    potential = np.zeros(points)
-    best, start = np.inf, time.perf_counter()
-    # Long enough for other threads, such as those of NumPy's BLAS, to come to rest.
-    while best == np.inf or time.perf_counter() - start < THROUGHPUT_SECONDS:
-        began = time.perf_counter()
-        operations.softmin(cloud, cloud, potential, 0.01)
-        best = min(best, time.perf_counter() - began)
-    return float(points * points / best)
 
 
 def report(device: Any, findings: list[Finding], pairs_per_second: float) -> dict[str, Any]:

@@ -11,18 +11,17 @@ from clmorph.cli.terminal import Stages
 from clmorph.images.pixels import as_rgb, fit, read_image
 from clmorph.output.playback import Motion
 from clmorph.output.recording import recorded
-from clmorph.output.save import Output, metadata_of, write_all
+from clmorph.output.save import Output, write_all
 from clmorph.pipeline.morph import morph
-from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.options import MorphOptions
 
 #: Pixels for each block of the sprite, and the photograph's side.
 SPRITE_ZOOM = 6
 PHOTO_SIDE = 256
-N_FRAMES = 40
-#: In place of the preset's: a little more blur, because few colors meet many.
+#: The options that differ from the usual ones: a little more blur, because few colors meet many.
 CHANGES: dict[str, float] = {"blur": 0.04, "color_weight": 1.0}
-#: All options of the morph. The pictures have their sizes already.
-OPTIONS = {name: value for name, value in PRESETS["photo"].items() if name != "size"} | CHANGES
+#: All options. The pictures have their sizes already.
+OPTIONS = MorphOptions(n_frames=40, size=None, **CHANGES)  # type: ignore[arg-type]
 
 
 def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -58,16 +57,16 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     files = [folder / f"clmorph-demo{ending}" for ending in (".gif", ".html", ".png")]
     outputs = [Output(file) for file in files]
     sprite, photo = demo_images()
-    result = morph(sprite, photo, N_FRAMES, backend=operations, progress=stages, **OPTIONS)  # type: ignore[arg-type]
+    result = morph(sprite, photo, OPTIONS, backend=operations, progress=stages)
     with recorded(
-        [result], Motion(), keep=True, parameters=metadata_of([result]), folder=folder,
+        [result], Motion(), keep=True, parameters=result.parameters, folder=folder,
         progress=stages,
     ) as recording:  # fmt: skip
         write_all(
             outputs, recording,
             report=lambda output, share: stages(f"write {output.path.name}", share),
         )  # fmt: skip
-    options = {"frames": N_FRAMES, **CHANGES}
+    options = {"frames": OPTIONS.n_frames, **CHANGES}
     given = " ".join(f"--{name.replace('_', '-')} {value:g}" for name, value in options.items())
     seconds = ", ".join(f"{stage} {time:.1f} s" for stage, time in stages.seconds.items())
     return [

@@ -94,7 +94,8 @@ def _choose(spec: str | None, every: bool) -> list[Device]:
 
 def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
     """Tune devices, or forget how they were tuned."""
-    from clmorph.backends.opencl.build.tuner import forget_tuning, tune
+    from clmorph.backends.opencl.build.tuned_record import forget_tuning
+    from clmorph.backends.opencl.build.tuner import tune
 
     for device in _choose(spec, every):
         click.echo(f"[{device.index}] {device.name} ({device.platform}, driver {device.driver})")
@@ -102,8 +103,8 @@ def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
             forget_tuning(device.handle)
             click.echo("  tuning forgotten")
             continue
-        knobs, before, after = tune(device.handle, lambda line: click.echo(f"  {line}"))
-        click.echo(f"  kept: {knobs}")
+        constants, before, after = tune(device.handle, lambda line: click.echo(f"  {line}"))
+        click.echo(f"  kept: {constants}")
         click.echo(f"  {before / 1e9:.2f} to {after / 1e9:.2f}·10⁹ pairs/s")
 
 
@@ -125,7 +126,8 @@ def _check_one(device: Device) -> dict[str, Any]:
     from rich.table import Table
 
     from clmorph.backends.opencl.backend import OpenCLOperations
-    from clmorph.cli.conformance import check, report, throughput
+    from clmorph.backends.opencl.devices.throughput import throughput
+    from clmorph.cli.conformance import check, report
 
     click.echo(f"[{device.index}] {device.name} ({device.platform}, driver {device.driver})")
     operations = OpenCLOperations(device.handle)

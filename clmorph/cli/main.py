@@ -19,7 +19,9 @@ from clmorph._shared.version import __version__
 from clmorph.cli import config as files
 from clmorph.cli import options
 from clmorph.errors import ClmorphError, FileError, InputError
-from clmorph.pipeline.presets import N_FRAMES, PRESETS
+from clmorph.images.pixels import MAX_PIXELS
+from clmorph.pipeline.options import MorphOptions, preset_options
+from clmorph.pipeline.presets import PRESETS
 
 #: Shells that complete what is typed.
 SHELLS = ("bash", "zsh", "fish")
@@ -75,22 +77,23 @@ def _settings_callback(context: click.Context, parameter: click.Parameter, path:
     """Read a file of settings before any other option is looked at."""
     if path is None:
         return None
-    settable = [other for other in context.command.params if other.name not in NOT_SETTINGS]
-    found = files.read_settings(path, settable)
-    context.default_map = {name: value for name, value in found.items() if name != files.IMAGES}
-    return found[files.IMAGES]
+    found = files.read_settings(path)
+    own = found.own if found.preset is None else found.own | {"preset": found.preset}
+    context.default_map = own
+    return found
 
 
-#: Options that no file of settings holds.
-NOT_SETTINGS = ("images", "config", "dump_config", "as_json", "device", "backend")
+def _preset_help() -> str:
+    """Return a line for each preset."""
+    lines = (f"{name}: {preset.help}" for name, preset in PRESETS.items())
+    return "Set of options for a kind of pictures.  [default: photo]  " + "  ".join(lines)
 
 
 @cli.command()
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
 @options.file_options
 @click.option(
-    "--preset", type=click.Choice(list(PRESETS)), panel="Settings",
-    help="A set of options for a kind of pictures.  [default: photo]",
+    "--preset", type=click.Choice(list(PRESETS)), panel="Settings", help=_preset_help(),
 )  # fmt: skip
 @click.option(
     "--config", type=options.FileName(), is_eager=True, callback=_settings_callback,
@@ -105,10 +108,7 @@ NOT_SETTINGS = ("images", "config", "dump_config", "as_json", "device", "backend
 @click.option(
     "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
 )
-@options.motion_options
-@options.problem_options
-@options.plan_options
-@options.drawing_options
+@options.morph_options
 @options.max_pixels_option
 @options.device_options
 @click.pass_context
@@ -118,11 +118,14 @@ def morph(
     images: tuple[Path, ...],
     output: tuple[Path, ...],
     preset: str | None,
-    config: files.Named | None,
+    config: files.Found | None,
     dump_config: bool,
     as_json: bool,
     device: str | None,
     backend: str | None,
+    format: str | None,
+    recipe: bool | None,
+    max_pixels: int | None,
     **given: Any,
 ) -> None:
     """Morph picture A into picture B, and on to C, D and so forth.
@@ -137,20 +140,24 @@ def morph(
 
     Options that are not given are those of the preset.
     """  # noqa: D301
-    from clmorph.cli.morph import announce_changes, announce_idle, run_morph
+    from clmorph.cli.morph import Request, announce_changes, announce_idle, run_morph
 
-    settings = _settings(context, preset, given)
+    line = options.given_options(given)
+    chosen = _options(context, preset, config, line)
     if config is not None and not images:
-        named = config.images()
+        named = config.named.images()
         images = tuple(path for path, _ in named)
         announce_changes(named)
     if context.get_parameter_source("output") is ParameterSource.COMMANDLINE and (
         context.get_parameter_source("format") is not ParameterSource.COMMANDLINE
     ):
-        settings.pop("format", None)  # it belongs to the output that the file names
+        format = None  # it belongs to the output that the file names
+    most = MAX_PIXELS if max_pixels is None else max_pixels
     if dump_config:
+        own = {"format": format, "recipe": recipe, "max_pixels": most}
+        said = {name: value for name, value in own.items() if value is not None}
         # TOML is UTF-8, whatever the terminal is.
-        click.echo(files.as_toml(settings, images).encode("utf-8"), nl=False)
+        click.echo(files.as_toml(chosen.outside() | said, images).encode("utf-8"), nl=False)
         return
     if len(images) < 2:
         raise InputError(
@@ -158,37 +165,35 @@ def morph(
         )
     if not output:
         raise InputError("no output given: expected -o with a name, such as -o out.gif")
-    announce_idle(
-        [name for name in given if context.get_parameter_source(name)
-         is ParameterSource.COMMANDLINE],
-        output, settings.get("format"),
-    )  # fmt: skip
+    announce_idle(list(line), output, format)
     # A limit that the user repeats in the command line is the user's.
-    from_file = context.get_parameter_source("max_memory") is ParameterSource.DEFAULT_MAP
+    foreign = config is not None and not config.named.own
     run_morph(
-        images, output, settings, device=device, backend=backend, as_json=as_json,
-        config=config.file if config is not None else None,
-        capped=config is not None and not config.own and from_file,
+        Request(
+            images, output, chosen, format=format, recipe=bool(recipe), max_pixels=most,
+            config=None if config is None else config.named.file,
+            capped=foreign and "max_memory" not in line,
+        ),
+        device=device, backend=backend, as_json=as_json,
     )  # fmt: skip
+
+
+def _options(
+    context: click.Context,
+    preset: str | None,
+    config: files.Found | None,
+    line: dict[str, Any],
+) -> MorphOptions:
+    """Join the preset, the file of settings and the command line, which wins."""
+    chosen, told = preset_options(preset), {} if config is None else config.options
+    in_line = context.get_parameter_source("preset") is ParameterSource.COMMANDLINE
+    layers = (told, chosen, line) if in_line else (chosen, told, line)
+    return MorphOptions(**MorphOptions.layered(layers))
 
 
 def _counted(images: Sequence[Path]) -> str:
     """Return how many pictures were given, as the beginning of a message."""
     return f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given"
-
-
-def _settings(context: click.Context, preset: str | None, given: dict[str, Any]) -> files.Settings:
-    """Join the preset, the file of settings and the command line, which wins."""
-    said: dict[bool, files.Settings] = {True: {}, False: {}}
-    for name, value in given.items():
-        if value is not None:
-            source = context.get_parameter_source(name)
-            said[source is ParameterSource.COMMANDLINE][name] = value
-    chosen = files.preset(preset or "photo")
-    in_line = context.get_parameter_source("preset")
-    if in_line is ParameterSource.COMMANDLINE:
-        return files.layered((files.usual(), said[False], chosen, said[True]))
-    return files.layered((files.usual(), chosen, said[False], said[True]))
 
 
 @cli.command()
@@ -201,22 +206,16 @@ def _settings(context: click.Context, preset: str | None, given: dict[str, Any])
     "--json", "as_json", is_flag=True, panel="File", help="Print the numbers for programs."
 )
 @click.option(
-    "--preset", type=click.Choice(list(PRESETS)), default="photo", show_default=True,
-    panel="Transport", help="Whose transport.",
+    "--preset", type=click.Choice(list(PRESETS)), panel="Transport", help=_preset_help(),
 )  # fmt: skip
-@click.option(
-    "--frames", type=int, default=N_FRAMES, show_default=True, panel="Transport",
-    help="For how many frames time is estimated.",
-)  # fmt: skip
-@options.problem_options
+@options.inspect_options
 @options.max_pixels_option
 @options.device_options
 def inspect(
     images: tuple[Path, ...],
     output: Path | None,
     as_json: bool,
-    preset: str,
-    frames: int,
+    preset: str | None,
     max_pixels: int | None,
     device: str | None,
     backend: str | None,
@@ -233,8 +232,9 @@ def inspect(
     if len(images) != 2:
         raise InputError(f"{_counted(images)}: expected two, as in clmorph inspect a.png b.jpg")
     run_inspect(
-        images, output, preset, {name: value for name, value in given.items() if value is not None},
-        n_frames=frames, max_pixels=max_pixels, device=device, backend=backend, as_json=as_json,
+        images, output, MorphOptions(preset=preset, **options.given_options(given)),
+        max_pixels=MAX_PIXELS if max_pixels is None else max_pixels, device=device,
+        backend=backend, as_json=as_json,
     )  # fmt: skip
 
 
@@ -322,8 +322,8 @@ def completion(shell: str) -> None:
 def _in_option_names(message: str) -> str:
     """Name options as they are written on the command line: n_frames=1 becomes --frames 1."""
     names = {parameter.name: parameter.opts[-1] for parameter in morph.params}
-    names["n_frames"] = "--frames"
-    message = message.replace("or None for balanced transport", f"or {options.BALANCED!r}")
+    names |= options.names_outside()
+    message = message.replace("or None for balanced transport", "or 'balanced'")
     return re.sub(
         r"\b(\w+)=",
         lambda found: f"{names[found[1]]} " if found[1] in names else found[0],

@@ -20,8 +20,6 @@ from clmorph._shared.printable import printable, size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
 from clmorph.cli.common import note_warning, open_backend, read_picture
-from clmorph.cli.config import Settings
-from clmorph.cli.options import GIGABYTE, for_library
 from clmorph.cli.terminal import Stages, note, say
 from clmorph.errors import (
     ConvergenceWarning,
@@ -31,74 +29,85 @@ from clmorph.errors import (
     OutputError,
     PruningWarning,
 )
-from clmorph.frames.kernel_width import is_pixel_art
-from clmorph.images.pixels import MAX_PIXELS, fit
+from clmorph.images.detail import is_pixel_art
+from clmorph.images.pixels import MAX_PIXELS
 from clmorph.output.framing import FrameStyle, enlargement_note
-from clmorph.output.playback import Motion, held_frames
+from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
-from clmorph.pipeline import presets as defaults
 from clmorph.pipeline.budget import default_memory
 from clmorph.pipeline.memory import estimate
-from clmorph.pipeline.morph import check_options
-from clmorph.pipeline.morph import morph as make_morph
+from clmorph.pipeline.morph import Problem, fitted
+from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.recipe import recipe
 from clmorph.pipeline.result import Morph
 from clmorph.transport.potentials import Potentials
 
-#: Settings that are not the morph's own, by what takes them.
-MOTION = ("fps", "duration", "hold", "loop")
-LOOK = ("canvas", "scaling", "background", "lossless")
-RUN = ("frames", "size", "reverse", "format", "recipe", "max_pixels")
+
+@dataclass(frozen=True)
+class Request:
+    """What the command line asks for.
+
+    Attributes
+    ----------
+    images : sequence of Path
+        Two, or more for a chain.
+    outputs : sequence of Path
+    options : MorphOptions
+    format : str or None
+        In place of what the output's ending says.
+    recipe : bool
+        Whether a recipe is left beside each output.
+    max_pixels : int
+        Larger pictures are refused.
+    config : Path or None
+        The file of settings: it is not to be overwritten.
+    capped : bool
+        Whether `max_memory` is a recipe's, which may lower the device's limit, not raise it.
+    """
+
+    images: Sequence[Path]
+    outputs: Sequence[Path]
+    options: MorphOptions
+    format: str | None = None
+    recipe: bool = False
+    max_pixels: int = MAX_PIXELS
+    config: Path | None = None
+    capped: bool = False
 
 
 @dataclass
 class _Run:
-    """One call of the command, its settings checked and sorted."""
+    """One call of the command, checked before anything is worked out."""
 
     images: Sequence[Path]
-    settings: Settings
+    options: MorphOptions
     outputs: Sequence[Output]
-    options: Settings = field(default_factory=dict)
     solved: list[Potentials] = field(default_factory=list)
     particles: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        said = self.settings
-        own = {*MOTION, *LOOK, *RUN}
-        self.options = for_library({name: value for name, value in said.items() if name not in own})
-        self.n_frames = said.get("frames", defaults.N_FRAMES)
-        check_options(n_frames=self.n_frames, **self.options)
-        self.look = FrameStyle(**{name: said[name] for name in LOOK if name in said})
-        self.motion = self._motion()
+        said = self.options
+        self.style = FrameStyle(said.canvas, said.scaling, said.background, said.lossless)
+        self.motion = motion_of(said, held_frames(len(self.images), said.n_frames))
         for output in self.outputs:
             output.check_motion(self.motion)
 
-    def _motion(self) -> Motion:
-        given = {name: self.settings[name] for name in MOTION if name in self.settings}
-        duration = given.pop("duration", None)
-        if duration is None:
-            return Motion(**given)
-        if "fps" in given:
-            raise InputError(
-                f"--duration {duration:g} and --fps {given['fps']:g} contradict: give one of them"
-            )
-        return Motion.lasting(duration, held_frames(len(self.images), self.n_frames), **given)
-
     def memory(self, pictures: Sequence[NDArray[np.float64]], operations: Operations) -> str:
         """Say what the largest of the morphs will take, frames that are kept apart."""
-        way = {name: self.options.get(name) for name in ("sample", "barycentric")}
-        most = self.options.get("max_particles")
+        options = self.options
+        most = options.max_particles
         needs = [
             estimate(
                 one.shape[:2], other.shape[:2],
                 # No fewer are drawn than one a pixel.
                 most and max(most, one.shape[0] * one.shape[1]),
-                sample=way["sample"], barycentric=bool(way["barycentric"]), backend=operations,
+                sample=options.sample, barycentric=options.barycentric, backend=operations,
                 alpha=max(one.shape[2], other.shape[2]) == 4,
             )
             for one, other in itertools.pairwise(pictures)
         ]  # fmt: skip
-        known = most or any(way.values())
+        known = most or options.sample or options.barycentric
         size = size_text(max(max(need.ram, need.device) for need in needs))
         return f"memory: {'about' if known else 'at least'} {size}"
 
@@ -108,59 +117,45 @@ class _Run:
         """Solve one pair after the other."""
         for number, pair in enumerate(itertools.pairwise(pictures)):
             mark = f" {number + 1}" if len(pictures) > 2 else ""
-            morph = make_morph(
-                *pair, self.n_frames, backend=operations, progress=stages.marked(mark),
-                **self.options,
-            )  # fmt: skip
+            morph = Problem(pair, self.options).morph(operations, stages.marked(mark))
             self.solved.append(morph.potentials)
             self.particles.append(len(morph.particles))
             yield morph
 
 
-def run_morph(
-    images: Sequence[Path],
-    outputs: Sequence[Path],
-    settings: Settings,
-    *,
-    device: str | None,
-    backend: str | None,
-    as_json: bool,
-    config: Path | None = None,
-    capped: bool = False,
-) -> None:
+def run_morph(request: Request, *, device: str | None, backend: str | None, as_json: bool) -> None:
     """Morph pictures into one another, once, and write the files.
 
     Parameters
     ----------
-    images : sequence of Path
-        Two, or more for a chain.
-    outputs : sequence of Path
-    settings : dict
-        By option names with underscores.
+    request : Request
     device, backend : str, optional
     as_json : bool
-        Say what was made to programs, not to people.
-    config : Path, optional
-        The file of settings: it is not to be overwritten.
-    capped : bool
-        Whether `max_memory` is a recipe's, which may lower the device's limit, not raise it.
+        Print a summary for programs, not for people.
     """
     began = time.perf_counter()
-    if "format" in settings and len(outputs) > 1:
+    outputs, images = request.outputs, request.images
+    if request.format is not None and len(outputs) > 1:
         raise InputError("--format is for one output: leave it out, or write one at a time")
-    places = [Output(output, settings.get("format")) for output in outputs]
-    recipes = [_beside(output) for output in outputs if settings.get("recipe")]
+    places = [Output(output, request.format) for output in outputs]
+    recipes = [_beside(output) for output in outputs if request.recipe]
     for beside in recipes:
         if check_place(beside).is_dir():
             raise OutputError(f"{beside} is a folder; choose another name for the output")
-    check_apart([*outputs, *recipes], [*images, *([config] if config else [])])
-    run = _Run(images, settings, places)
-    pictures = [_read(path, settings) for path in images]
+    check_apart([*outputs, *recipes], [*images, *([request.config] if request.config else [])])
+    run = _Run(images, request.options, places)
+    whole = [read_picture(path, request.max_pixels) for path in images]
+    pictures = fitted(whole, request.options)
     operations = open_backend(device, backend)
-    if capped:
+    if request.capped:
         _cap_memory(run, operations)
     say(run.memory(pictures, operations))
-    told = files.recipe(settings, images, operations.description)
+
+    def told(folder: Path | None = None) -> dict[str, Any]:
+        return recipe(
+            run.options, images=files.pictures(images, folder), device=operations.description
+        )
+
     notes: list[Warning] = []
     with Stages() as stages, warnings.catch_warnings():
         # Said in the last line.
@@ -170,30 +165,26 @@ def run_morph(
         warnings.showwarning = partial(note_warning, notes)
         with recorded(
             run.morphs(pictures, operations, stages), run.motion, n_morphs=len(pictures) - 1,
-            reverse=bool(settings.get("reverse")),
+            reverse=run.options.reverse,
             exact=any(place.format.exact for place in places),
             keep=any(place.format.keep for place in places),
-            pixelated=all(map(is_pixel_art, pictures)), parameters=told,
+            pixelated=all(map(is_pixel_art, pictures)), parameters=told(),
             folder=places[0].folder, progress=stages,
         ) as film:  # fmt: skip
             gave_way = any(isinstance(each, MemoryWarning) for each in notes)
-            if gave_way and "max_memory" not in settings:
+            if gave_way and run.options.max_memory is None:
                 # What gave way would not on a larger device: its limit belongs to the recipe.
-                settings["max_memory"] = float(
-                    f"{(default_memory(operations) or 0) / GIGABYTE:.6g}"
-                )
-                film = replace(film, parameters=files.recipe(
-                    settings, images, operations.description))  # fmt: skip
-            enlarged = enlargement_note(run.look, film.shapes, film.pixelated, settings.get("size"))
+                run.options = run.options.replace(max_memory=default_memory(operations))
+                film = replace(film, parameters=told())
+            enlarged = enlargement_note(run.style, film.shapes, film.pixelated, run.options.size)
             if enlarged and any("canvas" in place.format.relevant_options for place in places):
                 note(enlarged)
             texts = {}
             for beside in recipes:
                 folder = beside.resolve().parent
-                whole = files.recipe(settings, images, operations.description, folder)
-                texts[beside] = json.dumps(whole, indent=2) + "\n"
+                texts[beside] = json.dumps(told(folder), indent=2) + "\n"
             write_all(
-                places, film, run.look,
+                places, film, run.style,
                 lambda place, share: stages(f"write {place.path.name}", share), texts,
             )  # fmt: skip
             summary = _summary(run, film, stages, notes)
@@ -204,23 +195,16 @@ def run_morph(
 def _cap_memory(run: _Run, operations: Operations) -> None:
     """Let what a recipe says about memory hold only if it is no more than the usual limit."""
     limit = default_memory(operations) or math.inf
-    if run.options.get("max_memory", 0.0) > limit:
-        del run.options["max_memory"]
-        told = run.settings.pop("max_memory")
-        note(f"the recipe's limit of {told:g} GB is above the device's own, {size_text(limit)}")
+    if (run.options.max_memory or 0.0) > limit:
+        told = size_text(run.options.max_memory or 0.0)
+        run.options = run.options.replace(max_memory=None)
+        note(f"the recipe's limit of {told} is above the device's own, {size_text(limit)}")
 
 
 def _beside(output: Path) -> Path:
     """Return where the recipe of an output goes; such as ``.`` have their name elsewhere."""
     named = output if output.name not in ("", "..") else output.resolve()
     return named.with_name(f"{named.name}.json") if named.name else named / ".json"
-
-
-def _read(path: Path, settings: Settings) -> NDArray[np.float64]:
-    """Return a picture at the size at which it is drawn."""
-    picture: NDArray[np.float64] = read_picture(path, settings.get("max_pixels", MAX_PIXELS))
-    size = settings.get("size")
-    return picture if size is None else fit(picture, size)
 
 
 def _summary(run: _Run, film: Recording, stages: Stages, notes: list[Warning]) -> dict[str, Any]:

@@ -24,9 +24,6 @@ from clmorph.transport.plan_sampling import Barycentric
 
 Array = NDArray[np.float64]
 
-#: What is done about the ends: nothing (Eq. 4 as printed), or the above.
-ENDPOINTS = ("exact", "paper")
-
 #: Kernel width of what is given back, in distances of pixels: hardly reaches the next.
 NARROW = 0.3
 
@@ -128,7 +125,7 @@ class Details:
         )
         pitch = max(1e-3, self._spacing * 0.5 * sum(canvas.scale))
         sigma = NARROW * pitch
-        splats = self._operations.place(particles, t, canvas.scale, canvas.center)
+        splats = self._operations.advect(particles, t, canvas.scale, canvas.center)
         numerator, denominator = self._operations.splat(splats, canvas.shape, sigma, CUT * sigma)
         # Where pixels have moved apart there is less to give back than an even spread has.
         even = kernel_sum(sigma) / pitch**2

@@ -8,15 +8,12 @@ from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_choice, check_number
 from clmorph.errors import InputError
+from clmorph.frames.options import UNMATCHED
 from clmorph.images.color import COLOR_SPACES, to_space
 from clmorph.measures.lift import Measure
 from clmorph.measures.points import as_image_measure
 from clmorph.transport.plan import Plan, check_plan
 from clmorph.transport.plan_sampling import Barycentric, check_barycentric
-
-#: What happens to mass that the plan does not move: "fade" draws it dying at its source
-#: and being born at its target; "drop" leaves it out, as the paper's code does.
-UNMATCHED = ("fade", "drop")
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -99,7 +99,7 @@ def render(
     -------
     Sums
     """
-    splats = operations.place(particles, t, canvas.scale, canvas.center)
+    splats = operations.advect(particles, t, canvas.scale, canvas.center)
     sigma = widths.sigma
     shaped = splats
     if widths.local:

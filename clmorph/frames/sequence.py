@@ -40,8 +40,8 @@ class FrameSequence(Sequence[Frame]):
         Whether the first and the last frame are the images themselves.
     unmatched : {"fade", "drop"}
         Whether mass that does not travel is drawn.
-    parameters : mapping
-        The options of the morph, as `json.dumps` takes them.
+    options : Options
+        What it was made with, playback and style of files included.
     """
 
     source: Measure
@@ -53,7 +53,12 @@ class FrameSequence(Sequence[Frame]):
     kernel_width: KernelWidth
     endpoints: str
     unmatched: str
-    parameters: Mapping[str, Any]
+    options: Any
+
+    @property
+    @abstractmethod
+    def parameters(self) -> Mapping[str, Any]:
+        """The recipe, as `json.dumps` takes it."""
 
     @abstractmethod
     def canvas(self, t: float) -> Canvas:

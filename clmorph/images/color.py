@@ -5,20 +5,22 @@ space, so that two colors drawn evenly from the sRGB cube are, in the root mean 
 apart in each space as in sRGB: a color weight means the same in all of them.
 """
 
+from __future__ import annotations
+
 from functools import cache
+from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from clmorph._shared.arrays import as_floats
+from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_choice
 from clmorph.errors import InputError
 
-Array = NDArray[np.float64]
-
 #: "srgb": as stored (the paper). "linear": light. "lab", "luv": CIE 1976, D65. "oklab":
 #: Ottosson, "A perceptual color space for image processing" (2020).
-COLOR_SPACES = ("srgb", "linear", "lab", "luv", "oklab")
+ColorSpace = Literal["srgb", "linear", "lab", "luv", "oklab"]
+COLOR_SPACES = get_args(ColorSpace)
 
 #: Oklab: linear sRGB to cone responses, and their cube roots to lightness and two opponents.
 _TO_CONES = np.array(

@@ -1,15 +1,17 @@
 """Images in, as arrays of sRGB values in [0, 1], with opacity where there is some."""
 
+from __future__ import annotations
+
 import warnings
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clmorph._shared.arrays import as_array
 from clmorph._shared.printable import reason_of
+from clmorph._shared.typing import AnyArray, Array, ArrayLike
 from clmorph._shared.validation import check_integer, check_max_pixels, is_path, shown
 from clmorph.errors import FileError, ImageWarning, InputError
 
@@ -17,9 +19,7 @@ from clmorph.errors import FileError, ImageWarning, InputError
 MAX_PIXELS = 64_000_000
 
 
-def as_pixels(
-    image: ArrayLike, name: str = "image", *, max_pixels: int | None = None
-) -> NDArray[np.float64]:
+def as_pixels(image: ArrayLike, name: str = "image", *, max_pixels: int | None = None) -> Array:
     """Return an image as (H, W, 3) or (H, W, 4) float64 in [0, 1].
 
     Parameters
@@ -74,7 +74,7 @@ def as_pixels(
     return np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
 
 
-def _checked_floats(pixels: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+def _checked_floats(pixels: Array, name: str) -> Array:
     """Return floats, clipped in place to [0, 1], if that changes them by rounding alone."""
     if not np.all(np.isfinite(pixels)):
         raise InputError(f"{name} holds NaN or infinity: expected finite values in [0, 1]")
@@ -87,7 +87,7 @@ def _checked_floats(pixels: NDArray[np.float64], name: str) -> NDArray[np.float6
     return np.clip(pixels, 0.0, 1.0, out=pixels)
 
 
-def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
+def as_rgb(image: ArrayLike, name: str = "image") -> Array:
     """Return an image as (H, W, 3) float64 in [0, 1], transparent parts laid on white.
 
     Parameters and errors as `as_pixels`.
@@ -96,7 +96,7 @@ def as_rgb(image: ArrayLike, name: str = "image") -> NDArray[np.float64]:
     return colors if alpha is None else colors * alpha[..., None] + (1.0 - alpha[..., None])
 
 
-def to_bytes(frame: NDArray[Any]) -> NDArray[np.uint8]:
+def to_bytes(frame: AnyArray) -> NDArray[np.uint8]:
     """Round a frame in [0, 1] to 8 bits; one that is, is returned as it is."""
     if frame.dtype == np.uint8:
         return frame
@@ -104,15 +104,15 @@ def to_bytes(frame: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def split_alpha(
-    pixels: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    pixels: Array,
+) -> tuple[Array, Array | None]:
     """Return (H, W, 3) colors and (H, W) opacity, None if all is opaque."""
     if pixels.shape[2] == 3:
         return pixels, None
     return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3]
 
 
-def block_size(image: NDArray[np.float64]) -> int:
+def block_size(image: Array) -> int:
     """Return k if an image is made of k x k blocks of one color each, as enlarged sprites are.
 
     Parameters
@@ -131,7 +131,7 @@ def block_size(image: NDArray[np.float64]) -> int:
     return 1 if len(sides) == 2 else int(np.gcd.reduce(sides))
 
 
-def fit(image: ArrayLike, size: int) -> NDArray[np.float64]:
+def fit(image: ArrayLike, size: int) -> Array:
     """Reduce an image so that its longer side has at most `size` pixels.
 
     Parameters
@@ -171,7 +171,7 @@ def fit(image: ArrayLike, size: int) -> NDArray[np.float64]:
     return np.dstack((np.clip(colors, 0, 1), opacity))
 
 
-def resized(image: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
+def resized(image: Array, shape: tuple[int, int]) -> Array:
     """Return an image (H, W, C) at another size (height, width), interpolated linearly."""
     if image.shape[:2] == shape:
         return image
@@ -180,7 +180,7 @@ def resized(image: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.fl
     return np.asarray(resize(image, (*shape, image.shape[2]), order=1, mode="edge"))
 
 
-def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> NDArray[np.float64]:
+def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Array:
     """Read an image file.
 
     Parameters

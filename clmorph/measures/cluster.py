@@ -1,44 +1,48 @@
-"""Cells: nearby points of a measure taken together, as a coarser measure."""
+"""Clusters of nearby points of a measure, which form a coarser measure."""
+
+from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.measures.points import AnyMeasure, WeightedPoints
 
-Array = NDArray[np.float64]
-
-#: Keys of cells stay below this while coordinates are packed into them.
+#: Bound of the integer keys into which the coordinates of cubes are packed.
 _LARGEST_KEY = 1 << 62
 
 
-class Cells(NamedTuple):
+class Clusters(NamedTuple):
     """A coarser measure, and which of its points each point belongs to.
 
     Attributes
     ----------
     measure : WeightedPoints
-        The masses of the cells at their centers of mass. Within-cell spread is not added to the
-        cost: what it costs on average is won back, to the second order and where the plan is as
-        wide as the blur, by mass choosing where in the cell it goes.
+        The masses of the clusters at their centers of mass. The spread of points inside a cluster
+        is not added to the cost. Mass is free to choose where in a cluster it goes, and where the
+        plan is as wide as the blur this balances the spread to the second order.
     labels : (N,) array of int
-        Cell of each point.
+        Cluster of each point.
     """
 
     measure: WeightedPoints
     labels: NDArray[np.intp]
 
-    def mean(self, values: Array, weights: Array) -> Array:
-        """Return the mean of values over each cell, by mass: (N,) arrays to (cells,)."""
+    def restrict(self, values: Array, weights: Array) -> Array:
+        """Return the mean of values over each cluster, by mass: (N,) arrays to (clusters,).
+
+        This is the restriction of multigrid methods.
+        """
         return _means(self.labels, len(self.measure), values[:, None], weights)[:, 0]
 
 
-def make_cells(measure: AnyMeasure, side: float) -> Cells:
-    """Take the points of a measure together that share a cube of this side.
+def make_clusters(measure: AnyMeasure, side: float) -> Clusters:
+    """Join the points of a measure that lie in the same cube of a grid.
 
-    Every cell is small, however few points it holds, unlike the leaves of a tree over equal
-    numbers of points: where points are sparse each keeps its own cell.
+    Every cluster is small, however few points it holds, unlike the leaves of a tree over equal
+    numbers of points: where points are sparse each keeps its own cluster.
 
     Parameters
     ----------
@@ -63,11 +67,11 @@ def make_cells(measure: AnyMeasure, side: float) -> Cells:
     whole = WeightedPoints(
         means[:, :-1], masses, None if measure.offsets is None else means[:, -1].copy()
     )
-    return Cells(whole, labels)
+    return Clusters(whole, labels)
 
 
 def _means(labels: NDArray[np.intp], count: int, values: Array, weights: Array) -> Array:
-    """Means of (N, k) values over cells, by mass; plain ones where there is none."""
+    """Means of (N, k) values over clusters, by mass; plain ones where there is none."""
     masses = np.bincount(labels, weights, count)
     share = np.divide(weights, masses[labels], out=np.zeros(len(labels)), where=weights > 0)
     empty = masses <= 0

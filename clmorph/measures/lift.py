@@ -1,26 +1,20 @@
 """From an image to a measure: weighted points in position and color (paper, 2.3, 5)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from clmorph._shared.arrays import as_floats
+from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_choice, check_color_weight, shown
 from clmorph.backends.interface import MAX_POINTS
 from clmorph.errors import InputError
-from clmorph.images.color import COLOR_SPACES, as_metric, square_root, to_space
+from clmorph.images.color import COLOR_SPACES, ColorSpace, as_metric, square_root, to_space
 from clmorph.images.pixels import as_pixels, split_alpha
-from clmorph.pipeline import presets as defaults
-
-#: How pixels stand in the common frame: "true" keeps the aspect ratio, "unit" stretches
-#: each axis to [0, 1].
-EXTENTS = ("true", "unit")
-
-#: What a pixel weighs, apart from its opacity: the same everywhere, its luminance (Y of CIE
-#: XYZ), or, said expressly, its opacity alone.
-MASSES = ("uniform", "luminance", "alpha")
+from clmorph.measures.options import EXTENTS, MASSES, Extent, LiftOptions, Mass
 
 #: Share of linear red, green and blue in luminance (ITU-R BT.709).
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -53,15 +47,15 @@ class Measure:
         Opacity of each pixel; None if all are opaque.
     """
 
-    positions: NDArray[np.float64]
-    colors: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    positions: Array
+    colors: Array
+    weights: Array
     shape: tuple[int, int]
     color_weight: float
     extent: str
     color_space: str = "srgb"
-    color_metric: NDArray[np.float64] | None = None
-    alpha: NDArray[np.float64] | None = None
+    color_metric: Array | None = None
+    alpha: Array | None = None
     #: Only measures of other costs have some, see `clmorph.measures.points.WeightedPoints`.
     offsets = None
 
@@ -72,7 +66,7 @@ class Measure:
         return len(self.weights)
 
     @cached_property
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Array:
         """(N, 5) lifted points (x, y, lambda r, lambda g, lambda b); Eq. 1.
 
         In other color spaces than sRGB their coordinates, with a metric M = L L^T these times L.
@@ -88,7 +82,7 @@ class Measure:
         return np.column_stack((self.positions, self.color_weight * colors))
 
     @cached_property
-    def coordinates(self) -> NDArray[np.float64]:
+    def coordinates(self) -> Array:
         """(N, 3) colors in the space in which they are compared."""
         return to_space(self.colors, self.color_space)
 
@@ -110,7 +104,7 @@ class Measure:
         return float(self.weights.sum())
 
 
-def pixel_positions(shape: tuple[int, int], extent: str = "true") -> NDArray[np.float64]:
+def pixel_positions(shape: tuple[int, int], extent: str = "true") -> Array:
     """Return where the pixels of an image stand in the common frame.
 
     Parameters
@@ -138,12 +132,12 @@ def pixel_positions(shape: tuple[int, int], extent: str = "true") -> NDArray[np.
 
 def lift(
     image: ArrayLike,
-    color_weight: float = defaults.COLOR_WEIGHT,
+    color_weight: float = LiftOptions.color_weight,
     *,
     weights: ArrayLike | None = None,
-    mass: str = "uniform",
-    extent: str = "true",
-    color_space: str = "srgb",
+    mass: Mass = LiftOptions.mass,
+    extent: Extent = LiftOptions.extent,
+    color_space: ColorSpace = LiftOptions.color_space,
     color_metric: ArrayLike | None = None,
 ) -> Measure:
     """Lift an image into position and color (paper, section 2.3).
@@ -209,7 +203,7 @@ def lift(
     )
 
 
-def check_masses(name: str, masses: NDArray[np.float64]) -> None:
+def check_masses(name: str, masses: Array) -> None:
     """Check masses of points.
 
     Raises
@@ -275,9 +269,7 @@ def check_measure(name: str, measure: Measure) -> None:
             )
 
 
-def _masses(
-    colors: NDArray[np.float64], alpha: NDArray[np.float64] | None, mass: str
-) -> NDArray[np.float64]:
+def _masses(colors: Array, alpha: Array | None, mass: str) -> Array:
     """Masses by a rule: (N,) array of sum 1."""
     if mass == "alpha" and alpha is None:
         raise InputError("mass='alpha': the image is opaque; use 'uniform', or an RGBA image")

@@ -1,24 +1,26 @@
 """Two images become two measures that can be compared."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import Any
 
-from numpy.typing import ArrayLike
-
 from clmorph._shared.arrays import as_array
+from clmorph._shared.typing import ArrayLike
 from clmorph.errors import InputError
+from clmorph.images.color import ColorSpace
 from clmorph.measures.lift import Measure, lift
-from clmorph.pipeline import presets as defaults
+from clmorph.measures.options import Extent, LiftOptions, Mass
 
 
 def lift_pair(
     images: tuple[ArrayLike, ArrayLike],
-    color_weight: float = defaults.COLOR_WEIGHT,
+    color_weight: float = LiftOptions.color_weight,
     *,
     weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
-    mass: str = "uniform",
-    extent: str = "true",
-    color_space: str = "srgb",
+    mass: Mass = LiftOptions.mass,
+    extent: Extent = LiftOptions.extent,
+    color_space: ColorSpace = LiftOptions.color_space,
     color_metric: ArrayLike | None = None,
 ) -> tuple[Measure, Measure]:
     """Lift two images alike, as `clmorph.morph` does.

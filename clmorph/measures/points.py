@@ -1,13 +1,15 @@
 """Weighted points that are not an image: any dimension up to 11, any unit."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from clmorph._shared.arrays import as_floats
 from clmorph._shared.printable import printable
+from clmorph._shared.typing import Array, ArrayLike
 from clmorph.backends.interface import MAX_DIMENSION, MAX_POINTS
 from clmorph.errors import InputError
 from clmorph.measures.lift import Measure, check_masses, check_measure
@@ -29,9 +31,9 @@ class WeightedPoints:
         Added to the cost of each point.
     """
 
-    points: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    offsets: NDArray[np.float64] | None = None
+    points: Array
+    weights: Array
+    offsets: Array | None = None
 
     def __repr__(self) -> str:
         return f"<{len(self)} WeightedPoints in {self.points.shape[1]}D, mass {self.mass:g}>"

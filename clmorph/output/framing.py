@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from clmorph._shared.validation import as_float, check_choice, check_flag, shown
 from clmorph.errors import InputError
+from clmorph.output.options import SCALINGS, Scaling, StyleOptions
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-#: How frames are enlarged and reduced; "auto" asks what the pictures are.
-SCALINGS = ("auto", "nearest", "smooth")
 #: Canvases with a name: of every frame its own, the first picture's, the last one's.
 CANVASES = ("dynamic", "source", "target")
 #: A canvas's largest side, in pixels.
@@ -52,7 +51,7 @@ class FrameStyle:
     """
 
     canvas: Any = "dynamic"
-    scaling: str = "auto"
+    scaling: Scaling = StyleOptions.scaling
     background: str | None = None
     lossless: bool = False
 
@@ -65,17 +64,28 @@ class FrameStyle:
         check_choice("scaling", self.scaling, SCALINGS)
         object.__setattr__(self, "lossless", check_flag("lossless", self.lossless))
         if self.background is not None:
-            from PIL import ImageColor
+            check_color(self.background)
 
-            try:
-                if not isinstance(self.background, str):
-                    raise TypeError
-                ImageColor.getrgb(self.background)
-            except (ValueError, AttributeError, TypeError):
-                raise InputError(
-                    f"background={shown(self.background)}: expected a color such as 'white' or "
-                    "'#204060'"
-                ) from None
+
+def check_color(color: Any) -> str:
+    """Return a color that Pillow knows.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    from PIL import ImageColor
+
+    try:
+        if not isinstance(color, str):
+            raise TypeError
+        ImageColor.getrgb(color)
+    except (ValueError, AttributeError, TypeError):
+        raise InputError(
+            f"background={shown(color)}: expected a color such as 'white' or '#204060'"
+        ) from None
+    return color
 
 
 def as_canvas(canvas: Any) -> Any:

@@ -9,17 +9,13 @@ from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_choice, check_number
 from clmorph.errors import InputError
-from clmorph.pipeline import presets as defaults
+from clmorph.output.options import EASES, FPS, LOOPS, Ease, Loop, PlaybackOptions
 
-#: How the morph's time runs while frames follow one another evenly.
-EASES = ("linear", "smooth", "in", "out")
-#: What comes after the last frame: the first, the way back, or nothing.
-LOOPS = ("loop", "ping-pong", "once")
 #: Frames a second from which a rest that is rounded to whole ones is not seen to be.
 SMOOTH = 30
 
 
-def eased(times: NDArray[np.float64], ease: str) -> NDArray[np.float64]:
+def eased(times: NDArray[np.float64], ease: Ease) -> NDArray[np.float64]:
     """Return the times of a morph that frames at even times show.
 
     Parameters
@@ -66,9 +62,9 @@ class Motion:
         If one of them cannot be used.
     """
 
-    fps: float = defaults.FPS
-    hold: float = defaults.HOLD
-    loop: str = "loop"
+    fps: float = FPS
+    hold: float = PlaybackOptions.hold
+    loop: Loop = PlaybackOptions.loop
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fps", check_number("fps", self.fps, 0.1, 240.0))
@@ -77,8 +73,8 @@ class Motion:
 
     @classmethod
     def lasting(
-        cls, duration: float, holds: NDArray[np.bool_], hold: float = defaults.HOLD,
-        loop: str = "loop",
+        cls, duration: float, holds: NDArray[np.bool_], hold: float = PlaybackOptions.hold,
+        loop: Loop = PlaybackOptions.loop,
     ) -> "Motion":  # fmt: skip
         """Return the motion whose one round takes so many seconds.
 
@@ -151,6 +147,25 @@ class Motion:
         """
         even = 1.0 / self.fps
         return [(index, even + self.hold * holds[index]) for index in self.order(len(holds))]
+
+
+def motion_of(options: PlaybackOptions, holds: NDArray[np.bool_]) -> Motion:
+    """Return the motion that options ask for.
+
+    Parameters
+    ----------
+    options : PlaybackOptions
+    holds : (n,) array of bool
+        Frames that are pictures themselves.
+
+    Raises
+    ------
+    InputError
+        If the duration cannot be had.
+    """
+    if options.duration is not None:
+        return Motion.lasting(options.duration, holds, options.hold, options.loop)
+    return Motion(FPS if options.fps is None else options.fps, options.hold, options.loop)
 
 
 def whole_units(seconds: list[float], per_second: int | Fraction) -> list[int]:

@@ -1,5 +1,7 @@
 """Write a morph, or a chain of morphs, as files that people open."""
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -8,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clmorph._shared.files import (
     atomic_paths,
@@ -18,17 +21,21 @@ from clmorph._shared.files import (
     is_empty,
     told_as_output,
 )
+from clmorph._shared.options import Options, specifications, unknown_option
 from clmorph._shared.printable import printable
-from clmorph._shared.validation import check_choice, check_flag, check_progress, is_path, shown
+from clmorph._shared.validation import check_choice, check_progress, is_path, shown
 from clmorph.errors import InputError, OutputError
 from clmorph.frames.sequence import FrameSequence
 from clmorph.output.formats.format import PACE, SIZES, Format
 from clmorph.output.formats.registry import FORMATS, by_ending, usual_endings
 from clmorph.output.framing import FrameStyle
 from clmorph.output.metadata import as_text
-from clmorph.output.playback import Motion
+from clmorph.output.options import PlaybackOptions, StyleOptions
+from clmorph.output.playback import Motion, motion_of
 from clmorph.output.recording import Recording, StageProgress, recorded
-from clmorph.pipeline import presets as defaults
+
+#: The options of `save`.
+SAVED = ("fps", "duration", "hold", "loop", "reverse", *specifications(StyleOptions))
 
 __all__ = ["FORMATS", "PACE", "SIZES", "Output", "metadata_of", "save", "write_all"]
 
@@ -145,16 +152,9 @@ def save(
     path: str | PathLike[str],
     *,
     format: str | None = None,
-    fps: float = defaults.FPS,
-    hold: float = defaults.HOLD,
-    loop: str = "loop",
-    reverse: bool = False,
-    canvas: Any = "dynamic",
-    scaling: str = "auto",
-    background: str | None = None,
-    lossless: bool = False,
     parameters: Mapping[str, Any] | None = None,
     progress: StageProgress | None = None,
+    **given: Any,
 ) -> None:
     """Write a morph, or a chain of morphs, to a file chosen by its ending.
 
@@ -168,17 +168,14 @@ def save(
         page a frame), or no ending (a new folder of PNG frames). What is there is replaced.
     format : str, optional
         A name of `FORMATS`, in place of the ending.
-    fps, hold, loop
-        See `clmorph.output.playback.Motion`.
-    reverse : bool
-        From the end to the beginning.
-    canvas, scaling, background, lossless
-        See `clmorph.output.framing.FrameStyle`.
     parameters : mapping, optional
-        What the file is to tell of its making, in place of the morphs' own parameters; JSON
-        must take it.
+        Metadata of the file in place of the recipe; JSON must take it.
     progress : callable, optional
         Called with a stage's name and the share of it done.
+    **given
+        Options of `PlaybackOptions` (fps, duration, hold, loop, reverse) and of `StyleOptions`
+        (canvas, scaling, background, lossless), in place of those that the first morph was made
+        with.
 
     Raises
     ------
@@ -206,9 +203,13 @@ def save(
     """
     chain = _as_chain(morphs)
     output = Output(path, format)
-    style, motion = FrameStyle(canvas, scaling, background, lossless), Motion(fps, hold, loop)
+    for name in given:
+        if name not in SAVED:
+            raise InputError(unknown_option(name, dict.fromkeys(SAVED)))
+    options = chain[0].options.replace(**given)
+    style = FrameStyle(options.canvas, options.scaling, options.background, options.lossless)
+    motion = motion_of(options, held_frames_of(chain))
     output.check_motion(motion)
-    reverse = check_flag("reverse", reverse)
     report = check_progress(progress)
     for one, other in itertools.pairwise(chain):
         if not np.array_equal(one.target.colors, other.source.colors):
@@ -217,7 +218,7 @@ def save(
             )
     if parameters is not None and not isinstance(parameters, Mapping):
         raise InputError(f"parameters={shown(parameters)}: expected a mapping that JSON takes")
-    metadata = parameters if parameters is not None else metadata_of(chain)
+    metadata = parameters if parameters is not None else metadata_of(chain, options)
     try:
         as_text(metadata)
     except (TypeError, ValueError, RecursionError) as error:
@@ -225,7 +226,7 @@ def save(
             f"parameters: expected what JSON takes ({printable(str(error), 120)})"
         ) from None
     with recorded(
-        chain, motion, n_morphs=len(chain), reverse=reverse,
+        chain, motion, n_morphs=len(chain), reverse=options.reverse,
         exact=output.format.exact, keep=output.format.keep,
         pixelated=all(morph.pixelated for morph in chain), parameters=metadata,
         folder=output.folder, progress=progress,
@@ -246,8 +247,31 @@ def _as_chain(
     raise InputError("morphs: expected a Morph, or a sequence of at least one")
 
 
-def metadata_of(morphs: Sequence[FrameSequence]) -> dict[str, Any]:
-    """Return the metadata of a file with these morphs."""
-    from clmorph._shared.version import __version__
+def held_frames_of(chain: Sequence[FrameSequence]) -> NDArray[np.bool_]:
+    """Return which frames of a chain are pictures themselves: (n,) array."""
+    steps = [len(morph) - 1 for morph in chain]
+    holds = np.zeros(1 + sum(steps), bool)
+    holds[[0, *np.cumsum(steps)]] = True
+    return holds
 
-    return {"clmorph": __version__, "morphs": [dict(morph.parameters) for morph in morphs]}
+
+def metadata_of(morphs: Sequence[FrameSequence], options: Options) -> dict[str, Any]:
+    """Return the recipe that a file holds.
+
+    Parameters
+    ----------
+    morphs : sequence of Morph
+    options : Options
+        The first morph's, with those given when it is saved. Morphs that were made with other
+        options than the first are listed one by one.
+    """
+    pace = {*specifications(PlaybackOptions), *specifications(StyleOptions)}
+    each = [
+        {name: value for name, value in morph.options.as_dict().items() if name not in pace}
+        for morph in morphs
+    ]
+    metadata = dict(morphs[0].parameters)
+    if all(one == each[0] for one in each):
+        return metadata | {"options": options.outside()}
+    del metadata["options"]
+    return metadata | {"morphs": [morph.options.outside() for morph in morphs]}

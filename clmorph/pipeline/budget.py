@@ -7,11 +7,12 @@ import numpy as np
 
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError, MemoryWarning, PruningWarning
+from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.memory import affordable, estimate, predict_pairs
+from clmorph.transport.options import MAX_DRAWS
 from clmorph.transport.plan import Plan, transport_plan
 from clmorph.transport.plan_sampling import (
-    MAX_DRAWS,
     Barycentric,
     barycentric_plan,
     draw_pairs,
@@ -20,7 +21,7 @@ from clmorph.transport.plan_sampling import (
 )
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.pruning import REMEDY, check_reachable
-from clmorph.transport.refine_plan import PixelCells, drawn, refined
+from clmorph.transport.refine_plan import drawn, refined
 
 #: Share of a device's memory that a morph may take, unless told otherwise.
 MEMORY_SHARE = 0.5
@@ -30,13 +31,13 @@ MUCH_DROPPED = 0.25
 
 def default_memory(operations: Operations) -> float | None:
     """Return how many bytes a morph may take; None if the backend does not say what it has."""
-    device = getattr(operations, "device", None)
-    return None if device is None else MEMORY_SHARE * float(device.global_mem_size)
+    memory = operations.memory_bytes
+    return None if memory is None else MEMORY_SHARE * float(memory)
 
 
 def make_plan(
-    source: PixelCells,
-    target: PixelCells,
+    source: PixelBlocks,
+    target: PixelBlocks,
     potentials: Potentials,
     operations: Operations,
     *,
@@ -51,7 +52,7 @@ def make_plan(
 
     Parameters
     ----------
-    source, target : PixelCells
+    source, target : PixelBlocks
     potentials : Potentials
         Of `source.coarse` and `target.coarse`.
     operations : Operations
@@ -128,14 +129,14 @@ def warn_if_much_is_dropped(plan: Plan, log_threshold: float, stacklevel: int = 
         )
 
 
-def finest_pixels(source: PixelCells, target: PixelCells) -> int:
-    """Pixels of the larger of both images' cells."""
+def finest_pixels(source: PixelBlocks, target: PixelBlocks) -> int:
+    """Pixels of the larger of both images' blocks."""
     return int(max(source.side, target.side) ** 2)
 
 
 def check_ways(
-    source: PixelCells,
-    target: PixelCells,
+    source: PixelBlocks,
+    target: PixelBlocks,
     operations: Operations,
     *,
     sample: int | None = None,
@@ -153,7 +154,7 @@ def check_ways(
     Raises
     ------
     InputError
-        If there would be too many draws from a cell, or not even the least would fit into
+        If there would be too many draws from a block, or not even the least would fit into
         `max_memory`, or no pair could exceed `log_threshold`.
     """
     if log_threshold is not None:
@@ -161,7 +162,7 @@ def check_ways(
     finest = finest_pixels(source, target)
     if sample is not None and sample * finest > MAX_DRAWS:
         raise InputError(
-            f"sample={sample}: expected at most {MAX_DRAWS // finest} with cells of {finest} "
+            f"sample={sample}: expected at most {MAX_DRAWS // finest} with blocks of {finest} "
             "pixels; lower it, or raise solve_size"
         )
     limit = default_memory(operations) if max_memory is None else max_memory
@@ -183,7 +184,7 @@ def check_ways(
 
 
 def _kind(
-    source: PixelCells, target: PixelCells, operations: Operations
+    source: PixelBlocks, target: PixelBlocks, operations: Operations
 ) -> tuple[tuple[tuple[int, int], tuple[int, int]], dict[str, Any]]:
     """Return the images' shapes, and what else an estimate asks for."""
     fine = source.fine, target.fine
@@ -195,8 +196,8 @@ def _kind(
 
 
 def choose_way(
-    source: PixelCells,
-    target: PixelCells,
+    source: PixelBlocks,
+    target: PixelBlocks,
     potentials: Potentials,
     operations: Operations,
     max_particles: int | None,
@@ -237,7 +238,7 @@ def choose_way(
     wanted: dict[str, Any] = {}
     particles = pairs
     if max_particles is not None and pairs > max_particles:
-        points = [len(cells.coarse) * finest for cells in (source, target)]
+        points = [len(blocks.coarse) * finest for blocks in (source, target)]
         # One of the draws is each target pixel's.
         wanted = _drawn((max_particles - points[1]) // points[0] + 1, finest)
         particles = int(np.dot(n_draws(wanted.get("sample", 1)), points))
@@ -258,6 +259,6 @@ def choose_way(
 
 
 def _drawn(draws: int, finest: int) -> dict[str, Any]:
-    """Return options for so many draws a pixel, or for means if cells are too large for any."""
+    """Return options for so many draws a pixel, or for means if blocks are too large for any."""
     most = MAX_DRAWS // finest
     return {"sample": int(max(1, min(most, draws)))} if most else {"barycentric": True}

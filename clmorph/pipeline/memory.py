@@ -11,8 +11,8 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
-from clmorph.pipeline import presets as defaults
-from clmorph.transport.plan_sampling import MAX_DRAWS, n_draws
+from clmorph.transport.options import MAX_DRAWS, PruningOptions
+from clmorph.transport.plan_sampling import n_draws
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.pruning import check_log_threshold
 
@@ -115,7 +115,6 @@ def estimate(
     """
     n, m = (_points(name, s) for name, s in (("source", source_shape), ("target", target_shape)))
     operations = get_backend(backend)
-    device = getattr(operations, "device", None)
     drawn: float | None
     if barycentric:
         drawn = n
@@ -137,8 +136,8 @@ def estimate(
         held = HELD_PARTICLE * particles + HELD_PIXEL * pixels
         # A second set of particles stays, the rest is used again.
         on_device += int(PARTICLE * particles * (1.2 if alpha else 1.0) + min(held, MOST_HELD))
-    if device is not None:
-        return Memory(host, on_device, bool(getattr(device, "host_unified_memory", False)))
+    if operations.memory_bytes is not None:
+        return Memory(host, on_device, operations.shares_host_memory)
     host += BLOCKS * 8 * min(BLOCK, n * m)
     return Memory(int(host + (NUMPY_PARTICLE * particles if drawn is not None else 0)), 0, True)
 
@@ -204,7 +203,7 @@ def predict_pairs(
     target: MeasureLike,
     potentials: Potentials,
     *,
-    relative: float = defaults.PLAN_RELATIVE,
+    relative: float = PruningOptions.relative,
     log_threshold: float | None = None,
     rows: int = SAMPLED_ROWS,
     seed: int = 0,

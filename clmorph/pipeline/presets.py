@@ -1,89 +1,71 @@
-"""Default values and presets: each stands here once.
+"""Presets: named sets of options for kinds of pictures.
 
-Blur, reach, color weight and kernel widths are the paper's (section 4).
+A preset lists what differs from the defaults of `clmorph.pipeline.options.MorphOptions`, which are
+those of "photo". Numbers of "paper" are those of the paper's section 4.
 """
 
 import math
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple, get_args
 
-#: Length scale of the entropic blur, in units of the longer image side; epsilon = blur^2.
-BLUR = 0.05
-#: Length scale of mass creation and destruction, same unit; rho = reach^2.
-REACH = 0.3
-#: Weight lambda of color distance (each channel in [0, 1]) against position.
-COLOR_WEIGHT = 2.0
-#: Kernel widths at t = 0 and t = 1, and the bulge between them, in canvas pixels (Eq. 4).
-SIGMA_START = 1.2
-SIGMA_END = 0.5
-GAMMA = 0.5
-#: Frames of a morph, both ends included.
-N_FRAMES = 30
-#: Frames a second, and seconds that the pictures themselves stay longer than a frame.
-FPS = 20.0
-HOLD = 0.65
-#: Residual at which the solver stops, in units of epsilon.
-TOL = 1e-3
-#: Factor between the blurs of GeomLoss's schedule; the paper's.
-SCALING = 0.9
-#: Iterations after which the solver gives up (one = both updates).
-MAX_ITER = 2000
-#: A pair is kept from this share of its row's or its column's largest on.
-PLAN_RELATIVE = 1e-4
-#: The paper's threshold tau on log pi_ij, below which it leaves pairs out (section 3.1).
-LOG_THRESHOLD = -13.0
-#: The most that the pairs of a plan may take, in bytes.
-MAX_PLAN_BYTES = 4 * 2.0**30
-_PHOTO: dict[str, float | int | str | None] = {
-    "size": 256,
-    "solve_size": 128,
-    "max_particles": 1_500_000,
-    "blur": 0.03,
-    "reach": 0.3,
-    "color_weight": 0.5,
-    "sigma_start": "auto",
-    "sigma_end": "auto",
-    "splatting": "local",
-    "endpoints": "exact",
-    "path_space": "oklab",
-    "extent": "true",
-    "unmatched": "fade",
+PresetName = Literal["photo", "paper", "pixel-art", "crossfade", "balanced"]
+
+
+class Preset(NamedTuple):
+    """A preset.
+
+    Attributes
+    ----------
+    help : str
+        One line.
+    options : dict
+        What differs from the defaults, by the names in Python.
+    """
+
+    help: str
+    options: Mapping[str, Any]
+
+
+PRESETS: dict[str, Preset] = {
+    "photo": Preset("For any two pictures: sharp ends, no holes, colors that change.", {}),
+    "paper": Preset(
+        "The paper's parameters, axes, particles, threshold on the plan, and blurred ends.",
+        {
+            "size": 48,
+            "solve_size": None,
+            "max_particles": None,
+            "blur": 0.05,
+            "reach": 0.3,
+            "color_weight": 2.0,
+            "log_threshold": -13.0,
+            "sigma_start": 1.2,
+            "sigma_end": 0.5,
+            "gamma": 0.5,
+            "splatting": "adaptive",
+            "endpoints": "paper",
+            "path_space": "srgb",
+            "extent": "unit",
+            "unmatched": "drop",
+        },
+    ),
+    "pixel-art": Preset(
+        "For sprites: pixels stay pixels and move with their colors.",
+        {
+            "size": 64,
+            "blur": 0.01,
+            "color_weight": 1.0,
+            "sigma_start": 0.3,
+            "sigma_end": 0.3,
+            "scaling": "nearest",
+        },
+    ),
+    "crossfade": Preset(
+        "Nothing moves: one picture fades into the other, to compare with.",
+        {"reach": 0.001, "splatting": "fixed", "sigma_start": 0.3, "extent": "unit"},
+    ),
+    "balanced": Preset(
+        "Nothing fades: every pixel of one picture becomes one of the other, however far.",
+        {"reach": math.inf},
+    ),
 }
-#: Named sets of options of ``clmorph morph``; `size` is the longer side, in pixels, to which
-#: pictures are reduced.
-PRESETS: dict[str, dict[str, float | int | str | None]] = {
-    # The default, for any pictures: sharp ends, no holes, no mud, colors that rather change than
-    # fade; drawn finer than it is solved, by as many particles as make a frame a matter of
-    # tenths of a second.
-    "photo": _PHOTO,
-    # Section 4 of the paper, with its axes (each stretched to [0, 1]), its particles (the pairs
-    # above its threshold, nothing drawn for unmatched mass) and its blurred ends.
-    "paper": {
-        "size": 48,
-        "blur": BLUR,
-        "reach": REACH,
-        "color_weight": COLOR_WEIGHT,
-        "log_threshold": LOG_THRESHOLD,
-        "sigma_start": SIGMA_START,
-        "sigma_end": SIGMA_END,
-        "gamma": GAMMA,
-        "splatting": "adaptive",
-        "endpoints": "paper",
-        "path_space": "srgb",
-        "extent": "unit",
-        "unmatched": "drop",
-    },
-    # Sprites: pixels that stay pixels, and move with their colors.
-    "pixel-art": _PHOTO
-    | {
-        "size": 64,
-        "blur": 0.01,
-        "color_weight": 1.0,
-        "sigma_start": 0.3,
-        "sigma_end": 0.3,
-        "scaling": "nearest",
-    },
-    # Next to nothing moves: one picture fades out and the other in. To compare with.
-    "crossfade": _PHOTO
-    | {"reach": 0.001, "splatting": "fixed", "sigma_start": 0.3, "extent": "unit"},
-    # Nothing fades: every pixel of one picture becomes some of the other's, however far.
-    "balanced": _PHOTO | {"reach": math.inf},
-}
+assert set(PRESETS) == set(get_args(PresetName))

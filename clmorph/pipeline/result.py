@@ -1,6 +1,5 @@
 """A morph: a sequence of frames that can save itself."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, overload
@@ -13,13 +12,16 @@ from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.frame_renderer import FrameRenderer
-from clmorph.frames.kernel_width import KernelWidth, is_pixel_art
+from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths
 from clmorph.frames.sequence import FrameSequence
+from clmorph.images.detail import is_pixel_art
 from clmorph.measures.lift import Measure
 from clmorph.output.html import repr_html
 from clmorph.output.save import save
+from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.recipe import recipe
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric
 from clmorph.transport.potentials import Potentials
@@ -49,8 +51,10 @@ class Morph(FrameSequence):
         Whether the first and the last frame are the images themselves.
     unmatched : {"fade", "drop"}
         Whether mass that does not travel is drawn.
-    parameters : dict
-        The options of `clmorph.morph`, as `json.dumps` takes them.
+    options : MorphOptions
+        The options of `clmorph.morph`.
+    arrays : tuple of str
+        Names of the arrays that decided too: "weights", "color_metric".
 
     Examples
     --------
@@ -78,7 +82,8 @@ class Morph(FrameSequence):
     operations: Operations = field(repr=False)
     endpoints: str = "exact"
     unmatched: str = "fade"
-    parameters: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    options: MorphOptions = field(default_factory=MorphOptions, repr=False)
+    arrays: tuple[str, ...] = ()
     _renderer: FrameRenderer = field(init=False, repr=False, compare=False)
     #: Frames that were rendered to be kept: none, or all.
     _kept: list[NDArray[np.float32]] = field(
@@ -98,6 +103,11 @@ class Morph(FrameSequence):
             f"<Morph of {w} x {h} into {width} x {height} pixels, {len(self.times)} frames, "
             f"{len(self.particles)} particles, {self.potentials.message}>"
         )
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The recipe of this morph, as files hold it and `json.dumps` takes it."""
+        return recipe(self.options, device=self.operations.description, arrays=self.arrays)
 
     @overload
     def __getitem__(self, index: int) -> NDArray[np.float32]: ...

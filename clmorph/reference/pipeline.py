@@ -5,26 +5,34 @@ shares no mathematics with the accelerated path, so it can judge it; it needs N 
 memory, so images should stay under about 64 x 64 pixels. Equations are those of the paper.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from clmorph._shared.arrays import as_floats
+from clmorph._shared.options import specifications
+from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_choice, check_number, check_sigma
 from clmorph.errors import InputError
-from clmorph.frames.particles import UNMATCHED
+from clmorph.frames.options import UNMATCHED
 from clmorph.images.pixels import as_rgb
 from clmorph.measures.lift import Measure
 from clmorph.measures.points import as_image_measure
-from clmorph.pipeline import presets as defaults
-from clmorph.pipeline.morph import check_options
+from clmorph.pipeline.documentation import documented
+from clmorph.pipeline.keywords import MorphKeywords
+from clmorph.pipeline.options import PAPER, MorphOptions
 from clmorph.reference.transport import sinkhorn, transport_plan
+from clmorph.transport.options import SolverOptions
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.regularization import Reach
 
-Array = NDArray[np.float64]
-
+#: The options of `morph`.
+REFERENCE_OPTIONS = (
+    *specifications(SolverOptions), "color_weight", "sigma_start", "sigma_end", "gamma", "extent",
+    "unmatched", "log_threshold", "n_frames",
+)  # fmt: skip
 # --- 3.3: canvas, kernel width, Nadaraya-Watson -----------------------------------------
 
 
@@ -212,43 +220,36 @@ class ReferenceMorph:
         return [self.frame(t) for t in self.times]
 
 
-def morph(
-    image_a: ArrayLike,
-    image_b: ArrayLike,
-    n_frames: int = defaults.N_FRAMES,
-    blur: float = defaults.BLUR,
-    reach: Reach = defaults.REACH,
-    color_weight: float = defaults.COLOR_WEIGHT,
-    sigma_start: float = defaults.SIGMA_START,
-    sigma_end: float = defaults.SIGMA_END,
-    gamma: float = defaults.GAMMA,
-    *,
-    epsilon: float | None = None,
-    rho: float | tuple[float, float] | None = None,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
-    extent: str = "true",
-    unmatched: str = "fade",
-    log_threshold: float | None = None,
-) -> ReferenceMorph:
-    """Morph one image into another; parameters as `clmorph.morph`."""
-    sigma_start = check_sigma("sigma_start", sigma_start)
-    sigma_end = check_sigma("sigma_end", sigma_end)
-    options = check_options(
-        n_frames, blur, reach, color_weight, sigma_start, sigma_end, gamma,
-        epsilon=epsilon, rho=rho, tol=tol, max_iter=max_iter, extent=extent,
-        unmatched=unmatched, log_threshold=log_threshold,
-    )  # fmt: skip
-    n_frames, color_weight, gamma, tol, max_iter = (
-        options[name] for name in ("n_frames", "color_weight", "gamma", "tol", "max_iter")
-    )
+@documented(MorphOptions, REFERENCE_OPTIONS, PAPER)
+def morph(image_a: ArrayLike, image_b: ArrayLike, **given: Unpack[MorphKeywords]) -> ReferenceMorph:
+    """Morph one image into another as the paper does; the defaults are the paper's.
+
+    Parameters
+    ----------
+    image_a, image_b : arrays
+        See `clmorph.images.pixels.as_rgb`; they are not reduced.
+    {options}
+
+    Returns
+    -------
+    ReferenceMorph
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+    """
+    options = PAPER.chosen(REFERENCE_OPTIONS, given)
+    sigma_start = check_sigma("sigma_start", options.sigma_start)
+    sigma_end = check_sigma("sigma_end", options.sigma_end)
     source, target = (
-        _lift(as_rgb(image, name), color_weight, extent)
+        _lift(as_rgb(image, name), options.color_weight, options.extent)
         for name, image in (("image_a", image_a), ("image_b", image_b))
     )
-    potentials = sinkhorn(source, target, blur, reach, tol, max_iter, epsilon=epsilon, rho=rho)
-    plan = transport_plan(source, target, potentials, log_threshold=log_threshold)
-    times = np.linspace(0, 1, n_frames)
+    potentials = sinkhorn(source, target, **options.of(SolverOptions))
+    plan = transport_plan(source, target, potentials, log_threshold=options.log_threshold)
+    times = np.linspace(0, 1, options.n_frames)
     return ReferenceMorph(
-        source, target, potentials, plan, times, sigma_start, sigma_end, gamma, unmatched
-    )
+        source, target, potentials, plan, times, sigma_start, sigma_end, options.gamma or 0.0,
+        options.unmatched,
+    )  # fmt: skip

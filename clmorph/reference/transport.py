@@ -3,20 +3,20 @@
 Plain Sinkhorn iteration from zero, the whole plan, values by their definitions.
 """
 
-import numpy as np
-from numpy.typing import NDArray
+from __future__ import annotations
 
+import numpy as np
+
+from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_integer, check_number
 from clmorph.errors import InputError
 from clmorph.measures.lift import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_measures
-from clmorph.pipeline import presets as defaults
 from clmorph.transport.certificate import Certificate
+from clmorph.transport.options import Reach, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.pruning import check_log_threshold, no_pair_kept
-from clmorph.transport.regularization import Reach, Strengths, strengths
-
-Array = NDArray[np.float64]
+from clmorph.transport.regularization import Regularization, regularization
 
 #: Pairs of points that a dense plan may have: 1.3 GB of coordinate differences alone.
 MAX_PAIRS = 1 << 25
@@ -67,10 +67,10 @@ def _log(weights: Array) -> Array:
 def sinkhorn(
     source: MeasureLike,
     target: MeasureLike,
-    blur: float = defaults.BLUR,
-    reach: Reach = defaults.REACH,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
+    blur: float | None = None,
+    reach: Reach = None,
+    tol: float = SolverOptions.tol,
+    max_iter: int = SolverOptions.max_iter,
     *,
     epsilon: float | None = None,
     rho: float | tuple[float, float] | None = None,
@@ -79,7 +79,7 @@ def sinkhorn(
 
     Parameters and result as `clmorph.sinkhorn`.
     """
-    given = strengths(blur, reach, epsilon, rho)
+    given = regularization(blur, reach, epsilon, rho)
     tol = check_number("tol", tol, 0.0, 1e3, open_low=True)
     max_iter = check_integer("max_iter", max_iter, 1, 10**9)
     source, target = as_measures(source, target)
@@ -108,7 +108,7 @@ def sinkhorn(
 
 
 def certificate(
-    source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, given: Strengths
+    source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, given: Regularization
 ) -> Certificate:
     """Evaluate the primal and the dual of 2.1 as they are written, on the dense plan.
 
@@ -132,11 +132,11 @@ def certificate(
             primal += rho * _kullback_leibler(feasible.sum(axis=1 - axis), weights)
     return Certificate(
         primal, dual, primal - dual, marginal_error, plan.sum(axis=1), plan.sum(axis=0),
-        float(plan.sum()),
+        float(plan.sum()), (float(a.sum()), float(b.sum())),
     )  # fmt: skip
 
 
-def _feasible(plan: Array, a: Array, b: Array, given: Strengths) -> Array:
+def _feasible(plan: Array, a: Array, b: Array, given: Regularization) -> Array:
     """Return a plan near this one that has the marginals of balanced sides.
 
     Source for two: Altschuler, Weed, Rigollet, "Near-linear time approximation algorithms for

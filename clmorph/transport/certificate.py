@@ -10,12 +10,13 @@ Source of the formulas: Chizat, Peyré, Schmitzer, Vialard, "Scaling algorithms 
 optimal transport problems" (2018).
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from clmorph._shared.typing import Array
 
 #: Largest exponent of an exponential: potentials far from a solution then overflow nowhere.
 MAX_EXPONENT = 300.0
@@ -45,6 +46,8 @@ class Certificate(NamedTuple):
         Marginals of the plan.
     transported_mass : float
         Mass of the plan.
+    masses : (float, float)
+        Masses of the source and the target.
     """
 
     primal: float
@@ -54,6 +57,7 @@ class Certificate(NamedTuple):
     row_mass: Array
     column_mass: Array
     transported_mass: float
+    masses: tuple[float, float]
 
 
 class Side(NamedTuple):
@@ -178,15 +182,16 @@ def certify(rows: Side, columns: Side, epsilon: float) -> Certificate:
     of_rows, of_columns = _Bounded(rows, epsilon), _Bounded(columns, epsilon)
     row_mass, column_mass = rows.marginal(epsilon), columns.marginal(epsilon)
     mass = float(row_mass.sum())
+    masses = float(rows.weights.sum()), float(columns.weights.sum())
     balanced = [side for side in (of_rows, of_columns) if not side.inverse_rho]
     if not (of_rows.is_representable and of_columns.is_representable):
         error = np.inf if balanced else 0.0
-        return Certificate(np.inf, -np.inf, np.inf, error, row_mass, column_mass, mass)
+        return Certificate(np.inf, -np.inf, np.inf, error, row_mass, column_mass, mass, masses)
     intervals = of_rows.mass, of_columns.mass
     least = max(low for low, _ in intervals)
     most = max(least, min(high for _, high in intervals))
     gains, errors = zip(of_rows.penalty, of_columns.penalty, strict=True)
-    constant = epsilon * float(rows.weights.sum()) * float(columns.weights.sum())
+    constant = epsilon * masses[0] * masses[1]
     rounding = sum(errors) + SUM_ERROR * (epsilon * most + constant)
     dual = sum(gains) + constant - epsilon * most - rounding
     greatest = sum(gains) + constant - epsilon * least + rounding
@@ -200,7 +205,7 @@ def certify(rows: Side, columns: Side, epsilon: float) -> Certificate:
     primal = max(primal, dual)
     return Certificate(
         primal, dual, primal - dual, float(sum(side.missed for side in balanced)),
-        row_mass, column_mass, mass,
+        row_mass, column_mass, mass, masses,
     )  # fmt: skip
 
 

@@ -1,16 +1,16 @@
 """How far a plan moves things (paper, section 4, Table 1), and what it creates and destroys."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array, BoolArray
 from clmorph._shared.validation import check_number
 from clmorph.measures.lift import Measure
 from clmorph.measures.points import as_image_measure
 from clmorph.transport.plan import Plan, check_plan
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -34,7 +34,7 @@ class Displacement:
     field: Array
     source_mass: Array
     target_mass: Array
-    moves: NDArray[np.bool_]
+    moves: BoolArray
     destroyed: Array
     created: Array
 

@@ -6,32 +6,32 @@ Source: Séjourné, Feydy, Vialard, Trouvé, Peyré, "Sinkhorn divergences for u
 transport" (2019).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Progress
 from clmorph._shared.validation import check_progress, shown
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.pipeline import presets as defaults
-from clmorph.transport._solver.iteration import REPEATED, ROUNDING_MARGIN
-from clmorph.transport._solver.multiscale import MANY_PAIRS
+from clmorph.transport._solver.iteration import REPEATED
 from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.softmin import MANY_PAIRS
+from clmorph.transport._solver.state import ROUNDING_MARGIN
 from clmorph.transport.certificate import SUM_ERROR
+from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Strengths, strengths
+from clmorph.transport.regularization import Regularization, regularization
 from clmorph.transport.sinkhorn import (
-    Progress,
     check_problem,
     check_solver_options,
     choose_truncation,
     sinkhorn,
     warn_unless_converged,
 )
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -70,7 +70,7 @@ class Divergence:
         """Whether all three solves reached their tolerance."""
         return all(part.converged for part in (self.cross, self.source_self, self.target_self))
 
-    def closer_than(self, other: "Divergence") -> bool | None:
+    def closer_than(self, other: Divergence) -> bool | None:
         """Compare two divergences of the same strengths: True or False if proven, else None."""
         if not isinstance(other, Divergence):
             raise InputError(
@@ -87,15 +87,15 @@ class Divergence:
 def sinkhorn_divergence(
     source: MeasureLike,
     target: MeasureLike,
-    blur: float = defaults.BLUR,
-    reach: float | None = defaults.REACH,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
+    blur: float | None = None,
+    reach: float | None = None,
+    tol: float = SolverOptions.tol,
+    max_iter: int = SolverOptions.max_iter,
     backend: Backend = "auto",
     *,
     epsilon: float | None = None,
     rho: float | None = None,
-    precision: str = "auto",
+    precision: Precision = "auto",
     cross: Potentials | None = None,
     progress: Progress | None = None,
 ) -> Divergence:
@@ -130,7 +130,7 @@ def sinkhorn_divergence(
     ConvergenceWarning
         If a residual does not reach `tol`.
     """
-    given = strengths(blur, reach, epsilon, rho)
+    given = regularization(blur, reach, epsilon, rho)
     if isinstance(given.reach, tuple):
         raise InputError(
             f"reach={given.reach!r}: expected one number for both measures (or None); with two "
@@ -182,7 +182,7 @@ def sinkhorn_divergence(
 
 
 def _check_cross(
-    cross: Potentials, source: AnyMeasure, target: AnyMeasure, given: Strengths
+    cross: Potentials, source: AnyMeasure, target: AnyMeasure, given: Regularization
 ) -> None:
     """Refuse potentials of another problem."""
     check_potentials("cross", cross, (len(source), len(target)))
@@ -200,7 +200,7 @@ def _are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
 
 
 def _self_transport(
-    problem: Problem, given: Strengths, tol: float, max_iter: int, precision: str
+    problem: Problem, given: Regularization, tol: float, max_iter: int, precision: str
 ) -> Potentials:
     """Solve a measure's problem with itself: f = g, f <- (f + Delta T(f)) / 2.
 

@@ -1,5 +1,7 @@
 """The sparse transport plan (paper, Eq. 2)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -8,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.arrays import as_floats
+from clmorph._shared.typing import Array, IntArray
 from clmorph._shared.validation import check_choice, check_number, shown
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError, PlanSizeError
 from clmorph.measures.points import MeasureLike, as_pair
-from clmorph.pipeline import presets as defaults
 from clmorph.transport._solver.problem import largest_cost
 from clmorph.transport._solver.softmin import plan_softmin
+from clmorph.transport.options import RELATIVE_TO, PruningOptions, RelativeTo
 from clmorph.transport.potentials import Potentials, check_origin, check_potentials
 from clmorph.transport.pruning import (
     check_log_threshold,
@@ -30,8 +33,6 @@ if TYPE_CHECKING:
 
 #: What a kept pair takes: its column (4 bytes) and its mass (8).
 BYTES_PER_PAIR = 12
-#: What the share `relative` is of: the largest pair of the row or the column, or of the plan.
-RELATIVE_TO = ("rows", "plan")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -51,12 +52,12 @@ class Plan:
         Marginals of the whole plan: pairs that were dropped, or that draws missed, included.
     """
 
-    indptr: NDArray[np.int64]
+    indptr: IntArray
     indices: NDArray[np.int32]
-    mass: NDArray[np.float64]
+    mass: Array
     shape: tuple[int, int]
-    whole_row_mass: NDArray[np.float64]
-    whole_column_mass: NDArray[np.float64]
+    whole_row_mass: Array
+    whole_column_mass: Array
 
     def __repr__(self) -> str:
         return (
@@ -79,22 +80,22 @@ class Plan:
         return float(self.whole_row_mass.sum())
 
     @property
-    def marginals(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def marginals(self) -> tuple[Array, Array]:
         """(N,) and (M,) masses that leave and arrive in the whole plan, not in the kept pairs."""
         return self.whole_row_mass, self.whole_column_mass
 
     @cached_property
-    def rows(self) -> NDArray[np.int64]:
+    def rows(self) -> IntArray:
         """(kept,) source point of each pair."""
         return np.repeat(np.arange(self.shape[0]), np.diff(self.indptr))
 
     @cached_property
-    def row_mass(self) -> NDArray[np.float64]:
+    def row_mass(self) -> Array:
         """(N,) mass of the kept pairs of each source point; see `marginals` for the plan's."""
         return np.asarray(np.bincount(self.rows, self.mass, self.shape[0]), float)
 
     @cached_property
-    def column_mass(self) -> NDArray[np.float64]:
+    def column_mass(self) -> Array:
         """(M,) mass of the kept pairs of each target point; see `marginals` for the plan's."""
         return np.asarray(np.bincount(self.indices, self.mass, self.shape[1]), float)
 
@@ -104,7 +105,7 @@ class Plan:
         return float(_share_dropped(self.mass.sum(), self.total_mass))
 
     @property
-    def dropped_row_mass(self) -> NDArray[np.float64]:
+    def dropped_row_mass(self) -> Array:
         """(N,) the same for each row; 0 where nothing leaves.
 
         Of draws: the share by which those of a row fall short of its mass, by chance.
@@ -116,9 +117,7 @@ class Plan:
         """The largest share of its mass that a row lost."""
         return float(self.dropped_row_mass.max())
 
-    def mean_destinations(
-        self, source: NDArray[np.float64], target: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def mean_destinations(self, source: Array, target: Array) -> tuple[Array, Array]:
         """Return where each source point goes, and where each target point comes from, on average.
 
         Parameters
@@ -163,7 +162,7 @@ class Plan:
             means.append(mean)
         return means[0], means[1]
 
-    def to_scipy(self) -> "csr_array[Any, tuple[int, int]]":
+    def to_scipy(self) -> csr_array[Any, tuple[int, int]]:
         """Return the plan as a `scipy.sparse.csr_array` of shape (N, M)."""
         from scipy.sparse import csr_array
 
@@ -235,10 +234,10 @@ def transport_plan(
     target: MeasureLike,
     potentials: Potentials,
     *,
-    relative: float = defaults.PLAN_RELATIVE,
-    relative_to: str = "rows",
+    relative: float = PruningOptions.relative,
+    relative_to: RelativeTo = "rows",
     log_threshold: float | None = None,
-    max_bytes: float = defaults.MAX_PLAN_BYTES,
+    max_bytes: float = PruningOptions.max_bytes,
     backend: Backend = "auto",
 ) -> Plan:
     """Build the plan of potentials, in streaming: never a dense one.

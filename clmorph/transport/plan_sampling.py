@@ -1,5 +1,7 @@
 """Summaries of a plan that is too large to keep: draws from it, or moments of its rows."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -7,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_integer, shown
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
@@ -16,13 +19,10 @@ from clmorph.measures.lift import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.problem import largest_cost
 from clmorph.transport._solver.softmin import Softmin, plan_softmin
+from clmorph.transport.options import MAX_DRAWS
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials, check_origin, check_potentials
 
-Array = NDArray[np.float64]
-
-#: Draws from one row.
-MAX_DRAWS = 4096
 #: How exactly colors must follow from lifted points, in coordinates of their space.
 COLOR_ERROR = 1e-6
 

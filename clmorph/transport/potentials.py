@@ -1,18 +1,19 @@
 """What a transport solver returns."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph._shared.validation import as_float, check_blur, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.transport.certificate import Certificate
-from clmorph.transport.regularization import Reach, strengths
-
-Array = NDArray[np.float64]
+from clmorph.transport.options import Reach
+from clmorph.transport.regularization import regularization
 
 #: How a solve can end, and what that means.
 STATUSES = {
@@ -78,7 +79,12 @@ class Potentials:
     visited: float = 1.0
 
     def __repr__(self) -> str:
-        return f"<Potentials for {len(self.f)} and {len(self.g)} points, {self.message}>"
+        source, target = (f"{mass:.4g}" for mass in self.certificate.masses)
+        given = source if source == target else f"{source} (source) and {target} (target)"
+        return (
+            f"<Potentials for {len(self.f)} and {len(self.g)} points, {self.message}, "
+            f"transported {self.transported_mass:.3g} of {given}>"
+        )
 
     @property
     def converged(self) -> bool:
@@ -97,11 +103,13 @@ class Potentials:
             return tuple(np.inf if reach is None else reach**2 for reach in self.reach)
         return np.inf if self.reach is None else self.reach**2
 
-    def swapped(self) -> "Potentials":
+    def swapped(self) -> Potentials:
         """Return the same seen from the target."""
         reach = self.reach[::-1] if isinstance(self.reach, tuple) else self.reach
         certificate = self.certificate._replace(
-            row_mass=self.column_mass, column_mass=self.row_mass
+            row_mass=self.column_mass,
+            column_mass=self.row_mass,
+            masses=self.certificate.masses[::-1],
         )
         return replace(self, f=self.g, g=self.f, reach=reach, certificate=certificate)
 
@@ -197,7 +205,7 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
             f"{name}: parts of it are not what they should be; expected Potentials as "
             "clmorph.sinkhorn returns them"
         )
-    strengths(value.blur, value.reach)
+    regularization(value.blur, value.reach)
     check_flag(f"{name}: precise", value.precise)
     certificate = value.certificate
     if not isinstance(certificate, Certificate) or shapes != (

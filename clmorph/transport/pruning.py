@@ -5,21 +5,20 @@ of N pixels log pi_ij falls as log(1 / N^2), so a tau that drops little of small
 large ones. The default is therefore relative to the largest pair of a row or a column.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array, BoolArray
 from clmorph._shared.validation import check_number
-from clmorph.backends.interface import PlanRows
+from clmorph.backends.records import PlanRows
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure
+from clmorph.transport.options import HIGHEST, LOWEST
 from clmorph.transport.potentials import Potentials
 
-Array = NDArray[np.float64]
-
-#: The threshold log_threshold, in nats, lies within these bounds.
-LOWEST, HIGHEST = -1e4, 1e4
 #: Pairs so many rounding errors from the threshold are decided in float64.
 ROUNDINGS = 4.0
 #: Rounding of float32, in which devices hold log pi_ij of a pair.
@@ -98,7 +97,7 @@ def undecided(log_threshold: float, rounding: float) -> float:
     ----------
     log_threshold : float
     rounding : float
-        By how many nats rounding may change a softmin, see `interface.rounding_error`.
+        By how many nats rounding may change a softmin, see `rounding_error`.
     """
     return ROUNDINGS * (rounding + FLOAT32 * max(1.0, abs(log_threshold)))
 
@@ -144,7 +143,7 @@ def strictly_above(
     return only(pairs, keep)
 
 
-def only(pairs: PlanRows, keep: NDArray[np.bool_]) -> PlanRows:
+def only(pairs: PlanRows, keep: BoolArray) -> PlanRows:
     """Return some of the pairs.
 
     Parameters

@@ -1,5 +1,7 @@
 """The two strengths of the problem: entropic and marginal, each in either of two units."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -7,14 +9,10 @@ import numpy as np
 
 from clmorph._shared.validation import as_float, check_blur, check_reach, shown
 from clmorph.errors import InputError
-from clmorph.pipeline import presets as defaults
-
-#: Length scale of creation and destruction of mass: one for both measures, or a pair; None
-#: is balanced.
-Reach = float | None | tuple[float | None, float | None]
+from clmorph.transport.options import Reach, SolverOptions
 
 
-class Strengths(NamedTuple):
+class Regularization(NamedTuple):
     """Checked strengths.
 
     Attributes
@@ -35,18 +33,20 @@ class Strengths(NamedTuple):
     rho: tuple[float, float]
 
 
-def strengths(
-    blur: Any = defaults.BLUR,
-    reach: Any = defaults.REACH,
+def regularization(
+    blur: Any = None,
+    reach: Any = None,
     epsilon: Any = None,
     rho: Any = None,
-) -> Strengths:
+) -> Regularization:
     """Take blur or epsilon = blur^2, and reach or rho = reach^2: one of each.
 
     Parameters
     ----------
-    blur : float
+    blur : float, optional
+        `SolverOptions.blur` if neither is given.
     reach : float, None, or a pair (reach_source, reach_target)
+        None is balanced.
     epsilon : float, optional
     rho : float or a pair, optional
         Infinity is balanced.
@@ -57,23 +57,23 @@ def strengths(
         If one is out of range, or both of a pair of alternatives are given.
     """
     if epsilon is not None:
-        # A default is known by its identity: 0.05 written by the caller is another object.
-        if blur is not defaults.BLUR:
+        if blur is not None:
             raise InputError(
                 f"blur={shown(blur)} and epsilon={shown(epsilon)} are two names of one strength "
                 "(epsilon = blur^2): give one of them"
             )
         blur = _root("epsilon", epsilon, check_blur)
     if rho is not None:
-        if reach is not defaults.REACH:
+        if reach is not None:
             raise InputError(
                 f"reach={shown(reach)} and rho={shown(rho)} are two names of one strength "
                 "(rho = reach^2): give one of them"
             )
         reach = _each(rho, lambda value: _root("rho", value, check_reach))
-    blur, lengths = check_blur(blur), _each(reach, check_reach)
+    blur = check_blur(SolverOptions.blur if blur is None else blur)
+    lengths = _each(reach, check_reach)
     rhos = tuple(np.inf if length is None else length**2 for length in lengths)
-    return Strengths(
+    return Regularization(
         blur, lengths[0] if lengths[0] == lengths[1] else lengths, blur**2, (rhos[0], rhos[1])
     )
 

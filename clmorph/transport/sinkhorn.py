@@ -1,12 +1,13 @@
 """Unbalanced log-domain Sinkhorn (paper, 2.1 and 3.1), accelerated. Knows no device."""
 
+from __future__ import annotations
+
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Progress
 from clmorph._shared.validation import (
     check_choice,
     check_flag,
@@ -19,21 +20,24 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning, DeviceError, InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.pipeline import presets as defaults
 from clmorph.transport._solver import geomloss as geomloss_schedule
-from clmorph.transport._solver.iteration import SHORT, Ascent, measured
-from clmorph.transport._solver.multiscale import MANY_PAIRS, Multiscale
+from clmorph.transport._solver.iteration import SHORT, Iteration
+from clmorph.transport._solver.multiscale import Multiscale
 from clmorph.transport._solver.problem import Problem, largest_cost
+from clmorph.transport._solver.softmin import MANY_PAIRS
+from clmorph.transport._solver.state import measured
+from clmorph.transport.options import (
+    METHODS,
+    PRECISIONS,
+    AlgorithmOptions,
+    Method,
+    Precision,
+    Reach,
+    SolverOptions,
+)
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.regularization import Reach, Strengths, strengths
+from clmorph.transport.regularization import Regularization, regularization
 
-Array = NDArray[np.float64]
-
-#: Called with the share of a stage that is done, from 0 to 1.
-Progress = Callable[[float], None]
-
-METHODS = ("certified", "geomloss")
-PRECISIONS = ("auto", "float32", "float64")
 #: Or a bool.
 MULTISCALE = ("auto",)
 #: Relative difference of masses up to which balanced transport is feasible.
@@ -46,17 +50,17 @@ MAX_SPREAD = 1e12
 def sinkhorn(
     source: MeasureLike,
     target: MeasureLike,
-    blur: float = defaults.BLUR,
-    reach: Reach = defaults.REACH,
-    tol: float = defaults.TOL,
-    max_iter: int = defaults.MAX_ITER,
+    blur: float | None = None,
+    reach: Reach = None,
+    tol: float = SolverOptions.tol,
+    max_iter: int = SolverOptions.max_iter,
     backend: Backend = "auto",
     *,
     epsilon: float | None = None,
     rho: float | tuple[float, float] | None = None,
-    method: str = "certified",
-    scaling: float = defaults.SCALING,
-    precision: str = "auto",
+    method: Method = AlgorithmOptions.method,
+    scaling: float = AlgorithmOptions.scaling,
+    precision: Precision = AlgorithmOptions.precision,
     start: Potentials | None = None,
     progress: Progress | None = None,
     multiscale: bool | str = "auto",
@@ -72,12 +76,13 @@ def sinkhorn(
     ----------
     source, target : Measure, WeightedPoints, or (weights (N,), points (N, D))
         Of one space: D from 1 to 11. Zero weights are legal, and so are any total masses.
-    blur : float
-        Entropic length scale, in the points' unit (for images: the longer side).
+    blur : float, optional
+        Entropic length scale, in the points' unit (for images: the longer side); 0.03 if neither
+        `blur` nor `epsilon` is given.
     reach : float, None, or a pair (reach_source, reach_target)
-        Length scale beyond which mass is rather created and destroyed, same unit. None is
-        balanced transport: the masses must then be equal. With a pair, each half bounds one
-        measure; one None is semi-unbalanced transport.
+        Length scale beyond which mass is created and destroyed rather than moved, same unit. None,
+        the default, is balanced transport: the masses must then be equal. With a pair, each half
+        bounds one measure; one None is semi-unbalanced transport.
     tol : float
         Residual at which to stop, in units of epsilon.
     max_iter : int
@@ -128,7 +133,7 @@ def sinkhorn(
     ConvergenceWarning
         If the residual does not reach `tol`.
     """
-    given = strengths(blur, reach, epsilon, rho)
+    given = regularization(blur, reach, epsilon, rho)
     tol, max_iter, scaling = check_solver_options(
         tol, max_iter, method, scaling, precision, multiscale
     )
@@ -145,22 +150,22 @@ def sinkhorn(
     problem = Problem.between(operations, *pair, given.rho, None if method == "geomloss" else limit)
     if method == "geomloss":
         return _geomloss(problem, given, scaling, tol, precision, report)
-    ascent: Ascent | Multiscale
+    iteration: Iteration | Multiscale
     options = given.blur, tol, max_iter, precision, report
     if multiscale == "auto":
         multiscale = many and max_iter >= SHORT
-    ascent = Multiscale(problem, pair, *options) if multiscale else Ascent(problem, *options)
-    ascent.run(g)
+    iteration = Multiscale(problem, pair, *options) if multiscale else Iteration(problem, *options)
+    iteration.run(g)
     if verify and limit is not None:
-        _take_all_pairs(ascent, given.epsilon)
-    return _finish(ascent, given, limit)
+        _take_all_pairs(iteration, given.epsilon)
+    return _finish(iteration, given, limit)
 
 
 def check_solver_options(
-    tol: Any = defaults.TOL,
-    max_iter: Any = defaults.MAX_ITER,
+    tol: Any = SolverOptions.tol,
+    max_iter: Any = SolverOptions.max_iter,
     method: Any = "certified",
-    scaling: Any = defaults.SCALING,
+    scaling: Any = AlgorithmOptions.scaling,
     precision: Any = "auto",
     multiscale: Any = "auto",
 ) -> tuple[float, int, float]:
@@ -201,20 +206,20 @@ def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
     return limit
 
 
-def _take_all_pairs(ascent: Ascent | Multiscale, epsilon: float) -> None:
+def _take_all_pairs(iteration: Iteration | Multiscale, epsilon: float) -> None:
     """Replace the last softmins by such over all pairs."""
-    problem, state = ascent.problem, ascent.state
+    problem, state = iteration.problem, iteration.state
     for softmin in (problem.to_rows, problem.to_columns):
         softmin.release()
-    ascent.state = measured(problem, state.f, state.g, epsilon)
-    if ascent.state.residual > ascent.tol and ascent.status == "converged":
-        ascent.status = "precision"
+    iteration.state = measured(problem, state.f, state.g, epsilon)
+    if iteration.state.residual > iteration.tol and iteration.status == "converged":
+        iteration.status = "precision"
 
 
 def check_problem(
     source: AnyMeasure,
     target: AnyMeasure,
-    given: Strengths,
+    given: Regularization,
     operations: Operations,
     precision: str,
 ) -> None:
@@ -253,7 +258,7 @@ def check_problem(
 
 def _geomloss(
     problem: Problem,
-    given: Strengths,
+    given: Regularization,
     scaling: float,
     tol: float,
     precision: str,
@@ -277,23 +282,27 @@ def _geomloss(
     )  # fmt: skip
 
 
-def _finish(ascent: Ascent | Multiscale, given: Strengths, truncation: float | None) -> Potentials:
+def _finish(
+    iteration: Iteration | Multiscale, given: Regularization, truncation: float | None
+) -> Potentials:
     """Put the result together, and warn if it is not what was asked for."""
-    problem, state = ascent.problem, ascent.state
+    problem, state = iteration.problem, iteration.state
     reached = f"residual {state.residual:.1e} epsilon"
-    missed = f"not converged after {ascent.n_iter} iterations: {reached}, wanted {ascent.tol:.1e}"
+    missed = (
+        f"not converged after {iteration.n_iter} iterations: {reached}, wanted {iteration.tol:.1e}"
+    )
     message = {
-        "converged": f"converged in {ascent.n_iter} iterations ({reached})",
+        "converged": f"converged in {iteration.n_iter} iterations ({reached})",
         "max_iter": f"{missed}; raise max_iter, or use a larger blur or a smaller reach",
-        "precision": f"{missed}; rounding can leave {ascent.rounding:.0e} here, so raise tol or "
-        "blur, or use " + ("precision='auto'" if ascent.precision == "float32" else "'numpy'"),
-    }[ascent.status]
-    warn_unless_converged(ascent.status, message)
+        "precision": f"{missed}; rounding can leave {iteration.rounding:.0e} here, so raise tol or "
+        "blur, or use " + ("precision='auto'" if iteration.precision == "float32" else "'numpy'"),
+    }[iteration.status]
+    warn_unless_converged(iteration.status, message)
     return Potentials(
-        state.f, state.g, given.blur, given.reach, ascent.status, message, ascent.n_iter,
-        state.residual, np.array(ascent.residuals),
+        state.f, state.g, given.blur, given.reach, iteration.status, message, iteration.n_iter,
+        state.residual, np.array(iteration.residuals),
         problem.certificate(state.f, state.g, state.t_rows, state.t_columns, given.epsilon),
-        ascent.precise, truncation, problem.error, problem.visited,
+        iteration.precise, truncation, problem.error, problem.visited,
     )  # fmt: skip
 
 

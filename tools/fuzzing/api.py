@@ -1,4 +1,4 @@
-"""Odd calls: those of ``tests/api_values.py``, and its judgement."""
+"""Odd calls: those of ``tests/helpers/api_values.py``, and its judgement."""
 
 import os
 import runpy
@@ -11,7 +11,7 @@ import numpy as np
 from clmorph import ConvergenceWarning
 from clmorph.backends.opencl.devices.find import find_devices
 
-SOURCE = Path(__file__).parents[2] / "tests" / "api_values.py"
+SOURCE = Path(__file__).parents[2] / "tests" / "helpers" / "api_values.py"
 
 
 class Target:

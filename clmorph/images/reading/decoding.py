@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import AnyArray
 from clmorph.images.reading import tags, tiff
 from clmorph.images.reading.deep import (
     GRAY_16,
@@ -22,7 +22,7 @@ from clmorph.images.reading.deep import (
 from clmorph.images.reading.opening import Reader, check_size, open_picture
 from clmorph.images.reading.profiles import from_gamma, is_srgb, to_srgb
 
-Decoded = tuple[NDArray[Any], list[str]]
+Decoded = tuple[AnyArray, list[str]]
 
 
 def decode(file: Path, max_pixels: int) -> Decoded:
@@ -85,9 +85,9 @@ def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
     return _finished(colors, alpha, layout.profile, turned, notes)
 
 
-def _compressed_samples(file: Path, picture: Any, page: int, layout: tiff.Layout) -> NDArray[Any]:
+def _compressed_samples(file: Path, picture: Any, page: int, layout: tiff.Layout) -> AnyArray:
     """Decode a TIFF of more than 8 bits by Pillow: (H, W, samples) array."""
-    samples: NDArray[Any] | None = deep_samples(picture, file, page)
+    samples: AnyArray | None = deep_samples(picture, file, page)
     if samples is None and picture.mode in (*GRAY_16, "F"):
         samples = np.asarray(picture)
         samples = samples / 4095.0 if layout.bits == 12 else samples
@@ -151,7 +151,7 @@ def _is_animated(picture: Any) -> bool:
         return False
 
 
-def _split(picture: Any) -> tuple[Any, NDArray[Any] | None]:
+def _split(picture: Any) -> tuple[Any, AnyArray | None]:
     """Return colors, and opacity if there is any, of a Pillow image.
 
     Colors are an image of mode L, RGB, CMYK or LAB, or an array of 16-bit or float gray.
@@ -206,7 +206,7 @@ def _orientation(info: dict[Any, Any]) -> int:
 
 
 def _finished(
-    colors: Any, alpha: NDArray[Any] | None, profile: bytes | None, turned: int, notes: list[str]
+    colors: Any, alpha: AnyArray | None, profile: bytes | None, turned: int, notes: list[str]
 ) -> Decoded:
     """Return sRGB with opacity, as it is looked at.
 
@@ -241,16 +241,16 @@ def _finished(
     return _turned(colors, turned), notes
 
 
-def _in_range(colors: NDArray[Any]) -> bool:
+def _in_range(colors: AnyArray) -> bool:
     """Return whether floats are in [0, 1]; others are refused later."""
     return colors.dtype.kind == "u" or bool(np.all((colors >= 0) & (colors <= 1)))
 
 
-def _as_float(values: NDArray[Any]) -> NDArray[Any]:
+def _as_float(values: AnyArray) -> AnyArray:
     return values if values.dtype.kind == "f" else values / float(np.iinfo(values.dtype).max)
 
 
-def _as_picture(colors: NDArray[Any]) -> Any:
+def _as_picture(colors: AnyArray) -> Any:
     """Return an array of samples as a Pillow image of 8 bits: L, RGB or CMYK."""
     from PIL import Image
 
@@ -260,7 +260,7 @@ def _as_picture(colors: NDArray[Any]) -> Any:
     return Image.frombytes(mode, colors.shape[1::-1], np.ascontiguousarray(colors).tobytes())
 
 
-def _turned(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
+def _turned(pixels: AnyArray, orientation: int) -> AnyArray:
     """Return pixels as they are looked at, by Exif's number of how they lie."""
     if orientation in (5, 6, 7, 8):  # rows are columns
         pixels = np.swapaxes(pixels, 0, 1)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.printable import printable
+from clmorph._shared.typing import AnyArray
 from clmorph.images.color import encode
 
 #: What ICC calls the colors of a profile, and which of Pillow's modes hold such.
@@ -129,8 +130,8 @@ def _faults() -> tuple[type[Exception], ...]:
 
 
 def from_gamma(
-    pixels: NDArray[Any], gamma: float | None, chromaticity: tuple[float, ...] | None
-) -> tuple[NDArray[Any], str]:
+    pixels: AnyArray, gamma: float | None, chromaticity: tuple[float, ...] | None
+) -> tuple[AnyArray, str]:
     """Convert the colors of a PNG whose chunk gAMA says how they are stored.
 
     Parameters

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import AnyArray, Array
 from clmorph.errors import FileError
 from clmorph.images.reading import tags
 from clmorph.images.reading.tags import Directory
@@ -171,7 +171,7 @@ def by_tifffile(layout: Layout) -> bool:
     )
 
 
-def read_samples(file: Path, page: int, layout: Layout) -> NDArray[Any]:
+def read_samples(file: Path, page: int, layout: Layout) -> AnyArray:
     """Decode a picture by tifffile.
 
     Parameters
@@ -243,9 +243,7 @@ def not_read(file: str, layout: Layout) -> FileError:
     )
 
 
-def interpret(
-    file: str, samples: NDArray[Any], layout: Layout
-) -> tuple[NDArray[Any], NDArray[Any] | None]:
+def interpret(file: str, samples: AnyArray, layout: Layout) -> tuple[AnyArray, AnyArray | None]:
     """Return what samples mean.
 
     Parameters
@@ -292,7 +290,7 @@ def interpret(
     return (colors[..., 0] if count == 1 else colors), alpha
 
 
-def _divided(colors: NDArray[Any], alpha: NDArray[Any], largest: float) -> NDArray[np.float64]:
+def _divided(colors: AnyArray, alpha: AnyArray, largest: float) -> Array:
     """Return colors that were multiplied by opacity, in [0, 1]; nothing seen is black."""
     opacity = alpha[..., None].astype(float)
     divided = np.divide(colors, opacity, out=np.zeros(colors.shape), where=opacity > 0)
@@ -300,7 +298,7 @@ def _divided(colors: NDArray[Any], alpha: NDArray[Any], largest: float) -> NDArr
     return np.asarray(np.minimum(divided, 1.0))
 
 
-def ink_to_rgb(ink: NDArray[Any]) -> NDArray[np.float64]:
+def ink_to_rgb(ink: AnyArray) -> Array:
     """Return RGB in [0, 1] of CMYK (H, W, 4), without a profile: ink on white."""
     largest = 1 if ink.dtype.kind == "f" else np.iinfo(ink.dtype).max
     light = 1.0 - ink / float(largest)

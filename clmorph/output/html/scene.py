@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_choice, check_number
 from clmorph.errors import InputError
-from clmorph.measures.lift import EXTENTS
-from clmorph.pipeline import presets as defaults
+from clmorph.measures.options import EXTENTS
+from clmorph.output.options import FPS, PlaybackOptions
 
 #: What follows the last frame.
 LOOPS = ("loop", "ping-pong", "once")
@@ -129,8 +129,8 @@ class Scene:
 
     frames: Sequence[NDArray[np.uint8]]
     times: NDArray[np.float64]
-    fps: float = defaults.FPS
-    hold: float = defaults.HOLD
+    fps: float = FPS
+    hold: float = PlaybackOptions.hold
     loop: str = "ping-pong"
     title: str = "Morph"
     pixelated: bool = False

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
 from clmorph.output.html.scene import Curve, Field, Scene
-from clmorph.pipeline import presets as defaults
+from clmorph.output.options import FPS, PlaybackOptions
 from clmorph.transport.plan import Plan
 
 Array = NDArray[np.float64]
@@ -51,8 +51,8 @@ def scene_of(
     frames: Sequence[NDArray[Any]] | None = None,
     *,
     times: NDArray[np.float64] | None = None,
-    fps: float = defaults.FPS,
-    hold: float = defaults.HOLD,
+    fps: float = FPS,
+    hold: float = PlaybackOptions.hold,
     loop: str = "ping-pong",
     title: str = "Morph",
     pixelated: bool | None = None,

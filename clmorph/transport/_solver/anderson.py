@@ -3,24 +3,22 @@
 Source: Anderson, "Iterative procedures for nonlinear integral equations" (1965); Walker and
 Ni, "Anderson acceleration for fixed-point iterations" (2011). Near its solution a Sinkhorn
 iteration is self-adjoint in the inner product weighted by the marginal, so there this is a
-Krylov method: it finds by itself what over-relaxation needs a well-chosen factor for, and
-gets ahead of the best factor when few modes are slow.
+Krylov method. It needs no factor to be chosen, as over-relaxation does, and it is faster than the
+best factor where only a few modes are slow.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.transport._solver.problem import inner
-
-Array = NDArray[np.float64]
 
 #: Iterates remembered.
 MEMORY = 16
 #: Share of the remaining residual that is added, as in over-relaxation.
 MIXING = 1.5
-#: Longest extrapolation at first, in steps of the plain iteration, and how it grows where it
-#: was too short, and shrinks where it was too long.
-TRUST, GROWTH, SHRINKAGE = 32.0, 4.0, 0.25
+#: Longest extrapolation at first, in steps of the plain iteration; the factor by which it grows
+#: after a good extrapolation that it cut short, and the factor after a bad one.
+TRUST_RADIUS, GROWTH, SHRINKAGE = 32.0, 4.0, 0.25
 #: Regularization of the least-squares problem, relative to its diagonal.
 RIDGE = 1e-10
 
@@ -29,42 +27,42 @@ class Anderson:
     """Remembers the last iterates and combines them."""
 
     def __init__(self) -> None:
-        self._trust, self._was_cut = TRUST, False
+        self._trust_radius, self._was_cut = TRUST_RADIUS, False
         self._begin()
 
     def _begin(self) -> None:
         self._weights: Array | None = None
         self._image: Array | None = None
         self._residual: Array | None = None
-        # Differences of one iterate to the next: of the images with their share of the residuals,
-        # of the residuals, and the inner products of these.
+        # Differences between successive iterates: of the images plus their share of the residuals,
+        # and of the residuals; and the inner products of the latter.
         self._ahead: list[Array] = []
         self._residuals: list[Array] = []
         self._products = np.zeros((0, 0))
 
     def accepted(self) -> None:
-        """Learn that the last extrapolation was good."""
+        """Enlarge the trust region if it cut the last extrapolation, which was good."""
         if self._was_cut:
-            self._trust *= GROWTH
+            self._trust_radius *= GROWTH
 
     def rejected(self) -> None:
-        """Learn that it was not, and begin anew."""
-        self._trust = max(1.0, SHRINKAGE * self._trust)
+        """Shrink the trust region after a bad extrapolation, and forget all iterates."""
+        self._trust_radius = max(1.0, SHRINKAGE * self._trust_radius)
         self._begin()
 
     def extrapolate(self, x: Array, image: Array, weights: Array) -> Array | None:
-        """Remember x and G(x) and return a better next x than G(x).
+        """Remember x and G(x) and return a better next iterate than G(x).
 
         Parameters
         ----------
         x, image : (n,) arrays
         weights : (n,) array
-            Of the inner product; those of the first iterate count.
+            Weights of the inner product; those of the first iterate are used.
 
         Returns
         -------
         (n,) array or None
-            None while there is nothing to combine.
+            None while there are no two iterates to combine.
         """
         residual = image - x
         if self._image is None or self._residual is None or self._weights is None:
@@ -82,7 +80,7 @@ class Anderson:
         step = (MIXING - 1) * residual
         for c, ahead in zip(coefficients, self._ahead, strict=True):
             step -= c * ahead
-        longest = self._trust * _norm(residual, weights)
+        longest = self._trust_radius * _norm(residual, weights)
         length = _norm(step, weights)
         self._was_cut = length > longest
         return image + (longest / length if self._was_cut else 1.0) * step

@@ -1,29 +1,34 @@
-"""Smaller problems that stand for a large one: of its cells, or of its pairs that matter."""
+"""Coarse problems that stand for a large one: of its clusters, or of its pairs of notable mass.
+
+Values are restricted to a coarse problem by means over the points of a cluster, and its solution is
+prolonged to the points by a softmin.
+"""
 
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clmorph.backends.interface import StoredPairs
+from clmorph._shared.typing import Array
+from clmorph.backends.records import StoredPairs
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.certificate import MAX_EXPONENT
 
-Array = NDArray[np.float64]
-
-#: Pairs are stored from this share of their row's or column's sum on, and serve until potentials
-#: have moved by so many epsilons. A pair that is left out grows by as much as both its potentials
-#: rise, mostly far less; whether one has come to matter the points' residual tells.
-STORED_SHARE, TRUST = 1e-26, 50.0
+#: Share of the sum of its row or column from which on a pair is stored.
+STORED_SHARE = 1e-26
+#: Stored pairs are trusted until potentials have moved by this many epsilons. The logarithm of a
+#: pair that is not stored grows by the rise of both its potentials, and mostly by far less; the
+#: residual over the points shows whether such a pair has gained notable mass.
+TRUST_RADIUS = 50.0
 
 
 class CorrectedProblem(Problem):
-    """A problem whose softmins are off by a known correction.
+    """A problem whose softmins carry a known correction tau.
 
-    f = Delta (T(g) + tau) is what maximizes the dual over f when the mass that is asked for is
-    a exp(tau / epsilon) while the softmins keep a; so with masses and softmins replaced in this
-    way every formula of `Problem` holds as it stands, its dual included.
+    f = Delta (T(g) + tau) maximizes the dual over f of a problem whose masses are
+    a exp(tau / epsilon) while its softmins keep a. So with masses and softmins replaced in this
+    way every formula of `Problem` holds without a change, its dual included. Source of the idea:
+    Brandt, "Multi-level adaptive solutions to boundary-value problems" (1977).
     """
 
     def __init__(
@@ -48,7 +53,7 @@ class CorrectedProblem(Problem):
 
     def correct(self, rows: Array, columns: Array, epsilon: float) -> None:
         """Set the corrections tau of T(g), (N,), and of T(f), (M,)."""
-        # What is off by more is no correction of anything: the points' residual will tell.
+        # A larger correction is meaningless; the residual over the points will show that.
         most = MAX_EXPONENT * epsilon
         rows, columns = np.clip(rows, -most, most), np.clip(columns, -most, most)
         if not any(self.inverse_rho):
@@ -63,37 +68,49 @@ class CorrectedProblem(Problem):
             self.log_a, self.log_b = np.log(self.a), np.log(self.b)
         self.masses = float(self.a.sum()), float(self.b.sum())
 
-    def begin(self, f: Array) -> None:
-        """Learn where a solve begins."""
+    def center_trust_region(self, f: Array) -> None:
+        """Set the potentials around which this problem stands for the points; here all do."""
 
-    def nearer(self, f: Array, epsilon: float) -> Array:
-        """Return f, but no farther away than this problem is good for."""
+    def clip_to_trust_region(self, f: Array, epsilon: float) -> Array:
+        """Return the nearest potentials to f inside the trust region; here f itself."""
         return f
 
 
-class Groups(Protocol):
-    """Which point of a smaller problem each point belongs to."""
+class Restriction(Protocol):
+    """What carries values of the points to a coarse problem."""
 
-    def mean(self, values: Array, weights: Array) -> Array:
-        """Return the mean of values over each group, by mass: (N,) arrays to (groups,)."""
+    def restrict(self, values: Array, weights: Array) -> Array:
+        """Return means of values, (N,), weighted by mass: one for each coarse point."""
 
 
-class Alone:
-    """Every point is a group of its own."""
+class Identity:
+    """The restriction to a coarse problem that has the same points."""
 
-    def mean(self, values: Array, weights: Array) -> Array:
+    def restrict(self, values: Array, weights: Array) -> Array:
         """Return the values."""
         return values
 
 
-class Grid(NamedTuple):
-    """A smaller problem, and how it and the points' problem see each other."""
+class CoarseGrid(NamedTuple):
+    """A coarse problem, and what carries values between it and the points."""
 
     problem: CorrectedProblem
-    source: Groups
-    target: Groups
-    to_target: Softmin  #: from its rows to the points of the target
-    to_source: Softmin  #: from its columns to the points of the source
+    source: Restriction
+    target: Restriction
+    to_target: Softmin  #: prolongs from its rows to the points of the target
+    to_source: Softmin  #: prolongs from its columns to the points of the source
+
+    def prolong(self, new_f: Array, old_f: Array, epsilon: float) -> Array:
+        """Return by how much T(f) changes at the points of the target: (M,) array.
+
+        Parameters
+        ----------
+        new_f, old_f : arrays
+            Potentials of the coarse problem after and before its solve, cost units.
+        epsilon : float
+            Cost units.
+        """
+        return self.to_target(new_f, epsilon) - self.to_target(old_f, epsilon)
 
 
 class StoredSoftmin(Softmin):
@@ -102,17 +119,17 @@ class StoredSoftmin(Softmin):
     Parameters
     ----------
     like : Softmin
-        Whose clouds, and masses.
+        The softmin over all pairs, which has the clouds and the masses.
     stored : StoredPairs
-        Of the plan of two potentials.
+        Pairs of the plan of two potentials.
     by_column : bool
-        Sum over the plan's rows.
+        Whether it sums over the plan's rows.
     potential, softmin : arrays
-        That of the columns that pairs were stored for, and its softmin, which is what rows
-        keep that have no pair.
+        Potential of the columns for which the pairs were stored, and its softmin. Rows without a
+        stored pair keep this softmin.
     start : (N,) array
-        Of the rows' potential for which they were stored, plus epsilon times the logarithms of
-        the rows' masses.
+        Potential of the rows for which the pairs were stored, plus epsilon times the logarithms
+        of the masses of the rows.
     """
 
     def __init__(
@@ -131,7 +148,7 @@ class StoredSoftmin(Softmin):
     def __call__(
         self, potential: Array, epsilon: float, precise: bool = False, bounded: bool = False
     ) -> Array:
-        """Return T(potential), (N,) for (M,); exponents are small here, and nothing is bounded."""
+        """Return T(potential), (N,) for (M,); both flags are ignored, as exponents are small."""
         changes = (potential - self._potential) / epsilon
         logarithms = self.operations.sum_stored(self._stored, changes, self._by_column)
         alone = np.isneginf(logarithms)
@@ -140,47 +157,49 @@ class StoredSoftmin(Softmin):
         )
 
     def rounding(self, n_columns: int, largest_cost: float, epsilon: float, precise: bool) -> float:
-        """By how many nats rounding may change a softmin: exponents are small here."""
+        """Return by how many nats rounding can change a softmin; exponents are small here."""
         return 64 * self.operations.sum_roundoff
 
 
 class StoredProblem(CorrectedProblem):
-    """A problem over stored pairs, near the potentials they were stored for."""
+    """A problem over stored pairs; it holds near the potentials for which they were stored."""
 
     center: Array
 
-    def begin(self, f: Array) -> None:
-        """Learn where a solve begins."""
+    def center_trust_region(self, f: Array) -> None:
+        """Set the potentials, (N,), around which the stored pairs are trusted."""
         self.center = f
 
-    def is_astray(self, f: Array, epsilon: float) -> bool:
-        """Whether potentials have moved so far that other pairs may matter."""
-        return bool(np.abs(self._moved(f)).max() > TRUST * epsilon)
+    def outside_trust_region(self, f: Array, epsilon: float) -> bool:
+        """Return whether potentials have moved so far that other pairs can have notable mass."""
+        return bool(np.abs(self._moved(f)).max() > TRUST_RADIUS * epsilon)
 
-    def nearer(self, f: Array, epsilon: float) -> Array:
-        """Return f, but no farther away than pairs are good for."""
+    def clip_to_trust_region(self, f: Array, epsilon: float) -> Array:
+        """Return the nearest potentials to f for which the stored pairs are trusted."""
         moved = self._moved(f)
-        return f + np.clip(moved, -TRUST * epsilon, TRUST * epsilon) - moved
+        return f + np.clip(moved, -TRUST_RADIUS * epsilon, TRUST_RADIUS * epsilon) - moved
 
     def _moved(self, f: Array) -> Array:
-        """Return f less where it began, but for what is the same for all points."""
+        """Return how far f is from the center, less the mean of that by mass."""
         moved = np.where(self.a > 0, f - self.center, 0.0)
         return moved - float(self.a @ moved) / self.masses[0]
 
 
 def stored_grid(
     problem: Problem, f: Array, g: Array, softmins: tuple[Array, Array], epsilon: float, most: int
-) -> Grid | None:
-    """Return the problem over the pairs that matter near (f, g); None if they are too many.
+) -> CoarseGrid | None:
+    """Return the problem over the pairs of notable mass near (f, g); None if they are too many.
 
     Parameters
     ----------
     problem : Problem
     f, g : (N,) and (M,) arrays
     softmins : (T(g), T(f))
+        Cost units, as f and g.
     epsilon : float
+        Cost units.
     most : int
-        Pairs to store at most.
+        Largest number of pairs to store.
     """
     by_row, by_column = (
         _threshold(potential, softmin, log_weights, epsilon)
@@ -200,10 +219,10 @@ def stored_grid(
     smaller = StoredProblem(
         to_rows, to_columns, (problem.a, problem.b), problem.rho, problem.largest_cost
     )
-    return Grid(smaller, Alone(), Alone(), to_columns, to_rows)
+    return CoarseGrid(smaller, Identity(), Identity(), to_columns, to_rows)
 
 
 def _threshold(potential: Array, softmin: Array, log_weights: Array, epsilon: float) -> Array:
-    """Log pi_ij from which on pairs of a row are stored; rows without mass have none."""
+    """Return log pi_ij above which pairs of a row are stored, infinite for rows without mass."""
     thresholds = (potential - softmin) / epsilon + log_weights + np.log(STORED_SHARE)
     return np.where(np.isneginf(thresholds), np.inf, thresholds)

@@ -8,11 +8,9 @@ transport and MMD using Sinkhorn divergences" (2019), and the GeomLoss library.
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.transport._solver.problem import Problem
-
-Array = NDArray[np.float64]
 
 
 def blurs(diameter: float, blur: float, scaling: float) -> list[float]:

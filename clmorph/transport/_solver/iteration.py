@@ -1,66 +1,55 @@
 """The accelerated iteration behind `clmorph.sinkhorn`.
 
-The dual is climbed from level to level of a falling blur (annealing); inside a level the
-half-steps of Sinkhorn are extrapolated (`_solver.anderson`), and an extrapolation after which
-the dual is not at least what the plain half-step had reached is taken back. So the dual never
-falls inside a level, and what is converged to is the plain iteration's.
+The solver maximizes the dual at a sequence of falling blurs (annealing). At each blur it
+extrapolates the half-steps of Sinkhorn (`_solver.anderson`). It takes an extrapolation back if the
+dual is then below the value that the plain half-step had reached. So the dual never falls at one
+blur, and the limit is that of the plain iteration.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.progress import Share
+from clmorph._shared.typing import Array
 from clmorph.transport._solver.anderson import Anderson
 from clmorph.transport._solver.problem import Problem, inner
-
-Array = NDArray[np.float64]
+from clmorph.transport._solver.state import (
+    ROUNDING_MARGIN,
+    State,
+    measured,
+    needs_more,
+    share_done,
+)
 
 #: Factor between the blurs of the annealing.
 ANNEALING = 0.5
-#: The annealing begins below this share of the diameter.
+#: The annealing begins below this share of the diameter of both measures.
 TOP = 0.5
-#: No annealing where damping alone contracts the iteration by at least this factor.
+#: There is no annealing where damping alone contracts the iteration by at least this factor.
 EASY = 0.5
-#: Residual at which a level above the last one is left, in units of its epsilon.
+#: Residual, in units of its own epsilon, at which the iteration leaves a level before the last.
 LEVEL_TOLERANCE = 0.2
-#: The annealing may take this share of the iterations; with a small limit it is cut short.
+#: Largest share of the allowed iterations that the annealing takes.
 ANNEALING_SHARE = 0.5
-#: With fewer iterations than this there is neither annealing nor extrapolation: what they
-#: cost would not be won back.
+#: With fewer allowed iterations than this there is neither annealing nor extrapolation, because
+#: they would cost more than they save.
 SHORT = 20
-#: Iterations without a new best residual after which rounding is held to be the reason. Balanced
-#: problems have fallen by less than a tenth in twelve, and gone on.
+#: Iterations without a new best residual after which the iteration ends, as rounding is then the
+#: reason. Residuals of balanced problems were seen to fall by less than a tenth in twelve
+#: iterations and to go on falling.
 STALLED = 25
-#: A residual of so many times the bound on the rounding of one softmin can be due to it.
-ROUNDING_MARGIN = 8.0
-#: Shares of the tolerance to iterate to, one after the other, where the residual as measured in
-#: the end, with the bound of its rounding, is above the tolerance.
+#: Shares of the tolerance that are tried one after the other where the final residual, the bound
+#: of its rounding included, is above the tolerance.
 REPEATED = (0.8, 0.4)
-#: Float32 is left for better exponents at so many times its rounding as measured.
+#: The iteration changes from float32 to better exponents at this many times the measured rounding
+#: of float32.
 LEAVING_MARGIN = 4.0
 
 
-class State(NamedTuple):
-    """Potentials with their softmins, T(g) and T(f)."""
-
-    f: Array
-    g: Array
-    t_rows: Array
-    t_columns: Array
-    residual: float
-
-
-def measured(problem: Problem, f: Array, g: Array, epsilon: float) -> State:
-    """Return potentials with softmins, and a residual, of which every rounding is bounded."""
-    softmins = problem.bounded_softmins(f, g, epsilon)
-    return State(f, g, *softmins, problem.residual(f, g, *softmins, epsilon))
-
-
 class _Reached(NamedTuple):
-    """Where a level was left: its last half-step taken, not yet measured."""
+    """Potentials after the last half-step of a level; their residual is not measured yet."""
 
     f: Array
     g: Array
@@ -69,8 +58,8 @@ class _Reached(NamedTuple):
     precise: bool
 
 
-class Ascent:
-    """One solve.
+class Iteration:
+    """One solve by Sinkhorn's iteration, annealed and extrapolated.
 
     Parameters
     ----------
@@ -80,17 +69,18 @@ class Ascent:
     tol : float
         Residual to reach there, in units of epsilon.
     max_iter : int
-        Iterations, one is two softmins; the annealing's included.
+        Largest number of iterations, those of the annealing included; one iteration takes two
+        softmins.
     precision : {"auto", "float32", "float64"}
     report : callable
-        Called with the share done.
+        Called with the share of the work that is done.
     certify : bool
-        Whether the last softmins are `Problem.bounded_softmins`, as certificates need them.
+        Whether the last softmins are `Problem.bounded_softmins`, which a certificate needs.
 
     Attributes
     ----------
     state : State
-        What was reached.
+        The result: potentials, softmins and residual.
     status : {"converged", "max_iter", "precision"}
     residuals : list of float
     rounding : float
@@ -118,16 +108,16 @@ class Ascent:
         self.tol, self.precision, self._certify = tol, precision, certify
         self.residuals: list[float] = []
         self._blur, self._max_iter, self._report = blur, max_iter, report
-        self._done, self._level_share, self._told = 0.0, 1.0, 0.0
+        self._done, self._level_share, self._reported = 0.0, 1.0, 0.0
         self._measured = 0  # softmins that were no updates
 
     @property
     def n_iter(self) -> int:
-        """Iterations so far; what only measures or certifies is not one."""
+        """Iterations so far; softmins that only measure or certify do not count."""
         return -(-(self.problem.n_softmin - self._measured) // 2)
 
     def run(self, start: Array | None) -> None:
-        """Climb from potentials g, or from the top of the annealing."""
+        """Iterate from potentials g, or from the largest blur of the annealing."""
         g = np.zeros(len(self.problem.b)) if start is None else start
         levels = [] if start is not None else self._levels()
         self._level_share = 1.0 / (len(levels) + 3)
@@ -136,26 +126,27 @@ class Ascent:
             epsilon = level**2
             limit = int(ANNEALING_SHARE * self._max_iter)
             precise = needs_more(self.problem, self.precision, epsilon, LEVEL_TOLERANCE)
-            reached = self._climb(g, epsilon, LEVEL_TOLERANCE, limit, precise).g
+            reached = self._iterate(g, epsilon, LEVEL_TOLERANCE, limit, precise).g
             g = reached
             if before is not None:
-                # Potentials are close to linear in epsilon: go on along the line.
+                # Potentials are close to linear in epsilon, so the line through the last two
+                # levels is continued to the next one.
                 following = (levels[number + 1] if number + 1 < len(levels) else self._blur) ** 2
                 g = g + (reached - before[1]) * (epsilon - following) / (before[0] - epsilon)
             before = epsilon, reached
             self._done += self._level_share
         self._level_share = 1.0 - self._done
         self._last_level(g)
-        self._tell(1.0)
+        self._report_share(1.0)
 
-    def _tell(self, share: float) -> None:
-        """Report the share done, which never falls, and the residual reached."""
-        self._told = max(self._told, share)
+    def _report_share(self, share: float) -> None:
+        """Report the share of the work that is done, which never falls, and the residual."""
+        self._reported = max(self._reported, share)
         note = f"residual {self.residuals[-1]:.0e} of {self.tol:.0e}" if self.residuals else ""
-        self._report(Share(self._told, note))
+        self._report(Share(self._reported, note))
 
     def _levels(self) -> list[float]:
-        """Blurs from about the diameter down to the last but one."""
+        """Return the blurs of the annealing, falling, without the last one."""
         slowest = np.prod(self.problem.damping(self._blur**2))
         if slowest <= EASY or self._max_iter < SHORT:
             return []
@@ -168,7 +159,7 @@ class Ascent:
         return levels[::-1]
 
     def _last_level(self, g: Array) -> None:
-        """Climb in float32 as far as it goes, then precisely."""
+        """Iterate in float32 as far as its rounding allows, then with better exponents."""
         epsilon, limit = self._blur**2, self._max_iter
         self.precise = needs_more(self.problem, self.precision, epsilon, self.tol)
         operations = self.problem.operations
@@ -177,12 +168,12 @@ class Ascent:
             coarse_tol = self.tol
             if self.precise:
                 coarse_tol = max(self.tol, LEAVING_MARGIN * self._measured_rounding(g, epsilon))
-            reached = self._climb(
+            reached = self._iterate(
                 g, epsilon, coarse_tol, limit, precise=False, memory=memory, leave=True
             )
             out = self.status == "max_iter" and reached.residual > coarse_tol
             if out or not self.precise:
-                # Float32 was enough, if precise softmins agree.
+                # Float32 was enough if precise softmins confirm the residual.
                 self._measure(reached, epsilon, precise=True)
                 if out or self.status == "converged":
                     return
@@ -190,16 +181,16 @@ class Ascent:
         else:
             precise = self.precise
         for share in (1.0, *REPEATED):
-            reached = self._climb(g, epsilon, share * self.tol, limit, precise, memory)
+            reached = self._iterate(g, epsilon, share * self.tol, limit, precise, memory)
             converged = self.status == "converged"
             self._measure(reached, epsilon, precise)
             if self.status == "converged" or not converged or self.n_iter >= limit:
                 return
-            # Rounding took back what was missing: ask for a little more.
+            # The bound of the rounding lifted the residual above the tolerance: iterate further.
             g = reached.g
 
     def _measure(self, reached: _Reached, epsilon: float, precise: bool) -> None:
-        """Take the softmins of the potentials that are returned, and their residual."""
+        """Compute the softmins of the potentials that are returned, and their residual."""
         f, g, t_columns, _, was_precise = reached
         if self._certify:
             self.state = measured(self.problem, f, g, epsilon)
@@ -215,17 +206,17 @@ class Ascent:
         if self.state.residual <= self.tol:
             self.status = "converged"
         elif self.status == "converged":
-            # Exactly, the last half-step can only have lowered the residual.
+            # In exact arithmetic the last half-step can only lower the residual.
             self.status = "precision"
 
     def _measured_rounding(self, g: Array, epsilon: float) -> float:
-        """Difference that precise exponents make to T(g), in units of epsilon."""
+        """Return by how much T(g) changes with precise exponents, in units of epsilon."""
         coarse = self.problem.softmin_rows(g, epsilon, precise=False)
         fine = self.problem.softmin_rows(g, epsilon, precise=True)
         self._measured += 2
         return float(np.abs(coarse - fine)[self.problem.a > 0].max() / epsilon)
 
-    def _climb(
+    def _iterate(
         self,
         g: Array,
         epsilon: float,
@@ -235,10 +226,11 @@ class Ascent:
         memory: Anderson | None = None,
         leave: bool = False,
     ) -> _Reached:
-        """Iterate at one epsilon until the residual is `tol`, or `limit` iterations are over.
+        """Iterate at one epsilon until the residual is `tol` or `limit` iterations are over.
 
-        Or until it falls no more, for rounding; or, if better exponents can take over (`leave`),
-        whatever the reason: a slow problem falls by less in an iteration than float32 can tell.
+        The iteration also ends where the residual no longer falls and rounding explains that. With
+        `leave`, which means that better exponents can take over, it ends there for any reason:
+        the residual of a slow problem falls by less in an iteration than float32 resolves.
         """
         problem = self.problem
         self.rounding = rounding = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
@@ -267,9 +259,9 @@ class Ascent:
             first = first or residual
             since_best = 0 if residual < 0.9 * best else since_best + 1
             best = min(best, residual)
-            self._tell(self._done + self._level_share * share_done(first, best, tol))
+            self._report_share(self._done + self._level_share * share_done(first, best, tol))
             stalled = since_best >= STALLED and (leave or residual <= rounding)
-            ended = stalled or self.n_iter >= limit or problem.is_astray(f, epsilon)
+            ended = stalled or self.n_iter >= limit or problem.outside_trust_region(f, epsilon)
             if residual <= tol or ended:
                 self.status = "max_iter"
                 if residual <= tol:
@@ -279,30 +271,13 @@ class Ascent:
                 return _Reached(f, image, t_columns, residual, precise)
             column_mass = problem.column_mass(image, t_columns, epsilon)
             floor = problem.dual(f, image, float(column_mass.sum()), epsilon)
-            # An extrapolation may cost a softmin more, which must be left.
+            # An extrapolation can cost one softmin more, which the limit must allow.
             guess = None
             if self.n_iter + 1 < limit and self._max_iter >= SHORT:
                 guess = memory.extrapolate(g, image, column_mass)
             if guess is not None and not any(problem.inverse_rho):
-                # Balanced potentials are free up to a constant, along which nothing holds an
-                # extrapolation back; far out float64 has no digits left for the rest.
+                # Balanced potentials are unique only up to a constant. Nothing bounds an
+                # extrapolation along it, and at a large constant float64 loses the other digits.
                 mean = inner(column_mass, guess - image) / float(column_mass.sum())
                 guess = guess - mean
             g, fallback = (image, None) if guess is None else (guess, image)
-
-
-def share_done(first: float, residual: float, tol: float) -> float:
-    """Share done, as residuals fall geometrically."""
-    if residual <= tol or first <= tol:
-        return 1.0
-    return float(np.clip(np.log(first / residual) / np.log(first / tol), 0.0, 1.0))
-
-
-def needs_more(problem: Problem, precision: str, epsilon: float, tol: float) -> bool:
-    """Whether float32 exponents are too coarse for a tolerance, and better ones allowed."""
-    if precision != "auto":
-        return precision == "float64"
-    operations = problem.operations
-    if operations.exponent_roundoff == operations.precise_roundoff:
-        return True
-    return problem.rounding(epsilon, precise=False) > 0.25 * tol

@@ -1,14 +1,14 @@
 """Solve large problems through coarser ones.
 
-Annealing in the blur and refinement in space go hand in hand: at each blur points are taken
-together in cells of about its size (`measures.cluster`), and potentials are carried on to the next
-blur and its finer cells by a softmin, evaluated at the new points. At the last blur the problem
-of the points themselves is solved in cycles (a two-grid method): one iteration over the points
-tells by how much the softmins of the cells are off; the problem of the cells is solved with this
-correction; and what changes there is carried back. Each cycle leaves a few percent of the
-residual, so a few iterations over the points are enough, and their residual, over the
-points, decides when it is small. Where the blur is so small that cells save nothing, the problem
-of the pairs that matter takes their place (`clmorph.transport._solver.coarse_grid`).
+Annealing in the blur and refinement in space go together (`_solver.annealing`): at each blur,
+points are joined into clusters of about its size (`measures.cluster`), and a softmin, evaluated
+at the points of the next finer problem, prolongs the potentials to it. At the last blur the problem
+of the points themselves is solved in cycles of a two-grid method. One iteration over the points
+shows by how much the softmins of the clusters are off. The problem of the clusters is then solved
+with this correction, and the change of its solution is prolonged to the points. Each cycle leaves
+a few percent of the residual, so a few iterations over the points are enough, and it is their
+residual that decides when the solve ends. Where the blur is so small that clusters save nothing,
+the problem of the pairs with notable mass takes their place (`_solver.coarse_grid`).
 
 Sources of the ideas: Schmitzer, "Stabilized sparse scaling algorithms for entropy regularized
 transport problems" (2019), for annealing with refinement; Brandt, "Multi-level adaptive
@@ -16,64 +16,60 @@ solutions to boundary-value problems" (1977), for the correction (his full appro
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clmorph.measures.cluster import Cells, make_cells
+from clmorph._shared.typing import Array
+from clmorph.measures.cluster import Clusters, make_clusters
 from clmorph.measures.points import AnyMeasure
-from clmorph.transport._solver.coarse_grid import CorrectedProblem, Grid, StoredProblem, stored_grid
-from clmorph.transport._solver.iteration import (
+from clmorph.transport._solver.annealing import anneal, ignore, prepare
+from clmorph.transport._solver.coarse_grid import (
+    CoarseGrid,
+    CorrectedProblem,
+    StoredProblem,
+    stored_grid,
+)
+from clmorph.transport._solver.iteration import Iteration
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.softmin import LEAST_RESERVE, MANY_PAIRS, Softmin
+from clmorph.transport._solver.state import (
     ROUNDING_MARGIN,
-    TOP,
-    Ascent,
     State,
     measured,
     needs_more,
     share_done,
 )
-from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import LEAST_RESERVE, Softmin
 
-Array = NDArray[np.float64]
-
-#: Sides of the cells at the last blur, in units of it, the first that saves enough; and what is
-#: enough: the share of pairs of points that are left as pairs of cells.
+#: Sides of the clusters at the last blur, in units of it: the first side that saves enough is
+#: taken. Each has its own bound of what is enough: the share of pairs of points that is left as
+#: pairs of clusters.
 SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.5)
-#: Side of the cells at larger blurs.
-ANNEALING_SIDE = 1.0
-#: Annealing begins where no more pairs of cells than this are left.
-FEW_PAIRS = 1 << 20
-#: Residuals to reach at larger blurs, and over the cells before the points are looked at.
-LEVEL_TOLERANCE, FIRST_TOLERANCE = 0.05, 1e-2
-#: Truncation at larger blurs, and for what share of it pairs are chosen there.
-LEVEL_TRUNCATION, LEVEL_RESERVE = 1e-2, 1e-20
-#: Residual to reach in the smaller problem: this share of that over the points, and of `tol`.
+#: Residual to reach over the clusters before the first iteration over the points.
+FIRST_TOLERANCE = 1e-2
+#: Residual to reach in the coarse problem: this share of the residual over the points, and at
+#: least this share of `tol`.
 CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
-#: Cells serve, and stored pairs, as long as a cycle leaves at most this share of the residual;
-#: after so many that left more nothing is left but iterations over the points.
+#: A coarse problem is kept as long as a cycle leaves at most this share of the residual. After
+#: this many cycles that left more, only iterations over the points follow.
 PROGRESS, FAILURES = 0.5, 12
-#: Stored pairs serve also while the points' residual is at most so many times theirs.
+#: Stored pairs are also kept while the residual over the points is at most this many times theirs.
 AGREEMENT = 2.0
-#: Pairs to store at most, for every point, and whatever their number.
+#: Most pairs to store: for each point, and a number that is always allowed.
 STORED_PER_POINT, STORED = 128, 1 << 24
-#: Better exponents than float32 are taken below so many times its rounding, where needed at all.
+#: Where better exponents than float32 are needed, they are used below this many times its rounding.
 SWITCH = 300.0
-#: Problems with at least so many pairs are solved through coarser ones, if not told otherwise.
-MANY_PAIRS = 1 << 27
 
 
 class Multiscale:
-    """One solve of a large problem; the attributes of `clmorph.transport._solver.iteration.Ascent`.
+    """One solve of a large problem; attributes as those of `_solver.iteration.Iteration`.
 
     Parameters
     ----------
     problem : Problem
     pair : (source, target)
-        What it is about: Measure or WeightedPoints.
+        The measures of the problem: Measure or WeightedPoints.
     blur, tol, max_iter, precision, report
-        As in `clmorph.transport._solver.iteration.Ascent`; iterations are those over the points.
+        As in `_solver.iteration.Iteration`; only iterations over the points count.
     """
 
     state: State
@@ -94,7 +90,7 @@ class Multiscale:
         self.problem, self._pair = problem, pair
         self.tol, self.precision = tol, precision
         self.residuals: list[float] = []
-        self._blur, self._max_iter, self._report, self._told = blur, max_iter, report, 0.0
+        self._blur, self._max_iter, self._report, self._reported = blur, max_iter, report, 0.0
 
     @property
     def n_iter(self) -> int:
@@ -102,162 +98,96 @@ class Multiscale:
         return -(-self.problem.n_softmin // 2)
 
     def run(self, start: Array | None) -> None:
-        """Solve from potentials g, or from the top of the annealing."""
-        cells = self._choose_cells()
-        grid = None if cells is None else self._cells_grid(*cells)
+        """Solve from potentials g, or from the largest blur of the annealing."""
+        clusters = self._choose_clusters()
+        grid = None if clusters is None else self._clusters_grid(*clusters)
         finest = self.problem if grid is None else grid.problem
         g = start
         if g is None:
-            coarse = self._pair if cells is None else (cells[0].measure, cells[1].measure)
-            g = self._anneal(coarse, finest)
-            self._tell(0.2)
-            if cells is not None and grid is not None:
-                g = self._first(grid, cells, g)
-                self._tell(0.3)
+            coarse = self._pair if clusters is None else (clusters[0].measure, clusters[1].measure)
+            g = anneal(self.problem, coarse, finest, self._blur, self._max_iter)
+            self._report_share(0.2)
+            if clusters is not None and grid is not None:
+                g = self._first(grid, clusters, g)
+                self._report_share(0.3)
         if grid is None:
-            _prepare(self.problem, LEAST_RESERVE)
+            prepare(self.problem, LEAST_RESERVE)
         self._cycle(grid, g)
-        self._tell(1.0)
+        self._report_share(1.0)
 
-    def _choose_cells(self) -> list[Cells] | None:
-        """Return cells for the last blur; None if they would save too little."""
+    def _choose_clusters(self) -> list[Clusters] | None:
+        """Return clusters for the last blur; None if they would save too little."""
         pairs = len(self.problem.a) * len(self.problem.b)
         for side, enough in zip(SIDES, ENOUGH, strict=True):
-            cells = [make_cells(measure, side * self._blur) for measure in self._pair]
-            if len(cells[0].measure) * len(cells[1].measure) <= enough * pairs:
-                return cells
+            clusters = [make_clusters(measure, side * self._blur) for measure in self._pair]
+            if len(clusters[0].measure) * len(clusters[1].measure) <= enough * pairs:
+                return clusters
         return None
 
-    def _cells_grid(self, source: Cells, target: Cells) -> Grid:
+    def _clusters_grid(self, source: Clusters, target: Clusters) -> CoarseGrid:
+        """Return the problem of the clusters, with the softmins that prolong its solution."""
         points = self.problem
         operations, rho, truncation = points.operations, points.rho, points.truncation
-        cells = source.measure, target.measure
-        few = len(cells[0]) * len(cells[1]) < MANY_PAIRS
-        problem = CorrectedProblem.between(operations, *cells, rho, None if few else truncation)
-        extensions = [
+        clusters = source.measure, target.measure
+        few = len(clusters[0]) * len(clusters[1]) < MANY_PAIRS
+        problem = CorrectedProblem.between(operations, *clusters, rho, None if few else truncation)
+        prolongations = [
             Softmin(operations, rows, columns, weights, truncation)
             for rows, columns, weights in (
-                (points.columns, problem.rows, (points.b, cells[0].weights)),
-                (points.rows, problem.columns, (points.a, cells[1].weights)),
+                (points.columns, problem.rows, (points.b, clusters[0].weights)),
+                (points.rows, problem.columns, (points.a, clusters[1].weights)),
             )
         ]
-        return Grid(problem, source, target, *extensions)
+        return CoarseGrid(problem, source, target, *prolongations)
 
-    def _stored_grid(self) -> Grid | None:
-        """Return the problem of the pairs that matter now; None if they are too many."""
+    def _stored_grid(self) -> CoarseGrid | None:
+        """Return the problem of the pairs that have notable mass now; None if they are too many."""
         f, g, t_rows, t_columns, _ = self.state
         most = max(STORED, STORED_PER_POINT * max(len(f), len(g)))
         return stored_grid(self.problem, f, g, (t_rows, t_columns), self._blur**2, most)
 
-    def _anneal(self, pair: tuple[AnyMeasure, AnyMeasure], finest: Problem) -> Array:
-        """Return potentials g for the finest problem, from larger blurs over larger cells."""
-        top = TOP * np.sqrt(2 * self.problem.largest_cost)
-        blur = self._blur
-        levels: list[tuple[float, list[Cells]]] = []
-        while len(pair[0]) * len(pair[1]) > FEW_PAIRS and blur < top:
-            blur *= 2
-            cells = [make_cells(measure, ANNEALING_SIDE * blur) for measure in pair]
-            levels.append((blur, cells))
-            pair = cells[0].measure, cells[1].measure
-        g: Array | None = None
-        carried: list[Array] | None = None
-        problems = [finest]
-        problems += [self._cells_problem(one.measure, other.measure) for _, (one, other) in levels]
-        for (level, cells), problem in reversed(list(zip(levels, problems[1:], strict=True))):
-            ascent = Ascent(
-                problem, level, LEVEL_TOLERANCE, self._max_iter, "float32", _ignore, certify=False
-            )
-            ascent.run(g)
-            state = ascent.state
-            problems.pop()
-            # Potentials are close to linear in epsilon, of which three quarters go each time: go
-            # on along the line.
-            reached = [state.t_rows, state.t_columns]
-            begun = reached if carried is None else carried
-            fine = problems[-1]
-            carried = self._extended(problem, state, cells, fine, level)
-            guesses = [
-                there + 0.25 * (now - before)[own.labels]
-                for there, now, before, own in zip(carried, reached, begun, cells, strict=True)
-            ]
-            fine.to_rows.guess, fine.to_columns.guess = guesses
-            g = self.problem.damping(level**2)[1] * guesses[1]
-        return np.zeros(len(finest.b)) if g is None else g
-
-    def _level_truncation(self, rows: int, columns: int) -> float | None:
-        """Return what to leave out for at larger blurs, between so many points."""
-        if self.problem.truncation is None or rows * columns < MANY_PAIRS:
-            return None
-        return LEVEL_TRUNCATION
-
-    def _cells_problem(self, source: AnyMeasure, target: AnyMeasure) -> Problem:
-        truncation = self._level_truncation(len(source), len(target))
-        problem = Problem.between(
-            self.problem.operations, source, target, self.problem.rho, truncation
-        )
-        return _prepare(problem, LEVEL_RESERVE)
-
-    def _extended(
-        self, coarse: Problem, state: State, cells: list[Cells], fine: Problem, blur: float
-    ) -> list[Array]:
-        """Take the softmins of potentials at the points of a finer problem, rows and columns."""
-
-        def softmin(rows: Any, columns: Any, weights: tuple[Array, Array], guess: Array) -> Softmin:
-            truncation = self._level_truncation(len(weights[0]), len(weights[1]))
-            result = Softmin(self.problem.operations, rows, columns, weights, truncation)
-            # For once, and by a rough guess: what is left out is little all the same.
-            result.guess, result.proven, result.reserve = guess, False, LEAST_RESERVE
-            return result
-
-        to_rows = softmin(
-            fine.rows, coarse.columns, (fine.a, coarse.b), state.t_rows[cells[0].labels]
-        )
-        to_columns = softmin(
-            fine.columns, coarse.rows, (fine.b, coarse.a), state.t_columns[cells[1].labels]
-        )
-        return [to_rows(state.g, blur**2), to_columns(state.f, blur**2)]
-
-    def _first(self, grid: Grid, cells: list[Cells], g: Array) -> Array:
-        """Return potentials g from the cells' problem alone, begun at potentials of its own."""
+    def _first(self, grid: CoarseGrid, clusters: list[Clusters], g: Array) -> Array:
+        """Solve the problem of the clusters from potentials g and prolong them to the points."""
         epsilon = self._blur**2
         state = self._solve_grid(grid, g, FIRST_TOLERANCE)
-        grid.to_target.guess = state.t_columns[cells[1].labels]
-        grid.to_source.guess = state.t_rows[cells[0].labels]
+        grid.to_target.guess = state.t_columns[clusters[1].labels]
+        grid.to_source.guess = state.t_rows[clusters[0].labels]
         self.problem.to_rows.guess = grid.to_source(state.g, epsilon)
         self.problem.to_columns.guess = grid.to_target(state.f, epsilon)
         return self.problem.damping(epsilon)[1] * self.problem.to_columns.guess
 
-    def _solve_grid(self, grid: Grid, g: Array, tol: float) -> State:
+    def _solve_grid(self, grid: CoarseGrid, g: Array, tol: float) -> State:
+        """Solve a coarse problem from potentials g to a residual."""
         done = -(-grid.problem.n_softmin // 2)
-        # Exponents of stored pairs are small.
+        # Exponents of stored pairs are small, so float32 is enough for them.
         stored = isinstance(grid.problem, StoredProblem)
         precise = not stored and needs_more(grid.problem, self.precision, self._blur**2, tol)
-        ascent = Ascent(
+        iteration = Iteration(
             grid.problem, self._blur, tol, done + self._max_iter,
-            "auto" if precise else "float32", _ignore, certify=False,
+            "auto" if precise else "float32", ignore, certify=False,
         )  # fmt: skip
-        ascent.run(g)
-        return ascent.state
+        iteration.run(g)
+        return iteration.state
 
-    def _ascend(self, g: Array) -> None:
-        """Go on over the points alone."""
-        told = self._told
-        _prepare(self.problem, LEAST_RESERVE)
-        ascent = Ascent(
+    def _iterate_points(self, g: Array) -> None:
+        """Continue with iterations over the points alone."""
+        reported = self._reported
+        prepare(self.problem, LEAST_RESERVE)
+        iteration = Iteration(
             self.problem, self._blur, self.tol, self._max_iter, self.precision,
-            lambda share: self._tell(told + (1 - told) * share),
+            lambda share: self._report_share(reported + (1 - reported) * share),
         )  # fmt: skip
-        ascent.run(g)
-        self.state, self.status, self.precise = ascent.state, ascent.status, ascent.precise
-        self.rounding = ascent.rounding
-        self.residuals += ascent.residuals
+        iteration.run(g)
+        self.state, self.status, self.precise = iteration.state, iteration.status, iteration.precise
+        self.rounding = iteration.rounding
+        self.residuals += iteration.residuals
 
-    def _cycle(self, grid: Grid | None, g: Array) -> None:
-        """Iterate over the points, a smaller problem solved in between."""
+    def _cycle(self, grid: CoarseGrid | None, g: Array) -> None:
+        """Alternate one iteration over the points with a solve of the coarse problem."""
         problem, epsilon = self.problem, self._blur**2
         before, reached, failures = np.inf, 0.0, 0
         while True:
-            # Known better once there are lists of near pairs, which leave out large exponents.
+            # Lists of near pairs leave out large exponents, so the bound can fall meanwhile.
             self.precise = needs_more(problem, self.precision, epsilon, self.tol)
             coarse = problem.rounding(epsilon, precise=False)
             precise = self.precise and before <= SWITCH * coarse
@@ -266,7 +196,7 @@ class Multiscale:
             residual = problem.residual(f, g, t_rows, t_columns, epsilon)
             self.state = State(f, g, t_rows, t_columns, residual)
             self.residuals.append(residual)
-            self._tell(0.3 + 0.7 * share_done(self.residuals[0], residual, self.tol))
+            self._report_share(0.3 + 0.7 * share_done(self.residuals[0], residual, self.tol))
             rounding = problem.rounding(epsilon, precise)
             self.rounding = ROUNDING_MARGIN * rounding
             done = residual <= self.tol - (0.0 if precise else rounding)
@@ -281,50 +211,51 @@ class Multiscale:
             if residual > PROGRESS * before:
                 failures += 1
             if residual > max(PROGRESS * before, AGREEMENT * reached):
-                # Cells serve no longer, or other pairs than the stored ones have come to matter.
+                # The clusters are too coarse, or pairs that are not stored have gained mass.
                 grid = None
             if failures > FAILURES:
                 grid = None
             elif grid is None:
                 grid = self._stored_grid()
             if grid is None:
-                self._ascend(image)
+                self._iterate_points(image)
                 return
             g, reached = self._correct(grid, image)
             before = residual
 
-    def _correct(self, grid: Grid, image: Array) -> tuple[Array, float]:
-        """Return better potentials g than the image of the last iteration.
+    def _correct(self, grid: CoarseGrid, image: Array) -> tuple[Array, float]:
+        """Solve the corrected coarse problem and prolong its change (a two-grid cycle).
 
-        And the residual that they leave in the smaller problem.
+        Parameters
+        ----------
+        grid : CoarseGrid
+        image : (M,) array
+            Potentials g after the last iteration over the points.
+
+        Returns
+        -------
+        (M,) array
+            Better potentials g.
+        float
+            The residual that they leave in the coarse problem.
         """
-        epsilon, smaller = self._blur**2, grid.problem
+        epsilon, coarse = self._blur**2, grid.problem
         f, g, t_rows, t_columns, residual = self.state
-        own_f = grid.source.mean(f, self.problem.a)
-        smaller.begin(own_f)
-        own_g = grid.target.mean(g, self.problem.b)
-        smaller.correct(
-            grid.source.mean(t_rows, self.problem.a) - smaller.to_rows(own_g, epsilon),
-            grid.target.mean(t_columns, self.problem.b) - smaller.to_columns(own_f, epsilon),
+        own_f = grid.source.restrict(f, self.problem.a)
+        coarse.center_trust_region(own_f)
+        own_g = grid.target.restrict(g, self.problem.b)
+        coarse.correct(
+            grid.source.restrict(t_rows, self.problem.a) - coarse.to_rows(own_g, epsilon),
+            grid.target.restrict(t_columns, self.problem.b) - coarse.to_columns(own_f, epsilon),
             epsilon,
         )
         tol = max(CYCLE_SHARE * residual, CYCLE_FLOOR * self.tol)
-        solved = self._solve_grid(grid, grid.target.mean(image, self.problem.b), tol)
-        new_f = smaller.nearer(solved.f, epsilon)
-        change = grid.to_target(new_f, epsilon) - grid.to_target(own_f, epsilon)
+        solved = self._solve_grid(grid, grid.target.restrict(image, self.problem.b), tol)
+        new_f = coarse.clip_to_trust_region(solved.f, epsilon)
+        change = grid.prolong(new_f, own_f, epsilon)
         return self.problem.damping(epsilon)[1] * (t_columns + change), solved.residual
 
-    def _tell(self, share: float) -> None:
-        self._told = max(self._told, share)
-        self._report(self._told)
-
-
-def _prepare(problem: Problem, reserve: float) -> Problem:
-    """Let near pairs be chosen that serve although potentials will move far."""
-    for softmin in (problem.to_rows, problem.to_columns):
-        softmin.reserve = reserve
-    return problem
-
-
-def _ignore(share: float) -> None:
-    """Tell nobody: what is done over cells takes little of the time."""
+    def _report_share(self, share: float) -> None:
+        """Report the share of the work that is done, which never falls."""
+        self._reported = max(self._reported, share)
+        self._report(self._reported)

@@ -3,8 +3,8 @@
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.softmin import Softmin
@@ -16,8 +16,6 @@ from clmorph.transport.certificate import (
     certify,
     marginal,
 )
-
-Array = NDArray[np.float64]
 
 
 class Problem:
@@ -111,8 +109,8 @@ class Problem:
         """By how many nats a log-sum-exp may be too small."""
         return self.to_rows.truncation
 
-    def is_astray(self, f: Array, epsilon: float) -> bool:
-        """Whether potentials have left where this problem stands for another one."""
+    def outside_trust_region(self, f: Array, epsilon: float) -> bool:
+        """Return whether this problem no longer stands for a finer one at potentials f, (N,)."""
         return False
 
     def damping(self, epsilon: float) -> tuple[float, float]:

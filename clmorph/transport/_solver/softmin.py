@@ -3,17 +3,19 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clmorph.backends.interface import NearPairs, Operations, rounding_error
+from clmorph._shared.typing import Array
+from clmorph.backends.records import NearPairs
+from clmorph.backends.rounding import rounding_error
 from clmorph.errors import InputError
 
-Array = NDArray[np.float64]
-
-#: Pairs are chosen for less than the truncation, so that they serve while potentials move: at
-#: first for this share, for less each time that they moved too far, and at last for this little.
+#: Problems with at least this many pairs of points are solved through coarser problems, and with
+#: truncated sums, unless the caller chooses otherwise.
+MANY_PAIRS = 1 << 27
+#: Near pairs are chosen for a share of the truncation, so that they remain valid while potentials
+#: move: the first share, its factor each time that potentials moved too far, and the least share.
 RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-24
-#: Choices in a row after which nothing is left out instead.
+#: After this many choices in a row that leave out too much, nothing is left out.
 ATTEMPTS = 3
 
 
@@ -21,17 +23,17 @@ class Softmin:
     """T: potentials of the columns to soft minima over the rows (paper, section 3.1).
 
     With a truncation it is summed over near pairs only (`Operations.near_pairs`). These are
-    chosen for one potential g; at another one, h, the share of the rest can have grown by no
-    more than exp(max(h - g) / epsilon), times what the row's own sum has changed by. Only where
-    this bound exceeds the truncation they are chosen anew.
+    chosen for one potential g. At another potential h the share of the other pairs can have grown
+    by at most exp(max(h - g) / epsilon), times the change of the row's own sum. Pairs are chosen
+    anew only where this bound exceeds the truncation.
 
     Parameters
     ----------
     operations : Operations
     rows, columns
-        Its clouds.
+        Clouds that the backend holds.
     weights : (N,), (M,)
-        Of both clouds.
+        Masses of both clouds.
     truncation : float, optional
         By how many nats a log-sum-exp may be too small; all pairs are summed if None.
 
@@ -39,17 +41,17 @@ class Softmin:
     ----------
     truncation : float or None
     guess : (N,) array or None
-        About what the next softmin will be; the last one unless set.
+        An estimate of the next softmin; the last softmin unless it is set.
     left_out : float
-        By how many nats the logarithms of the last softmin's sums can be too small for what it
-        left out: a bound.
+        By how many nats the logarithms of the sums behind the last softmin can be too small for
+        the pairs it left out: a proven bound.
     roundoff : float
-        By how many nats they can be off for rounding: a bound if it was a `bounded` softmin, else
-        unknown and 0.
+        By how many nats they can be off for rounding: a proven bound after a `bounded` softmin,
+        0 after others, whose rounding is not bounded.
     near : NearPairs or None
-        What the last one summed; None: all pairs.
+        The pairs that the last softmin summed; None stands for all pairs.
     proven : bool
-        Whether what is left out must be within the truncation, or just ought to.
+        Whether the choice of pairs must prove that `left_out` is within the truncation.
     reserve : float
         Pairs are chosen for this share of the truncation; the less, the longer they serve.
     """
@@ -78,7 +80,9 @@ class Softmin:
     def __call__(
         self, potential: Array, epsilon: float, precise: bool = False, bounded: bool = False
     ) -> Array:
-        """Return T(potential), (N,) for (M,).
+        """Return T(potential)_i = -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon).
+
+        (paper, 3.1)
 
         Parameters
         ----------
@@ -87,7 +91,11 @@ class Softmin:
         precise : bool
             Form exponents in more than float32.
         bounded : bool
-            Let no rounding go without a bound: `roundoff`.
+            Compute a bound of every rounding: `roundoff`.
+
+        Returns
+        -------
+        (N,) array, cost units
         """
         kind = precise, bounded
         if self.truncation is None:
@@ -108,7 +116,7 @@ class Softmin:
                     softmin = self._over(near, potential, epsilon, *kind)
                 self.near, self.left_out = near, self._bound(potential, softmin, epsilon)
                 return softmin
-        # What is left out cannot be bounded: leave out nothing.
+        # The pairs left out cannot be bounded, so all pairs are summed.
         self._near, self.left_out = None, 0.0
         return self._over(None, potential, epsilon, *kind)
 
@@ -183,7 +191,7 @@ class Softmin:
 def plan_softmin(
     operations: Operations, clouds: tuple[Any, Any], pair: tuple[Any, Any], potentials: Any
 ) -> Softmin:
-    """Return what takes T(g) of a plan's rows, as the solver took it.
+    """Return the softmin T(g) of a plan's rows, with the truncation that the solver used.
 
     Parameters
     ----------

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyopencl as cl
 
-from clmorph.backends.interface import BASE_RUNG, RUNGS, RUNGS_PER_OCTAVE
 from clmorph.backends.opencl.devices.quirks import find_quirks
+from clmorph.backends.width_levels import WIDTH_LEVELS
 
 #: Stands for minus infinity in float32 exponents: far under any of them, yet the sum of
 #: a few is still finite. Exact in float32, so that it is the same number in any precision.
@@ -24,7 +24,7 @@ STORED_UNROLL = 4
 
 
 @dataclass(frozen=True)
-class Knobs:
+class BuildConstants:
     """Sizes that change speed only; see the headers of ``cl_kernels/*.cl``.
 
     Attributes
@@ -64,24 +64,35 @@ class Knobs:
     slices_per_unit: int
 
     @property
-    def stored_slice(self) -> int:
-        """Rows of a slice of stored pairs: a multiple of `width` that divides `tile`."""
+    def slice_rows(self) -> int:
+        """C of SELL-C-sigma, rows of a slice: a multiple of `width` that divides `tile`."""
         return math.gcd(self.tile, 16)
 
-    def rows_constants(
+    def row_macros(
         self,
         dimension: int,
         precise: bool = False,
         listed: bool = False,
         bounded: bool = False,
     ) -> dict[str, int | float]:
-        """Return the macros of ``rows.cl``; bounded sums need precise exponents."""
+        """Return the macros of ``row_loop.cl`` and ``sums.cl``.
+
+        Parameters
+        ----------
+        dimension : int
+            Of the points.
+        precise : bool
+            Form exponents in more than float32.
+        listed : bool
+            Loop over listed column tiles only.
+        bounded : bool
+            Sum with a proven error bound; needs precise exponents.
+        """
         return {
             "BOUNDED": int(bounded),
             "DIM": dimension,
             "EXP2_BUILTIN": self.exp2_builtin,
             "GROUP": self.group,
-            "LARGEST_SHARE": LARGEST_SHARE,
             "LISTED": int(listed),
             "PRECISE": self.precise if precise else 0,
             "SENTINEL": SENTINEL,
@@ -90,31 +101,43 @@ class Knobs:
             "WIDTH": self.width,
         }
 
-    def stored_constants(self) -> dict[str, int | float]:
-        """Return the macros of ``stored.cl``."""
+    def near_field_macros(self) -> dict[str, int | float]:
+        """Return the macros of ``near_field.cl``, beside those of the row loop."""
+        return {"LARGEST_SHARE": LARGEST_SHARE}
+
+    def sliced_ellpack_macros(self) -> dict[str, int | float]:
+        """Return the macros of ``sliced_ellpack.cl``."""
         return {
             "EXP2_BUILTIN": self.exp2_builtin,
             "SENTINEL": SENTINEL,
-            "SLICE": self.stored_slice,
+            "SLICE": self.slice_rows,
             "UNROLL": STORED_UNROLL,
             "WIDTH": self.width,
         }
 
-    def splat_constants(self) -> dict[str, int | float]:
+    def splat_macros(self) -> dict[str, int | float]:
         """Return the macros of ``splat.cl``."""
         return {
-            "BASE_RUNG": BASE_RUNG,
             "CHUNK": self.chunk,
             "EXP2_BUILTIN": self.exp2_builtin,
-            "RUNGS": RUNGS,
-            "RUNGS_PER_OCTAVE": RUNGS_PER_OCTAVE,
             "SENTINEL": SENTINEL,
             "TILE_GROUP": self.tile_group,
             "WIDTH": self.width,
         }
 
-    def moments_constants(self) -> dict[str, int | float]:
-        """Return the macros of ``moments.cl``."""
+    def particle_macros(self) -> dict[str, int | float]:
+        """Return the macros of ``particles.cl``."""
+        return {
+            "BASE_LEVEL": WIDTH_LEVELS.base,
+            "EXP2_BUILTIN": self.exp2_builtin,
+            "LEVELS_PER_OCTAVE": WIDTH_LEVELS.per_octave,
+            "SENTINEL": SENTINEL,
+            "WIDTH": self.width,
+            "WIDTH_LEVELS": WIDTH_LEVELS.count,
+        }
+
+    def gauss_transform_macros(self) -> dict[str, int | float]:
+        """Return the macros of ``gauss_transform.cl``."""
         return {
             "EXP2_BUILTIN": self.exp2_builtin,
             "MOMENT_CHUNK": MOMENT_CHUNK,
@@ -124,7 +147,7 @@ class Knobs:
         }
 
 
-def choose_knobs(device: cl.Device, quirks: frozenset[str] | None = None) -> Knobs:
+def choose_constants(device: cl.Device, quirks: frozenset[str] | None = None) -> BuildConstants:
     """Return constants for a device, by its type, limits and quirks.
 
     Parameters
@@ -136,33 +159,32 @@ def choose_knobs(device: cl.Device, quirks: frozenset[str] | None = None) -> Kno
     if quirks is None:
         quirks = find_quirks(device)
     if device.type & cl.device_type.CPU:
-        knobs = cpu_knobs(int(device.native_vector_width_float))
+        constants = cpu_constants(int(device.native_vector_width_float))
     else:
-        knobs = gpu_knobs(device.max_work_group_size)
-    return apply_quirks(knobs, quirks)
+        constants = gpu_constants(device.max_work_group_size)
+    return apply_quirks(constants, quirks)
 
 
-def apply_quirks(knobs: Knobs, quirks: frozenset[str]) -> Knobs:
+def apply_quirks(constants: BuildConstants, quirks: frozenset[str]) -> BuildConstants:
     """Return constants that work around quirks."""
+    made = constants
     if "small_groups" in quirks:
-        knobs = replace(knobs, group=min(knobs.group, 16), tile_group=min(knobs.tile_group, 4))
+        made = replace(made, group=min(made.group, 16), tile_group=min(made.tile_group, 4))
     if "inexact_exp2" in quirks:
-        knobs = replace(knobs, exp2_builtin=0)
+        made = replace(made, exp2_builtin=0)
     if "no_float64" in quirks:
-        knobs = replace(knobs, precise=1)
+        made = replace(made, precise=1)
     if "small_local_memory" in quirks:
-        tile = max(16, knobs.width)
-        knobs = replace(
-            knobs, tile=tile, group=min(knobs.group, tile // knobs.width),
-            unroll=min(knobs.unroll, tile),
-        )  # fmt: skip
-    return knobs
+        tile = max(16, made.width)
+        group = min(made.group, tile // made.width)
+        made = replace(made, tile=tile, group=group, unroll=min(made.unroll, tile))
+    return made
 
 
-def cpu_knobs(vector: int) -> Knobs:
+def cpu_constants(vector: int) -> BuildConstants:
     """Return constants for a CPU with vectors of `vector` floats."""
     width = next(width for width in (16, 8, 4, 2, 1) if width <= max(1, vector))
-    return Knobs(
+    return BuildConstants(
         width=width,
         tile=64,
         group=1,
@@ -176,9 +198,9 @@ def cpu_knobs(vector: int) -> Knobs:
     )
 
 
-def gpu_knobs(largest_group: int) -> Knobs:
+def gpu_constants(largest_group: int) -> BuildConstants:
     """Return constants for a GPU whose work-groups have at most `largest_group` items."""
-    return Knobs(
+    return BuildConstants(
         width=1,
         tile=64,
         group=next(group for group in (64, 32, 16, 8, 4, 2, 1) if group <= largest_group),

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
+from clmorph.backends.comparison import LARGEST_BOUND
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.devices.find import raw_devices
+from clmorph.backends.opencl.devices.throughput import throughput
 from clmorph.backends.opencl.devices.verdicts import LOADED
-from clmorph.cli.conformance import LARGEST_BOUND, throughput
 from clmorph.errors import ClmorphError
 
 #: Points of the timed log-sum-exp; small enough for any device.

@@ -54,9 +54,12 @@ def _code_identity() -> str:
     from importlib import resources
 
     digest = hashlib.sha256()
-    for package, suffix in (("clmorph.cl_kernels", ".cl"), ("clmorph.backends.opencl", ".py")):
-        for entry in sorted(resources.files(package).iterdir(), key=lambda item: item.name):
-            if entry.name.endswith(suffix):
+    folders = [resources.files("clmorph.cl_kernels"), resources.files("clmorph.backends.opencl")]
+    while folders:
+        for entry in sorted(folders.pop().iterdir(), key=lambda item: item.name):
+            if entry.is_dir():
+                folders.append(entry)
+            elif entry.name.endswith((".cl", ".py")):
                 digest.update(entry.read_bytes())
     return digest.hexdigest()
 

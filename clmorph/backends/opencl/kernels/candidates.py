@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.backends.interface import Float64
 from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS, Cloud, Tiles
 from clmorph.backends.opencl.kernels.tile_pairs import (
     TileBounds,
@@ -16,6 +15,7 @@ from clmorph.backends.opencl.kernels.tile_pairs import (
     row_bounds,
     tile_bounds,
 )
+from clmorph.backends.records import Float64
 
 #: Entries of a block of bounds: small enough for a core's cache.
 BLOCK_BOUNDS = 1 << 17

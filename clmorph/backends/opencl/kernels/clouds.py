@@ -8,10 +8,11 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.interface import MAX_POINTS, Float64
+from clmorph.backends.interface import MAX_POINTS
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.opencl.kernels.tiles import tile_order
+from clmorph.backends.records import Float64
 from clmorph.errors import DeviceError
 
 #: Consecutive tiles that are bounded together: compact as well, as tiles are leaves of a tree.
@@ -57,7 +58,7 @@ class Cloud:
         N padded to whole tiles.
     shifts : (tiles, tile, D) float32 array
         Points less their tile's center; what pads the last tile repeats the last point.
-    offsets_buffer : (2, D, stride) float32
+    shifts_buffer : (2, D, stride) float32
         Points less their tile's center, and what that rounds off.
     centers_buffer : (tiles, D) float32
     box : (2, D) array
@@ -71,7 +72,7 @@ class Cloud:
     own_costs: Float64
     stride: int
     shifts: NDArray[np.float32]
-    offsets_buffer: cl.Buffer
+    shifts_buffer: cl.Buffer
     centers_buffer: cl.Buffer
     box: Float64
 
@@ -89,6 +90,24 @@ class Cloud:
         centers = 0.5 * (points.min(axis=1) + points.max(axis=1))
         centers = centers.astype(np.float32).astype(float)
         return Wide(centers, (points - centers[:, None]).astype(np.float32))
+
+
+class CloudStore:
+    """Puts clouds on the device.
+
+    Parameters
+    ----------
+    work : Workspace
+    tile : int
+        Points of one tile.
+    """
+
+    def __init__(self, work: Workspace, tile: int) -> None:
+        self._work, self._tile = work, tile
+
+    def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
+        """Take a weighted cloud."""
+        return make_cloud(self._work, self._tile, points, weights, offsets)
 
 
 def make_cloud(
@@ -138,7 +157,7 @@ def make_cloud(
         own_costs=0.5 * np.sum(shifts[:n] ** 2, axis=1) + added,
         stride=n_tiles * tile,
         shifts=shifts.astype(np.float32).reshape(n_tiles, tile, dimension),
-        offsets_buffer=work.buffer(split(shifts.T)),
+        shifts_buffer=work.buffer(split(shifts.T)),
         centers_buffer=work.buffer(centers),
         box=np.stack((points.min(axis=0), points.max(axis=0))),
     )

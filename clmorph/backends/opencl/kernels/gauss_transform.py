@@ -1,4 +1,4 @@
-"""Launches of ``cl_kernels/moments.cl``: splatting by way of the moments of cells."""
+"""Launches of ``cl_kernels/gauss_transform.cl``: splatting by way of the moments of cells."""
 
 import functools
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build import program
-from clmorph.backends.opencl.build.constants import Knobs
+from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.kernels import launches
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.opencl.kernels.particles import SortedSplats
@@ -113,14 +113,15 @@ class Moments:
     Parameters
     ----------
     work : Workspace
-    knobs : Knobs
+    constants : BuildConstants
     """
 
-    def __init__(self, work: Workspace, knobs: Knobs) -> None:
+    def __init__(self, work: Workspace, constants: BuildConstants) -> None:
         self._work = work
-        built = program.build(work.context, "moments.cl", knobs.moments_constants())
-        self._group = int(knobs.moments_constants()["MOMENT_GROUP"])
-        self._span = 1 if knobs.width == 1 else SPAN
+        macros = constants.gauss_transform_macros()
+        built = program.build(work.context, "gauss_transform.cl", macros)
+        self._group = int(macros["MOMENT_GROUP"])
+        self._span = 1 if constants.width == 1 else SPAN
         names = ("sum_moments", "sum_rows", "sum_columns")
         self._kernels = {name: program.kernel(built, name) for name in names}
         self._budgets = {name: LaunchBudget() for name in names}
@@ -135,14 +136,14 @@ class Moments:
         plane: int,
         sums: cl.Buffer,
     ) -> None:
-        """Add the splats of one rung to the sums.
+        """Add the splats of one width level to the sums.
 
         Parameters
         ----------
         bins : SortedSplats
             With a margin of no less than the kernel's radius.
         starts : (bins + 1,) array
-            Those of the rung.
+            Those of the width level.
         cells : Cells
         shape : (height, width) of the canvas
         stride, plane : int

@@ -7,12 +7,12 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.interface import Float64, NearPairs
 from clmorph.backends.opencl.build.constants import LARGEST_SHARE, SENTINEL
 from clmorph.backends.opencl.kernels.candidates import candidates, kept_shares
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
-from clmorph.backends.opencl.kernels.log_sum_exp import LOG2_E, Reductions
+from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, half_sides
+from clmorph.backends.records import Float64, NearPairs
 
 #: Half of the budget is for what is never looked at.
 UNSEEN = 0.5
@@ -24,18 +24,24 @@ MARGIN, EXPONENT_ERROR = 1.05, 2.0**-22
 
 
 class _Clouds(NamedTuple):
-    """What is looked at: clouds, the columns' heights and tops, k, and log2 of the rows' sums."""
+    """What is looked at: clouds, what forms their exponents, and log2 of the rows' sums."""
 
     rows: Cloud
     columns: Cloud
-    heights: cl.Buffer
-    tops: Float64
-    k: float
+    exponents: Exponents
     guess: Float64
 
 
-class NearReductions(Reductions):
-    """What finds lists of tiles."""
+class NearField:
+    """Finds lists of tiles that matter.
+
+    Parameters
+    ----------
+    loop : RowLoop
+    """
+
+    def __init__(self, loop: RowLoop) -> None:
+        self._loop = loop
 
     def near_pairs(
         self,
@@ -51,14 +57,16 @@ class NearReductions(Reductions):
         Bounds over pairs of tiles exclude most; the rest is summed, once, and tiles whose largest
         share in any of their rows turns out to be small are left out as well.
         """
-        k, tile, n = LOG2_E / epsilon, self._knobs.tile, len(rows)
+        k, tile, n = LOG2_E / epsilon, self._loop.constants.tile, len(rows)
         values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
         guess = -k * (softmin[rows.order] - rows.offsets)
         values = np.maximum(values, SENTINEL)
-        heights, tops = self._column_heights(columns, potential, k)
+        logits, tile_max = self._loop.column_logits(columns, potential, k)
+        # The level of each row tile is that of the pairs that a launch looks at.
+        exponents = Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
         found, skipped = np.empty(rows.stride), np.empty(len(rows.centers))
         kept: list[TilePairs] = []
-        clouds = _Clouds(rows, columns, heights, tops, k, guess)
+        clouds = _Clouds(rows, columns, exponents, guess)
         worthwhile = True
         for part, pairs, unseen in candidates(
             rows, columns, guess, values, k, 0.5 * UNSEEN * budget
@@ -102,7 +110,7 @@ class NearReductions(Reductions):
 
     def _measured(self, clouds: _Clouds, pairs: TilePairs, part: range) -> tuple[Float64, Float64]:
         """Log2 of the sums of a part's rows, and each pair's largest share, by the guess."""
-        sums, shares = np.empty(len(part) * self._knobs.tile), np.empty(len(pairs.tiles))
+        sums, shares = np.empty(len(part) * self._loop.constants.tile), np.empty(len(pairs.tiles))
         for own, section, constants, out in self._looks("measure_tiles", 2, clouds, pairs, part):
             with np.errstate(divide="ignore"):
                 sums[own] = out[0] + np.log2(out[1].astype(float)) + constants
@@ -116,7 +124,7 @@ class NearReductions(Reductions):
         largest = np.empty(len(pairs.tiles))
         for _, section, _, out in self._looks("largest_shares", 0, clouds, pairs, part):
             largest[section] = out[0]
-        shares = MARGIN * self._knobs.tile * np.exp2(np.minimum(largest, LARGEST_SHARE))
+        shares = MARGIN * self._loop.constants.tile * np.exp2(np.minimum(largest, LARGEST_SHARE))
         starts = pairs.starts[part.start : part.stop + 1]
         keep, left = kept_shares(starts, shares, budget)
         lengths = np.zeros(len(pairs.starts) - 1, np.int64)
@@ -132,30 +140,29 @@ class NearReductions(Reductions):
         Yields of every launch its rows in the part, its pairs, the constants of its rows, and what
         the kernel found: so many numbers for each row, then one for each pair.
         """
-        rows, columns, heights, tops, k, guess = clouds
-        kernel, tile, n = self._row_kernels(rows, False, True)[name], self._knobs.tile, len(rows)
-        groups = tile // (self._knobs.group * self._knobs.width)
-        tops_of_rows = np.zeros(len(rows.centers))
-        for launch in self._row_parts(kernel, rows, columns, pairs=pairs, within=part):
-            starts, _, levels = pairs.levels(launch, tops, k)
-            tops_of_rows[launch.start : launch.stop] = np.maximum.reduceat(levels, starts[:-1])
+        (rows, columns, exponents, guess), loop, n = clouds, self._loop, len(clouds.rows)
+        _, tile_max, row_level, k = exponents
+        kernel, tile = loop.kernel("near_field.cl", name, rows, listed=True), loop.constants.tile
+        groups = tile // (loop.constants.group * loop.constants.width)
+        for launch in loop.parts(kernel, rows, columns, pairs=pairs, within=part):
+            starts, _, levels = pairs.levels(launch, tile_max, k)
+            row_level[launch.start : launch.stop] = np.maximum.reduceat(levels, starts[:-1])
             section = slice(launch.start * tile, min(n, launch.stop * tile))
-            constants = np.repeat(tops_of_rows[launch.start : launch.stop], tile)
+            constants = np.repeat(row_level[launch.start : launch.stop], tile)
             constants[: section.stop - section.start] -= k * (
                 rows.own_costs[section] - rows.offsets[section]
             )
-            bases = np.full(len(constants), SENTINEL)
-            bases[: section.stop - section.start] = -guess[section]
-            base_buffer = self._work.buffer(np.maximum(bases + constants, SENTINEL))
+            offsets = np.full(len(constants), SENTINEL)
+            offsets[: section.stop - section.start] = -guess[section]
+            offset_buffer = loop.work.buffer(np.maximum(offsets + constants, SENTINEL))
             out = [np.empty(len(constants), np.float32) for _ in range(of_rows)]
             out.append(np.empty((groups, len(levels)), np.float32))
-            buffers = [self._work.empty(values.nbytes) for values in out]
-            self._launch_rows(
-                kernel, rows, columns, heights, tops, tops_of_rows, k, launch, base_buffer,
-                *buffers, pairs=pairs,
-            )  # fmt: skip
+            buffers = [loop.work.empty(values.nbytes) for values in out]
+            loop.launch(
+                kernel, rows, columns, exponents, launch, offset_buffer, *buffers, pairs=pairs
+            )
             for values, buffer in zip(out, buffers, strict=True):
-                cl.enqueue_copy(self._work.queue, values, buffer)
+                cl.enqueue_copy(loop.work.queue, values, buffer)
             out[-1] = out[-1].max(axis=0)
             own = (launch.start - part.start) * tile
             first = int(pairs.starts[launch.start])

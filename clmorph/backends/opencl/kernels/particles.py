@@ -8,10 +8,11 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.interface import RUNGS, bin_grid
-from clmorph.backends.opencl.build.constants import Knobs
+from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.kernels import launches
 from clmorph.backends.opencl.kernels.launches import Workspace
+from clmorph.backends.records import bin_grid
+from clmorph.backends.width_levels import WIDTH_LEVELS
 
 #: Entries of the (slices, bins) table of counts; fewer slices are used on large canvases.
 COUNT_ENTRIES = 1 << 21
@@ -37,16 +38,16 @@ class Splats:
     positions: cl.Buffer  # (count, 2) float32, pixels
     samples: cl.Buffer  # (count, 4) float32: weight, color
     spacings: cl.Buffer  # (count,) float32, pixels
-    rungs: cl.Buffer | None = None  # (count,) uint8, if widths differ
+    width_levels: cl.Buffer | None = None  # (count,) uint8, if widths differ
 
 
 class SortedSplats(NamedTuple):
-    """Splats by rung and bin: see `interface.Bins`; `order` still on the device."""
+    """Splats by width level and bin: see `records.Bins`; `order` still on the device."""
 
     shape: tuple[int, int]
     side: float  # of a bin, in pixels
     margin: int  # bins around the canvas; particles farther out fall into these
-    starts: NDArray[np.int64]  # (rungs, bins + 1); one rung if all have the same width
+    starts: NDArray[np.int64]  # (levels, bins + 1); one level if all have the same width
     order: cl.Buffer
     positions: cl.Buffer
     samples: cl.Buffer
@@ -55,7 +56,7 @@ class SortedSplats(NamedTuple):
 def sort_splats(
     work: Workspace,
     kernels: Mapping[str, cl.Kernel],
-    knobs: Knobs,
+    constants: BuildConstants,
     splats: Splats,
     shape: tuple[int, int],
     margin: int,
@@ -67,8 +68,8 @@ def sort_splats(
     ----------
     work : Workspace
     kernels : dict
-        "count_bins" and "fill_bins" of ``cl_kernels/splat.cl``.
-    knobs : Knobs
+        "count_bins" and "fill_bins" of ``cl_kernels/particles.cl``.
+    constants : BuildConstants
     splats : Splats
     shape : (height, width) of the canvas, in pixels
     margin : int
@@ -79,9 +80,9 @@ def sort_splats(
     n = splats.count
     grid = bin_grid(shape, margin, side)
     bins = grid[0] * grid[1]
-    n_bins = bins * (1 if splats.rungs is None else RUNGS)
+    n_bins = bins * (1 if splats.width_levels is None else WIDTH_LEVELS.count)
     device = work.context.devices[0]
-    slices = knobs.slices_per_unit * device.max_compute_units
+    slices = constants.slices_per_unit * device.max_compute_units
     slices = max(1, min(slices, COUNT_ENTRIES // n_bins, n))
     # Slices are few: left alone, drivers of CPUs put all of them into one work-group, on
     # one core, and turn them into the lanes of scattered accesses.
@@ -90,6 +91,8 @@ def sort_splats(
     per_launch = max(1, launches.LAUNCH_PARTICLES // slice_size)
     counts = np.zeros((slices, n_bins), np.uint32)
     counts_buffer = work.buffer(counts, np.uint32)
+    # Counts for nothing where all widths are equal, but drivers want a buffer.
+    levels = splats.positions if splats.width_levels is None else splats.width_levels
 
     def over_slices(name: str, *arguments: Any) -> None:
         for first in range(0, slices, per_launch):
@@ -97,9 +100,8 @@ def sort_splats(
                 kernels[name], (min(per_launch, slices - first),), group,
                 np.uint32(n), np.uint32(slice_size), np.uint32(first), np.uint32(n_bins),
                 np.float32(1 / side), np.int32(margin), cl.cltypes.make_int2(grid[1], grid[0]),
-                np.uint32(0 if splats.rungs is None else bins), splats.positions,
-                # Counts for nothing where there are none, but drivers want a buffer.
-                splats.positions if splats.rungs is None else splats.rungs, *arguments,
+                np.uint32(0 if splats.width_levels is None else bins), splats.positions, levels,
+                *arguments,
             )  # fmt: skip
 
     over_slices("count_bins", counts_buffer)
@@ -111,5 +113,5 @@ def sort_splats(
     over_slices(
         "fill_bins", splats.samples, work.buffer(slots, np.uint32), order, positions, samples
     )
-    by_rung = [starts[first : first + bins + 1] for first in range(0, n_bins, bins)]
-    return SortedSplats(grid, side, margin, np.stack(by_rung), order, positions, samples)
+    by_level = [starts[first : first + bins + 1] for first in range(0, n_bins, bins)]
+    return SortedSplats(grid, side, margin, np.stack(by_level), order, positions, samples)

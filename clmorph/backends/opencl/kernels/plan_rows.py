@@ -1,19 +1,18 @@
-"""Reductions over the rows of a plan: pairs above a threshold, moments, draws."""
+"""The reductions of ``cl_kernels/plan_rows.cl``: pairs above a threshold, moments, draws."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.interface import Float64, NearPairs, PlanRows
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.candidates import possible_pairs
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
-from clmorph.backends.opencl.kernels.log_sum_exp import LOG2_E
-from clmorph.backends.opencl.kernels.near_field import NearReductions
+from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
+from clmorph.backends.records import Float64, NearPairs, PlanRows
 
 #: Thresholds of draws stay below row sums that rounding made a little less than 1.
 LARGEST_THRESHOLD = 1.0 - 1e-5
@@ -21,8 +20,38 @@ LARGEST_THRESHOLD = 1.0 - 1e-5
 LISTED_FROM = 1 << 27
 
 
-class PlanReductions(NearReductions):
-    """The transport half of `OpenCLOperations`."""
+class Plan(NamedTuple):
+    """A plan, and which of its pairs are kept: see `Operations.plan_rows`."""
+
+    rows: Cloud
+    columns: Cloud
+    f: Float64
+    g: Float64
+    epsilon: float
+    row_thresholds: Float64
+    column_thresholds: Float64
+    looked_at: TilePairs | None = None  #: pairs of tiles beyond which no pair is looked for
+
+
+class Section(NamedTuple):
+    """Some row tiles of a plan, and what kernels need to find the kept pairs there."""
+
+    within: range
+    pairs: TilePairs | None  #: pairs of tiles to look at; None for all
+    exponents: Exponents
+    buffers: tuple[cl.Buffer, cl.Buffer, cl.Buffer]  #: row offsets, thresholds of rows and columns
+
+
+class PlanRowReductions:
+    """Reductions over the rows of a plan.
+
+    Parameters
+    ----------
+    loop : RowLoop
+    """
+
+    def __init__(self, loop: RowLoop) -> None:
+        self._loop = loop
 
     def count_plan_rows(
         self,
@@ -34,24 +63,89 @@ class PlanReductions(NearReductions):
         row_thresholds: Float64,
         column_thresholds: Float64,
         precise: bool = False,
-        looked_at: TilePairs | None = None,
     ) -> NDArray[np.int64]:
-        """Return how many pairs of each row `plan_rows` keeps, of those that are looked at."""
-        arguments = rows, columns, f, g, epsilon, row_thresholds, column_thresholds
+        """Return how many pairs of each row `plan_rows` keeps."""
+        return self.count(
+            Plan(rows, columns, f, g, epsilon, row_thresholds, column_thresholds), precise
+        )
+
+    def count(self, plan: Plan, precise: bool = False) -> NDArray[np.int64]:
+        """Return how many pairs of each row of a plan are kept: (N,) array.
+
+        Parameters
+        ----------
+        plan : Plan
+        precise : bool
+            As in `softmin`.
+        """
+        rows, tile = plan.rows, self._loop.constants.tile
         counts = np.empty(rows.stride, np.int32)
-        tile = self._knobs.tile
-        for within, pairs in self._plan_pairs(*arguments, looked_at):
-            levels = self._plan_levels(rows, columns, f, g, epsilon, within, pairs)
-            shared = self._plan_buffers(rows, columns, levels, row_thresholds, column_thresholds)
-            kernel = self._row_kernels(rows, precise, pairs is not None)["count_plan_rows"]
-            for part in self._row_parts(kernel, rows, columns, pairs=pairs, within=within):
-                out = self._work.empty(len(part) * tile * 4)
-                self._launch_rows(
-                    kernel, rows, columns, *levels[:4], part, *shared, out,
-                    precise=precise, pairs=pairs,
-                )  # fmt: skip
-                cl.enqueue_copy(self._work.queue, counts[part.start * tile : part.stop * tile], out)
+        for section in self.sections(plan):
+            kernel = self._kernel("count_plan_rows", plan, section, precise)
+            for part in self._loop.parts(
+                kernel, rows, plan.columns, pairs=section.pairs, within=section.within
+            ):
+                out = self._loop.work.empty(len(part) * tile * 4)
+                self._launch(kernel, plan, section, part, precise, out)
+                found = counts[part.start * tile : part.stop * tile]
+                cl.enqueue_copy(self._loop.work.queue, found, out)
         return unsort(rows, counts[: len(rows)].astype(np.int64))
+
+    def fill(
+        self,
+        plan: Plan,
+        section: Section,
+        part: range,
+        starts: NDArray[np.int64],
+        step: int,
+        buffers: tuple[cl.MemoryObject, cl.MemoryObject],
+        precise: bool = False,
+    ) -> None:
+        """Write columns and log2 masses of the kept pairs of some row tiles.
+
+        Parameters
+        ----------
+        plan : Plan
+        section : Section
+        part : range
+            Of those that `fill_parts` yields.
+        starts : (rows of the part,) array
+            Where the first pair of each row goes.
+        step : int
+            From one pair of a row to the next.
+        buffers : (columns, log2 masses)
+        precise : bool
+        """
+        kernel = self._kernel("fill_plan_rows", plan, section, precise)
+        first = self._loop.work.buffer(starts, np.uint32)
+        self._launch(kernel, plan, section, part, precise, first, np.uint32(step), *buffers)
+
+    def fill_parts(
+        self, plan: Plan, section: Section, counts: NDArray[np.int64], precise: bool = False
+    ) -> Iterator[range]:
+        """Split the row tiles of a section for `fill`; counts are of the sorted rows, padded."""
+        kernel = self._kernel("fill_plan_rows", plan, section, precise)
+        return self._loop.parts(
+            kernel, plan.rows, plan.columns, counts, section.pairs, section.within
+        )
+
+    def _kernel(self, name: str, plan: Plan, section: Section, precise: bool) -> cl.Kernel:
+        listed = section.pairs is not None
+        return self._loop.kernel("plan_rows.cl", name, plan.rows, precise, listed)
+
+    def _launch(
+        self,
+        kernel: cl.Kernel,
+        plan: Plan,
+        section: Section,
+        part: range,
+        precise: bool,
+        *arguments: Any,
+    ) -> None:
+        self._loop.launch(
+            kernel, plan.rows, plan.columns, section.exponents, part, *section.buffers,
+            *arguments, precise=precise, pairs=section.pairs,
+        )  # fmt: skip
 
     def plan_rows(
         self,
@@ -66,32 +160,25 @@ class PlanReductions(NearReductions):
         counts: NDArray[np.int64] | None = None,
     ) -> PlanRows:
         """Return the pairs of the plan (Eq. 2) above a threshold, each row at its own place."""
-        arguments = (rows, columns, f, g, epsilon, row_thresholds, column_thresholds, precise)
+        plan = Plan(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
         if counts is None:
-            counts = self.count_plan_rows(*arguments)
-        n, tile = len(rows), self._knobs.tile
+            counts = self.count(plan, precise)
+        n, tile, work = len(rows), self._loop.constants.tile, self._loop.work
         sorted_counts = np.zeros(rows.stride, np.int64)
         sorted_counts[:n] = counts[rows.order]
         indices, mass = [], []
-        for within, pairs in self._plan_pairs(*arguments[:-1]):
-            levels = self._plan_levels(rows, columns, f, g, epsilon, within, pairs)
-            shared = self._plan_buffers(rows, columns, levels, row_thresholds, column_thresholds)
-            kernel = self._row_kernels(rows, precise, pairs is not None)["fill_plan_rows"]
-            for part in self._row_parts(kernel, rows, columns, sorted_counts, pairs, within):
+        for section in self.sections(plan):
+            for part in self.fill_parts(plan, section, sorted_counts, precise):
                 in_part = sorted_counts[part.start * tile : part.stop * tile]
                 ends = np.cumsum(in_part)
                 kept = int(ends[-1])
-                column_buffer, mass_buffer = self._work.empty(4 * kept), self._work.empty(4 * kept)
-                self._launch_rows(
-                    kernel, rows, columns, *levels[:4], part, *shared,
-                    self._work.buffer(ends - in_part, np.uint32), np.uint32(1), column_buffer,
-                    mass_buffer, precise=precise, pairs=pairs,
-                )  # fmt: skip
+                buffers = work.empty(4 * kept), work.empty(4 * kept)
+                self.fill(plan, section, part, ends - in_part, 1, buffers, precise)
                 found = np.empty(kept, np.int32)
                 log2_masses = np.empty(kept, np.float32)
                 if kept:
-                    cl.enqueue_copy(self._work.queue, found, column_buffer)
-                    cl.enqueue_copy(self._work.queue, log2_masses, mass_buffer)
+                    cl.enqueue_copy(work.queue, found, buffers[0])
+                    cl.enqueue_copy(work.queue, log2_masses, buffers[1])
                 indices.append(columns.order[found].astype(np.int32))
                 mass.append(np.exp2(log2_masses.astype(float)))
         return _unsort_rows(
@@ -110,19 +197,20 @@ class PlanReductions(NearReductions):
     ) -> tuple[Float64, Float64]:
         """Return mean and covariance of each row's destinations."""
         pairs = None if near is None else near.pairs
-        kernel = self._row_kernels(rows, precise, pairs is not None)["plan_moments"]
-        tile = self._knobs.tile
-        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon, pairs)
+        loop, tile = self._loop, self._loop.constants.tile
+        kernel = loop.kernel("plan_rows.cl", "plan_moments", rows, precise, pairs is not None)
+        exponents = loop.exponents(rows, columns, g, epsilon, pairs)
+        offsets = self._share_offsets(rows, softmin, exponents)
         dimension, n = rows.centers.shape[1], len(rows)
         moments = np.empty((1 + dimension + dimension * (dimension + 1) // 2, rows.stride))
-        for part in self._row_parts(kernel, rows, columns, pairs=pairs):
+        for part in loop.parts(kernel, rows, columns, pairs=pairs):
             out = np.empty((len(moments), len(part) * tile), np.float32)
-            buffer = self._work.empty(out.nbytes)
-            self._launch_rows(
-                kernel, rows, columns, *levels, part, np.uint32(out.shape[1]),
-                base, buffer, precise=precise, pairs=pairs,
+            buffer = loop.work.empty(out.nbytes)
+            loop.launch(
+                kernel, rows, columns, exponents, part, np.uint32(out.shape[1]),
+                offsets, buffer, precise=precise, pairs=pairs,
             )  # fmt: skip
-            cl.enqueue_copy(self._work.queue, out, buffer)
+            cl.enqueue_copy(loop.work.queue, out, buffer)
             moments[:, part.start * tile : part.stop * tile] = out
         moments = moments[1:, :n] / moments[0, :n]
         k = LOG2_E / epsilon
@@ -150,118 +238,80 @@ class PlanReductions(NearReductions):
     ) -> NDArray[np.int32]:
         """Return columns drawn from each plan row."""
         pairs = None if near is None else near.pairs
-        kernel = self._row_kernels(rows, precise, pairs is not None)["sample_plan_rows"]
-        tile = self._knobs.tile
-        *levels, base = self._conditional_levels(rows, columns, g, softmin, epsilon, pairs)
+        loop, tile = self._loop, self._loop.constants.tile
+        kernel = loop.kernel("plan_rows.cl", "sample_plan_rows", rows, precise, pairs is not None)
+        exponents = loop.exponents(rows, columns, g, epsilon, pairs)
+        offsets = self._share_offsets(rows, softmin, exponents)
         n, n_draws = thresholds.shape
         ordered = np.zeros((rows.stride, n_draws), np.float32)
         ordered[:n] = np.minimum(thresholds[rows.order], LARGEST_THRESHOLD)
         draws = np.empty((rows.stride, n_draws), np.int32)
-        for part in self._row_parts(kernel, rows, columns, pairs=pairs):
+        for part in loop.parts(kernel, rows, columns, pairs=pairs):
             section = slice(part.start * tile, part.stop * tile)
             draws[section] = -1
-            buffer = self._work.buffer(draws[section], np.int32)
-            self._launch_rows(
-                kernel, rows, columns, *levels, part, np.uint32(n_draws),
-                base, self._work.buffer(ordered[section]), buffer, precise=precise, pairs=pairs,
+            buffer = loop.work.buffer(draws[section], np.int32)
+            loop.launch(
+                kernel, rows, columns, exponents, part, np.uint32(n_draws),
+                offsets, loop.work.buffer(ordered[section]), buffer, precise=precise, pairs=pairs,
             )  # fmt: skip
-            cl.enqueue_copy(self._work.queue, draws[section], buffer)
+            cl.enqueue_copy(loop.work.queue, draws[section], buffer)
         # Row sums that rounding keeps from the last thresholds: as the draw before them.
         for number in range(1, n_draws):
             missing = draws[:n, number] < 0
             draws[:n][missing, number] = draws[:n][missing, number - 1]
         return unsort(rows, columns.order[np.maximum(draws[:n], 0)].astype(np.int32))
 
-    def _conditional_levels(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        g: Float64,
-        softmin: Float64,
-        epsilon: float,
-        pairs: TilePairs | None,
-    ) -> tuple[cl.Buffer, Float64, Float64, float, cl.Buffer]:
-        """Columns' heights and tops, rows' tops, k, and what makes log2 of pi_ij / r_i of e_ij."""
-        k = LOG2_E / epsilon
-        heights, tops = self._column_heights(columns, g, k)
-        tops_of_rows = self._row_tops(rows, columns, tops, k, pairs)
-        bases = np.repeat(tops_of_rows, self._knobs.tile)[: len(rows)] - k * rows.own_costs
-        bases += k * softmin[rows.order]
-        base = self._work.buffer(split(pad(bases, rows.stride, SENTINEL)))
-        return heights, tops, tops_of_rows, k, base
+    def _share_offsets(self, rows: Cloud, softmin: Float64, exponents: Exponents) -> cl.Buffer:
+        """Return the row offsets that make log2 of pi_ij / (pi 1)_i of e_ij."""
+        offsets = self._loop.row_offsets(rows, exponents)
+        offsets += exponents.k * softmin[rows.order]
+        return self._loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))
 
-    def _plan_pairs(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
-        looked_at: TilePairs | None = None,
-    ) -> Iterator[tuple[range, TilePairs | None]]:
-        """Yield parts of the row tiles, and the pairs of tiles that can hold a kept pair there.
+    def sections(self, plan: Plan) -> Iterator[Section]:
+        """Yield parts of the row tiles, and what kernels need to find the kept pairs there."""
+        rows, columns = plan.rows, plan.columns
+        by_row = _log2_threshold(plan.row_thresholds)[rows.order]
+        by_column = _log2_threshold(plan.column_thresholds)[columns.order]
+        for within, pairs in _possible_pairs(plan):
+            exponents = self._loop.exponents(rows, columns, plan.g, plan.epsilon, pairs, within)
+            # log2 pi_ij = e_ij + offsets_i; a row without mass keeps nothing.
+            offsets = self._loop.row_offsets(rows, exponents)
+            offsets += plan.f[rows.order] * exponents.k + rows.log2_weights
+            offsets[rows.log2_weights <= SENTINEL] = SENTINEL
+            buffers = (
+                self._loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL))),
+                self._loop.work.buffer(pad(by_row, rows.stride, -SENTINEL)),
+                self._loop.work.buffer(pad(by_column, columns.stride, -SENTINEL)),
+            )
+            yield Section(within, pairs, exponents, buffers)
 
-        What bounds exclude holds no pair above a threshold, so nothing is lost.
-        """
-        if looked_at is not None:
-            yield range(len(rows.centers)), looked_at
-            return
-        thresholds = _log2_threshold(row_thresholds), _log2_threshold(column_thresholds)
-        everything = min(float(values.min()) for values in thresholds) <= 0.2 * SENTINEL
-        if rows.stride * columns.stride < LISTED_FROM or everything:
-            yield range(len(rows.centers)), None
-            return
-        k = LOG2_E / epsilon
-        bases = k * (f[rows.order] - rows.offsets) + rows.log2_weights
-        bases[rows.log2_weights <= SENTINEL] = SENTINEL
-        values = (g[columns.order] - columns.offsets) * k + columns.log2_weights
-        by_row = thresholds[0][rows.order] - bases
-        by_column = values - thresholds[1][columns.order]
-        # log2 pi_ij is above the threshold of its row, or above that of its column.
-        sides = [
-            (np.minimum(over, -SENTINEL), np.maximum(under, SENTINEL))
-            for over, under in ((by_row, values), (-bases, by_column))
-        ]
-        yield from possible_pairs(rows, columns, sides, k)
 
-    def _plan_levels(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        within: range,
-        pairs: TilePairs | None,
-    ) -> tuple[cl.Buffer, Float64, Float64, float, Float64]:
-        """Columns' heights and tops, rows' tops, k, and what makes log2 pi_ij of e_ij."""
-        k = LOG2_E / epsilon
-        heights, tops = self._column_heights(columns, g, k)
-        tops_of_rows = self._row_tops(rows, columns, tops, k, pairs, within)
-        # log2 pi_ij = e_ij + bases_i; a row without mass keeps nothing.
-        bases = np.repeat(tops_of_rows, self._knobs.tile)[: len(rows)] - k * rows.own_costs
-        bases += f[rows.order] * k + rows.log2_weights
-        bases[rows.log2_weights <= SENTINEL] = SENTINEL
-        return heights, tops, tops_of_rows, k, bases
+def _possible_pairs(plan: Plan) -> Iterator[tuple[range, TilePairs | None]]:
+    """Yield parts of the row tiles, and the pairs of tiles that can hold a kept pair there.
 
-    def _plan_buffers(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        levels: tuple[Any, ...],
-        row_thresholds: Float64,
-        column_thresholds: Float64,
-    ) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
-        """Bases and thresholds, as both kernels want them."""
-        by_row = _log2_threshold(row_thresholds)[rows.order]
-        by_column = _log2_threshold(column_thresholds)[columns.order]
-        return (
-            self._work.buffer(split(pad(levels[4], rows.stride, SENTINEL))),
-            self._work.buffer(pad(by_row, rows.stride, -SENTINEL)),
-            self._work.buffer(pad(by_column, columns.stride, -SENTINEL)),
-        )
+    What bounds exclude holds no pair above a threshold, so nothing is lost.
+    """
+    rows, columns, f, g, epsilon, row_thresholds, column_thresholds, looked_at = plan
+    if looked_at is not None:
+        yield range(len(rows.centers)), looked_at
+        return
+    thresholds = _log2_threshold(row_thresholds), _log2_threshold(column_thresholds)
+    everything = min(float(values.min()) for values in thresholds) <= 0.2 * SENTINEL
+    if rows.stride * columns.stride < LISTED_FROM or everything:
+        yield range(len(rows.centers)), None
+        return
+    k = LOG2_E / epsilon
+    logits = (g[columns.order] - columns.offsets) * k + columns.log2_weights
+    offsets = k * (f[rows.order] - rows.offsets) + rows.log2_weights
+    offsets[rows.log2_weights <= SENTINEL] = SENTINEL
+    by_row = thresholds[0][rows.order] - offsets
+    by_column = logits - thresholds[1][columns.order]
+    # log2 pi_ij is above the threshold of its row, or above that of its column.
+    sides = [
+        (np.minimum(over, -SENTINEL), np.maximum(under, SENTINEL))
+        for over, under in ((by_row, logits), (-offsets, by_column))
+    ]
+    yield from possible_pairs(rows, columns, sides, k)
 
 
 def _log2_threshold(values: Float64) -> Float64:

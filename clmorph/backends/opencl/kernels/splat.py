@@ -1,4 +1,4 @@
-"""Launches of ``cl_kernels/splat.cl``: place, bin, gather."""
+"""Launches of ``cl_kernels/particles.cl`` and ``cl_kernels/splat.cl``: move, sort, gather."""
 
 import functools
 from dataclasses import replace
@@ -8,15 +8,8 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.interface import (
-    BASE_RUNG,
-    RUNGS_PER_OCTAVE,
-    Bins,
-    Float32,
-    Float64,
-)
 from clmorph.backends.opencl.build import program
-from clmorph.backends.opencl.build.constants import Knobs
+from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.kernels import launches
 from clmorph.backends.opencl.kernels.gauss_transform import (
     BIN_CELLS,
@@ -27,6 +20,8 @@ from clmorph.backends.opencl.kernels.gauss_transform import (
 )
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.opencl.kernels.particles import ParticleSet, SortedSplats, Splats, sort_splats
+from clmorph.backends.records import Bins, Float32, Float64
+from clmorph.backends.width_levels import WIDTH_LEVELS
 from clmorph.errors import DeviceError
 
 #: Bins around the canvas; particles farther out fall into these, wherever they are.
@@ -34,24 +29,37 @@ MARGIN = 1
 #: Of splats with widths of their own, moments serve those from `sigma` to so many times that;
 #: bins are made for these.
 WIDEST = 2
+#: The kernels of ``particles.cl``.
+PARTICLE_KERNELS = (
+    "advect", "pack_weights", "choose_width_levels", "count_bins", "fill_bins",
+)  # fmt: skip
 
 
 class Splatting:
     """The splatting half of `OpenCLOperations`."""
 
-    def __init__(self, work: Workspace, knobs: Knobs) -> None:
-        self._work, self._knobs = work, knobs
-        built = program.build(work.context, "splat.cl", knobs.splat_constants())
-        names = ("place", "weigh", "choose_rungs", "count_bins", "fill_bins", "splat")
-        self._kernels = {name: program.kernel(built, name) for name in names}
+    def __init__(self, work: Workspace, constants: BuildConstants) -> None:
+        self._work, self._constants = work, constants
         self._budget = LaunchBudget()
-        self._block = knobs.width * knobs.tile_group  # pixels of a work-group, along a side
+        self._block = constants.width * constants.tile_group  # pixels of a work-group's side
         #: How kernels reach pixels: "gather", "moments" where they serve, or the cheaper.
         self.method = "auto"
 
     @functools.cached_property
+    def _kernels(self) -> dict[str, cl.Kernel]:
+        """The kernels of both files, built when first needed."""
+        kernels: dict[str, cl.Kernel] = {}
+        for file, macros, names in (
+            ("particles.cl", self._constants.particle_macros(), PARTICLE_KERNELS),
+            ("splat.cl", self._constants.splat_macros(), ("splat",)),
+        ):
+            built = program.build(self._work.context, file, macros)
+            kernels |= {name: program.kernel(built, name) for name in names}
+        return kernels
+
+    @functools.cached_property
     def _moments(self) -> Moments:
-        return Moments(self._work, self._knobs)
+        return Moments(self._work, self._constants)
 
     def upload_particles(
         self, table: Float64, links: NDArray[np.uint32], weights: Float64
@@ -84,7 +92,7 @@ class Splatting:
             self._work.buffer(np.ones(len(weights)) if spacings is None else spacings),
         )
 
-    def place(
+    def advect(
         self,
         particles: ParticleSet,
         t: float,
@@ -96,7 +104,7 @@ class Splatting:
         positions, samples = self._work.empty(8 * n), self._work.empty(16 * n)
         spacings = self._work.empty(4 * n)
         self._over_particles(
-            "place", n, np.float32(t),
+            "advect", n, np.float32(t),
             cl.cltypes.make_float2(*scale), cl.cltypes.make_float2(*center),
             particles.table, particles.links, particles.weights, positions, samples, spacings,
         )  # fmt: skip
@@ -104,21 +112,21 @@ class Splatting:
 
     def deposit(self, splats: Splats, shape: tuple[int, int]) -> tuple[Float64, Float64]:
         """Return masses and their squares by pixel; see `clmorph.backends.interface.Operations`."""
-        weighed = self._work.empty(16 * splats.count)
-        self._over_particles("weigh", splats.count, splats.samples, weighed)
-        squares, mass = self.splat(replace(splats, samples=weighed), shape, 0.0, 0.0)
+        packed = self._work.empty(16 * splats.count)
+        self._over_particles("pack_weights", splats.count, splats.samples, packed)
+        squares, mass = self.splat(replace(splats, samples=packed), shape, 0.0, 0.0)
         return mass, squares[..., 0] * splats.unit
 
     def adapt_widths(self, splats: Splats, distances: Float64, sigma: float) -> Splats:
         """Give every splat its own width; see `clmorph.backends.interface.Operations`."""
-        rungs, scaled = self._work.empty(splats.count), self._work.empty(16 * splats.count)
+        levels, scaled = self._work.empty(splats.count), self._work.empty(16 * splats.count)
         self._over_particles(
-            "choose_rungs", splats.count,
+            "choose_width_levels", splats.count,
             cl.cltypes.make_int2(distances.shape[1], distances.shape[0]), np.float32(sigma),
             self._work.buffer(np.minimum(distances, 1e30)), splats.positions, splats.samples,
-            splats.spacings, rungs, scaled,
+            splats.spacings, levels, scaled,
         )  # fmt: skip
-        return replace(splats, samples=scaled, rungs=rungs)
+        return replace(splats, samples=scaled, width_levels=levels)
 
     def _over_particles(self, name: str, count: int, *arguments: Any) -> None:
         """Run a kernel of one work-item a particle, in launches of a bounded size."""
@@ -126,17 +134,17 @@ class Splatting:
             items = min(launches.LAUNCH_PARTICLES, count - first)
             self._run(name, (items,), None, np.uint32(first), *arguments)
 
-    def rungs(self, splats: Splats) -> NDArray[np.int64]:
-        """Return on which rung each splat stands; see `clmorph.backends.interface.Operations`."""
-        if splats.rungs is None:
-            return np.full(splats.count, BASE_RUNG)
-        rungs = np.empty(splats.count, np.uint8)
-        cl.enqueue_copy(self._work.queue, rungs, splats.rungs)
-        return rungs.astype(np.int64)
+    def width_levels(self, splats: Splats) -> NDArray[np.int64]:
+        """Return the width level of each splat; see `clmorph.backends.interface.Operations`."""
+        if splats.width_levels is None:
+            return np.full(splats.count, WIDTH_LEVELS.base)
+        levels = np.empty(splats.count, np.uint8)
+        cl.enqueue_copy(self._work.queue, levels, splats.width_levels)
+        return levels.astype(np.int64)
 
     def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:
         """Sort splats into bins; see `clmorph.backends.interface.Operations`."""
-        by_bin = self._sort(splats, shape, margin, self._knobs.bin)
+        by_bin = self._sort(splats, shape, margin, self._constants.bin)
         order = np.empty(splats.count, np.uint32)
         cl.enqueue_copy(self._work.queue, order, by_bin.order)
         return Bins(by_bin.shape, by_bin.starts[0], order.astype(np.int64))
@@ -144,7 +152,7 @@ class Splatting:
     def _sort(
         self, splats: Splats, shape: tuple[int, int], margin: int, side: float
     ) -> SortedSplats:
-        return sort_splats(self._work, self._kernels, self._knobs, splats, shape, margin, side)
+        return sort_splats(self._work, self._kernels, self._constants, splats, shape, margin, side)
 
     def splat(
         self, splats: Splats, shape: tuple[int, int], sigma: float, radius: float
@@ -154,11 +162,11 @@ class Splatting:
         nearest = sigma == 0
         if nearest:
             radius = 0.5
-        side, margin = float(self._knobs.bin), MARGIN
+        side, margin = float(self._constants.bin), MARGIN
         by_moments = self._by_moments(splats.count, shape, sigma, radius)
         if by_moments:
             side = BIN_CELLS * make_cells(sigma, radius).side
-            widest = 1 if splats.rungs is None else WIDEST
+            widest = 1 if splats.width_levels is None else WIDEST
             margin = int(np.ceil(widest * radius / side))
         bins = self._sort(splats, shape, margin, side)
         block = self._block
@@ -166,15 +174,15 @@ class Splatting:
         padded = blocks[0] * block, blocks[1] * block
         sums = np.zeros((4, *padded), np.float32)
         buffer = self._work.buffer(sums)
-        for rung, starts in enumerate(bins.starts):
+        for level, starts in enumerate(bins.starts):
             count = int(starts[-1] - starts[0])
             if count == 0:
                 continue
-            zoom = 1.0
-            if splats.rungs is not None:
-                zoom = 2.0 ** ((rung - BASE_RUNG) / RUNGS_PER_OCTAVE)
-            wide, far = zoom * sigma, zoom * radius
-            fits = by_moments and 1 <= zoom <= WIDEST
+            factor = 1.0
+            if splats.width_levels is not None:
+                factor = float(WIDTH_LEVELS.factor(level))
+            wide, far = factor * sigma, factor * radius
+            fits = by_moments and 1 <= factor <= WIDEST
             if fits and self._by_moments(count, shape, wide, far):
                 self._moments.add(
                     bins, starts, make_cells(wide, far), shape,
@@ -205,11 +213,11 @@ class Splatting:
         kernel: tuple[np.float32, np.float32, np.int32],
         sums: cl.Buffer,
     ) -> None:
-        """Add the splats of one rung to the sums of all blocks of pixels."""
+        """Add the splats of one width level to the sums of all blocks of pixels."""
         blocks_y, blocks_x = blocks
         on_device = self._work.buffer(starts, np.uint32)
         visits = self._visits(bins, starts, blocks, side, float(kernel[1]))
-        group = self._knobs.tile_group
+        group = self._constants.tile_group
         first_particle, end = int(starts[0]), int(starts[-1])
         # Crowded blocks are given their particles in parts, of a fixed size so that rounding
         # does not depend on how fast the device is today.

@@ -25,9 +25,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.backends.interface import Float64
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.clouds import Tiles
+from clmorph.backends.records import Float64
 
 #: What float32 may take off a bound, as a share of its largest terms.
 ROUNDOFF = 2.0**-20
@@ -41,13 +41,13 @@ class TilePairs(NamedTuple):
     distances: Float64  #: (pairs,) half the squared distance of the tiles' centers
 
     def levels(
-        self, part: range, tops: Float64, k: float
+        self, part: range, tile_max: Float64, k: float
     ) -> tuple[NDArray[np.int64], NDArray[np.uint32], Float64]:
         """Return starts, column tiles, and the log2-kernel between centers, of some row tiles."""
         starts = self.starts[part.start : part.stop + 1]
         section = slice(starts[0], starts[-1])
         tiles = self.tiles[section]
-        return starts - starts[0], tiles, tops[tiles] - k * self.distances[section]
+        return starts - starts[0], tiles, tile_max[tiles] - k * self.distances[section]
 
 
 class TileBounds(NamedTuple):
@@ -56,7 +56,7 @@ class TileBounds(NamedTuple):
     centers: NDArray[np.float32]  #: (tiles, D)
     sides: NDArray[np.float32]  #: (tiles, D) half sides of the boxes: h or H
     slopes: NDArray[np.float32]  #: (tiles, D): w or a
-    heights: NDArray[np.float32]  #: (tiles,): -r or A + k |a|^2 / 2
+    level: NDArray[np.float32]  #: (tiles,): -r or A + k |a|^2 / 2
 
 
 def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False) -> TileBounds:
@@ -77,10 +77,10 @@ def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False
     slopes = -_slopes(cloud.shifts, np.where(present, c / k - half, 0.0), present)
     flat = c - k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
     flat = np.where(present, flat, SENTINEL)  # the rest of |a - v|^2 / 2 cancels in B
-    heights = flat.max(axis=1)
+    level = flat.max(axis=1)
     if not largest:
-        heights += np.log2(np.exp2(flat - heights[:, None]).sum(axis=1))
-    return _bounds(cloud, slopes, np.maximum(heights, SENTINEL))
+        level += np.log2(np.exp2(flat - level[:, None]).sum(axis=1))
+    return _bounds(cloud, slopes, np.maximum(level, SENTINEL))
 
 
 def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
@@ -113,8 +113,8 @@ def tile_bounds(
     scale = np.float32(k)
     if numbers is not None:
         columns = TileBounds(*(values[numbers] for values in columns))
-    result = rows.heights[section, None] + columns.heights
-    finite = [np.abs(side.heights[side.heights > SENTINEL]) for side in (rows, columns)]
+    result = rows.level[section, None] + columns.level
+    finite = [np.abs(side.level[side.level > SENTINEL]) for side in (rows, columns)]
     result += np.float32(ROUNDOFF * (1 + sum(values.max(initial=0.0) for values in finite)))
     for d in range(rows.centers.shape[1]):
         p, h, w = (part[section, d, None] for part in (rows.centers, rows.sides, rows.slopes))
@@ -158,8 +158,8 @@ def half_sides(cloud: Tiles) -> NDArray[np.float32]:
     return np.abs(cloud.shifts).max(axis=1) * np.float32(1 + 1e-6)
 
 
-def _bounds(cloud: Tiles, slopes: Float64, heights: Float64) -> TileBounds:
+def _bounds(cloud: Tiles, slopes: Float64, level: Float64) -> TileBounds:
     return TileBounds(
         cloud.centers.astype(np.float32), half_sides(cloud), slopes.astype(np.float32),
-        heights.astype(np.float32),
+        level.astype(np.float32),
     )  # fmt: skip

@@ -1,0 +1,39 @@
+// The logarithm of the sum over all columns of every row, and the row's largest exponent:
+//
+//     log2 sum_j 2^(e_ij) = m_i + log2 s_i,   s_i = sum_j 2^(e_ij - m_i),
+//
+// with e_ij as row_loop.cl has it. The soft minimum T(g) of the paper's section 3.1 is -epsilon / log2(e)
+// times this. The maximum is taken online, along with the sum (Milakov and Gimelshein 2018).
+//
+// Launch: as in row_loop.cl; get_global_id(1) is a share of the column tiles.
+//
+// -D BOUNDED 1: powers and sums have a proven error bound: see sums.cl
+
+#include "row_loop.cl"
+#include "sums.cl"
+
+// Online maximum m_i = max_j reference_of(e_ij) and s_i = sum_j 2^(e_ij - m_i), over the column tiles
+// of this share; the host joins the shares.
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void log_sum_exp(
+    CLOUD_ARGUMENTS, const uint n_rows,
+    __global float* restrict maxima, // (shares, n_rows)
+    __global float* restrict sums)   // (SUM_PLANES, shares, n_rows)
+{
+    ROW_SETUP;
+    const uint share = get_global_id(1);
+    const uint shares = get_global_size(1);
+    const uint per_share = (END_TILE - FIRST_TILE + shares - 1) / shares;
+    const uint n_begin = min((uint)(END_TILE), FIRST_TILE + share * per_share);
+    const uint n_end = min((uint)(END_TILE), n_begin + per_share);
+    // Above columns without mass: the difference of two sentinels is no exponent.
+    vreal m = (vreal)(0.5f * SENTINEL);
+    sreal s = NO_SUM;
+    for (uint n = n_begin; n < n_end; ++n) {
+        STAGE_TILE(n);
+        const sreal s_tile = add_tile(u, staged, &m, &s);
+        s = sum_of(s, s_tile);
+    }
+    VSTORE(m, (size_t)share * n_rows + local_row, maxima);
+    store_sum(s, (size_t)share * n_rows + local_row, (size_t)shares * n_rows, sums);
+}

@@ -1,0 +1,155 @@
+// The loop over the column tiles of every row, which log_sum_exp.cl, near_field.cl and plan_rows.cl
+// share. It streams over the columns of the log-kernel
+//
+//     e_ij = log2(e) * [ (g_j - C_ij) / epsilon + log b_j ] - (a constant of row i),
+//     C_ij = |X_i - Y_j|^2 / 2,
+//
+// without an N x M array. Points come sorted into compact tiles of TILE; with p, q the
+// centers of i's and j's tiles, u = X_i - p, v = Y_j - q and k = log2(e) / epsilon,
+//
+//     e_ij = level_pq + h_j + k u.(v - (p - q)) + k [(p - q).v - |v|^2 / 2]:
+//
+// level_pq holds the large numbers and is formed in float64 on the host, so float32
+// adds only small ones; exponents.cl has wider arithmetic where that is not enough. The
+// row's own -k |u|^2 / 2 and the level's offset are constants of the row and are added
+// on the host as well.
+//
+// A kernel takes CLOUD_ARGUMENTS and some of its own, and reads
+//
+//     ROW_SETUP;
+//     ...
+//     for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+//         const uint q = STAGE_TILE(n);
+//         ... exponent(u, staged, j) for 0 <= j < TILE: e_ij of WIDTH rows, column q * TILE + j
+//     }
+//
+// Launch: get_global_id(0) is a group of WIDTH consecutive rows, WIDTH * GROUP divides TILE. A
+// launch covers rows [first_row, first_row + n_rows): row tiles from first_row / TILE on.
+//
+// Units: coordinates in any unit, costs and potentials in that unit squared, k in its inverse;
+// exponents, levels and column logits h in powers of two (log2), as are row offsets.
+//
+// -D DIM     dimension of the points
+// -D TILE    points of one tile, a multiple of WIDTH * GROUP
+// -D GROUP   work-items of a work-group along dimension 0
+// -D UNROLL  columns taken together in the inner loop, divides TILE (speed only)
+// -D PRECISE arithmetic of the exponents, and PLANES of their inputs: see exponents.cl
+// -D LISTED  0 (default): rows see all column tiles; 1: those listed for their own tile, the
+//            levels in the list's order
+
+#include "common.cl"
+
+#ifndef DIM
+#error "DIM (dimension of the points) must be given"
+#endif
+#ifndef TILE
+#error "TILE (points of one tile) must be given"
+#endif
+#ifndef GROUP
+#define GROUP 1 // a CPU core runs one work-item at a time
+#endif
+#ifndef UNROLL
+#define UNROLL 8 // enough independent chains to hide the latency of a multiply-add
+#endif
+
+#ifndef LISTED
+#define LISTED 0
+#endif
+
+#include "exponents.cl"
+
+// A work-group of one needs no barrier, and CPU compilers vectorize better without.
+#if GROUP > 1
+#define GROUP_BARRIER() barrier(CLK_LOCAL_MEM_FENCE)
+#else
+#define GROUP_BARRIER()
+#endif
+
+#define CLOUD_ARGUMENTS                                                                        \
+    const uint first_row, const uint row_stride, const uint column_stride,                     \
+    const uint n_column_tiles, const float k, const float k_low,                               \
+    const __global float* restrict row_shifts,        /* (PLANES, DIM, row_stride): u */       \
+    const __global float* restrict row_centers,       /* (row_stride / TILE, DIM): p */        \
+    const __global float* restrict column_shifts,     /* (PLANES, DIM, column_stride): v */    \
+    const __global float* restrict column_centers,    /* (n_column_tiles, DIM): q */           \
+    const __global float* restrict column_logits,     /* (PLANES, column_stride): h */           \
+    const __global float* restrict levels             /* see below */                          \
+    LIST_ARGUMENTS
+
+// Column tiles of a row tile: q = TILE_AT(n) for FIRST_TILE <= n < END_TILE. Levels are
+// (row tiles, PLANES, n_column_tiles), or (PLANES, n_listed).
+#if LISTED
+#define LIST_ARGUMENTS                                                                         \
+    , const uint n_listed,                                                                     \
+    const __global uint* restrict list_starts,        /* (row tiles of this launch + 1,) */    \
+    const __global uint* restrict listed              /* (n_listed,) */
+#define LIST_ROW (row_tile - first_row / TILE)
+#define FIRST_TILE list_starts[LIST_ROW]
+#define END_TILE list_starts[LIST_ROW + 1]
+#define TILE_AT(n) listed[n]
+#define OWN_LEVELS levels
+#define LEVEL_PLANE n_listed
+#else
+#define LIST_ARGUMENTS
+#define FIRST_TILE 0
+#define END_TILE n_column_tiles
+#define TILE_AT(n) (n)
+#define OWN_LEVELS (levels + (row_tile - first_row / TILE) * n_column_tiles * PLANES)
+#define LEVEL_PLANE n_column_tiles
+#endif
+
+// Put column tile q, recentered for the row tile, into local memory:
+// staged[d][j] = k (v - (p - q))_d for d < DIM, staged[DIM][j] = the part without u.
+// The first barrier waits for the readers of the tile before, the last one for the writers.
+// Returns q.
+static inline uint stage_columns(
+    const uint q, const uint row_tile, const uint column_stride, const uint level_plane,
+    const ereal k, const __global float* row_centers,
+    const __global float* column_shifts, const __global float* column_centers,
+    const __global float* column_logits, const __global float* level,
+    __local staged_real* staged)
+{
+    GROUP_BARRIER();
+    ereal shift[DIM];
+    for (int d = 0; d < DIM; ++d)
+        shift[d] = e_sum(e_constant(row_centers[row_tile * DIM + d], 0.0f),
+                         e_constant(-column_centers[q * DIM + d], 0.0f));
+    const ereal level_pq = e_constant(level[0], level[(PLANES - 1) * level_plane]);
+    for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
+        ereal quadratic = e_constant(0.0f, 0.0f);
+        for (int d = 0; d < DIM; ++d) {
+            const ereal v = e_load(column_shifts + (size_t)d * column_stride + q * TILE + j,
+                                   (size_t)DIM * column_stride);
+            const ereal half_v = e_product(e_constant(-0.5f, 0.0f), v);
+            quadratic = e_sum(quadratic, e_product(v, e_sum(shift[d], half_v)));
+            e_stage(e_product(k, e_sum(v, e_negative(shift[d]))), staged + d * TILE + j);
+        }
+        const ereal h = e_load(column_logits + q * TILE + j, column_stride);
+        e_stage(e_sum(e_sum(h, level_pq), e_product(k, quadratic)), staged + DIM * TILE + j);
+    }
+    GROUP_BARRIER();
+    return q;
+}
+
+static inline void load_rows(
+    const __global float* row_shifts, const uint row_stride, const uint row, ereal* u)
+{
+    for (int d = 0; d < DIM; ++d)
+        u[d] = e_load(row_shifts + (size_t)d * row_stride + row, (size_t)DIM * row_stride);
+}
+
+// What a work-item knows before the loop: its rows and their tile, and u of its rows.
+#define ROW_SETUP                                                                              \
+    __local staged_real staged[STAGED_SIZE];                                                   \
+    const uint local_row = get_global_id(0) * WIDTH;                                           \
+    const uint row = first_row + local_row;                                                    \
+    const uint row_tile = row / TILE;                                                          \
+    const __global float* own_levels = OWN_LEVELS;                                             \
+    ereal u[DIM];                                                                              \
+    load_rows(row_shifts, row_stride, row, u)
+
+// Stage the n-th column tile of the row tile, and return its number.
+#define STAGE_TILE(n)                                                                          \
+    stage_columns(TILE_AT(n), row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),      \
+                  row_centers, column_shifts, column_centers, column_logits,                   \
+                  own_levels + (n), staged)

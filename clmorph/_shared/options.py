@@ -1,0 +1,362 @@
+"""Options: what an option is, said once, and everything that follows from it.
+
+Each stage owns a frozen class of options (a subclass of `Options`); a field made by `option` has
+its type, default, range, unit, help and panel. From these fields come validation here, the options
+of the command line, files of settings, recipes, a JSON schema, the typing and the documentation of
+keywords. No option is described anywhere else.
+
+"Outside" means: on the command line, in TOML and in recipes, where an option can have another
+name (``frames`` for ``n_frames``), another unit (gigabytes for bytes), and a word for None.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields
+from difflib import get_close_matches
+from typing import Any, Self, get_args
+
+from clmorph._shared.validation import (
+    as_float,
+    check_choice,
+    check_flag,
+    check_integer,
+    check_number,
+    shown,
+)
+from clmorph.errors import InputError
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Which values an option takes.
+
+    Attributes
+    ----------
+    check : callable
+        Called with a name and a value; returns the value as it is used, or raises InputError.
+    expected : str
+        What an error calls such values.
+    metavar : str
+        What the help shows.
+    read : callable
+        Turns a text of the command line into a value; raises ValueError.
+    schema : mapping
+        As JSON Schema describes such values.
+    scalar : callable
+        Whether a value of TOML or JSON is of this kind, before it is converted.
+    words : tuple of (text, value)
+        Texts outside that stand for values here, beside the option's own word for None.
+    pair : bool
+        Whether two values may be given, for source and target.
+    """
+
+    check: Callable[[str, Any], Any]
+    expected: str
+    metavar: str
+    read: Callable[[str], Any]
+    schema: Mapping[str, Any]
+    scalar: Callable[[Any], bool]
+    words: tuple[tuple[str, Any], ...] = ()
+    pair: bool = False
+
+
+def _is_number(value: Any) -> bool:
+    number = as_float(value)
+    return number is not None and math.isfinite(number)
+
+
+def _is_whole(value: Any) -> bool:
+    return _is_number(value) and float(as_float(value) or 0.0).is_integer()
+
+
+def number(
+    low: float, high: float, *, open_low: bool = False, check: Callable[[Any], Any] | None = None
+) -> Kind:
+    """Return the kind of numbers in [low, high], or (low, high].
+
+    Parameters
+    ----------
+    low, high : float
+    open_low : bool
+        Whether `low` itself is left out.
+    check : callable, optional
+        In place of the check of that range, called with the value.
+    """
+
+    def checked(name: str, value: Any) -> Any:
+        if check is not None:
+            return check(value)
+        return check_number(name, value, low, high, open_low=open_low)
+
+    least = "exclusiveMinimum" if open_low else "minimum"
+    schema = {"type": "number", least: low, "maximum": high}
+    return Kind(checked, "a finite number", "number", float, schema, _is_number)
+
+
+def integer(low: int, high: int) -> Kind:
+    """Return the kind of whole numbers in [low, high]."""
+
+    def read(text: str) -> int:
+        return int(text)
+
+    schema = {"type": "integer", "minimum": low, "maximum": high}
+    return Kind(
+        lambda name, value: check_integer(name, value, low, high),
+        "a whole number", "integer", read, schema, _is_whole,
+    )  # fmt: skip
+
+
+def choice(literal: Any) -> Kind:
+    """Return the kind of the texts of a `Literal`."""
+    choices = get_args(literal)
+    return Kind(
+        lambda name, value: check_choice(name, value, choices),
+        f"one of {', '.join(map(repr, choices))}", "|".join(choices), str,
+        {"enum": list(choices)}, lambda value: isinstance(value, str),
+    )  # fmt: skip
+
+
+def flag() -> Kind:
+    """Return the kind of truth values."""
+
+    def read(text: str) -> bool:
+        raise ValueError(text)  # flags stand alone
+
+    return Kind(
+        check_flag, "true or false", "", read, {"type": "boolean"},
+        lambda value: isinstance(value, bool),
+    )  # fmt: skip
+
+
+def text(metavar: str, check: Callable[[Any], Any]) -> Kind:
+    """Return the kind of texts that a function checks."""
+    return Kind(
+        lambda name, value: check(value), "a text", metavar, str, {"type": "string"},
+        lambda value: isinstance(value, str),
+    )  # fmt: skip
+
+
+def number_or(word: str, kind: Kind) -> Kind:
+    """Return the kind of numbers to which a word is added that stands for itself."""
+
+    def check(name: str, value: Any) -> Any:
+        return value if isinstance(value, str) and value == word else kind.check(name, value)
+
+    def read(text: str) -> Any:
+        return text if text == word else kind.read(text)
+
+    return Kind(
+        check, f"a number or {word!r}", f"{kind.metavar}|{word}", read,
+        {"anyOf": [dict(kind.schema), {"const": word}]},
+        lambda value: value == word or kind.scalar(value),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Option:
+    """What is known of an option beside its name, type and default.
+
+    Attributes
+    ----------
+    kind : Kind
+    help : str
+        One line.
+    panel : str
+        Where the help shows it.
+    unit : str
+        Of the value, outside.
+    outside : str
+        Its name outside; empty if it is the same.
+    word : str
+        Outside, the text that stands for None.
+    scale : float
+        The unit outside in units of the value here.
+    off : tuple
+        Values that choose nothing, so that an alternative stays as it is.
+    """
+
+    kind: Kind
+    help: str
+    panel: str
+    unit: str = ""
+    outside: str = ""
+    word: str = "none"
+    scale: float = 1.0
+    off: tuple[Any, ...] = (None, False)
+
+
+def option(default: Any, kind: Kind, help: str, panel: str, **more: Any) -> Any:
+    """Return a field of a class of options; see `Option`."""
+    return field(default=default, metadata={"option": Option(kind, help, panel, **more)})
+
+
+@dataclass(frozen=True, init=False)
+class Options:
+    """Base of the classes of options: frozen, made by keywords, checked when made.
+
+    Raises
+    ------
+    InputError
+        If an option is unknown, or its value cannot be used.
+    """
+
+    def __init__(self, **given: Any) -> None:
+        known = specifications(type(self))
+        for name in given:
+            if name not in known:
+                raise InputError(unknown_option(name, known))
+        values = {name: default(type(self), name) for name in known} | given
+        for name, value in self.settle(values, given).items():
+            object.__setattr__(self, name, check(known[name], name, value))
+        self.check_together()
+
+    def settle(self, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return values with what options imply for one another; `given` are the caller's."""
+        del given
+        return values
+
+    def check_together(self) -> None:
+        """Check rules between options.
+
+        Raises
+        ------
+        InputError
+            If options contradict one another.
+        """
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all options by their names."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    def replace(self, **given: Any) -> Self:
+        """Return these options with others in place of some; errors as for making them."""
+        return type(self)(**{**self.as_dict(), **given})
+
+    def outside(self) -> dict[str, Any]:
+        """Return the options as files hold them: sorted, by their names outside."""
+        known = specifications(type(self))
+        found = {
+            outside_name(name, known[name]): to_outside(known[name], value)
+            for name, value in self.as_dict().items()
+        }
+        return dict(sorted(found.items()))
+
+
+def check(known: Option, name: str, value: Any) -> Any:
+    """Return a value as it is used; None passes where an option has a word for it.
+
+    Raises
+    ------
+    InputError
+        If it cannot be used.
+    """
+    if value is None and known.word:
+        return None
+    return known.kind.check(name, value)
+
+
+def specifications(options: type[Options]) -> dict[str, Option]:
+    """Return what is known of each option of a class, by its name."""
+    return {each.name: each.metadata["option"] for each in _fields(options)}
+
+
+def _fields(options: type[Options]) -> Iterator[Field[Any]]:
+    return (each for each in fields(options) if "option" in each.metadata)
+
+
+def default(options: type[Options], name: str) -> Any:
+    """Return an option's default."""
+    found = next(each.default for each in _fields(options) if each.name == name)
+    return None if found is MISSING else found
+
+
+def outside_name(name: str, known: Option) -> str:
+    """Return what an option is called outside."""
+    return known.outside or name
+
+
+def unknown_option(name: str, known: Mapping[str, Any]) -> str:
+    """Return the error for a name that is none."""
+    near = get_close_matches(name[:99], list(known), 1)
+    hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
+    return f"unknown option {shown(name)}; {hint}"
+
+
+def to_outside(known: Option, value: Any) -> Any:
+    """Return a value as files hold it: numbers, texts, truth values, lists of them."""
+    if isinstance(value, tuple | list):
+        return [to_outside(known, part) for part in value]
+    if value is None:
+        return known.word
+    for word, meaning in known.kind.words:
+        if value == meaning:
+            return word
+    scaled = known.scale != 1.0 and as_float(value) is not None
+    return float(f"{value / known.scale:.6g}") if scaled else value
+
+
+def from_outside(known: Option, name: str, value: Any) -> Any:
+    """Return a value of TOML or JSON as it is here.
+
+    Raises
+    ------
+    InputError
+        If it is not of the option's kind: nothing is converted in silence, such as 4.7 frames.
+    """
+    if isinstance(value, str) and value == known.word:
+        return None
+    if isinstance(value, str) and value in dict(known.kind.words):
+        return dict(known.kind.words)[value]
+    if known.kind.pair and isinstance(value, list) and value:
+        return tuple(from_outside(known, name, part) for part in value)
+    if not known.kind.scalar(value):
+        raise InputError(f"{name} = {shown(value)}: expected {_expected(known)}")
+    return value * known.scale if known.scale != 1.0 else value
+
+
+def from_line(known: Option, value: str) -> Any:
+    """Return a text of the command line as the value that it stands for.
+
+    Raises
+    ------
+    InputError
+        If it stands for none.
+    """
+    if known.kind.pair and "," in value:
+        return tuple(from_line(known, part) for part in value.split(","))
+    if known.word and value == known.word:
+        return None
+    if value in dict(known.kind.words):
+        return dict(known.kind.words)[value]
+    try:
+        read = known.kind.read(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{shown(value)}: expected {_expected(known)}") from None
+    if isinstance(read, float) and not math.isfinite(read):
+        raise InputError(f"{shown(value)}: expected {known.kind.expected}")
+    return read * known.scale if known.scale != 1.0 else read
+
+
+def _expected(known: Option) -> str:
+    """Return what an error says about the values that an option takes."""
+    words = [known.word, *dict(known.kind.words)]
+    return " or ".join([known.kind.expected, *map(repr, filter(None, words))])
+
+
+def schema(options: type[Options]) -> dict[str, Any]:
+    """Return the JSON Schema of a file of options, by their names outside."""
+    properties = {}
+    for name, known in specifications(options).items():
+        one: dict[str, Any] = dict(known.kind.schema)
+        if known.word:
+            one = {"anyOf": [one, {"const": known.word}]}
+        one["description"] = known.help + (f" Unit: {known.unit}." if known.unit else "")
+        one["default"] = to_outside(known, default(options, name))
+        properties[outside_name(name, known)] = one
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": options.__name__,
+        "type": "object",
+        "properties": properties,
+        "additionalProperties": False,
+    }

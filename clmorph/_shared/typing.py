@@ -1,0 +1,24 @@
+"""Types that many modules name, so that signatures stay readable.
+
+Public modules import `annotations` from ``__future__``: their annotations remain texts, and
+``help`` shows these names in place of the unions they stand for.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["AnyArray", "Array", "ArrayLike", "BoolArray", "IntArray", "Progress"]
+
+#: An array of float64; shapes are in the docstrings.
+Array = NDArray[np.float64]
+#: An array of int64.
+IntArray = NDArray[np.int64]
+#: An array of truth values.
+BoolArray = NDArray[np.bool_]
+#: An array of any dtype.
+AnyArray = NDArray[Any]
+#: What receives the share of the work that is done, from 0 to 1.
+Progress = Callable[[float], None]

@@ -1,0 +1,86 @@
+"""Compare the results of a backend with those of the NumPy twin, within proven tolerances."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from clmorph.backends.interface import KERNEL_ERROR, Operations
+from clmorph.backends.records import Float64
+
+#: Unit roundoff of float32.
+UNIT = 2.0**-24
+#: The largest error bound of `Operations.bounded_softmin`, in nats, that a comparison accepts.
+LARGEST_BOUND = 1e-5
+
+
+def splat_tolerance(count: int, chunk: int = 1024) -> float:
+    """Return the relative error that float32 sums of `count` splats may have.
+
+    The additions of a chunk, the sum of the chunks, and an exponent of up to 30 rounded a
+    few times.
+    """
+    return UNIT * (chunk + count / chunk + 4 * 30)
+
+
+def splat_excess(
+    sums: tuple[Float64, Float64],
+    exact: Operations,
+    splats: Any,
+    shape: tuple[int, int],
+    sigma: float,
+    radius: float,
+    relative: float,
+) -> float:
+    """Return how far the sums of a splat are from what they may be, in units of tolerance.
+
+    The cut may lie anywhere from `radius` to `sigma` beyond; around that, the tolerance is
+    `relative` and KERNEL_ERROR of every kernel.
+
+    Parameters
+    ----------
+    sums : numerator, denominator
+        What some operations returned.
+    exact : Operations
+    splats
+        Of the exact operations; no color below 0.
+    shape, sigma, radius
+        As given to `splat`.
+    relative : float
+        Rounding error, by `splat_tolerance`.
+    """
+    near, far = (exact.splat(splats, shape, sigma, cut) for cut in (radius, radius + sigma))
+    tolerance = relative * far[1] + np.finfo(float).tiny
+    if sigma > 0:
+        _, kernels = exact.splat(splats, shape, 1e6 * (sigma + radius), radius + sigma)
+        tolerance += KERNEL_ERROR * kernels
+    excess = 0.0
+    for got, low, high in zip(sums, near, far, strict=True):
+        outside = np.maximum(low - got, got - high)
+        scaled = outside / tolerance.reshape(shape + (1,) * (got.ndim - 2))
+        # Written so that NaN is a failure.
+        excess = max(excess, float(np.nan_to_num(scaled, nan=np.inf).max()))
+    return excess
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One comparison.
+
+    Attributes
+    ----------
+    name : str
+    error, tolerance : float
+        Largest error and what it may be, in `unit`.
+    unit : str
+    """
+
+    name: str
+    error: float
+    tolerance: float
+    unit: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the error is within the tolerance."""
+        return bool(self.error <= self.tolerance)

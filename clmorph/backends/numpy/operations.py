@@ -1,0 +1,332 @@
+"""NumPy twins, in float64, of the operations that run on a device."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
+from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
+from clmorph.backends.records import (
+    Bins,
+    Float32,
+    Float64,
+    NearPairs,
+    PlanRows,
+    StoredPairs,
+    bin_grid,
+)
+from clmorph.backends.width_levels import WIDTH_LEVELS
+
+
+class NumPyOperations:
+    """The operations of `clmorph.backends.interface.Operations`, obvious rather than fast."""
+
+    description = "NumPy float64"
+    bin_size = 8
+    sum_roundoff = exponent_roundoff = precise_roundoff = 2.0**-53
+    has_float64 = True
+    memory_bytes: int | None = None
+    shares_host_memory = True
+
+    def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
+        """Take a weighted cloud."""
+        with np.errstate(divide="ignore"):
+            log_weights = np.log(np.asarray(weights, float))
+        added = np.zeros(len(points)) if offsets is None else np.asarray(offsets, float)
+        return Cloud(np.asarray(points, float), log_weights, added)
+
+    def softmin(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> Float64:
+        """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
+        result = np.empty(len(rows.points))
+        for block, exponents in exponent_blocks(rows, columns, potential, epsilon, near):
+            largest = exponents.max(axis=1)
+            total = np.exp(exponents - largest[:, None]).sum(axis=1)
+            result[block] = -epsilon * (largest + np.log(total))
+        return result
+
+    def bounded_softmin(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, float]:
+        """Return T(g), and by how many nats the roundings of float64 may leave it off."""
+        softmin = self.softmin(rows, columns, potential, epsilon, near=near)
+        points = np.concatenate((rows.points, columns.points))
+        size = 0.5 * float(np.sum(np.ptp(points, axis=0) ** 2))
+        massive = columns.log_weights > -np.inf
+        size += float(np.abs(potential[massive]).max() + np.abs(columns.offsets).max())
+        size = (size + float(np.abs(rows.offsets).max())) / epsilon
+        size += float(np.abs(columns.log_weights[massive]).max())
+        operations = (points.shape[1] + 12) * size + len(columns.points) + 8
+        return softmin, operations * 2.0**-52
+
+    def near_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        softmin: Float64,
+        epsilon: float,
+        budget: float,
+    ) -> NearPairs:
+        """Find the pairs that matter for the rows' sums, each by itself and without the guess."""
+        keep = np.ones((len(rows.points), len(columns.points)), bool)
+        found, skipped = np.empty(len(keep)), np.empty(len(keep))
+        largest = 0.0
+        for block, exponents in exponent_blocks(rows, columns, potential, epsilon):
+            top = exponents.max(axis=1, keepdims=True)
+            share = np.exp(exponents - top)
+            share /= share.sum(axis=1, keepdims=True)
+            order = np.argsort(share, axis=1)
+            below = np.cumsum(np.take_along_axis(share, order, axis=1), axis=1)
+            np.put_along_axis(keep[block], order, below > budget, axis=1)
+            left = np.where(keep[block], 0.0, share).sum(axis=1)
+            total = np.exp(exponents - top).sum(axis=1)
+            found[block] = -epsilon * (top[:, 0] + np.log(total) + np.log1p(-left))
+            # Shares too small for any number may grow when potentials change.
+            left[~keep[block].all(axis=1)] += np.finfo(float).tiny
+            skipped[block] = left / (1.0 - left)
+            cost = np.where(keep[block], costs(rows.points[block], columns.points), 0.0)
+            largest = max(largest, float(cost.max()))
+        counts = keep.sum(axis=1)
+        return NearPairs(keep, found, skipped, int(counts.sum()), int(counts.max()), largest)
+
+    def row_maxima(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
+    ) -> Float64:
+        """Return max_j [(g_j - C_ij) / epsilon + log b_j], in nats."""
+        result = np.empty(len(rows.points))
+        for block, exponents in exponent_blocks(rows, columns, potential, epsilon, near):
+            result[block] = exponents.max(axis=1)
+        return result
+
+    def count_plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        precise: bool = False,
+    ) -> NDArray[np.int64]:
+        """Return how many pairs of each row `plan_rows` keeps."""
+        counts = np.zeros(len(rows.points), np.int64)
+        blocks = plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
+        for block, _, keep in blocks:
+            counts[block] = keep.sum(axis=1)
+        return counts
+
+    def plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        precise: bool = False,
+        counts: NDArray[np.int64] | None = None,
+    ) -> PlanRows:
+        """Return the pairs of the plan (Eq. 2) above a threshold."""
+        lengths, indices, mass = [np.zeros(1, np.int64)], [], []
+        blocks = plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
+        for _, log_plan, keep in blocks:
+            lengths.append(keep.sum(axis=1))
+            indices.append(np.nonzero(keep)[1].astype(np.int32))
+            mass.append(np.exp(log_plan[keep]))
+        indptr = np.cumsum(np.concatenate(lengths))
+        return PlanRows(indptr, np.concatenate(indices), np.concatenate(mass))
+
+    def store_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        max_pairs: int,
+        near: tuple[NearPairs | None, NearPairs | None] = (None, None),
+    ) -> StoredPairs | None:
+        """Keep log pi_ij of pairs, as a whole matrix with -inf elsewhere."""
+        whole = np.full((len(rows.points), len(columns.points)), -np.inf)
+        blocks = plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
+        for block, log_plan, keep in blocks:
+            whole[block] = np.where(keep, log_plan, -np.inf)
+        if near[0] is not None and near[1] is not None:
+            whole[~(near[0].pairs | near[1].pairs.T)] = -np.inf
+        n_pairs = int(np.isfinite(whole).sum())
+        return StoredPairs(whole, n_pairs) if n_pairs <= max_pairs else None
+
+    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
+        """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row, or column."""
+        exponents = (stored.pairs.T if by_column else stored.pairs) + changes
+        largest = np.maximum(exponents.max(axis=1), np.finfo(float).min)
+        with np.errstate(divide="ignore"):
+            return largest + np.log(np.exp(exponents - largest[:, None]).sum(axis=1))
+
+    def plan_moments(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, Float64]:
+        """Return mean and covariance of each row's destinations."""
+        n, dimension = rows.points.shape
+        mean, covariance = np.empty((n, dimension)), np.empty((n, dimension, dimension))
+        for block, exponents in exponent_blocks(rows, columns, g, epsilon, near):
+            share = np.exp(exponents + softmin[block, None] / epsilon)
+            share /= share.sum(axis=1, keepdims=True)
+            mean[block] = share @ columns.points
+            for d in range(dimension):
+                for e in range(dimension):
+                    product = (columns.points[:, d] - mean[block, d, None]) * (
+                        columns.points[:, e] - mean[block, e, None]
+                    )
+                    covariance[block, d, e] = (share * product).sum(axis=1)
+        return mean, covariance
+
+    def sample_plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        thresholds: Float64,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> NDArray[np.int32]:
+        """Return columns drawn from each plan row."""
+        draws = np.empty(thresholds.shape, np.int32)
+        for block, exponents in exponent_blocks(rows, columns, g, epsilon, near):
+            sums = np.cumsum(np.exp(exponents + softmin[block, None] / epsilon), axis=1)
+            sums /= sums[:, -1:]
+            for row, (own, wanted) in enumerate(zip(sums, thresholds[block], strict=True)):
+                draws[block][row] = np.searchsorted(own, wanted, side="right")
+        return draws
+
+    def upload_particles(
+        self,
+        table: Float64,
+        links: NDArray[np.uint32],
+        weights: Float64,
+    ) -> ParticleSet:
+        """Take moving particles."""
+        return ParticleSet(table, links, weights)
+
+    def advect(
+        self,
+        particles: ParticleSet,
+        t: float,
+        scale: tuple[float, float],
+        center: tuple[float, float],
+    ) -> Splats:
+        """Move particles to time t and onto a canvas."""
+        start, end = particles.table[particles.links[:, 0]], particles.table[particles.links[:, 1]]
+        moved = (1 - t) * start + t * end
+        weights = (1 - t) * particles.weights[:, 0] + t * particles.weights[:, 1]
+        positions = (moved[:, :2] - 0.5) * np.asarray(scale) + np.asarray(center)
+        spacings = moved[:, 5] * 0.5 * (scale[0] + scale[1])
+        return Splats(positions, moved[:, 2:5], weights, spacings)
+
+    def upload_splats(
+        self,
+        positions: Float32,
+        colors: Float32,
+        weights: Float32,
+        spacings: Float32 | None = None,
+    ) -> Splats:
+        """Take resting particles."""
+        given = np.ones(len(weights)) if spacings is None else spacings
+        return Splats(*(array.astype(float) for array in (positions, colors, weights, given)))
+
+    def deposit(self, splats: Splats, shape: tuple[int, int]) -> tuple[Float64, Float64]:
+        """Return what lies nearest to each pixel: sum of masses and of their squares."""
+        column, row = np.ceil(splats.positions - 0.5).T.astype(np.int64)
+        inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+        pixel = (row * shape[1] + column)[inside]
+        sums = [
+            np.bincount(pixel, splats.weights[inside] ** power, shape[0] * shape[1]).astype(float)
+            for power in (1, 2)
+        ]
+        return sums[0].reshape(shape), sums[1].reshape(shape)
+
+    def adapt_widths(self, splats: Splats, distances: Float64, sigma: float) -> Splats:
+        """Give every splat a width of its own."""
+        from scipy.ndimage import map_coordinates
+
+        gap = 0.5 * map_coordinates(
+            np.minimum(distances, 1e30), splats.positions[:, ::-1].T, order=1, mode="nearest"
+        )
+        width = np.maximum(sigma * splats.spacings, gap) / sigma
+        octaves = np.log2(np.maximum(width, 1e-30))
+        levels = np.rint(WIDTH_LEVELS.per_octave * octaves) + WIDTH_LEVELS.base
+        levels = np.clip(levels, 0, WIDTH_LEVELS.count - 1).astype(np.int64)
+        weights = splats.weights / WIDTH_LEVELS.factor(levels) ** 2
+        return splats._replace(weights=weights, width_levels=levels)
+
+    def width_levels(self, splats: Splats) -> NDArray[np.int64]:
+        """Return the width level of each splat."""
+        if splats.width_levels is None:
+            return np.full(len(splats.weights), WIDTH_LEVELS.base)
+        return splats.width_levels
+
+    def bin_splats(self, splats: Splats, shape: tuple[int, int], margin: int) -> Bins:
+        """Sort splats into bins."""
+        grid = bin_grid(shape, margin, self.bin_size)
+        last = np.array([grid[1] - 1, grid[0] - 1])
+        xy = np.clip(np.floor(splats.positions / self.bin_size) + margin, 0, last).astype(np.int64)
+        bins = xy[:, 1] * grid[1] + xy[:, 0]
+        starts = np.concatenate(([0], np.cumsum(np.bincount(bins, minlength=grid[0] * grid[1]))))
+        return Bins(grid, starts, np.argsort(bins, kind="stable"))
+
+    def splat(
+        self, splats: Splats, shape: tuple[int, int], sigma: float, radius: float
+    ) -> tuple[Float64, Float64]:
+        """Return the two sums of a Nadaraya-Watson frame."""
+        height, width = shape
+        sums = np.zeros((4, height, width))
+        chunk = max(1, BLOCK_ENTRIES // (4 * (height + width)))
+        for first in range(0, len(splats.weights), chunk):
+            part = slice(first, first + chunk)
+            x = np.arange(width) - splats.positions[part, 0, None]
+            y = np.arange(height) - splats.positions[part, 1, None]
+            factor = WIDTH_LEVELS.factor(self.width_levels(splats)[part, None])
+            along_x = kernel_1d(x / factor, sigma, radius)
+            # The kernel is a product, so the sum over particles is a matrix product.
+            along_y = kernel_1d(y / factor, sigma, radius) * splats.weights[part, None]
+            sums[0] += along_y.T @ along_x
+            for channel in range(3):
+                sums[channel + 1] += (along_y * splats.colors[part, channel, None]).T @ along_x
+        return np.moveaxis(sums[1:], 0, -1), sums[0]
+
+
+def kernel_1d(d: Float64, sigma: float, radius: float) -> Float64:
+    """One-dimensional kernel at distances d (pixels): cut Gaussian, or the pixel's box."""
+    if sigma == 0:
+        return ((d >= -0.5) & (d < 0.5)).astype(float)
+    return np.where(np.abs(d) <= radius, np.exp(-0.5 * (d / sigma) ** 2), 0.0)

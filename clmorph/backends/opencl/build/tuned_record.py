@@ -1,0 +1,73 @@
+"""The build constants that `clmorph tune` found for a device, kept in the user's cache folder."""
+
+from dataclasses import replace
+
+import pyopencl as cl
+
+from clmorph.backends.opencl.build.constants import BuildConstants, apply_quirks, choose_constants
+from clmorph.backends.opencl.devices.cache import forget_cached, load_record, save_record
+from clmorph.backends.opencl.devices.quirks import find_quirks
+from clmorph.backends.opencl.devices.verdicts import verdict_key
+
+#: Constants that are tried, one after the other, and their values.
+CANDIDATES: dict[str, tuple[int, ...]] = {
+    "width": (1, 2, 4, 8, 16),
+    "exp2_builtin": (0, 1),
+    "group": (1, 16, 32, 64, 128, 256),
+    "tile": (32, 64, 128),  # larger ones are less exact, see `Reductions`
+    "unroll": (4, 8, 16, 32),
+}
+
+
+def is_possible(constants: BuildConstants, largest_group: int) -> bool:
+    """Whether the kernels can be built so: work-groups cover whole tiles, and exist."""
+    return (
+        constants.group <= largest_group
+        and constants.tile in CANDIDATES["tile"]
+        and constants.tile % (constants.width * constants.group) == 0
+        and constants.tile % constants.unroll == 0
+    )
+
+
+def save_tuning(device: cl.Device, best: BuildConstants, start: BuildConstants) -> None:
+    """Keep those constants that tuning has changed.
+
+    Parameters
+    ----------
+    device : pyopencl.Device
+    best : BuildConstants
+        The fastest constants.
+    start : BuildConstants
+        The constants chosen by the kind of device.
+    """
+    entry = {
+        name: getattr(best, name)
+        for name in CANDIDATES
+        if getattr(best, name) != getattr(start, name)
+    }
+    save_record(_record(device), entry)
+
+
+def forget_tuning(device: cl.Device) -> None:
+    """Go back to the constants chosen by the kind of device."""
+    forget_cached(f"{_record(device)}.json")
+
+
+def tuned_constants(device: cl.Device) -> BuildConstants:
+    """Return the constants for a device: as tuned, else by its kind; quirks obeyed."""
+    constants = choose_constants(device)
+    entry = load_record(_record(device))
+    if not entry:
+        return constants
+    # True and 16.0 equal numbers among the candidates, but are other text to a compiler.
+    valid = all(
+        type(value) is int and value in CANDIDATES.get(name, ()) for name, value in entry.items()
+    )
+    tuned = replace(constants, **entry) if valid else constants
+    tuned = apply_quirks(tuned, find_quirks(device))
+    return tuned if is_possible(tuned, int(device.max_work_group_size)) else constants
+
+
+def _record(device: cl.Device) -> str:
+    """Return the name of a device's record in the cache."""
+    return f"tuning/{verdict_key(device)}"

@@ -1,0 +1,260 @@
+"""The host's half of ``cl_kernels/row_loop.cl``: what every reduction over rows needs."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clmorph.backends.opencl.build import program
+from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
+from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split
+from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
+from clmorph.backends.records import Float64
+
+#: Natural logarithms times this are logarithms to base 2.
+LOG2_E = float(np.log2(np.e))
+#: Kept pairs that one launch may write (12 bytes each on the device): a first touch of memory
+#: takes longer than what is written there.
+FILL_PAIRS = 1 << 22
+#: The kernels of each file that includes the row loop.
+KERNELS = {
+    "log_sum_exp.cl": ("log_sum_exp",),
+    "near_field.cl": ("largest_shares", "measure_tiles"),
+    "plan_rows.cl": ("count_plan_rows", "fill_plan_rows", "plan_moments", "sample_plan_rows"),
+}
+
+
+class Exponents(NamedTuple):
+    """What the exponents e_ij of two clouds are formed of, see ``cl_kernels/row_loop.cl``."""
+
+    column_logits: cl.Buffer  #: (2, stride) float32: k g + log2 b, less its tile's largest
+    tile_max: Float64  #: (column tiles,) the largest k g + log2 b of each tile
+    row_level: Float64  #: (row tiles,) the level that the rows' exponents are measured from
+    k: float  #: log2(e) / epsilon
+
+
+class RowLoop:
+    """Runs kernels that loop over the columns of every row, in launches of a bounded length.
+
+    Parameters
+    ----------
+    work : Workspace
+    constants : BuildConstants
+    """
+
+    def __init__(self, work: Workspace, constants: BuildConstants) -> None:
+        self.work, self.constants = work, constants
+        self._budgets: dict[int, LaunchBudget] = {}
+        self._kernels: dict[tuple[str, int, bool, bool, bool], dict[str, cl.Kernel]] = {}
+
+    def kernel(
+        self,
+        file: str,
+        name: str,
+        rows: Cloud,
+        precise: bool = False,
+        listed: bool = False,
+        bounded: bool = False,
+    ) -> cl.Kernel:
+        """Return a kernel for the dimension of some rows; its file is built when first needed.
+
+        Parameters
+        ----------
+        file, name : str
+            As in `KERNELS`.
+        rows : Cloud
+        precise, listed, bounded : bool
+            See `BuildConstants.row_macros`.
+        """
+        key = rows.centers.shape[1], precise, listed, bounded
+        if (file, *key) not in self._kernels:
+            macros = self.constants.row_macros(*key)
+            if file == "near_field.cl":
+                macros |= self.constants.near_field_macros()
+            built = program.build(self.work.context, file, macros)
+            self._kernels[file, *key] = {
+                each: program.kernel(built, each) for each in KERNELS[file]
+            }
+        return self._kernels[file, *key][name]
+
+    def column_logits(
+        self, columns: Cloud, potential: Float64, k: float
+    ) -> tuple[cl.Buffer, Float64]:
+        """Split k g + log2 b into the largest of each tile (float64) and the rest (device)."""
+        values = pad(
+            (potential[columns.order] - columns.offsets) * k + columns.log2_weights,
+            columns.stride,
+            SENTINEL,
+        ).reshape(-1, self.constants.tile)
+        values[values < 0.5 * SENTINEL] = SENTINEL
+        tile_max = values.max(axis=1)
+        logits = np.where(values == SENTINEL, SENTINEL, values - tile_max[:, None])
+        return self.work.buffer(split(logits)), tile_max
+
+    def exponents(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        pairs: TilePairs | None = None,
+        within: range | None = None,
+    ) -> Exponents:
+        """Return what forms the exponents of the rows, over all pairs of tiles or those listed.
+
+        Parameters
+        ----------
+        rows, columns : Cloud
+        potential : (M,) array, cost units
+        epsilon : float, cost units
+        pairs : TilePairs, optional
+        within : range, optional
+            The row tiles that are wanted; all if not given.
+        """
+        k = LOG2_E / epsilon
+        logits, tile_max = self.column_logits(columns, potential, k)
+        row_level = np.zeros(len(rows.centers))
+        within = within or range(len(row_level))
+        each = len(tile_max) if pairs is None else -(-len(pairs.tiles) // len(within))
+        step = max(1, (1 << 22) // max(1, each))
+        for first in range(within.start, within.stop, step):
+            block = range(first, min(first + step, within.stop))
+            section = slice(block.start, block.stop)
+            if pairs is None:
+                levels = _levels(rows.centers[section], columns.centers, tile_max, k)
+                row_level[section] = levels.max(axis=1)
+            else:
+                starts, _, levels = pairs.levels(block, tile_max, k)
+                row_level[section] = np.maximum.reduceat(levels, starts[:-1])
+        return Exponents(logits, tile_max, row_level, k)
+
+    def row_offsets(self, rows: Cloud, exponents: Exponents) -> Float64:
+        """Return what e_ij lacks, (N,): the level of the row's tile, and its own cost."""
+        levels = np.repeat(exponents.row_level, self.constants.tile)[: len(rows)]
+        return levels - exponents.k * rows.own_costs
+
+    def column_shares(self, rows: Cloud, columns: Cloud) -> int:
+        """Work-groups along the columns: more than one where the rows alone are too few."""
+        if self.constants.width > 1:
+            return 1
+        groups = max(1, rows.stride // self.constants.group)
+        wanted = -(-8 * self.work.context.devices[0].max_compute_units // groups)
+        return max(1, min(wanted, len(columns.centers), 64))
+
+    def _budget(self, kernel: cl.Kernel) -> LaunchBudget:
+        """Return how much a launch of this kernel may do: some take many times as long a pair."""
+        return self._budgets.setdefault(kernel.int_ptr, LaunchBudget())
+
+    def parts(
+        self,
+        kernel: cl.Kernel,
+        rows: Cloud,
+        columns: Cloud,
+        counts: NDArray[np.int64] | None = None,
+        pairs: TilePairs | None = None,
+        within: range | None = None,
+    ) -> Iterator[range]:
+        """Split the row tiles so that no launch runs long, nor writes too much.
+
+        Parameters
+        ----------
+        kernel : pyopencl.Kernel
+        rows, columns : Cloud
+        counts : (stride,) array, optional
+            Pairs that the kernel writes for each row; see `FILL_PAIRS`.
+        pairs : TilePairs, optional
+            The pairs of tiles that the kernel looks at; all if not given.
+        within : range, optional
+            The row tiles to split; all if not given.
+        """
+        n_tiles, tile = len(rows.centers), self.constants.tile
+        first, end = (0, n_tiles) if within is None else (within.start, within.stop)
+        kept = None
+        if counts is not None:
+            kept = counts.reshape(n_tiles, -1).sum(axis=1, dtype=np.int64).cumsum()
+        while first < end:
+            budget = self._budget(kernel).pairs()
+            if pairs is None:
+                stop = first + max(1, int(budget // (tile * columns.stride)))
+            else:
+                last = pairs.starts[first] + budget // tile**2
+                stop = int(np.searchsorted(pairs.starts, last, side="right")) - 1
+            stop = min(end, max(stop, first + 1))
+            if kept is not None:
+                before = kept[first - 1] if first else 0
+                stop = min(stop, int(np.searchsorted(kept, before + FILL_PAIRS, side="right")))
+                stop = max(stop, first + 1)
+            yield range(first, stop)
+            first = stop
+
+    def launch(
+        self,
+        kernel: cl.Kernel,
+        rows: Cloud,
+        columns: Cloud,
+        exponents: Exponents,
+        part: range,
+        *arguments: Any,
+        shares: int = 1,
+        precise: bool = False,
+        pairs: TilePairs | None = None,
+    ) -> None:
+        """Run a kernel over some row tiles and wait for it.
+
+        Parameters
+        ----------
+        kernel : pyopencl.Kernel
+        rows, columns : Cloud
+        exponents : Exponents
+        part : range
+            The row tiles.
+        *arguments
+            The kernel's own, behind those of the row loop.
+        shares : int
+            Work-groups along the columns.
+        precise : bool
+            Whether the kernel was built so.
+        pairs : TilePairs, optional
+            The pairs of tiles to look at, for a kernel that was built with lists.
+        """
+        _, tile_max, row_level, k = exponents
+        section = slice(part.start, part.stop)
+        n_rows = len(part) * self.constants.tile
+        lists: tuple[Any, ...] = ()
+        if pairs is None:
+            levels = _levels(rows.centers[section], columns.centers, tile_max, k)
+            levels -= row_level[section, None]
+            work = n_rows * columns.stride
+        else:
+            starts, listed, levels = pairs.levels(part, tile_max, k)
+            levels -= np.repeat(row_level[section], np.diff(starts))
+            work = self.constants.tile**2 * len(listed)
+            lists = (
+                np.uint32(len(listed)), self.work.buffer(starts, np.uint32),
+                self.work.buffer(listed, np.uint32),
+            )  # fmt: skip
+        levels = np.maximum(levels, SENTINEL)
+        planes: NDArray[Any] = levels
+        if precise:
+            planes = split(levels) if lists else np.swapaxes(split(levels), 0, 1)
+        with self._budget(kernel).measure(work):
+            self.work.launch(
+                kernel, (n_rows // self.constants.width, shares), (self.constants.group, 1),
+                np.uint32(part.start * self.constants.tile), np.uint32(rows.stride),
+                np.uint32(columns.stride), np.uint32(len(columns.centers)), *split(np.asarray(k)),
+                rows.shifts_buffer, rows.centers_buffer, columns.shifts_buffer,
+                columns.centers_buffer, exponents.column_logits, self.work.buffer(planes), *lists,
+                *arguments,
+            )  # fmt: skip
+
+
+def _levels(row_centers: Float64, column_centers: Float64, tile_max: Float64, k: float) -> Float64:
+    """Log2-kernel between tile centers with the columns' largest logits: (rows, columns)."""
+    result = np.empty((len(row_centers), len(column_centers)))
+    result[:] = tile_max
+    for d in range(row_centers.shape[1]):
+        result -= 0.5 * k * (row_centers[:, d, None] - column_centers[:, d]) ** 2
+    return result

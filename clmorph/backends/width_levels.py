@@ -1,0 +1,45 @@
+"""The widths that a splat can have, where splats differ in width."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class WidthLevels:
+    """Widths in a geometric sequence around a base width sigma.
+
+    Attributes
+    ----------
+    count : int
+        Number of levels, at most 256: devices keep a level in a byte.
+    base : int
+        The level whose width is sigma.
+    per_octave : int
+        Levels from one width to twice that.
+    """
+
+    count: int
+    base: int
+    per_octave: int
+
+    def factor(self, level: NDArray[np.integer] | int) -> NDArray[np.float64]:
+        """Return the width of a level, in units of sigma.
+
+        Parameters
+        ----------
+        level : int, or array of int
+            From 0 to `count` - 1.
+
+        Examples
+        --------
+        >>> from clmorph.backends.width_levels import WIDTH_LEVELS
+        >>> WIDTH_LEVELS.factor(WIDTH_LEVELS.base + WIDTH_LEVELS.per_octave).item()
+        2.0
+        """
+        return np.asarray(2.0 ** ((np.asarray(level) - self.base) / self.per_octave))
+
+
+#: From sigma / 4 to 45 sigma.
+WIDTH_LEVELS = WidthLevels(count=16, base=4, per_octave=2)

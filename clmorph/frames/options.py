@@ -1,0 +1,73 @@
+"""Options of the frames: kernel widths, ends, unmatched mass, colors on the way (paper, 3.3)."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from clmorph._shared.options import Options, choice, number, number_or, option
+from clmorph.images.color import ColorSpace
+
+#: How particles become pixels: each particle has a width of its own, by the density around it; all
+#: have that of Eq. 4; all have sigma_start throughout; or each goes into its nearest pixel (the
+#: last two are the paper's baselines).
+Splatting = Literal["local", "adaptive", "fixed", "none"]
+SPLATTING = get_args(Splatting)
+#: What the first and the last frame are: the images themselves, or the images seen through the
+#: kernel as in the paper.
+Endpoints = Literal["exact", "paper"]
+ENDPOINTS = get_args(Endpoints)
+#: What becomes of mass that does not travel: it is drawn as it dies and is born, or left out.
+Unmatched = Literal["fade", "drop"]
+UNMATCHED = get_args(Unmatched)
+#: A kernel width in pixels, or "auto": half the smallest detail of the image.
+Sigma = float | Literal["auto"]
+
+_WIDTH = number_or("auto", number(1e-3, 1e4))
+#: The height of Eq. 4's bulge where it is not given.
+GAMMA = 0.5
+
+
+@dataclass(frozen=True, init=False)
+class RenderOptions(Options):
+    """Options of the frames."""
+
+    splatting: Splatting = option(
+        "local", choice(Splatting),
+        "Kernel width: each particle's own (local), that of the paper's Eq. 4 (adaptive), "
+        "sigma-start throughout (fixed), or no kernel (none).",
+        "Drawing", word="",
+    )  # fmt: skip
+    sigma_start: Sigma = option(
+        "auto", _WIDTH,
+        "Kernel width at the start; auto: half the smallest detail of the first picture.",
+        "Drawing", unit="pixels", word="",
+    )  # fmt: skip
+    sigma_end: Sigma = option(
+        "auto", _WIDTH,
+        "Kernel width at the end; auto: half the smallest detail of the last picture.",
+        "Drawing", unit="pixels", word="",
+    )  # fmt: skip
+    gamma: float | None = option(
+        None, number(0.0, 1e4),
+        f"Height of the bulge of the kernel width at t = 1/2 (adaptive splatting: {GAMMA}).",
+        "Drawing", unit="pixels",
+    )  # fmt: skip
+    sigma: Literal["optimal"] | None = option(
+        None, choice(Literal["optimal"]),
+        "Find the kernel widths whose frames are nearest to the particles; this is slow.",
+        "Drawing",
+    )  # fmt: skip
+    endpoints: Endpoints = option(
+        "exact", choice(Endpoints),
+        "The first and the last frame are the pictures exactly, or the pictures seen through the "
+        "kernel as in the paper.",
+        "Drawing", word="",
+    )  # fmt: skip
+    unmatched: Unmatched = option(
+        "fade", choice(Unmatched),
+        "Draw mass that does not move as it dies and is born, or leave it out.",
+        "Drawing", word="",
+    )  # fmt: skip
+    path_space: ColorSpace = option(
+        "oklab", choice(ColorSpace), "Color space in which colors change on the way.", "Drawing",
+        word="",
+    )  # fmt: skip

@@ -1,0 +1,94 @@
+"""The resolution of a picture: the size of its smallest detail, and whether it is pixel art."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clmorph._shared.typing import Array
+
+#: Share of its edges' energy that an enlarged sprite has on the grid of its blocks.
+BLOCK_SHARE = 0.9
+#: Effective number of lines of edges from which on they tell a grid.
+FEWEST_LINES = 4.0
+#: A sprite that is not enlarged has at most so many colors, and so many pixels along a side.
+SPRITE_COLORS = 64
+SPRITE_SIDE = 256
+#: Range of luma below which an image has no detail: less than a step of 8 bits.
+FAINTEST = 1e-3
+#: Share of an image's edges' energy up to the frequency that counts as its highest.
+BAND_SHARE = 0.99
+
+
+def intrinsic_spacing(image: Array) -> float:
+    """Return the side, in pixels, of the smallest detail an image really has (at least 1).
+
+    Parameters
+    ----------
+    image : (H, W, C) array
+
+    Returns
+    -------
+    float
+        The blocks' side for an enlarged sprite, also where compression left traces; for others
+        half the shortest period in their spectrum.
+    """
+    return max(1.0, float(_block_side(image)), _half_period(image))
+
+
+def auto_sigma(image: Array) -> float:
+    """Return the kernel width that suits an image's resolution: half its smallest detail."""
+    return 0.5 * intrinsic_spacing(image)
+
+
+def is_pixel_art(image: Array) -> bool:
+    """Return whether an image is a sprite: of few colors, or of blocks.
+
+    Parameters
+    ----------
+    image : (H, W, 3) or (H, W, 4) array
+        Opacity, and colors that are not seen, do not count.
+    """
+    if image.shape[2] == 4:
+        image = np.where(image[..., 3:] > 0, image[..., :3], 0.0)
+    if _block_side(image) > 1:
+        return True
+    if max(image.shape[:2]) > SPRITE_SIDE:
+        return False
+    colors = np.unique(image.reshape(-1, image.shape[2]), axis=0)
+    return len(colors) <= min(SPRITE_COLORS, image.shape[0] * image.shape[1] // 4)
+
+
+def _block_side(image: Array) -> int:
+    """Largest k for which nearly all edges lie on one grid of k x k blocks, else 1."""
+    edges = [np.sum(np.diff(image, axis=axis) ** 2, axis=(1 - axis, 2)) for axis in (0, 1)]
+    total = sum(float(along.sum()) for along in edges)
+    # A few lines lie on many grids.
+    if total == 0 or total**2 < FEWEST_LINES * sum(float(np.sum(along**2)) for along in edges):
+        return 1
+    # With fewer than 8 blocks along a side any few edges would do.
+    for side in range(min(image.shape[:2]) // 8, 1, -1):
+        on_grid = sum(max(along[phase::side].sum() for phase in range(side)) for along in edges)
+        if on_grid >= BLOCK_SHARE * total:
+            return side
+    return 1
+
+
+def _half_period(image: Array) -> float:
+    """Half the period, in pixels, up to which the spectrum holds nearly all edges."""
+    height, width = image.shape[:2]
+    if min(height, width) < 8:
+        return 1.0
+    # The window keeps the jump from one border to the opposite one out of it.
+    window = np.hanning(height)[:, None] * np.hanning(width)
+    gray = image[..., :3].mean(axis=2)
+    if np.ptp(gray) < FAINTEST:
+        return 1.0
+    power = np.abs(np.fft.rfft2((gray - gray.mean()) * window)) ** 2
+    frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
+    edges = (frequency**2 * power).ravel()
+    order = np.argsort(frequency, axis=None)
+    below = np.cumsum(edges[order])
+    if below[-1] == 0:
+        return 1.0
+    highest = frequency.ravel()[order][np.searchsorted(below, BAND_SHARE * below[-1])]
+    return float(0.5 / min(0.5, highest)) if highest > 0 else 1.0

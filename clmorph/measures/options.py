@@ -1,0 +1,44 @@
+"""Options of the lift: how an image becomes a measure (paper, 2.3)."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from clmorph._shared.options import Options, choice, number, option
+from clmorph._shared.validation import check_color_weight
+from clmorph.images.color import ColorSpace
+
+#: How pixels stand in the common frame: the longer side spans [0, 1] and the shorter one is
+#: centered, or both sides span [0, 1] as in the paper.
+Extent = Literal["true", "unit"]
+EXTENTS = get_args(Extent)
+#: What a pixel weighs, apart from its opacity: the same everywhere, its luminance (Y of CIE
+#: 1931), or its opacity alone.
+Mass = Literal["uniform", "luminance", "alpha"]
+MASSES = get_args(Mass)
+
+
+@dataclass(frozen=True, init=False)
+class LiftOptions(Options):
+    """Options of `clmorph.lift`."""
+
+    color_weight: float = option(
+        0.5, number(0.0, 1e3, check=check_color_weight),
+        "Weight lambda of color distance against distance in the picture: a high one keeps "
+        "colors and moves mass far, a low one keeps places and changes colors.",
+        "Transport", unit="image sides per unit of a channel", word="",
+    )  # fmt: skip
+    color_space: ColorSpace = option(
+        "srgb", choice(ColorSpace), "Color space in which the cost compares colors.", "Transport",
+        word="",
+    )  # fmt: skip
+    mass: Mass = option(
+        "uniform", choice(Mass),
+        "Mass of a pixel: the same for all, its luminance, or its opacity alone; opacity "
+        "multiplies it in any case.",
+        "Transport", word="",
+    )  # fmt: skip
+    extent: Extent = option(
+        "true", choice(Extent),
+        "Keep the true aspect ratio, or stretch both axes to the unit square as the paper does.",
+        "Transport", word="",
+    )  # fmt: skip

@@ -1,0 +1,152 @@
+"""Square blocks of pixels: an image at the resolution at which its transport is solved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clmorph._shared.typing import Array, IntArray
+from clmorph.errors import InputError
+from clmorph.measures.lift import Measure
+
+
+@dataclass(frozen=True, eq=False)
+class PixelBlocks:
+    """An image's pixels, gathered into square blocks.
+
+    Attributes
+    ----------
+    fine : Measure
+        The pixels.
+    coarse : Measure
+        The blocks: each has the mass of its pixels, and their mean position and mean color,
+        weighted by mass.
+    side : int
+        Pixels along a block, a power of two; blocks at the right and the lower border can be
+        smaller.
+    """
+
+    fine: Measure
+    coarse: Measure
+    side: int
+
+    @property
+    def owners(self) -> IntArray:
+        """(N,) block of each pixel."""
+        return _owners(self.fine.shape, self.side)
+
+    @property
+    def heaviest(self) -> IntArray:
+        """(blocks,) pixel of most mass in each block."""
+        order = np.lexsort((self.fine.weights, self.owners))
+        last = np.cumsum(np.bincount(self.owners, minlength=len(self.coarse))) - 1
+        return np.asarray(order[last], np.int64)
+
+    def share_out(self, total: Array) -> Array:
+        """Divide what each block has, (blocks,), among its pixels by their mass: (N,) array."""
+        weights = self.coarse.weights[self.owners]
+        return np.divide(
+            total[self.owners] * self.fine.weights, weights,
+            out=np.zeros(len(self.fine)), where=weights > 0,
+        )  # fmt: skip
+
+
+def block_side(shape: tuple[int, int], size: int) -> int:
+    """Return the side of the blocks in which an image is solved.
+
+    Parameters
+    ----------
+    shape : (height, width)
+        Of the image, in pixels.
+    size : int
+        The most blocks along the longer side (`solve_size` of `clmorph.morph`).
+
+    Returns
+    -------
+    int
+        Pixels: the smallest power of two that leaves at most `size` blocks; 1 if the image is no
+        larger than `size`.
+
+    Examples
+    --------
+    >>> block_side((256, 192), 200)
+    2
+    """
+    side = 1
+    while -(-max(shape) // side) > size:
+        side *= 2
+    return side
+
+
+def solved_size(shape: tuple[int, int], size: int) -> int:
+    """Return how many blocks an image really has along its longer side.
+
+    Blocks have a power of two of pixels along a side, so this can be as little as half of the
+    `size` that is asked for.
+
+    Parameters
+    ----------
+    shape, size
+        As in `block_side`.
+
+    Examples
+    --------
+    >>> solved_size((256, 192), 200), solved_size((256, 192), 128), solved_size((96, 96), 128)
+    (128, 128, 96)
+    """
+    return -(-max(shape) // block_side(shape, size))
+
+
+def group_pixels(measure: Measure, size: int) -> PixelBlocks:
+    """Gather an image's pixels into square blocks.
+
+    Parameters
+    ----------
+    measure : Measure
+        A lifted image.
+    size : int
+        The most blocks along the longer side; `solved_size` says how many there really are.
+
+    Returns
+    -------
+    PixelBlocks
+        Of one pixel each if the image is no larger.
+
+    Raises
+    ------
+    InputError
+        If each pixel has its own metric of color.
+    """
+    side = block_side(measure.shape, size)
+    if side == 1:
+        return PixelBlocks(measure, measure, 1)
+    if measure.has_metric_map:
+        raise InputError(
+            "solve_size: not with a color metric for each pixel; leave it out, or give one metric"
+        )
+    owners = _owners(measure.shape, side)
+    height, width = (-(-length // side) for length in measure.shape)
+    count = height * width
+    mass = np.asarray(np.bincount(owners, measure.weights, count), float)
+    # A block without mass stands at its middle, in its pixels' mean color.
+    even = np.bincount(owners, minlength=count)
+    shares = np.where(mass[owners] > 0, measure.weights, 1.0)
+    shares = shares / np.where(mass > 0, mass, even)[owners]
+
+    def mean(values: Array) -> Array:
+        return np.column_stack([np.bincount(owners, shares * axis, count) for axis in values.T])
+
+    coarse = Measure(
+        mean(measure.positions), np.clip(mean(measure.colors), 0.0, 1.0), mass, (height, width),
+        measure.color_weight, measure.extent, measure.color_space, measure.color_metric,
+    )  # fmt: skip
+    return PixelBlocks(measure, coarse, side)
+
+
+def _owners(shape: tuple[int, int], side: int) -> IntArray:
+    """Return the block of each pixel, row by row."""
+    height, width = shape
+    columns = -(-width // side)
+    row, column = np.arange(height) // side, np.arange(width) // side
+    return (row[:, None] * columns + column).ravel()

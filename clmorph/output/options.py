@@ -1,0 +1,91 @@
+"""Options of playback and of the look of files."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from clmorph._shared.options import Kind, Options, choice, flag, integer, number, option, text
+
+#: How the time of the morph runs while frames follow one another evenly.
+Ease = Literal["linear", "smooth", "in", "out"]
+EASES = get_args(Ease)
+#: What follows the last frame: the first one, the way back, or nothing.
+Loop = Literal["loop", "ping-pong", "once"]
+LOOPS = get_args(Loop)
+#: How frames are enlarged and reduced; "auto" depends on the pictures.
+Scaling = Literal["auto", "nearest", "smooth"]
+SCALINGS = get_args(Scaling)
+
+
+#: Frames a second, unless said otherwise.
+FPS = 20.0
+
+
+def _checked_canvas() -> Kind:
+    def check(value: object) -> object:
+        from clmorph.output.framing import as_canvas
+
+        return as_canvas(value)
+
+    return text("dynamic|source|target|WxH", check)
+
+
+def _checked_color() -> Kind:
+    def check(value: object) -> object:
+        from clmorph.output.framing import check_color
+
+        return check_color(value)
+
+    return text("COLOR", check)
+
+
+@dataclass(frozen=True, init=False)
+class PlaybackOptions(Options):
+    """Options of the frames' number and pace."""
+
+    n_frames: int = option(
+        30, integer(2, 100_000), "Number of frames of each morph, both ends included.", "Motion",
+        outside="frames", word="",
+    )  # fmt: skip
+    fps: float | None = option(FPS, number(0.1, 240.0), "Frames a second.", "Motion", unit="1/s")
+    duration: float | None = option(
+        None, number(0.0, 1e6, open_low=True),
+        "Duration of one round, in place of --fps; the rests count.", "Motion", unit="seconds",
+    )  # fmt: skip
+    hold: float = option(
+        0.65, number(0.0, 3600.0),
+        "Time that the pictures themselves stay longer than other frames.", "Motion",
+        unit="seconds", word="",
+    )  # fmt: skip
+    ease: Ease = option(
+        "linear", choice(Ease),
+        "Pace: even, slow at both ends (smooth), slow at the start (in), or at the end (out).",
+        "Motion", word="",
+    )  # fmt: skip
+    loop: Loop = option("loop", choice(Loop), "What follows the last frame.", "Motion", word="")
+    reverse: bool = option(
+        False, flag(), "Play from the last picture to the first.", "Motion", word=""
+    )
+
+
+@dataclass(frozen=True, init=False)
+class StyleOptions(Options):
+    """Options of how frames come into a file."""
+
+    canvas: str | tuple[int, int] = option(
+        "dynamic", _checked_canvas(),
+        "Size of the frames: each frame's own where the file can hold that (dynamic), the first "
+        "picture's (source), the last one's (target), or a size in pixels such as 640x480.",
+        "File", word="",
+    )  # fmt: skip
+    scaling: Scaling = option(
+        "auto", choice(Scaling),
+        "How frames are enlarged; auto: nearest for pixel art, smooth for the rest.",
+        "File", word="",
+    )  # fmt: skip
+    background: str | None = option(
+        None, _checked_color(),
+        "Color under transparent parts and of bars, such as white or #204060; none: opacity is "
+        "kept where the file can hold it, and else laid on white.",
+        "File",
+    )  # fmt: skip
+    lossless: bool = option(False, flag(), "Write WebP without loss.", "File", word="")

@@ -1,0 +1,284 @@
+"""All options of a morph: the classes of the stages joined, and the rules between their fields.
+
+``MorphOptions()`` is the default of `clmorph.morph` and of ``clmorph morph``.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+from clmorph._shared.options import (
+    Options,
+    default,
+    integer,
+    number,
+    option,
+    specifications,
+    unknown_option,
+)
+from clmorph._shared.validation import check_choice, shown
+from clmorph.errors import InputError
+from clmorph.frames.options import GAMMA, RenderOptions
+from clmorph.measures.options import LiftOptions
+from clmorph.output.options import PlaybackOptions, StyleOptions
+from clmorph.pipeline.presets import PRESETS
+from clmorph.transport.options import PlanOptions, Reach, SolverOptions
+from clmorph.transport.regularization import regularization
+
+#: Of each of these pairs only one option can hold: a later one takes the place of an earlier one.
+ALTERNATIVES = (
+    ("blur", "epsilon"),
+    ("reach", "rho"),
+    ("fps", "duration"),
+    ("sample", "barycentric"),
+    ("log_threshold", "sample"),
+    ("log_threshold", "barycentric"),
+)
+#: Those of which the first has a default, which gives way to the second.
+SQUARES_AND_PACE = ALTERNATIVES[:3]
+#: What an error adds about such a pair.
+REASONS = {
+    "epsilon": "epsilon is the square of blur",
+    "rho": "rho is the square of reach",
+    "duration": "both decide the pace",
+    "barycentric": "random draws and mean destinations exclude one another",
+    "sample": "random draws are from the whole plan",
+}
+#: What an error adds where widths could not be found.
+NO_DIVERGENCE = (
+    "sigma='optimal' needs a divergence: one reach for both images, and one color metric for all "
+    "pixels"
+)
+
+
+@dataclass(frozen=True, init=False)
+class BudgetOptions(Options):
+    """Options of what a morph may cost: sizes, particles, memory."""
+
+    size: int | None = option(
+        256, integer(2, 1 << 16),
+        "Reduce pictures to this longer side before anything else, sprites to whole blocks; "
+        "none: keep them whole.",
+        "Transport", unit="pixels",
+    )  # fmt: skip
+    solve_size: int | None = option(
+        128, integer(2, 1 << 16),
+        "Solve the transport between square blocks of pixels, at most this number along the "
+        "longer side, and draw with pixels; none: solve between pixels.",
+        "Transport", unit="blocks",
+    )  # fmt: skip
+    max_particles: int | None = option(
+        1_500_000, integer(1, 1 << 31),
+        "If the plan has more pairs, draw about this number of particles from it, but at least "
+        "one for each pixel; none: keep all pairs.",
+        "Transport",
+    )  # fmt: skip
+    max_memory: float | None = option(
+        None, number(1.0, 1e18),
+        "Memory that the morph may take; if the plan needs more, fewer particles are drawn; "
+        "none: half of the device's.",
+        "Transport", unit="GB", scale=1e9,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, init=False)
+class MorphOptions(
+    StyleOptions,
+    PlaybackOptions,
+    RenderOptions,
+    PlanOptions,
+    BudgetOptions,
+    SolverOptions,
+    LiftOptions,
+):
+    """All options of `clmorph.morph`, by keywords; those that are not given are the preset's.
+
+    Parameters
+    ----------
+    preset : str, optional
+        A name of `clmorph.pipeline.presets.PRESETS`; "photo" if none is given.
+    **given
+        Options, see `clmorph.morph`.
+
+    Raises
+    ------
+    InputError
+        If an option is unknown, its value cannot be used, or options contradict one another.
+
+    Examples
+    --------
+    >>> from clmorph import MorphOptions
+    >>> options = MorphOptions(blur=0.02, preset="balanced")
+    >>> options.blur, options.reach
+    (0.02, None)
+    >>> options.replace(rho=0.04).as_dict()["rho"]
+    0.04
+    """
+
+    #: A morph lets mass fade by default, unlike `clmorph.sinkhorn`.
+    reach: Reach = option(
+        0.3,
+        SolverOptions.__dataclass_fields__["reach"].metadata["option"].kind,
+        SolverOptions.__dataclass_fields__["reach"].metadata["option"].help,
+        "Transport", unit="image sides", word="balanced", off=(),
+    )  # fmt: skip
+
+    def __init__(self, *, preset: str | None = None, **given: Any) -> None:
+        super().__init__(**self.layered((preset_options(preset), given)))
+
+    @classmethod
+    def layered(cls, layers: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+        """Return the options of several layers in one; later ones win.
+
+        An option also removes its alternatives (`ALTERNATIVES`) of earlier layers.
+
+        Parameters
+        ----------
+        layers : iterable of mappings
+            Options by their names in Python.
+
+        Raises
+        ------
+        InputError
+            If one layer contradicts itself.
+        """
+        known = specifications(cls)
+        settings: dict[str, Any] = {}
+        for layer in layers:
+            chosen = {
+                name for name, value in layer.items()
+                if name in known and not _is_off(value, known[name].off)
+            }  # fmt: skip
+            for pair in ALTERNATIVES:
+                if chosen.issuperset(pair):
+                    raise InputError(
+                        f"{pair[0]}={shown(layer[pair[0]])} and {pair[1]}={shown(layer[pair[1]])} "
+                        f"contradict ({REASONS[pair[1]]}): give one of them"
+                    )
+                for name, other in (pair, pair[::-1]):
+                    if name in chosen:
+                        settings.pop(other, None)
+            settings |= layer
+            _settle_gamma(settings, layer)
+        return settings
+
+    def settle(self, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+        """Fill in what other options decide; see `Options.settle`."""
+        for name, other in SQUARES_AND_PACE:
+            if given.get(other) is not None and name not in given:
+                values[name] = None
+        if values["blur"] is None and values["epsilon"] is None:
+            values["blur"] = default(type(self), "blur")
+        if values["fps"] is None and values["duration"] is None:
+            values["fps"] = default(type(self), "fps")
+        if values["splatting"] == "adaptive" and values["gamma"] is None:
+            values["gamma"] = GAMMA
+        return values
+
+    def check_together(self) -> None:
+        """Check rules between options; see `Options.check_together`."""
+        found = regularization(self.blur, self.reach, self.epsilon, self.rho)
+        if self.rho is None:
+            object.__setattr__(self, "reach", found.reach)
+        if self.sigma is None:
+            return
+        if self.splatting not in ("adaptive", "local"):
+            raise InputError(
+                f"sigma='optimal' and splatting={self.splatting!r} contradict: expected splatting "
+                "'adaptive' or 'local' with it; widths in pixels are sigma_start and sigma_end"
+            )
+        if isinstance(found.reach, tuple):
+            raise InputError(NO_DIVERGENCE)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the options that hold, by their names: of alternatives only the one chosen."""
+        settings = super().as_dict()
+        for name, other in SQUARES_AND_PACE:
+            del settings[name if settings[other] is not None else other]
+        return settings
+
+    def replace(self, **given: Any) -> Self:
+        """Return these options with others in place of some.
+
+        Parameters
+        ----------
+        **given
+            Options, see `clmorph.morph`.
+
+        Raises
+        ------
+        InputError
+            As for `MorphOptions`.
+        """
+        return type(self)(**MorphOptions.layered((self.as_dict(), given)))
+
+    def chosen(self, names: Iterable[str], given: Mapping[str, Any]) -> Self:
+        """Return these options with those given in their place, of which only some may be.
+
+        Parameters
+        ----------
+        names : iterable of str
+            The options that may be given.
+        given : mapping
+
+        Raises
+        ------
+        InputError
+            If another one is given, or one cannot be used.
+        """
+        allowed = dict.fromkeys(names)
+        for name in given:
+            if name not in allowed:
+                raise InputError(unknown_option(name, allowed))
+        return self.replace(**given)
+
+    def of(self, stage: type[Options]) -> dict[str, Any]:
+        """Return the options of one stage, by their names.
+
+        Parameters
+        ----------
+        stage : type
+            A class of options that this one joins.
+        """
+        return {name: getattr(self, name) for name in specifications(stage)}
+
+
+def preset_options(name: str | None) -> dict[str, Any]:
+    """Return all options that presets decide, as a preset has them.
+
+    Parameters
+    ----------
+    name : str, optional
+        A name of `PRESETS`; "photo" if None.
+
+    Raises
+    ------
+    InputError
+        If there is no such preset.
+    """
+    chosen = PRESETS[check_choice("preset", "photo" if name is None else name, tuple(PRESETS))]
+    decided = {option for preset in PRESETS.values() for option in preset.options}
+    usual = {name: default(MorphOptions, name) for name in specifications(MorphOptions)}
+    return {name: value for name, value in usual.items() if name in decided} | dict(chosen.options)
+
+
+def _is_off(value: Any, off: tuple[Any, ...]) -> bool:
+    return any(type(value) is type(each) and value == each for each in off)
+
+
+def _settle_gamma(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
+    """Let gamma stand for adaptive splatting, to which alone it belongs."""
+    if layer.get("gamma") is not None:
+        splatting = layer.get("splatting", "adaptive")
+        if splatting != "adaptive":
+            raise InputError(
+                f"gamma={shown(layer['gamma'])} belongs to adaptive splatting, not to "
+                f"{shown(splatting)}: leave one of them out"
+            )
+        settings["splatting"] = "adaptive"
+    elif layer.get("splatting", "adaptive") != "adaptive":
+        settings["gamma"] = None
+
+
+#: The paper's own options, for the reference and for the baseline that the paper compares with.
+PAPER = MorphOptions(preset="paper", size=None)

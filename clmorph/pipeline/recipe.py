@@ -1,0 +1,168 @@
+"""Recipes: the options that made a file, written into it and read from it again.
+
+One format for Python and for the command line: what one saved, the other reads.
+"""
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from clmorph._shared.options import from_outside, outside_name, specifications, unknown_option
+from clmorph._shared.printable import reason_of
+from clmorph._shared.validation import is_path, shown
+from clmorph._shared.version import __version__
+from clmorph.errors import InputError
+from clmorph.output.bounded import MAX_TEXT
+from clmorph.output.provenance import read_parameters
+from clmorph.pipeline.options import MorphOptions
+
+#: What a file of settings may hold beside options, for the command line alone.
+PRESET, IMAGES = "preset", "images"
+NOT_OPTIONS = (IMAGES, "output", "format", "recipe", "max_pixels")
+
+
+def recipe(
+    options: MorphOptions,
+    *,
+    images: Sequence[Mapping[str, Any]] = (),
+    device: str = "",
+    arrays: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Return what a file holds about its making: enough to make it again.
+
+    Parameters
+    ----------
+    options : MorphOptions
+    images : sequence of mappings
+        The pictures: name and digest of each file, if they are files.
+    device : str
+        A description of the device.
+    arrays : sequence of str
+        Names of arrays that decided too ("weights", "color_metric") and are not held.
+    """
+    found: dict[str, Any] = {"clmorph": __version__, "options": options.outside()}
+    found |= {IMAGES: [dict(image) for image in images]} if images else {}
+    found |= {"arrays": list(arrays)} if arrays else {}
+    return found | ({"device": device} if device else {})
+
+
+def options_of(settings: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return options of a file by their names in Python, with its preset if it has one.
+
+    Parameters
+    ----------
+    settings : mapping
+        By their names outside, with dashes or underscores.
+    where : str
+        The file, for errors.
+
+    Raises
+    ------
+    InputError
+        If an option is unknown, or its value is of another kind.
+    """
+    known = {
+        outside_name(name, each): (name, each)
+        for name, each in specifications(MorphOptions).items()
+    }
+    found: dict[str, Any] = {}
+    for key, value in settings.items():
+        outside = key.replace("-", "_")
+        if outside == PRESET:
+            found[PRESET] = value
+            continue
+        if outside not in known:
+            names = [*known, PRESET, *NOT_OPTIONS]
+            raise InputError(f"{where}: {unknown_option(key, dict.fromkeys(names))}")
+        name, each = known[outside]
+        try:
+            found[name] = from_outside(each, key, value)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+    return found
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a file of settings in TOML.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    import tomllib
+
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(MAX_TEXT + 1)
+        if len(content) > MAX_TEXT:
+            raise ValueError(f"more than {MAX_TEXT} bytes")
+        return tomllib.loads(content.decode())
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not TOML ({reason_of(error)})") from None
+
+
+def read_recipe(path: Path) -> dict[str, Any]:
+    """Read the recipe in a file that clmorph has written.
+
+    Returns
+    -------
+    dict
+        ``options`` by their names outside, perhaps ``images``, ``arrays`` and ``device``.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it is of morphs with different options.
+    """
+    found = read_parameters(path)
+    if not isinstance(found.get("options"), dict):
+        several = "morphs that were made with different options" if "morphs" in found else "none"
+        raise InputError(f"{path} holds the options of {several}: expected those of one morph")
+    return found
+
+
+def load_options(path: str | PathLike[str]) -> dict[str, Any]:
+    """Return the options that a file was made with, or that a file of settings holds.
+
+    Parameters
+    ----------
+    path : path
+        Any file that `clmorph.save` or ``clmorph morph`` has written, a recipe (.json), or
+        settings in TOML.
+
+    Returns
+    -------
+    dict
+        For ``clmorph.morph(a, b, **options)``.
+
+    Raises
+    ------
+    InputError
+        If the file holds no options, or some that cannot be used.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import clmorph
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pathlib.Path(folder, "mine.toml")
+    ...     _ = file.write_text('preset = "pixel-art"')
+    ...     clmorph.load_options(file)
+    {'preset': 'pixel-art'}
+    """
+    if not is_path(path):
+        raise InputError(
+            f"path={shown(path)}: expected the path of a file that clmorph has written"
+        )
+    file = Path(path)
+    if not file.exists():
+        raise InputError(f"{file}: no such file")
+    own = file.suffix.lower() == ".toml"
+    settings = read_toml(file) if own else read_recipe(file)["options"]
+    options = {
+        name: value for name, value in settings.items()
+        if name.replace("-", "_") not in NOT_OPTIONS
+    }  # fmt: skip
+    return options_of(options, str(file))

@@ -1,0 +1,137 @@
+"""Annealing of large problems: larger blurs are solved over larger clusters of points.
+
+At each level the blur is twice that of the next finer one, and the clusters have about its size.
+Source of the idea: Schmitzer, "Stabilized sparse scaling algorithms for entropy regularized
+transport problems" (2019).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from clmorph._shared.typing import Array
+from clmorph.measures.cluster import Clusters, make_clusters
+from clmorph.measures.points import AnyMeasure
+from clmorph.transport._solver.iteration import TOP, Iteration
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.softmin import LEAST_RESERVE, MANY_PAIRS, Softmin
+from clmorph.transport._solver.state import State
+
+#: Side of the clusters at a level, in units of its blur.
+ANNEALING_SIDE = 1.0
+#: Annealing begins at the level that has no more pairs of clusters than this.
+FEW_PAIRS = 1 << 20
+#: Residual to reach at a level, in units of its epsilon.
+LEVEL_TOLERANCE = 0.05
+#: Truncation at the levels, in nats, and the share of it for which near pairs are chosen there.
+LEVEL_TRUNCATION, LEVEL_RESERVE = 1e-2, 1e-20
+
+
+def anneal(
+    problem: Problem,
+    pair: tuple[AnyMeasure, AnyMeasure],
+    finest: Problem,
+    blur: float,
+    max_iter: int,
+) -> Array:
+    """Return potentials g at which a problem can begin, from larger blurs over larger clusters.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the points.
+    pair : (source, target)
+        Measures of the finest problem: the points, or clusters of them.
+    finest : Problem
+        That of `pair`; its softmins receive first guesses.
+    blur : float
+        Of the finest problem.
+    max_iter : int
+        Most iterations at each level.
+
+    Returns
+    -------
+    (M,) array
+    """
+    top = TOP * np.sqrt(2 * problem.largest_cost)
+    levels: list[tuple[float, list[Clusters]]] = []
+    while len(pair[0]) * len(pair[1]) > FEW_PAIRS and blur < top:
+        blur *= 2
+        clusters = [make_clusters(measure, ANNEALING_SIDE * blur) for measure in pair]
+        levels.append((blur, clusters))
+        pair = clusters[0].measure, clusters[1].measure
+    g: Array | None = None
+    prolonged: list[Array] | None = None
+    problems = [finest]
+    problems += [_level_problem(problem, one.measure, other.measure) for _, (one, other) in levels]
+    for (level, clusters), coarse in reversed(list(zip(levels, problems[1:], strict=True))):
+        iteration = Iteration(
+            coarse, level, LEVEL_TOLERANCE, max_iter, "float32", ignore, certify=False
+        )
+        iteration.run(g)
+        state = iteration.state
+        problems.pop()
+        # Potentials are close to linear in epsilon, of which three quarters go at each level, so
+        # the line through the last two levels is continued to the next one.
+        reached = [state.t_rows, state.t_columns]
+        begun = reached if prolonged is None else prolonged
+        fine = problems[-1]
+        prolonged = _prolong(problem, coarse, state, clusters, fine, level)
+        guesses = [
+            there + 0.25 * (now - before)[own.labels]
+            for there, now, before, own in zip(prolonged, reached, begun, clusters, strict=True)
+        ]
+        fine.to_rows.guess, fine.to_columns.guess = guesses
+        g = problem.damping(level**2)[1] * guesses[1]
+    return np.zeros(len(finest.b)) if g is None else g
+
+
+def _level_truncation(problem: Problem, rows: int, columns: int) -> float | None:
+    """Return the truncation at a level of this many points; None takes all pairs."""
+    if problem.truncation is None or rows * columns < MANY_PAIRS:
+        return None
+    return LEVEL_TRUNCATION
+
+
+def _level_problem(problem: Problem, source: AnyMeasure, target: AnyMeasure) -> Problem:
+    """Return the problem of the clusters of a level."""
+    truncation = _level_truncation(problem, len(source), len(target))
+    level = Problem.between(problem.operations, source, target, problem.rho, truncation)
+    return prepare(level, LEVEL_RESERVE)
+
+
+def _prolong(
+    problem: Problem,
+    coarse: Problem,
+    state: State,
+    clusters: list[Clusters],
+    fine: Problem,
+    blur: float,
+) -> list[Array]:
+    """Evaluate the softmins of coarse potentials at the points of a finer problem."""
+
+    def softmin(rows: Any, columns: Any, weights: tuple[Array, Array], guess: Array) -> Softmin:
+        truncation = _level_truncation(problem, len(weights[0]), len(weights[1]))
+        result = Softmin(problem.operations, rows, columns, weights, truncation)
+        # It is taken once and from a rough guess; what it leaves out is little all the same.
+        result.guess, result.proven, result.reserve = guess, False, LEAST_RESERVE
+        return result
+
+    to_rows = softmin(
+        fine.rows, coarse.columns, (fine.a, coarse.b), state.t_rows[clusters[0].labels]
+    )
+    to_columns = softmin(
+        fine.columns, coarse.rows, (fine.b, coarse.a), state.t_columns[clusters[1].labels]
+    )
+    return [to_rows(state.g, blur**2), to_columns(state.f, blur**2)]
+
+
+def prepare(problem: Problem, reserve: float) -> Problem:
+    """Let near pairs be chosen that remain valid although the potentials will move far."""
+    for softmin in (problem.to_rows, problem.to_columns):
+        softmin.reserve = reserve
+    return problem
+
+
+def ignore(share: float) -> None:
+    """Report nothing: work over clusters takes little of the time."""

@@ -1,0 +1,69 @@
+"""What the solvers of one blur and of many levels share: state, precision, share done."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from clmorph._shared.typing import Array
+from clmorph.transport._solver.problem import Problem
+
+#: A residual of at most this many times the bound on the rounding of one softmin can be rounding.
+ROUNDING_MARGIN = 8.0
+
+
+class State(NamedTuple):
+    """Potentials with their softmins, T(g) and T(f), and their residual in units of epsilon."""
+
+    f: Array
+    g: Array
+    t_rows: Array
+    t_columns: Array
+    residual: float
+
+
+def measured(problem: Problem, f: Array, g: Array, epsilon: float) -> State:
+    """Return potentials with softmins and a residual whose rounding is bounded.
+
+    Parameters
+    ----------
+    problem : Problem
+    f, g : (N,) and (M,) arrays
+        Cost units.
+    epsilon : float
+        Cost units.
+    """
+    softmins = problem.bounded_softmins(f, g, epsilon)
+    return State(f, g, *softmins, problem.residual(f, g, *softmins, epsilon))
+
+
+def share_done(first: float, residual: float, tol: float) -> float:
+    """Return the share of the work that is done, supposing that residuals fall geometrically.
+
+    Parameters
+    ----------
+    first, residual, tol : float
+        The first residual, the present one, and the one to reach.
+    """
+    if residual <= tol or first <= tol:
+        return 1.0
+    return float(np.clip(np.log(first / residual) / np.log(first / tol), 0.0, 1.0))
+
+
+def needs_more(problem: Problem, precision: str, epsilon: float, tol: float) -> bool:
+    """Return whether a tolerance needs better exponents than float32, and they are allowed.
+
+    Parameters
+    ----------
+    problem : Problem
+    precision : {"auto", "float32", "float64"}
+    epsilon : float
+        Cost units.
+    tol : float
+        Units of epsilon.
+    """
+    if precision != "auto":
+        return precision == "float64"
+    operations = problem.operations
+    if operations.exponent_roundoff == operations.precise_roundoff:
+        return True
+    return problem.rounding(epsilon, precise=False) > 0.25 * tol

@@ -1,0 +1,118 @@
+"""Options of the solver and of the plan (paper, 2.1 and 3.1)."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from clmorph._shared.options import Options, choice, flag, integer, number, option
+
+#: Length scale of creation and destruction of mass: one for both measures, or a pair; None
+#: is balanced.
+Reach = float | tuple[float | None, float | None] | None
+#: The same squared; infinity is balanced.
+Rho = float | tuple[float, float] | None
+#: How `clmorph.sinkhorn` iterates: accelerated and certified, or by GeomLoss's schedule.
+Method = Literal["certified", "geomloss"]
+METHODS = get_args(Method)
+#: Floating-point precision of the exponents while the solver iterates.
+Precision = Literal["auto", "float32", "float64"]
+PRECISIONS = get_args(Precision)
+#: What the share `relative` of `clmorph.transport_plan` refers to: the largest pair of the row or
+#: column, or the largest pair of the plan.
+RelativeTo = Literal["rows", "plan"]
+RELATIVE_TO = get_args(RelativeTo)
+
+#: The threshold log_threshold, in nats, lies within these bounds.
+LOWEST, HIGHEST = -1e4, 1e4
+#: Random draws from a row of a plan, at most.
+MAX_DRAWS = 4096
+
+_LENGTH = number(1e-6, 1e6)
+#: Checked by `clmorph.transport.regularization`, which knows both units.
+_REACH = replace(
+    _LENGTH, check=lambda name, value: value, pair=True, expected="a number",
+    metavar="number|balanced|source,target",
+)  # fmt: skip
+_RHO = replace(_REACH, words=(("balanced", math.inf),))
+
+
+@dataclass(frozen=True, init=False)
+class SolverOptions(Options):
+    """Options of the problem and of when its solver stops: `clmorph.sinkhorn`."""
+
+    blur: float | None = option(
+        0.03, _LENGTH,
+        "Length scale of the entropic blur; a smaller one is sharper and slower.",
+        "Transport", unit="image sides",
+    )  # fmt: skip
+    reach: Reach = option(
+        None, _REACH,
+        "Length scale beyond which mass fades rather than moves; balanced: nothing fades; two "
+        "values, as in 0.3,balanced, for source and target.",
+        "Transport", unit="image sides", word="balanced", off=(),
+    )  # fmt: skip
+    epsilon: float | None = option(
+        None, replace(_LENGTH, check=lambda name, value: value),
+        "The square of blur, in its place.", "Transport", unit="cost units",
+    )  # fmt: skip
+    rho: Rho = option(
+        None, _RHO, "The square of reach, in its place.", "Transport", unit="cost units"
+    )
+    tol: float = option(
+        1e-3, number(0.0, 1e3, open_low=True), "Residual at which the solver stops.",
+        "Transport", unit="epsilon", word="",
+    )  # fmt: skip
+    max_iter: int = option(
+        2000, integer(1, 10**9),
+        "Number of iterations after which the solver stops in any case.", "Transport", word="",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, init=False)
+class AlgorithmOptions(Options):
+    """Further options of `clmorph.sinkhorn`: how it computes, not what."""
+
+    method: Method = option("certified", choice(Method), "Algorithm.", "Transport", word="")
+    scaling: float = option(
+        0.9, number(0.01, 0.999), "Factor between the blurs of GeomLoss's schedule.", "Transport",
+        word="",
+    )  # fmt: skip
+    precision: Precision = option(
+        "auto", choice(Precision), "Precision of exponents.", "Transport", word=""
+    )
+
+
+@dataclass(frozen=True, init=False)
+class PlanOptions(Options):
+    """Options of the plan: which of its pairs become particles."""
+
+    log_threshold: float | None = option(
+        None, number(LOWEST, HIGHEST),
+        "Keep the pairs of the plan with log pi above this threshold (the paper's tau is -13), or "
+        "those relative to the largest of their row or column.",
+        "Transport", unit="nats", word="relative",
+    )  # fmt: skip
+    barycentric: bool = option(
+        False, flag(), "Draw one particle a pixel, which travels to its mean destination.",
+        "Transport", word="",
+    )  # fmt: skip
+    sample: int | None = option(
+        None, integer(1, MAX_DRAWS),
+        "Draw this number of particles a pixel from the plan at random.", "Transport",
+    )  # fmt: skip
+    seed: int = option(0, integer(0, 2**63), "Seed of the random draws.", "Transport", word="")
+
+
+@dataclass(frozen=True, init=False)
+class PruningOptions(Options):
+    """Further options of `clmorph.transport_plan`: which pairs it keeps, and how many."""
+
+    relative: float = option(
+        1e-4, number(0.0, 1.0, open_low=True),
+        "A pair is kept from this share of the largest pair of its row or column on.",
+        "Transport", word="",
+    )  # fmt: skip
+    max_bytes: float = option(
+        4 * 2.0**30, number(1.0, 1e18), "The most memory that the pairs may take.", "Transport",
+        unit="bytes", word="",
+    )  # fmt: skip

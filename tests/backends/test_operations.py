@@ -1,0 +1,828 @@
+"""Each operation on each device against its NumPy twin."""
+
+import inspect
+
+import numpy as np
+import pytest
+from clouds import PAIRS
+
+from clmorph.backends.comparison import UNIT, splat_excess, splat_tolerance
+from clmorph.backends.interface import KERNEL_ERROR, Operations
+from clmorph.backends.opencl.build.constants import MOMENT_CHUNK
+from clmorph.backends.opencl.kernels.gauss_transform import cell_side, make_cells, moments_pay
+from clmorph.backends.opencl.kernels.launches import LaunchBudget
+from clmorph.backends.width_levels import WIDTH_LEVELS
+from clmorph.cli.conformance import log_sum_exp_tolerance
+from clmorph.reference import NumPyOperations
+
+REFERENCE = NumPyOperations()
+#: Particles that each way of splatting adds up before they join the total.
+CHUNKS = {"gather": 256, "moments": MOMENT_CHUNK}
+BLURS = [1.0, 0.3, 0.1, 0.05, 0.02, 0.01, 0.003]
+
+
+def _upload(operations, pair):
+    return [operations.upload(*cloud) for cloud in pair]
+
+
+def _potential(rng, n, epsilon):
+    """Potentials of the size that solutions have, rough by a few epsilon."""
+    return 0.2 * rng.random() + epsilon * rng.normal(size=n)
+
+
+def test_twins_have_the_protocols_signatures(device):
+    names = [name for name in vars(Operations) if not name.startswith("_")]
+    operations = [name for name in names if callable(getattr(Operations, name, None))]
+    assert len(operations) == 19
+    for name in operations:
+        wanted = list(inspect.signature(getattr(Operations, name)).parameters)[1:]
+        for backend in (REFERENCE, device):
+            assert list(inspect.signature(getattr(backend, name)).parameters) == wanted, name
+
+
+@pytest.mark.parametrize("blur", BLURS)
+@pytest.mark.parametrize("name", PAIRS)
+def test_softmin_and_row_maxima(variant, rng, name, blur):
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    g = _potential(rng, len(pair[1][0]), epsilon)
+    tolerance = log_sum_exp_tolerance(variant, *pair, epsilon)
+    rows, columns = _upload(variant, pair)
+    exact_rows, exact_columns = _upload(REFERENCE, pair)
+
+    got = variant.softmin(rows, columns, g, epsilon)
+    want = REFERENCE.softmin(exact_rows, exact_columns, g, epsilon)
+    assert np.all(np.isfinite(got))
+    assert np.abs(got - want).max() / epsilon <= tolerance
+
+    got = variant.softmin(rows, columns, g, epsilon, True)
+    assert np.all(np.isfinite(got))
+    precise = log_sum_exp_tolerance(variant, *pair, epsilon, True)
+    assert np.abs(got - want).max() / epsilon <= precise
+
+    got = variant.row_maxima(rows, columns, g, epsilon)
+    want = REFERENCE.row_maxima(exact_rows, exact_columns, g, epsilon)
+    assert np.abs(got - want).max() <= tolerance
+
+
+def _exactly(pair, g, epsilon):
+    """T(g) in long double."""
+    (x, _), (y, b) = pair
+    wide = np.longdouble
+    cost = np.zeros((len(x), len(y)), wide)
+    for d in range(x.shape[1]):
+        cost += (wide(1) * x[:, None, d] - wide(1) * y[:, d]) ** 2 / 2
+    with np.errstate(divide="ignore"):
+        exponents = (wide(1) * g - cost) / wide(epsilon) + np.log(wide(1) * b)
+    largest = exponents.max(axis=1)
+    return -wide(epsilon) * (largest + np.log(np.exp(exponents - largest[:, None]).sum(axis=1)))
+
+
+@pytest.mark.parametrize("blur", BLURS)
+@pytest.mark.parametrize("name", PAIRS)
+def test_bounded_softmin_is_as_near_as_it_says(variant, rng, name, blur):
+    """Nothing but the bound that it tells, which is small."""
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    g = _potential(rng, len(pair[1][0]), epsilon)
+    want = _exactly(pair, g, epsilon)
+    sizes = [np.abs(cloud[0]).max() for cloud in pair]
+    largest = pair[0][0].shape[1] * max(sizes) ** 2 / epsilon
+    for backend in (variant, REFERENCE):
+        got, error = backend.bounded_softmin(*_upload(backend, pair), g, epsilon)
+        assert np.abs(got - want).max() / epsilon <= error
+        assert error <= 1e-8 + 1e-11 * (100 + largest)
+
+
+@pytest.mark.parametrize("dimension", range(1, 12))
+def test_bounded_softmin_in_any_dimension_and_over_near_pairs(variant, rng, dimension):
+    pair = [(rng.random((n, dimension)), rng.random(n) ** 30) for n in (100, 150)]
+    for cloud in pair:
+        cloud[1][::3] = 0
+    epsilon = 0.002
+    g = _potential(rng, 150, epsilon)
+    want = _exactly(pair, g, epsilon)
+    for backend in (variant, REFERENCE):
+        clouds = _upload(backend, pair)
+        got, error = backend.bounded_softmin(*clouds, g, epsilon)
+        assert np.abs(got - want).max() / epsilon <= error
+        near = backend.near_pairs(*clouds, g, got, epsilon, 1e-3)
+        got, error = backend.bounded_softmin(*clouds, g, epsilon, near)
+        missing = (got - want) / epsilon
+        assert missing.min() >= -error
+        assert np.all(missing <= 1.01 * near.skipped + error)
+
+
+@pytest.mark.parametrize("epsilon", [1.0, 1e-3])
+def test_a_softmin_of_numbers_without_a_bound_says_so(variant, rng, epsilon):
+    """Coordinates so large that their exponents leave float32 no digit."""
+    x = np.array([[0.0, 0.0], [1e6, 1e6]])[rng.integers(0, 2, 100)]
+    pair = [(x, np.ones(100)), (x + 0.5 * rng.random((100, 2)), np.ones(100))]
+    got, error = variant.bounded_softmin(*_upload(variant, pair), np.zeros(100), epsilon)
+    assert error > 1e-4
+    off = np.abs(got - _exactly(pair, np.zeros(100), epsilon)).max() / epsilon
+    assert np.isinf(error) or off <= error
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3, 8, 11])
+def test_softmin_in_other_dimensions(variant, rng, dimension):
+    pair = [(rng.random((n, dimension)), np.full(n, 1 / n)) for n in (100, 150)]
+    epsilon = 0.01
+    g = _potential(rng, 150, epsilon)
+    got = variant.softmin(*_upload(variant, pair), g, epsilon)
+    want = REFERENCE.softmin(*_upload(REFERENCE, pair), g, epsilon)
+    assert np.abs(got - want).max() / epsilon <= log_sum_exp_tolerance(variant, *pair, epsilon)
+
+
+def test_softmin_survives_huge_potentials(variant, rng):
+    pair = PAIRS["random"](rng)
+    g = np.zeros(403)
+    g[::7] = 1e4
+    g[1::7] = -1e4
+    got = variant.softmin(*_upload(variant, pair), g, 0.01)
+    want = REFERENCE.softmin(*_upload(REFERENCE, pair), g, 0.01)
+    assert np.abs(got - want).max() / 0.01 <= log_sum_exp_tolerance(variant, *pair, 0.01)
+    got = variant.softmin(*_upload(variant, pair), g, 0.01, True)
+    assert np.abs(got - want).max() / 0.01 <= log_sum_exp_tolerance(variant, *pair, 0.01, True)
+
+
+def test_softmin_of_one_pair_is_its_cost(variant):
+    x, y = np.array([[0.1, 0.2, 0.3, 0.4, 0.5]]), np.array([[0.9, 0.1, 0.7, 0.2, 0.6]])
+    cost = 0.5 * np.sum((x - y) ** 2)
+    one = np.ones(1)
+    got = variant.softmin(variant.upload(x, one), variant.upload(y, one), np.array([0.07]), 0.0025)
+    assert got[0] == pytest.approx(cost - 0.07, abs=1e-7)
+
+
+def test_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rng):
+    pair = [(rng.random((n, 5)), np.full(n, 1 / n)) for n in (700, 900)]
+    rows, columns = _upload(variant, pair)
+    g = rng.random(900)
+    whole = variant.softmin(rows, columns, g, 0.01)
+    monkeypatch.setattr(LaunchBudget, "pairs", lambda self: 1)
+    cut = variant.softmin(rows, columns, g, 0.01)
+    assert np.array_equal(whole, cut)
+
+
+@pytest.mark.parametrize("guessed", [True, False])
+@pytest.mark.parametrize("budget", [1e-7, 1e-4, 0.05])
+@pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("name", PAIRS)
+def test_near_pairs(variant, rng, name, blur, budget, guessed):
+    """What is left out is within what is said of it, and that within the budget."""
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    exact = _upload(REFERENCE, pair)
+    f = _potential(rng, len(pair[0][0]), epsilon)
+    g = REFERENCE.softmin(exact[1], exact[0], f, epsilon)
+    whole = REFERENCE.softmin(*exact, g, epsilon)
+    guess = whole + epsilon * (0.5 * rng.normal(size=len(whole)) if guessed else 0.0)
+    tolerance = log_sum_exp_tolerance(variant, *pair, epsilon)
+    for backend, rounding in ((variant, tolerance), (REFERENCE, 1e-9)):
+        clouds = _upload(backend, pair)
+        near = backend.near_pairs(*clouds, g, guess, epsilon, budget)
+        assert near.skipped.min() >= 0
+        assert near.n_pairs >= len(f) * len(g) or near.skipped.max() > 0
+        assert near.skipped.max() <= (30 if guessed else 1.5) * budget
+        assert len(f) <= near.n_pairs
+        softmin = backend.softmin(*clouds, g, epsilon, False, near)
+        precise = backend.softmin(*clouds, g, epsilon, True, near)
+        for values in (near.softmin, softmin, precise):
+            missing = (values - whole) / epsilon
+            assert missing.min() >= -rounding
+            assert np.all(missing <= near.skipped + rounding)
+        less = (softmin - near.softmin) / epsilon
+        assert less.min() >= -2 * rounding
+        assert np.all(less <= near.skipped + 2 * rounding)
+        maxima = backend.row_maxima(*clouds, g, epsilon, near)
+        largest = REFERENCE.row_maxima(*exact, g, epsilon)
+        sums = -whole / epsilon
+        shares = np.exp(np.maximum(maxima, largest) - sums)
+        assert np.all((np.abs(maxima - largest) <= rounding) | (shares <= 1.1 * near.skipped))
+
+
+def test_near_pairs_leave_out_most_of_far_clusters(variant, rng):
+    """Four clusters, as far apart as mass does not go: a quarter of the pairs is left."""
+    middles = 3.0 * np.arange(4)[:, None, None]
+    x, y = ((middles + 0.1 * rng.random((4, 256, 5))).reshape(-1, 5) for _ in range(2))
+    clouds = [variant.upload(points, np.full(1024, 1 / 1024)) for points in (x, y)]
+    g = np.zeros(1024)
+    whole = variant.softmin(*clouds, g, 0.0025)
+    near = variant.near_pairs(*clouds, g, whole, 0.0025, 1e-4)
+    assert near.n_pairs <= 1024**2 / 4
+    assert near.n_columns <= 256
+
+
+@pytest.mark.parametrize("blur", [0.1, 0.02])
+def test_groups_of_tiles_are_bounded_first(variant, monkeypatch, rng, blur):
+    """Nothing else is left out than without groups, but for what the budget allows."""
+    middles = rng.random((40, 1, 3))
+    x, y = ((middles + 0.05 * rng.random((40, 90, 3))).reshape(-1, 3) for _ in range(2))
+    epsilon, g = blur**2, blur**2 * rng.normal(size=3600)
+    pair = [(points, np.full(3600, 1 / 3600)) for points in (x, y)]
+    clouds = _upload(variant, pair)
+    whole = REFERENCE.softmin(*_upload(REFERENCE, pair), g, epsilon)
+    thresholds = [np.log(1e-5) + np.full(3600, -np.log(3600)), np.full(3600, np.inf)]
+    kept, counts = [], []
+    for limit in (1 << 60, 0):
+        monkeypatch.setattr("clmorph.backends.opencl.kernels.candidates.WIDE_FROM", limit)
+        monkeypatch.setattr("clmorph.backends.opencl.kernels.plan_rows.LISTED_FROM", 0)
+        near = variant.near_pairs(*clouds, g, whole, epsilon, 1e-5)
+        missing = (near.softmin - whole) / epsilon
+        assert near.skipped.max() <= 1.5e-5
+        assert missing.max() <= near.skipped.max() + 1e-3
+        kept.append(near.n_pairs)
+        counts.append(variant.count_plan_rows(*clouds, whole, g, epsilon, *thresholds))
+    assert kept[1] == pytest.approx(kept[0], rel=0.1)
+    assert np.array_equal(*counts)
+
+
+def test_a_hopeless_guess_is_told(variant, rng):
+    """Far too small a sum guessed for: everything looks large, and nothing is left out."""
+    pair = PAIRS["random"](rng)
+    clouds, epsilon = _upload(variant, pair), 0.01
+    g = np.zeros(403)
+    whole = variant.softmin(*clouds, g, epsilon)
+    high = variant.near_pairs(*clouds, g, whole + 400 * epsilon, epsilon, 1e-4)
+    assert high.n_pairs >= 257 * 403
+    few = 400 * (np.arange(257) % 50 == 0)
+    for guess in (whole - 400 * epsilon, whole + epsilon * few, whole - epsilon * few):
+        near = variant.near_pairs(*clouds, g, guess, epsilon, 1e-4)
+        assert np.all(np.isfinite(near.softmin))
+        softmin = variant.softmin(*clouds, g, epsilon, False, near)
+        rounding = log_sum_exp_tolerance(variant, *pair, epsilon)
+        assert np.all((softmin - whole) / epsilon <= near.skipped + rounding)
+
+
+@pytest.mark.parametrize("precise", [False, True])
+def test_near_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rng, precise):
+    pair = [(rng.random((n, 5)), np.full(n, 1 / n)) for n in (700, 900)]
+    clouds, g = _upload(variant, pair), rng.random(900)
+    guess = variant.softmin(*clouds, g, 0.01)
+    results = []
+    for pairs in (1 << 40, 1):
+        monkeypatch.setattr(LaunchBudget, "pairs", lambda self, pairs=pairs: pairs)
+        near = variant.near_pairs(*clouds, g, guess, 0.01, 1e-3)
+        results.append(
+            [near.softmin, near.skipped, variant.softmin(*clouds, g, 0.01, precise, near)]
+        )
+    assert all(np.array_equal(*both) for both in zip(*results, strict=True))
+
+
+@pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("name", PAIRS)
+def test_moments_and_draws_over_near_pairs(variant, rng, name, blur):
+    """Over near pairs that leave out next to nothing they are those over all."""
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    clouds = _upload(variant, pair)
+    g = _potential(rng, len(pair[1][0]), epsilon)
+    softmin = variant.softmin(*clouds, g, epsilon, True)
+    near = variant.near_pairs(*clouds, g, softmin, epsilon, 1e-8)
+    over_all = variant.plan_moments(*clouds, g, softmin, epsilon, True)
+    over_near = variant.plan_moments(*clouds, g, softmin, epsilon, True, near)
+    tolerance = UNIT * (32 + 4 * np.sqrt(len(g)))
+    size = 1.0 + max(np.abs(points).max() for points, _ in pair)
+    for got, want, scale in zip(over_near, over_all, (size, 8 * size**2), strict=True):
+        assert np.abs(got - want).max() <= 2 * (tolerance + 1e-7) * scale
+    thresholds = np.tile([0.1, 0.5, 0.9], (len(softmin), 1))
+    draws = variant.sample_plan_rows(*clouds, g, softmin, epsilon, thresholds, True, near)
+    assert draws.min() >= 0
+    assert np.all(pair[1][1][draws] > 0)
+    want = variant.sample_plan_rows(*clouds, g, softmin, epsilon, thresholds, True)
+    assert np.mean(draws != want) <= 0.01
+
+
+def _solved(pair, epsilon, rng):
+    """Potentials about a solution, and thresholds by row and by column."""
+    clouds = _upload(REFERENCE, pair)
+    f = _potential(rng, len(pair[0][0]), epsilon)
+    g = REFERENCE.softmin(clouds[1], clouds[0], f, epsilon)
+    f = REFERENCE.softmin(*clouds, g, epsilon)
+    columns = REFERENCE.softmin(clouds[1], clouds[0], f, epsilon)
+    row_thresholds = clouds[0].log_weights + np.log(1e-6)
+    column_thresholds = (g - columns) / epsilon + clouds[1].log_weights + np.log(1e-8)
+    thresholds = [np.where(np.isneginf(x), np.inf, x) for x in (row_thresholds, column_thresholds)]
+    return f, g, thresholds
+
+
+@pytest.mark.parametrize("by_near", [False, True])
+@pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("name", PAIRS)
+def test_sums_over_stored_pairs(variant, rng, name, blur, by_near):
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    f, g, thresholds = _solved(pair, epsilon, rng)
+    sums = []
+    changes = 3 * rng.normal(size=len(g)), 3 * rng.normal(size=len(f))
+    for backend in (variant, REFERENCE):
+        rows, columns = _upload(backend, pair)
+        near = None, None
+        if by_near:
+            near = (
+                backend.near_pairs(
+                    rows, columns, g, backend.softmin(rows, columns, g, epsilon), epsilon, 1e-9
+                ),
+                backend.near_pairs(
+                    columns, rows, f, backend.softmin(columns, rows, f, epsilon), epsilon, 1e-9
+                ),
+            )
+        stored = backend.store_pairs(rows, columns, f, g, epsilon, *thresholds, 10**9, near)
+        assert 0 < stored.n_pairs <= len(f) * len(g)
+        sums.append([backend.sum_stored(stored, changes[i], bool(i)) for i in range(2)])
+        assert (
+            backend.store_pairs(rows, columns, f, g, epsilon, *thresholds, stored.n_pairs - 1, near)
+            is None
+        )
+    tolerance = log_sum_exp_tolerance(variant, *pair, epsilon)
+    for got, want, (_, weights) in zip(*sums, pair, strict=True):
+        assert np.array_equal(np.isneginf(got), weights == 0)
+        assert np.array_equal(np.isneginf(want), weights == 0)
+        # A pair on the threshold may be stored by one only, and changes by up to e^15.
+        difference = np.abs(got[weights > 0] - want[weights > 0])
+        assert difference.max() <= 2 * tolerance + 0.1
+        assert np.quantile(difference, 0.9) <= 2 * tolerance + 1e-4
+
+
+def test_stored_sums_are_those_of_changed_potentials(variant, rng):
+    """With next to nothing left out, a softmin at other potentials."""
+    pair, epsilon = PAIRS["random"](rng), 0.01
+    f, g, _ = _solved(pair, epsilon, rng)
+    clouds = _upload(variant, pair)
+    thresholds = [np.full(len(x), -1e4) for x in (f, g)]
+    stored = variant.store_pairs(*clouds, f, g, epsilon, *thresholds, 10**9)
+    assert stored.n_pairs == len(f) * len(g)
+    changes = rng.normal(size=len(g)) + 100.0
+    got = variant.sum_stored(stored, changes, False)
+    softmin = REFERENCE.softmin(*_upload(REFERENCE, pair), g + epsilon * changes, epsilon)
+    want = (f - softmin) / epsilon + np.log(pair[0][1])
+    tolerance = log_sum_exp_tolerance(variant, *pair, epsilon) + 100 * 2.0**-23
+    assert np.abs(got - want).max() <= tolerance
+    # Far beyond what float32 could multiply.
+    changes[::2] -= 900.0
+    got = variant.sum_stored(stored, changes, False)
+    softmin = REFERENCE.softmin(*_upload(REFERENCE, pair), g + epsilon * changes, epsilon)
+    want = (f - softmin) / epsilon + np.log(pair[0][1])
+    assert np.abs(got - want).max() <= tolerance + 900 * 2.0**-23
+
+
+def test_stored_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rng):
+    pair, epsilon = [(rng.random((n, 5)), np.full(n, 1 / n)) for n in (700, 900)], 0.01
+    f, g, thresholds = _solved(pair, epsilon, rng)
+    results = []
+    for most in (1 << 22, 5000):
+        monkeypatch.setattr("clmorph.backends.opencl.kernels.row_loop.FILL_PAIRS", most)
+        clouds = _upload(variant, pair)
+        stored = variant.store_pairs(*clouds, f, g, epsilon, *thresholds, 10**9)
+        results.append([variant.sum_stored(stored, x, by) for x, by in ((g, False), (f, True))])
+        parts = len(stored.pairs[0].parts)
+    assert parts > 3
+    assert all(np.array_equal(*both) for both in zip(*results, strict=True))
+
+
+@pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("name", PAIRS)
+def test_plan_rows(variant, rng, name, blur):
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    exact = _upload(REFERENCE, pair)
+    f = _potential(rng, len(pair[0][0]), epsilon)
+    g = REFERENCE.softmin(exact[1], exact[0], f, epsilon)
+    f = REFERENCE.softmin(exact[0], exact[1], g, epsilon)
+    largest = REFERENCE.row_maxima(*exact, g, epsilon) + f / epsilon + exact[0].log_weights
+    row_thresholds = largest + np.log(1e-3)
+    column_thresholds = np.full(len(g), largest.max() - 3.0)
+    arguments = f, g, epsilon, row_thresholds, column_thresholds
+    tolerance = log_sum_exp_tolerance(variant, *pair, epsilon)
+
+    got = variant.plan_rows(*_upload(variant, pair), *arguments)
+    want = REFERENCE.plan_rows(*exact, *arguments)
+    assert got.indptr[0] == 0
+    assert got.indptr[-1] == len(got.mass) == len(got.indices)
+    counts = variant.count_plan_rows(*_upload(variant, pair), *arguments)
+    assert np.array_equal(counts, np.diff(got.indptr))
+    again = variant.plan_rows(*_upload(variant, pair), *arguments, False, counts)
+    assert all(np.array_equal(one, other) for one, other in zip(got, again, strict=True))
+    assert np.array_equal(REFERENCE.count_plan_rows(*exact, *arguments), np.diff(want.indptr))
+    got_mass, want_mass = (_dense(rows, len(g)) for rows in (got, want))
+    both = (got_mass > 0) & (want_mass > 0)
+    assert both.any()
+    ratio = np.log(got_mass[both] / want_mass[both])
+    assert np.abs(ratio).max() <= 2 * tolerance
+    # Kept by one only: the pair must lie on the threshold.
+    threshold = np.minimum(row_thresholds[:, None], column_thresholds)
+    for mass, other in ((got_mass, want_mass), (want_mass, got_mass)):
+        alone = (mass > 0) & (other == 0)
+        assert np.all(np.log(mass[alone]) - threshold[alone] <= 4 * tolerance)
+    for row in range(len(f)):
+        columns = got.indices[got.indptr[row] : got.indptr[row + 1]]
+        assert np.all(np.diff(columns) > 0)
+
+
+@pytest.mark.parametrize("precise", [False, True])
+@pytest.mark.parametrize("blur", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("name", PAIRS)
+def test_plan_rows_by_lists_are_the_same(variant, monkeypatch, rng, name, blur, precise):
+    """Tiles without a pair above its threshold are left out, and nothing else."""
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    exact = _upload(REFERENCE, pair)
+    f = _potential(rng, len(pair[0][0]), epsilon)
+    g = REFERENCE.softmin(exact[1], exact[0], f, epsilon)
+    by_row = REFERENCE.row_maxima(*exact, g, epsilon) + f / epsilon + exact[0].log_weights
+    by_column = REFERENCE.row_maxima(*exact[::-1], f, epsilon) + g / epsilon
+    by_column += exact[1].log_weights
+    clouds = _upload(variant, pair)
+    infinite = np.full(len(g), np.inf)
+    for thresholds in (
+        (by_row + np.log(1e-3), by_column + np.log(1e-2)),
+        (np.full(len(f), by_row.max() - 5.0), infinite),
+        (np.full(len(f), np.inf), infinite),
+        (np.full(len(f), -np.inf), infinite),
+    ):
+        results = []
+        for smallest in (1 << 62, 0):
+            monkeypatch.setattr("clmorph.backends.opencl.kernels.plan_rows.LISTED_FROM", smallest)
+            counts = variant.count_plan_rows(*clouds, f, g, epsilon, *thresholds, precise)
+            rows = variant.plan_rows(*clouds, f, g, epsilon, *thresholds, precise, counts)
+            results.append((counts, *rows[:2]))
+            results[-1] += (np.log(np.maximum(rows.mass, 1e-290)),)
+        for all_of_it, listed in list(zip(*results, strict=True))[:-1]:
+            assert np.array_equal(all_of_it, listed)
+        # Where a row is measured from depends on what is listed.
+        difference = np.abs(results[0][-1] - results[1][-1]).max(initial=0.0)
+        assert difference <= 2 * log_sum_exp_tolerance(variant, *pair, epsilon, precise)
+
+
+def _dense(rows, n_columns):
+    mass = np.zeros((len(rows.indptr) - 1, n_columns))
+    mass[np.repeat(np.arange(len(mass)), np.diff(rows.indptr)), rows.indices] = rows.mass
+    return mass
+
+
+def test_plan_rows_keeps_everything_or_nothing(variant, rng):
+    pair = PAIRS["zero weights"](rng)
+    n, m = len(pair[0][0]), len(pair[1][0])
+    everything = variant.plan_rows(
+        *_upload(variant, pair), np.zeros(n), np.zeros(m), 0.1,
+        np.full(n, -np.inf), np.full(m, -np.inf),
+    )  # fmt: skip
+    massive = np.count_nonzero(pair[0][1]) * np.count_nonzero(pair[1][1])
+    assert len(everything.mass) == massive
+    nothing = variant.plan_rows(
+        *_upload(variant, pair), np.zeros(n), np.zeros(m), 0.1,
+        np.full(n, np.inf), np.full(m, np.inf),
+    )  # fmt: skip
+    assert len(nothing.mass) == 0
+    assert nothing.indptr.tolist() == [0] * (n + 1)
+
+
+# --- particles --------------------------------------------------------------------------
+
+SPLATS = {
+    "spread": lambda rng: rng.uniform(-0.5, 40.5, (3000, 2)),
+    "one": lambda rng: np.array([[17.25, 3.5]]),
+    "on pixels": lambda rng: rng.integers(0, 40, (500, 2)),
+    "on bin edges": lambda rng: 8.0 * rng.integers(-1, 6, (200, 2)),
+    "all in one place": lambda rng: np.full((5000, 2), 11.3),
+    "outside": lambda rng: rng.uniform(-200, 200, (2000, 2)),
+    "far outside": lambda rng: rng.uniform(-1e9, 1e9, (300, 2)),
+}
+SHAPES = [(33, 41), (1, 1), (16, 16), (5, 70)]
+
+
+def _splats(rng, name, operations):
+    positions = np.asarray(SPLATS[name](rng), np.float32)
+    rng = np.random.default_rng(7)
+    colors = rng.random((len(positions), 3)).astype(np.float32)
+    weights = (10 ** rng.uniform(-10, 0, len(positions))).astype(np.float32)
+    return [backend.upload_splats(positions, colors, weights) for backend in operations]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("name", SPLATS)
+def test_bins_are_exact(variant, rng, name, shape):
+    splats, exact = _splats(rng, name, (variant, REFERENCE))
+    assert variant.bin_size == REFERENCE.bin_size
+    got, want = variant.bin_splats(splats, shape, 2), REFERENCE.bin_splats(exact, shape, 2)
+    assert got.shape == want.shape
+    assert np.array_equal(got.starts, want.starts)
+    assert np.array_equal(got.order, want.order)
+
+
+@pytest.fixture(params=["gather", "moments"])
+def method(request, variant, monkeypatch):
+    """Both ways from particles to pixels, wherever the second serves."""
+    monkeypatch.setattr(variant.splatting, "method", request.param)
+    return request.param
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.3, 0.4, 1.2, 6.0, 40.0])
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("name", SPLATS)
+def test_splat(variant, method, rng, name, shape, sigma):
+    splats, exact = _splats(rng, name, (variant, REFERENCE))
+    radius = 4.5 * sigma
+    sums = variant.splat(splats, shape, sigma, radius)
+    assert sums[0].shape == (*shape, 3)
+    assert sums[1].shape == shape
+    # Far-out positions are rounded to float32 before the distance is taken; the kernel
+    # then is where the reference puts it, because the reference has the same positions.
+    relative = splat_tolerance(len(exact.weights), CHUNKS[method])
+    assert splat_excess(sums, REFERENCE, exact, shape, sigma, radius, relative) <= 1
+    if method == "gather":
+        want = REFERENCE.splat(exact, shape, sigma, radius)
+        assert np.all(np.abs(sums[1] - want[1]) <= relative * want[1])
+        assert np.all(np.abs(sums[0] - want[0]) <= relative * want[1][..., None])
+
+
+@pytest.mark.parametrize("radius_in_sigmas", [2.0, 3.0, 4.5])
+def test_the_cut_stays_within_its_bound(variant, method, rng, radius_in_sigmas):
+    splats, exact = _splats(rng, "spread", (variant, REFERENCE))
+    shape, sigma = (41, 41), 1.4
+    cut = variant.splat(splats, shape, sigma, radius_in_sigmas * sigma)
+    uncut = REFERENCE.splat(exact, shape, sigma, np.inf)
+    bound = exact.weights.sum() * np.exp(-0.5 * radius_in_sigmas**2)
+    missing = uncut[1] - cut[1]
+    assert missing.max() <= bound
+    off = KERNEL_ERROR * exact.weights.sum() if method == "moments" else 0.0
+    assert missing.min() >= -1e-4 * bound - off
+    assert np.abs(uncut[0] - cut[0]).max() <= bound
+
+
+def test_moments_are_the_same_every_time(variant, monkeypatch, rng):
+    """Cut into launches of any size, too, and with the particles of a bin in chunks."""
+    splats, _ = _splats(rng, "all in one place", (variant, REFERENCE))
+    monkeypatch.setattr(variant.splatting, "method", "moments")
+    first = variant.splat(splats, (30, 41), 1.4, 6.3)
+    for pairs in (1, 1 << 30):
+        for budget in variant.splatting._moments._budgets.values():
+            budget._pairs = pairs
+        again = variant.splat(splats, (30, 41), 1.4, 6.3)
+        assert all(np.array_equal(*pair) for pair in zip(first, again, strict=True))
+
+
+def test_strips_change_nothing_but_rounding(variant, monkeypatch, rng):
+    splats, exact = _splats(rng, "spread", (variant, REFERENCE))
+    monkeypatch.setattr(variant.splatting, "method", "moments")
+    shape = 100, 41
+    whole = variant.splat(splats, shape, 0.8, 3.6)
+    monkeypatch.setattr("clmorph.backends.opencl.kernels.gauss_transform.STRIP_BYTES", 1)
+    strips = variant.splat(splats, shape, 0.8, 3.6)
+    for sums in (whole, strips):
+        relative = splat_tolerance(len(exact.weights))
+        assert splat_excess(sums, REFERENCE, exact, shape, 0.8, 3.6, relative) <= 1
+
+
+@pytest.mark.parametrize("sigma", [0.34, 0.66, 0.67, 1.33, 1.34, 5.0, 21.0])
+def test_kernels_are_expanded_to_their_error(sigma):
+    """The terms that the kernels keep, over all pairs of cells and pixels."""
+    rng = np.random.default_rng(0)
+    cells = make_cells(sigma, 4.5 * sigma)
+    assert cells.side == cell_side(sigma, 4.5 * sigma) <= 0.75 * sigma
+    phases, taps, orders = cells.coefficients.shape
+    kept = np.array([8, 8, 8, 4, 4, 4, 4, 0])[:, None] > np.arange(orders)
+    phase, tap = rng.integers(phases, size=(2, 4000)), rng.integers(taps, size=(2, 4000))
+    factors = cells.coefficients[phase, tap]
+    for corner in np.array([[1, 1], [1, -1], [1, 0], [0.9, 0.7], [0.3, 0.8]]):
+        polynomials = np.cos(np.arange(orders) * np.arccos(corner)[:, None])
+        got = np.einsum("kb,ka,ba,b,a->k", *factors, kept, *polynomials)
+        center = (tap - cells.reach + 0.5) * cells.side
+        distance = phase - center - 0.5 * cells.side * corner[:, None]
+        want = np.exp(-0.5 * (distance**2).sum(axis=0) / sigma**2)
+        covered = np.all(factors[..., 0] != 0, axis=0)
+        assert np.abs(got - want)[covered].max() <= KERNEL_ERROR
+        within = np.all(np.abs(distance) <= 4.5 * sigma, axis=0)
+        assert np.all(covered[within])
+        beyond = np.any(np.abs(distance) > 5.5 * sigma, axis=0)
+        assert not np.any(covered[beyond])
+
+
+def test_moments_are_taken_where_they_pay():
+    dense = moments_pay(300_000, (64, 64), 1.4, 6.3, 16)
+    assert dense
+    assert not moments_pay(3000, (64, 64), 1.4, 6.3, 16)  # hardly one to a pixel
+    assert not moments_pay(300_000, (2048, 2048), 1.4, 6.3, 16)
+    assert not moments_pay(300_000, (64, 64), 0.0, 0.0, 16)
+    assert not moments_pay(300_000, (64, 64), 0.2, 0.9, 16)
+    assert not moments_pay(300_000, (64, 64), 1.4, np.inf, 16)
+
+
+def test_nearest_pixel_gives_each_splat_to_one_pixel(variant, method, rng):
+    positions = rng.uniform(-0.5, 19.499, (400, 2)).astype(np.float32)
+    ones = np.ones(400, np.float32)
+    splats = variant.upload_splats(positions, np.ones((400, 3), np.float32), ones)
+    _, counts = variant.splat(splats, (20, 20), 0.0, 0.0)
+    pixels = np.floor(positions + np.float32(0.5)).astype(int)
+    want = np.zeros((20, 20))
+    np.add.at(want, (pixels[:, 1], pixels[:, 0]), 1)
+    assert np.array_equal(counts, want)
+
+
+@pytest.mark.parametrize("t", [0.0, 0.37, 1.0])
+def test_advect(variant, method, rng, t):
+    table = rng.random((90, 6))
+    links = rng.integers(0, 90, (700, 2)).astype(np.uint32)
+    weights = rng.random((700, 2))
+    shape, scale, center = (50, 60), (59.0, 49.0), (29.5, 24.5)
+    placed = [
+        operations.advect(operations.upload_particles(table, links, weights), t, scale, center)
+        for operations in (variant, REFERENCE)
+    ]
+    sums = variant.splat(placed[0], shape, 1.5, 6.75)
+    near, far = (REFERENCE.splat(placed[1], shape, 1.5, cut) for cut in (6.75, 6.75 + 1.5))
+    # Positions are off by up to a few units of the canvas's size; the kernel's slope is
+    # at most 4.5 / sigma of its height there.
+    tolerance = UNIT * (256 + 120 + 4.5 / 1.5 * 4 * 60)
+    tolerance = tolerance * (near[1] + 700 * np.exp(-0.5 * 4.4**2))
+    assert np.all(near[1] - tolerance <= sums[1])
+    assert np.all(sums[1] <= far[1] + tolerance)
+    assert np.all(near[0] - tolerance[..., None] <= sums[0])
+    assert np.all(sums[0] <= far[0] + tolerance[..., None])
+
+
+def test_splatting_launches_are_cut_without_changing_a_bit(variant, monkeypatch, rng):
+    monkeypatch.setattr(variant.splatting, "method", "gather")
+    splats, _ = _splats(rng, "spread", (variant, REFERENCE))
+    whole = variant.splat(splats, (300, 41), 2.0, 9.0)
+    variant.splatting._budget._pairs = 1
+    cut = variant.splat(splats, (300, 41), 2.0, 9.0)
+    assert np.array_equal(whole[0], cut[0])
+    assert np.array_equal(whole[1], cut[1])
+
+
+@pytest.mark.parametrize("blur", [1.0, 0.1, 0.02])
+@pytest.mark.parametrize("name", PAIRS)
+def test_plan_moments(variant, rng, name, blur):
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    g = _potential(rng, len(pair[1][0]), epsilon)
+    exact = _upload(REFERENCE, pair)
+    mean, covariance = REFERENCE.plan_moments(
+        *exact, g, REFERENCE.softmin(*exact, g, epsilon), epsilon
+    )
+    ours = _upload(variant, pair)
+    softmin = variant.softmin(*ours, g, epsilon, True)
+    got_mean, got_covariance = variant.plan_moments(*ours, g, softmin, epsilon, True)
+    # Sums of M terms of the size of the cloud, and of its square.
+    low = np.minimum(pair[0][0].min(axis=0), pair[1][0].min(axis=0))
+    high = np.maximum(pair[0][0].max(axis=0), pair[1][0].max(axis=0))
+    size = float(np.max(high - low)) + 1e-6
+    tolerance = UNIT * (32 + 4 * np.sqrt(len(g)))
+    assert np.abs(got_mean - mean).max() <= tolerance * (size + np.abs(mean).max())
+    assert np.abs(got_covariance - covariance).max() <= 8 * tolerance * size**2
+
+
+@pytest.mark.parametrize("n_draws", [1, 3, 16])
+@pytest.mark.parametrize("name", PAIRS)
+def test_sample_plan_rows(variant, rng, name, n_draws):
+    """Every row's draws split its mass as their thresholds do."""
+    pair = PAIRS[name](rng)
+    epsilon = 0.05**2
+    n, m = len(pair[0][0]), len(pair[1][0])
+    g = _potential(rng, m, epsilon)
+    thresholds = (np.arange(n_draws) + rng.random((n, n_draws))) / n_draws
+    for backend in (variant, REFERENCE):
+        clouds = _upload(backend, pair)
+        softmin = backend.softmin(*clouds, g, epsilon)
+        draws = backend.sample_plan_rows(*clouds, g, softmin, epsilon, thresholds)
+        assert draws.shape == (n, n_draws)
+        assert draws.min() >= 0
+        assert draws.max() < m
+        assert np.all(pair[1][1][draws] > 0)
+
+
+def test_draws_are_unbiased(variant, rng):
+    """Over many thresholds each column comes as often as its share says."""
+    pair = [(rng.random((3, 5)), np.ones(3)), (rng.random((90, 5)), rng.random(90))]
+    epsilon, n_draws = 0.3**2, 4000
+    g = _potential(rng, 90, epsilon)
+    clouds, exact = _upload(variant, pair), _upload(REFERENCE, pair)
+    thresholds = np.tile((np.arange(n_draws) + 0.5) / n_draws, (3, 1))
+    softmin = variant.softmin(*clouds, g, epsilon)
+    draws = variant.sample_plan_rows(*clouds, g, softmin, epsilon, thresholds)
+    cost = 0.5 * np.sum((pair[0][0][:, None] - pair[1][0]) ** 2, axis=2)
+    share = pair[1][1] * np.exp(
+        (g - cost + REFERENCE.softmin(*exact, g, epsilon)[:, None]) / epsilon
+    )
+    for row in range(3):
+        counts = np.bincount(draws[row], minlength=90)
+        assert np.abs(counts / n_draws - share[row]).max() <= 1.01 / n_draws + 1e-5
+
+
+def test_offsets_add_to_the_cost(variant, rng):
+    """C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j in every reduction, by the definition."""
+    epsilon, n, m = 0.05, 90, 131
+    x, y = rng.random((n, 5)), rng.random((m, 5))
+    a, b = rng.random(n), rng.random(m)
+    r, s = rng.normal(size=n), rng.normal(size=m)
+    f, g = 0.1 * rng.random(n), 0.1 * rng.random(m) + s
+    exponents = (
+        g - s - r[:, None] - 0.5 * np.sum((x[:, None] - y) ** 2, axis=2)
+    ) / epsilon + np.log(b)
+    for backend, tolerance in ((variant, 2e-4), (REFERENCE, 1e-12)):
+        rows, columns = backend.upload(x, a, r), backend.upload(y, b, s)
+        want = -epsilon * np.logaddexp.reduce(exponents, axis=1)
+        softmin = backend.softmin(rows, columns, g, epsilon)
+        assert np.abs(softmin - want).max() <= tolerance * epsilon
+        maxima = backend.row_maxima(rows, columns, g, epsilon)
+        assert np.abs(maxima - exponents.max(axis=1)).max() <= tolerance
+        log_plan = exponents + (f / epsilon + np.log(a))[:, None]
+        kept = backend.plan_rows(
+            rows, columns, f, g, epsilon, np.full(n, -np.inf), np.full(m, np.inf)
+        )
+        assert len(kept.mass) == n * m
+        dense = np.exp(log_plan)
+        assert np.all(np.abs(kept.mass.reshape(n, m) - dense) <= 2 * tolerance * dense)
+        share = np.exp(exponents + softmin[:, None] / epsilon)
+        mean, _ = backend.plan_moments(rows, columns, g, softmin, epsilon)
+        assert np.abs(mean - share @ y).max() <= 10 * tolerance
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("name", SPLATS)
+def test_deposit(variant, rng, name, shape):
+    splats, exact = _splats(rng, name, (variant, REFERENCE))
+    got, want = variant.deposit(splats, shape), REFERENCE.deposit(exact, shape)
+    largest = exact.weights.max()
+    for values, wanted, unit in zip(got, want, (largest, largest**2), strict=True):
+        assert values.shape == shape
+        floor = len(exact.weights) * unit * 1e-30  # squares of tiny masses underflow
+        assert np.all(
+            np.abs(values - wanted)
+            <= splat_tolerance(len(exact.weights), CHUNKS["gather"]) * wanted + floor
+        )
+
+
+@pytest.mark.parametrize("sigma", [0.3, 1.2])
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("name", SPLATS)
+def test_splats_with_own_widths(variant, method, rng, name, shape, sigma):
+    positions = np.asarray(SPLATS[name](rng), np.float32)
+    n = len(positions)
+    colors = rng.random((n, 3)).astype(np.float32)
+    weights = (10 ** rng.uniform(-10, 0, n)).astype(np.float32)
+    spacings = (2 ** rng.uniform(-4, 3, n)).astype(np.float32)
+    distances = 2 ** rng.uniform(-3, 7, shape)
+    own = [
+        backend.adapt_widths(
+            backend.upload_splats(positions, colors, weights, spacings), distances, sigma
+        )
+        for backend in (variant, REFERENCE)
+    ]
+    levels, wanted = variant.width_levels(own[0]), REFERENCE.width_levels(own[1])
+    # Between two levels rounding decides, and then so does float32.
+    assert np.abs(levels - wanted).max() <= 1
+    assert np.mean(levels != wanted) <= 1e-3
+    # From here on with the same levels.
+    scaled = weights.astype(float) / WIDTH_LEVELS.factor(levels) ** 2
+    same = own[1]._replace(width_levels=levels, weights=scaled)
+    got = variant.splat(own[0], shape, sigma, 4.5 * sigma)
+    relative = 2 * splat_tolerance(n, CHUNKS[method])
+    assert splat_excess(got, REFERENCE, same, shape, sigma, 4.5 * sigma, relative) <= 1
+
+
+def test_widths_by_their_definition(variant):
+    """max(sigma spacing, distance / 2), and each kernel's sum is that of sigma."""
+    position = np.array([[20.0, 20.0]], np.float32)
+    one, white = np.ones(1, np.float32), np.ones((1, 3), np.float32)
+    for backend in (variant, REFERENCE):
+        for spacing, distance, width in ((1, 0, 1), (4, 0, 4), (1, 8, 4), (0.25, 1, 0.5)):
+            splats = backend.upload_splats(position, white, one, np.float32([spacing]))
+            own = backend.adapt_widths(splats, np.full((41, 41), float(distance)), 1.0)
+            assert WIDTH_LEVELS.factor(backend.width_levels(own)[0]) == width
+            _, sums = backend.splat(own, (41, 41), 1.0, 4.5)
+            y, x = np.mgrid[:41, :41] - 20.0
+            want = np.exp(-(x**2 + y**2) / (2 * width**2)) / width**2
+            inside = (np.abs(x) <= 4.5 * width) & (np.abs(y) <= 4.5 * width)
+            assert np.allclose(sums, np.where(inside, want, 0), rtol=1e-4, atol=1e-9)
+        assert backend.width_levels(splats).tolist() == [WIDTH_LEVELS.base]
+
+
+@pytest.mark.full
+def test_a_canvas_of_4096_pixels_a_side(device):
+    """Everywhere on it a frame is what it is on a small canvas around the place."""
+    rng = np.random.default_rng(0)
+    places = np.round(64 * rng.uniform(-20, 4116, (60_000, 2))) / 64  # exact when moved
+    colors, weights = rng.random((2, 60_000, 3))[0], rng.random(60_000)
+    whole = device.splat(
+        device.upload_splats(*(x.astype(np.float32) for x in (places, colors, weights))),
+        (4096, 4096), 1.5, 7.0,
+    )  # fmt: skip
+    for corner in ((0, 0), (2048, 3000), (4032, 4032)):
+        moved = places - corner[::-1]  # places are (x, y)
+        near = np.all((moved > -16) & (moved < 80), axis=1)
+        part = device.splat(
+            device.upload_splats(
+                *(x[near].astype(np.float32) for x in (moved, colors, weights))
+            ),
+            (64, 64), 1.5, 7.0,
+        )  # fmt: skip
+        assert near.sum() > 20
+        for large, small in zip(whole, part, strict=True):
+            assert np.abs(small).max() > 0.1
+            section = large[corner[0] : corner[0] + 64, corner[1] : corner[1] + 64]
+            # The cut may lie a kernel width farther out in one of both.
+            assert np.abs(section - small).max() <= 10 * (
+                KERNEL_ERROR + np.exp(-0.5 * (7 / 1.5) ** 2)
+            )

@@ -1,0 +1,143 @@
+"""Exponents in more than float32: as exact as they say, and used only where needed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph import ConvergenceWarning, DeviceError, lift, sinkhorn
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build.constants import apply_quirks, choose_constants
+from clmorph.cli.conformance import log_sum_exp_tolerance
+from clmorph.reference import NumPyOperations
+
+REFERENCE = NumPyOperations()
+
+
+@pytest.fixture(params=["float64", "pairs of float32"])
+def precise_device(request, device):
+    """Each device with float64, and without."""
+    constants = choose_constants(device.device)
+    if request.param == "float64":
+        return OpenCLOperations(device.device, constants)
+    return OpenCLOperations(device.device, apply_quirks(constants, frozenset({"no_float64"})))
+
+
+def pictures(side=32):
+    """Two smooth pictures with an edge each."""
+    y, x = np.mgrid[:side, :side] / side
+    one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
+    two = np.stack([(x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.1, y, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
+    return one, two
+
+
+def true_residual(source, target, potentials, rho):
+    epsilon = potentials.epsilon
+    rows = REFERENCE.upload(source.points, source.weights)
+    columns = REFERENCE.upload(target.points, target.weights)
+    damping = rho / (rho + epsilon)
+    f = damping * REFERENCE.softmin(rows, columns, potentials.g, epsilon)
+    g = damping * REFERENCE.softmin(columns, rows, potentials.f, epsilon)
+    return max(np.abs(f - potentials.f).max(), np.abs(g - potentials.g).max()) / epsilon
+
+
+@pytest.mark.parametrize("color_weight", [1.0, 4.0])
+@pytest.mark.parametrize("blur", [1.0, 0.1, 0.05, 0.03, 0.01, 0.003])
+def test_one_log_sum_exp(precise_device, rng, blur, color_weight):
+    """Float32 within 1e-4 nats + 3e-8 max C / epsilon; precise within 1e-5 at any blur."""
+    source, target = (lift(picture, color_weight) for picture in pictures())
+    epsilon = blur**2
+    g = 0.1 * rng.random() + epsilon * rng.normal(size=len(target))
+    pairs = [
+        [backend.upload(cloud.points, cloud.weights) for cloud in (source, target)]
+        for backend in (precise_device, REFERENCE)
+    ]
+    want = REFERENCE.softmin(*pairs[1], g, epsilon)
+    coarse = precise_device.softmin(*pairs[0], g, epsilon)
+    largest = clmorph.transport._solver.problem.largest_cost(source.points, target.points) / epsilon
+    assert np.abs(coarse - want).max() / epsilon <= 1e-4 + 3e-8 * largest
+    fine = precise_device.softmin(*pairs[0], g, epsilon, True)
+    bound = log_sum_exp_tolerance(
+        precise_device, (source.points, source.weights), (target.points, target.weights),
+        epsilon, True,
+    )  # fmt: skip
+    assert np.abs(fine - want).max() / epsilon <= min(bound, 1e-5)
+
+
+@pytest.mark.parametrize(("blur", "tol"), [(0.05, 1e-4), (0.01, 1e-4), (0.003, 1e-3)])
+def test_the_solve_reaches_what_is_asked(precise_device, blur, tol):
+    source, target = (lift(picture) for picture in pictures(20))
+    got = sinkhorn(source, target, blur, 0.3, tol, 5000, precise_device)
+    assert got.converged
+    assert got.residual <= tol
+    assert true_residual(source, target, got, 0.09) <= 1.05 * tol
+
+
+def test_more_than_float32_is_taken_only_where_needed(precise_device, monkeypatch):
+    source, target = (lift(picture) for picture in pictures(20))
+    asked = []
+    softmin = precise_device.softmin
+
+    def watch(rows, columns, potential, epsilon, precise=False):
+        asked.append(precise)
+        return softmin(rows, columns, potential, epsilon, precise)
+
+    monkeypatch.setattr(precise_device, "softmin", watch)
+    bounded, bounded_softmin = [], precise_device.bounded_softmin
+    monkeypatch.setattr(
+        precise_device,
+        "bounded_softmin",
+        lambda *arguments: bounded.append(1) or bounded_softmin(*arguments),
+    )
+    assert not sinkhorn(source, target, 0.1, 0.3, 1e-2, backend=precise_device).precise
+    assert not any(asked)
+    assert len(bounded) == 2  # the certificate
+    asked.clear()
+    assert sinkhorn(source, target, 0.01, 0.3, 1e-4, 5000, precise_device).precise
+    assert 10 < sum(asked) < len(asked)  # the annealing is not
+    asked.clear()
+    sinkhorn(source, target, 0.1, 0.3, 1e-2, backend=precise_device, precision="float32")
+    assert not any(asked)
+    assert len(bounded) == 6
+
+
+def test_float64_is_taken_or_refused(precise_device):
+    source, target = (lift(picture) for picture in pictures(12))
+    if precise_device.has_float64:
+        got = sinkhorn(source, target, 0.05, backend=precise_device, precision="float64")
+        assert got.converged
+    else:
+        with pytest.raises(DeviceError, match="no double precision"):
+            sinkhorn(source, target, 0.05, backend=precise_device, precision="float64")
+
+
+@pytest.mark.parametrize(("precision", "tol"), [("float32", 1e-5), ("auto", 1e-9)])
+def test_a_tolerance_below_rounding_is_answered_so(device, precision, tol):
+    source, target = (lift(picture) for picture in pictures(20))
+    with pytest.warns(ConvergenceWarning, match="rounding can leave"):
+        got = sinkhorn(
+            source, target, 0.03, 0.3, tol, 10**6, backend=device, precision=precision
+        )  # fmt: skip
+    assert got.status == "precision"
+    assert got.n_iter < 300
+    assert true_residual(source, target, got, 0.09) < 1e-3
+
+
+def test_no_float64_is_a_build_option(device):
+    constants = choose_constants(device.device, frozenset({"no_float64"}))
+    assert constants.row_macros(5, True)["PRECISE"] == 1
+    assert replace(constants, precise=2).row_macros(5, True)["PRECISE"] == 2
+    assert constants.row_macros(5, False)["PRECISE"] == 0
+    assert not OpenCLOperations(device.device, constants).has_float64
+
+
+def test_precise_plan_rows(precise_device):
+    """At a small blur float32 exponents alone are off by more."""
+    source, target = (lift(picture) for picture in pictures(20))
+    potentials = sinkhorn(source, target, 0.003, 0.3, 1e-3, 5000, precise_device)
+    plan = clmorph.transport_plan(source, target, potentials, backend=precise_device)
+    assert potentials.precise
+    exact = clmorph.reference.transport_plan(source, target, potentials)
+    kept = exact[plan.rows, plan.indices]
+    assert np.abs(plan.mass / kept - 1).max() < 2e-4

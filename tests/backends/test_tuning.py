@@ -1,0 +1,134 @@
+"""Constants found by trying: kept, used, forgotten, and never trusted blindly."""
+
+import numpy as np
+import pytest
+
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build import tuned_record
+from clmorph.backends.opencl.build import tuner as tuning
+from clmorph.backends.opencl.build.constants import choose_constants, cpu_constants, gpu_constants
+from clmorph.backends.opencl.build.tuned_record import (
+    CANDIDATES,
+    forget_tuning,
+    is_possible,
+    tuned_constants,
+)
+from clmorph.backends.opencl.build.tuner import tune
+from clmorph.backends.opencl.devices.cache import load_record, save_record
+from clmorph.cli.main import main
+
+
+@pytest.fixture(autouse=True)
+def empty_cache(monkeypatch, tmp_path):
+    monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
+
+
+@pytest.fixture
+def fast_tile(monkeypatch):
+    """A device that likes large tiles and no others changes."""
+    tried = []
+
+    def speed(device, constants):
+        tried.append(constants)
+        return 1e9 * (2 if constants.tile == 128 else 1) / (1 + constants.exp2_builtin)
+
+    monkeypatch.setattr(tuning, "_speed", speed)
+    return tried
+
+
+@pytest.mark.parametrize(
+    "constants", [cpu_constants(16), cpu_constants(4), gpu_constants(256), gpu_constants(16)]
+)
+def test_every_variant_can_be_built(constants):
+    for name in CANDIDATES:
+        for other in tuning.variants(constants, name, 256):
+            assert is_possible(other, 256)
+            assert other.tile % (other.width * other.group) == 0
+            assert other.tile % other.unroll == 0
+
+
+@pytest.mark.full
+def test_variants_compute_the_same(device, rng):
+    """A sample of them: constants change speed only."""
+    points = rng.random((300, 5)), rng.random((200, 5))
+    g = 0.1 * rng.random(200)
+    start = choose_constants(device.device)
+    results = []
+    for name in ("tile", "unroll", "width"):
+        for constants in list(tuning.variants(start, name, 64))[:2]:
+            operations = OpenCLOperations(device.device, constants)
+            clouds = [operations.upload(x, np.full(len(x), 0.01)) for x in points]
+            results.append(operations.softmin(*clouds, g, 0.01))
+    assert len(results) > 3
+    assert np.ptp(results, axis=0).max() < 1e-5 * 0.01 * 10
+
+
+def test_tuning_is_kept_and_used(device, fast_tile):
+    lines = []
+    start = choose_constants(device.device)
+    best, before, after = tune(device.device, lines.append)
+    # Where vectors are narrow, other constants than the tile alone can lead to that tile.
+    assert best.tile == 128
+    assert best.exp2_builtin == start.exp2_builtin
+    assert best in fast_tile
+    assert (before, after) == (1e9, 2e9)
+    assert len(lines) <= len(fast_tile)
+    assert tuned_constants(device.device) == best
+    assert OpenCLOperations(device.device).constants == best
+    forget_tuning(device.device)
+    assert tuned_constants(device.device) == start
+
+
+def test_quirks_come_after_tuning(device, fast_tile, monkeypatch):
+    tune(device.device, lambda line: None)
+    monkeypatch.setenv("CLMORPH_QUIRKS", "small_local_memory,no_float64")
+    constants = tuned_constants(device.device)
+    assert constants.precise == 1
+    assert constants == choose_constants(device.device)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        "nonsense",
+        {"tile": 7},
+        {"tile": "64"},
+        {"unknown": 1},
+        {"group": 256, "tile": 32},
+        {"tile": []},
+        {"tile": 64.0},
+        {"width": True},
+        {},
+    ],
+)
+def test_a_damaged_record_is_ignored(device, entry):
+    save_record(tuned_record._record(device.device), entry)
+    assert tuned_constants(device.device) == choose_constants(device.device)
+
+
+def test_builds_that_fail_are_passed_over(device, monkeypatch):
+    from clmorph import DeviceError
+
+    start = choose_constants(device.device)
+
+    def speed(device, constants):
+        if constants != start:
+            raise DeviceError("no")
+        return 1e9
+
+    monkeypatch.setattr(tuning, "_speed", speed)
+    assert tune(device.device, lambda line: None)[0] == start
+
+
+@pytest.mark.needs_device
+def test_the_command(capsys, fast_tile, tmp_path):
+    assert main(["tune"]) == 0
+    assert "1.00 to 2.00·10⁹ pairs/s" in capsys.readouterr().out
+    (record,) = (tmp_path / "tuning").iterdir()
+    assert load_record(f"tuning/{record.stem}")
+    assert main(["tune", "--all"]) == 0
+    assert main(["tune", "--all", "--reset"]) == 0
+    assert "tuning forgotten" in capsys.readouterr().out
+    assert list((tmp_path / "tuning").iterdir()) == []
+    assert main(["tune", "--device", "pocl", "--all"]) == 2
+    assert "contradict" in capsys.readouterr().err

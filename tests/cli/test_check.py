@@ -1,0 +1,244 @@
+"""``clmorph devices``, ``clmorph check``, quirks, and the table made of reports."""
+
+import getpass
+import importlib.util
+import json
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import TESTED, USABLE
+
+from clmorph import InputError
+from clmorph.backends.comparison import Finding
+from clmorph.backends.interface import Operations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build.constants import (
+    apply_quirks,
+    choose_constants,
+    cpu_constants,
+    gpu_constants,
+)
+from clmorph.backends.opencl.devices import find as devices
+from clmorph.backends.opencl.devices.find import find_devices
+from clmorph.backends.opencl.devices.install_hints import LINUX_PACKAGES, advice
+from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
+from clmorph.cli.conformance import check
+from clmorph.cli.main import main
+from clmorph.reference import NumPyOperations
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_device_passes(device):
+    findings = list(check(device))
+    assert all(finding.passed for finding in findings), findings
+    named = " ".join(finding.name for finding in findings)
+    for name in ("softmin", "row_maxima", "plan_rows", "bin_splats", "splat", "morph"):
+        assert name in named
+
+
+def test_a_wrong_device_fails_the_check(device, monkeypatch):
+    right = device.softmin
+    monkeypatch.setattr(device, "softmin", lambda *arguments: right(*arguments) + 1e-3)
+    assert not all(finding.passed for finding in check(device))
+
+
+def test_a_finding_that_is_not_a_number_fails():
+    assert not Finding("x", float("nan"), 1.0, "").passed
+
+
+@pytest.mark.full
+@pytest.mark.needs_device
+def test_report(tmp_path, capfd):
+    assert main(["check", "--all", "--report", str(tmp_path / "r.json")]) == 0
+    assert capfd.readouterr().out.count("pass") >= 12 * len(USABLE)
+    text = (tmp_path / "r.json").read_text()
+    bundles = json.loads(text)
+    bundles = bundles if isinstance(bundles, list) else [bundles]
+    assert [b["device"]["index"] for b in bundles] == [d.index for d in USABLE]
+    for bundle in bundles:
+        assert bundle["pairs_per_second"] > 1e6
+        assert set(bundle["device"]["quirks"]) <= set(QUIRKS)
+    # Nothing personal.
+    for secret in (platform.node(), str(Path.home()), str(ROOT), str(tmp_path)):
+        assert secret not in text
+    assert f'"{getpass.getuser()}"' not in text
+
+    spec = importlib.util.spec_from_file_location("matrix", ROOT / "tools" / "vendor_matrix.py")
+    matrix = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(matrix)
+    lines = matrix.table(tmp_path).splitlines()
+    assert len(lines) == 2 + len(USABLE)
+    assert len({line.count("|") for line in lines}) == 1
+    assert USABLE[0].driver in lines[2]
+
+
+@pytest.mark.needs_device
+def test_check_of_one_device(capfd):
+    assert main(["check", "--device", TESTED[0].index]) == 0
+    assert capfd.readouterr().out.startswith(f"[{TESTED[0].index}] ")
+
+
+@pytest.mark.needs_device
+def test_a_failed_check_ends_with_1(monkeypatch, capfd):
+    monkeypatch.setattr(
+        "clmorph.cli.conformance.check", lambda operations: [Finding("x", 2.0, 1.0, "u")]
+    )
+    assert main(["check", "--device", TESTED[0].index]) == 1
+    assert "FAIL" in capfd.readouterr().out
+
+
+@pytest.mark.needs_device
+def test_a_failing_driver_is_told_in_one_line(monkeypatch, capfd):
+    def fail(operations):
+        raise RuntimeError("out of\nresources")
+        yield
+
+    monkeypatch.setattr("clmorph.cli.conformance.check", fail)
+    assert main(["check", "--device", TESTED[0].index]) == 2
+    err = capfd.readouterr().err
+    assert err.count("\n") == 1
+    assert "out of resources" in err
+
+
+@pytest.mark.needs_device
+def test_devices_table(capfd):
+    assert main(["devices"]) == 0
+    out = capfd.readouterr().out
+    lines = out.splitlines()
+    assert sum(line.startswith("auto ") for line in lines) == 1
+    for device in find_devices():
+        assert any(f" {device.index} " in line for line in lines)
+    assert main(["devices", "--json"]) == 0
+    records = json.loads(capfd.readouterr().out)
+    assert [record["index"] for record in records] == [d.index for d in find_devices()]
+    assert sum(record["auto"] for record in records) == 1
+    for record in records:
+        assert record["usable"] or record["reason"]
+
+
+@pytest.mark.needs_device
+def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path):
+    """What pip's PoCL is on processors it does not know: listed, with its reason, not chosen."""
+    monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
+    broken, real = TESTED[0].index, devices.run_probe
+    crashed = {"usable": False, "reason": "crashed (signal 6)", "pairs_per_second": 0.0}
+    monkeypatch.setattr(
+        devices, "run_probe", lambda index: crashed if index == broken else real(index)
+    )
+    found = find_devices.__wrapped__()
+    monkeypatch.setattr(devices, "find_devices", lambda: found)
+    monkeypatch.setattr("clmorph.cli.devices.find_devices", lambda: found)
+    others = [d.index for d in found if d.usable]
+    assert broken not in others
+    assert main(["devices", "--json"]) == (0 if others else 1)
+    records = {r["index"]: r for r in json.loads(capfd.readouterr().out)}
+    assert records[broken]["reason"] == "crashed (signal 6)"
+    assert not records[broken]["auto"]
+
+
+@pytest.mark.needs_device
+def test_trying_again_forgets_verdicts(monkeypatch, capfd, asked):
+    try:
+        for _ in range(2):
+            assert main(["devices", "--again"]) == 0
+        assert len(asked) == 2 * len(find_devices())
+    finally:
+        find_devices.cache_clear()
+        monkeypatch.undo()
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "family", "first"),
+    [
+        ("linux", "x86_64", "debian", "pip install"),
+        ("linux", "x86_64", "", "pip install"),
+        ("linux", "aarch64", "fedora", "dnf"),
+        ("linux", "aarch64", "", "package manager"),
+        ("darwin", "arm64", "", "macOS"),
+        ("win32", "AMD64", "", "driver"),
+        ("freebsd", "amd64", "", "PoCL"),
+    ],
+)
+def test_advice(system, machine, family, first):
+    lines = advice(system, machine, family)
+    assert first in lines[0]
+    assert "numpy" in lines[-1]
+    if family:
+        assert any(LINUX_PACKAGES[family] in line for line in lines)
+
+
+def test_without_devices_advice_is_printed():
+    environment = dict(os.environ, OCL_ICD_VENDORS="/nowhere")
+    code = "import clmorph.backends.opencl.devices.find as d; d.raw_devices = lambda: ();"
+    code += "import clmorph.cli.main as c; raise SystemExit(c.main(['devices']))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment
+    )
+    assert done.returncode == 1
+    assert "What to install" in done.stdout
+    assert "numpy" in done.stdout
+
+
+# --- quirks -------------------------------------------------------------------------------
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("quirk", QUIRKS)
+def test_each_quirk_can_be_forced(device, monkeypatch, quirk):
+    plain = find_quirks(device.device)
+    monkeypatch.setenv("CLMORPH_QUIRKS", quirk)
+    assert find_quirks(device.device) == plain | {quirk}
+    assert choose_constants(device.device) == choose_constants(device.device, plain | {quirk})
+    forced = OpenCLOperations(device.device)
+    assert all(finding.passed for finding in check(forced))
+
+
+def test_quirks_change_the_build():
+    gpu = gpu_constants(256)
+    assert apply_quirks(gpu, frozenset()) == gpu
+    assert apply_quirks(gpu, frozenset({"small_groups"})).group == 16
+    assert apply_quirks(gpu, frozenset({"small_groups"})).tile_group == 4
+    assert apply_quirks(gpu, frozenset({"inexact_exp2"})).exp2_builtin == 0
+    assert apply_quirks(gpu, frozenset({"small_local_memory"})).tile == 16
+    assert apply_quirks(cpu_constants(16), frozenset({"small_local_memory"})).tile == 16
+    for quirk in QUIRKS:
+        for constants in (gpu, gpu_constants(1), cpu_constants(16), cpu_constants(1)):
+            made = apply_quirks(constants, frozenset({quirk}))
+            assert made.tile % (made.group * made.width) == 0
+            assert made.tile % made.unroll == 0
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("quirk", ["small_groups", "inexact_exp2", "small_local_memory"])
+def test_quirks_on_a_gpus_build(device, quirk):
+    constants = apply_quirks(gpu_constants(256), frozenset({quirk}))
+    assert all(finding.passed for finding in check(OpenCLOperations(device.device, constants)))
+
+
+def test_unknown_quirks(device, monkeypatch):
+    monkeypatch.setenv("CLMORPH_QUIRKS", "grumpy")
+    with pytest.raises(InputError, match="grumpy"):
+        find_quirks(device.device)
+
+
+def test_every_operation_is_compared():
+    """A backend that notes what it is asked for, on its way to NumPy's."""
+    asked = set()
+
+    class Noting(NumPyOperations):
+        def __getattribute__(self, name):
+            asked.add(name)
+            return super().__getattribute__(name)
+
+    assert all(finding.passed for finding in check(Noting()))
+    operations = {
+        name
+        for name, value in vars(Operations).items()
+        if callable(value) and not name.startswith("_")
+    }
+    assert operations <= asked

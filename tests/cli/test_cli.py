@@ -1,0 +1,608 @@
+"""The command line through its real entry point."""
+
+import builtins
+import dataclasses
+import json
+import os
+import pty
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import clmorph
+from clmorph.backends.opencl.devices.find import find_devices
+from clmorph.cli.main import main
+from clmorph.output.save import FORMATS
+
+COMMAND = Path(sys.executable).with_name("clmorph")
+
+
+@pytest.fixture
+def pictures(tmp_path, monkeypatch, rng):
+    """Two small pictures in the current folder: a.png, 20 x 12, and b.jpg, 9 x 15."""
+    monkeypatch.chdir(tmp_path)
+    for name, shape in (("a.png", (12, 20, 3)), ("b.jpg", (15, 9, 3))):
+        Image.fromarray(rng.integers(0, 255, shape, np.uint8)).save(name)
+    return tmp_path
+
+
+def size(file):
+    with Image.open(file) as picture:
+        return picture.size
+
+
+def run(*arguments, **options):
+    return subprocess.run(
+        [COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, **options
+    )
+
+
+def test_a_gif(device, pictures):
+    index = next(d.index for d in find_devices() if d.handle == device.device)
+    done = run("morph", "a.png", "b.jpg", "-o", "out.gif", "--frames", 5, "--device", index)
+    assert done.returncode == 0, done.stderr
+    assert device.description in done.stderr
+    lines = done.stdout.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("out.gif: 5 frames, 1.55 s a round, made in ")
+    assert "converged" in lines[0]
+    with Image.open("out.gif") as gif:
+        assert gif.n_frames == 5
+    assert sorted(path.name for path in pictures.iterdir()) == ["a.png", "b.jpg", "out.gif"]
+
+
+def test_a_folder_and_a_sheet(pictures):
+    assert main(["morph", "a.png", "b.jpg", "-o", "frames", "--frames", "4"]) == 0
+    files = sorted(path.name for path in Path("frames").iterdir())
+    assert files == [f"frame-{i:04d}.png" for i in range(4)]
+    assert size("frames/frame-0000.png") == (20, 12)
+    assert size("frames/frame-0003.png") == (9, 15)
+    assert main(["morph", "a.png", "b.jpg", "-o", "sheet.png", "--frames", "4"]) == 0
+    assert size("sheet.png")[0] > 700
+
+
+@pytest.mark.full
+def test_motion_and_color_options(pictures):
+    """What no preset asks for, through to the file."""
+    for number, options in enumerate(
+        (
+            "--color-space lab --path-space linear --mass luminance --splatting fixed",
+            "--sigma optimal --endpoints paper --unmatched drop --extent unit",
+            "--sample 3 --seed 4 --sigma-start auto --sigma-end 1.5 --splatting local",
+            "--barycentric --splatting none",
+        )
+    ):
+        name = f"{number}.gif"
+        arguments = ["morph", "a.png", "b.jpg", "-o", name, "--frames", "3", "--size", "10"]
+        assert main([*arguments, *options.split()]) == 0
+        assert Path(name).exists()
+
+
+def test_transparent_pictures_give_transparent_frames(pictures):
+    Image.new("RGBA", (9, 9), (200, 30, 30, 0)).save("c.png")
+    with Image.open("c.png") as picture:
+        picture.putpixel((4, 4), (10, 200, 30, 255))
+        picture.save("c.png")
+    assert main(["morph", "c.png", "b.jpg", "-o", "frames", "--frames", "3"]) == 0
+    with Image.open("frames/frame-0000.png") as frame:
+        assert frame.mode == "RGBA"
+        assert frame.getpixel((4, 4)) == (10, 200, 30, 255)
+        assert frame.getpixel((0, 0))[3] == 0
+
+
+def test_options_reach_the_morph(pictures, monkeypatch):
+    seen = {}
+
+    def spy(source, target, n_frames, **options):
+        seen.update(options, shapes=(source.shape, target.shape), n_frames=n_frames)
+        raise clmorph.InputError("seen")
+
+    monkeypatch.setattr("clmorph.cli.morph.make_morph", spy)
+    arguments = "morph a.png b.jpg -o x.gif --backend numpy --frames 7 --size 6 --blur 0.1"
+    arguments += " --reach balanced --color-weight 3 --sigma-start 2 --sigma-end 1 --gamma 0.1"
+    assert main(arguments.split()) == 2
+    assert seen["n_frames"] == 7
+    assert seen["shapes"] == ((4, 6, 3), (6, 4, 3))
+    wanted = {
+        "blur": 0.1, "reach": np.inf, "color_weight": 3, "sigma_start": 2, "sigma_end": 1,
+        "gamma": 0.1, "extent": "true", "unmatched": "fade", "splatting": "adaptive",
+        "endpoints": "exact", "path_space": "oklab",
+    }  # fmt: skip
+    assert {name: seen[name] for name in wanted} == wanted
+    arguments = "morph a.png b.jpg -o x.gif --backend numpy --preset paper"
+    assert main(arguments.split()) == 2
+    wanted = {
+        "blur": 0.05, "reach": 0.3, "color_weight": 2, "sigma_start": 1.2, "sigma_end": 0.5,
+        "gamma": 0.5, "extent": "unit", "unmatched": "drop",
+    }  # fmt: skip
+    assert {name: seen[name] for name in wanted} == wanted
+
+
+def test_a_mistake_in_a_process_of_its_own(pictures):
+    done = run("morph", "missing.png", "b.jpg", "-o", "x.gif")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
+
+
+def test_unconverged_is_said(pictures, capfd):
+    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3", "--max-iter", "9"]) == 0
+    assert "not converged after 9 iterations" in capfd.readouterr().out
+
+
+def interrupted(*arguments, after):
+    """Send what Ctrl-C sends once a word stands on standard error; what then was told."""
+    with subprocess.Popen(
+        [COMMAND, "morph", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        told = ""
+        while after not in told:
+            line = process.stderr.readline()
+            assert line, told
+            told += line
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate()
+    return process.returncode, out, told + err
+
+
+def test_ctrl_c_leaves_nothing(pictures):
+    """In the midst of the work, through the real entry point."""
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (200, 200, 3), np.uint8)).save(
+        "c.png"
+    )
+    arguments = ["c.png", "c.png", "-o", "x.mp4", "--size", "200", "--frames", "300"]
+    before = sorted(pictures.iterdir())
+    code, out, err = interrupted(*arguments, after="device:")
+    assert code == 130
+    assert out == ""
+    assert err.splitlines()[-1] == "clmorph: interrupted, nothing was written"
+    assert "" not in err.splitlines()
+    assert "Traceback" not in err
+    assert sorted(pictures.iterdir()) == before
+
+
+def test_ctrl_c_while_the_second_file_is_written(pictures, monkeypatch, capfd):
+    """All files or none: the first is not left behind."""
+
+    def interrupt(*arguments):
+        raise KeyboardInterrupt
+
+    kind = dataclasses.replace(FORMATS["apng"], write=interrupt)
+    monkeypatch.setitem(FORMATS, "apng", kind)
+    before = sorted(pictures.iterdir())
+    outputs = ["-o", "x.webp", "-o", "y.apng", "--recipe", "--frames", "3"]
+    assert main(["morph", "a.png", "b.jpg", *outputs]) == 130
+    assert sorted(pictures.iterdir()) == before
+
+
+def test_what_cannot_be_written_is_said_before_anything_is_solved(pictures, monkeypatch, capfd):
+    monkeypatch.setattr("clmorph.cli.morph.make_morph", None)
+    Path("r.gif.json").mkdir()
+    Image.new("RGBA", (5, 5)).save("void.png")
+    for arguments, words in (
+        ("a.png b.jpg -o x.webp -o x.gif --fps 60", "--fps 60 is too fast for x.gif"),
+        ("a.png b.jpg -o r.gif --recipe", "r.gif.json is a folder"),
+        ("a.png b.jpg -o a.gif -o b.webp --format gif", "--format is for one output"),
+        ("a.png b.jpg void.png -o x.gif", "void.png: every pixel is transparent"),
+        ("size=3.png b.jpg -o x.gif", "error: size=3.png: no such file"),
+    ):
+        assert main(["morph", *arguments.split()]) == 2
+        assert words in capfd.readouterr().err
+
+
+def test_names_that_cannot_be_printed(pictures):
+    done = subprocess.run(
+        [COMMAND, "morph", "a.png", "b.jpg", "-o", b"o\xff.gif", "--frames", "3"],
+        capture_output=True, check=False, env=os.environ | {"PYTHONIOENCODING": "utf-8:strict"},
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert b"Traceback" not in done.stderr
+    assert done.stdout.startswith("o\ufffd.gif: 3 frames".encode())
+
+
+def test_ctrl_c_while_loading(monkeypatch, capfd):
+    """Before the command line is there to catch it."""
+    from clmorph.__main__ import main as command
+
+    usual = builtins.__import__
+
+    def interrupt(name, *arguments, **options):
+        if name == "clmorph.cli.main":
+            raise KeyboardInterrupt
+        return usual(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", interrupt)
+    assert command() == 130
+    assert capfd.readouterr().err == "clmorph: interrupted, nothing was written\n"
+
+
+def test_importing_is_light():
+    """Names are there without what they stand for; a function wins over its module's name."""
+    told = subprocess.run(
+        [sys.executable, "-c", "import sys, clmorph; print('numpy' in sys.modules, dir(clmorph));"
+         "import clmorph.pipeline.morph, clmorph.transport.sinkhorn;"
+         "print(callable(clmorph.morph), callable(clmorph.sinkhorn), clmorph.__version__)"],
+        capture_output=True, text=True, check=True,
+    ).stdout.splitlines()  # fmt: skip
+    assert told[0].startswith("False")
+    for name in ("morph", "sinkhorn", "save", "load", "inspect", "reference"):
+        assert repr(name) in told[0]
+    assert told[1] == f"True True {clmorph.__version__}"
+
+
+def test_interruption_leaves_nothing(pictures, monkeypatch, capfd):
+    def interrupt(*args, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("clmorph.output.recording.Recording.picture", interrupt)
+    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "3"]) == 130
+    assert sorted(path.name for path in pictures.iterdir()) == ["a.png", "b.jpg"]
+
+
+def test_demo(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("clmorph.cli.demo.PHOTO_SIDE", 24)
+    monkeypatch.setattr("clmorph.cli.demo.SPRITE_ZOOM", 1)
+    assert main(["demo"]) == 0
+    out, err = capfd.readouterr()
+    for words in (
+        "options: --preset photo",
+        "--blur 0.04",
+        "transport ",
+        "frames ",
+        "wrote clmorph-demo.gif",
+    ):
+        assert words in out
+    assert err.startswith("device: ")
+    with Image.open("clmorph-demo.gif") as gif:
+        assert gif.n_frames == 40
+    assert "<canvas" in Path("clmorph-demo.html").read_text()
+    assert size("clmorph-demo.png")[0] > 1000
+
+
+def test_version_and_help():
+    lines = run("--version").stdout.splitlines()
+    assert lines[0] == f"clmorph {clmorph.__version__}"
+    assert "pyopencl" in lines[1]
+    for device in find_devices():
+        assert any(device.index in line and device.driver in line for line in lines[2:])
+    told = run("--help").stdout
+    assert told.index("clmorph demo") < told.index("Options")
+    assert "130 interrupted" in told
+    told = run("morph", "--help").stdout
+    assert told.index("clmorph morph a.png b.jpg -o out.gif") < told.index("--color-weight")
+    assert told.index("─ File") < told.index("─ Motion") < told.index("─ Transport")
+    module = subprocess.run(
+        [sys.executable, "-m", "clmorph", "--version"], capture_output=True, text=True, check=True
+    )
+    assert clmorph.__version__ in module.stdout
+
+
+def test_an_input_is_never_overwritten(pictures, capfd):
+    before = Path("a.png").read_bytes()
+    assert main(["morph", "a.png", "b.jpg", "-o", "./a.png", "--frames", "3"]) == 2
+    assert "would overwrite an input" in capfd.readouterr().err
+    assert Path("a.png").read_bytes() == before
+
+
+def test_options_are_checked_before_devices_are_sought(pictures, capfd, monkeypatch):
+    monkeypatch.setattr("clmorph.cli.morph.open_backend", None)
+    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "0"]) == 2
+    assert capfd.readouterr().err.startswith("clmorph: error: --frames 0: expected")
+
+
+def test_nobody_reads_on(pictures):
+    arguments = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "2", "--backend", "numpy"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert "No space left" in done.stderr
+    piped = subprocess.run(
+        f"{COMMAND} {' '.join(arguments)} | true", shell=True, capture_output=True, check=False
+    )
+    assert b"Traceback" not in piped.stderr
+    assert b"BrokenPipe" not in piped.stderr
+    assert Path("x.gif").exists()
+
+
+@pytest.mark.needs_device
+def test_no_transport_at_all_fades(pictures, capfd):
+    """A reach so small that every pair's mass underflows: the images cross-fade."""
+    for backend in ("opencl", "numpy"):
+        assert main(
+            f"morph a.png b.jpg -o {backend} --frames 3 --size 9 --blur 0.001 --reach 0.0001 "
+            f"--backend {backend}".split()
+        ) == 0  # fmt: skip
+        with Image.open(f"{backend}/frame-0001.png") as middle:
+            assert np.asarray(middle).std() > 5
+    assert "Warning" not in capfd.readouterr().err
+
+
+def test_a_chain(pictures, capfd):
+    arguments = ["a.png", "b.jpg", "a.png", "-o", "tour.apng", "--frames", "4", "--loop", "once"]
+    assert main(["morph", *arguments, "--canvas", "40x40", "--hold", "0"]) == 0
+    assert "tour.apng: 7 frames, 0.35 s a round" in capfd.readouterr().out
+    with Image.open("tour.apng") as tour:
+        assert tour.n_frames == 7
+        tour.seek(6)
+        last = np.asarray(tour.convert("RGB"))
+        tour.seek(0)
+        assert np.array_equal(np.asarray(tour.convert("RGB")), last)
+
+
+def test_several_files_of_one_run(pictures, capfd):
+    outputs = [word for name in ("x.gif", "x.npz", "x.html") for word in ("-o", name)]
+    assert main(["morph", "a.png", "b.jpg", *outputs, "--frames", "3"]) == 0
+    assert capfd.readouterr().out.startswith("x.gif, x.npz, x.html: 3 frames, ")
+    assert len(clmorph.load("x.npz").frames) == 3
+    assert main(["morph", "a.png", "b.jpg", "-o", "x.gif", "-o", "./x.gif"]) == 2
+    assert "two outputs have one name" in capfd.readouterr().err
+
+
+def test_a_summary_for_programs(pictures, capfd):
+    assert (
+        main(
+            [
+                "morph",
+                "a.png",
+                "b.jpg",
+                "-o",
+                "x.webm",
+                "--frames",
+                "5",
+                "--duration",
+                "3",
+                "--json",
+            ]
+        )
+        == 0
+    )
+    summary = json.loads(capfd.readouterr().out)
+    assert summary["outputs"] == [{"path": "x.webm", "format": "webm"}]
+    assert summary["frames"] == 5
+    assert summary["duration"] == pytest.approx(3)
+    assert summary["sizes"][0] == [20, 12]
+    assert summary["solver"][0]["status"] == "converged"
+    assert summary["options"]["duration"] == 3
+    assert summary["seconds"]["total"] > summary["seconds"]["transport"] > 0
+
+
+def test_progress_is_shown_to_people_only(pictures):
+    """Each stage with its time left and the solver's residual, on a terminal; else nothing."""
+    arguments = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", "4"]
+    leader, follower = pty.openpty()
+    with subprocess.Popen(
+        [COMMAND, *arguments], stdout=subprocess.DEVNULL, stderr=follower,
+        env=os.environ | {"TERM": "xterm-256color", "COLUMNS": "120"},
+    ) as process:  # fmt: skip
+        os.close(follower)
+        told = b""
+        while True:
+            try:
+                part = os.read(leader, 65536)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            told += part
+    os.close(leader)
+    assert process.returncode == 0
+    shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", told.decode())
+    for words in ("transport", "frames", "write x.gif", "left", "100 %", "4 of 4"):
+        assert words in shown
+    assert re.search(r"residual \de-0\d of 1e-03", shown)
+    quiet = run(*arguments)
+    device, memory = quiet.stderr.splitlines()
+    assert device.startswith("device: ")
+    assert re.fullmatch(r"memory: about [\d.]+ [MG]B", memory)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion(shell, capfd):
+    assert main(["completion", shell]) == 0
+    assert "_CLMORPH_COMPLETE" in capfd.readouterr().out
+    if shell == "bash":
+        done = subprocess.run(
+            [COMMAND], capture_output=True, text=True, check=False,
+            env=os.environ | {"_CLMORPH_COMPLETE": "bash_complete", "COMP_CWORD": "2",
+                              "COMP_WORDS": "clmorph morph --pre"},
+        )  # fmt: skip
+        assert "--preset" in done.stdout
+
+
+def closed(redirections, *arguments):
+    """Run the command from a shell that closes or redirects its streams."""
+    command = " ".join(map(shlex.quote, [str(COMMAND), *map(str, arguments)]))
+    return subprocess.run(
+        ["/bin/sh", "-c", f"{command} {redirections}"],
+        capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+@pytest.mark.full
+def test_streams_that_are_closed(pictures):
+    """What is printed is lost, and gets into no file; the file is made."""
+    arguments = ["morph", "a.png", "b.jpg", "-o", "x.npz", "--frames", 2, "--backend", "numpy"]
+    arguments += ["--size", 6, "--blur", 0.2]
+    done = closed(">&- 2>&- <&-", *arguments)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert len(clmorph.load("x.npz").frames) == 2
+    for redirections in (">&-", "2>&-"):
+        for command in (["--version"], ["morph", "--dump-config"]):
+            done = closed(redirections, *command)
+            assert done.returncode == 0
+            assert "Traceback" not in done.stderr
+    done = closed("2>&-", "morph", "missing.png", "b.jpg", "-o", "x.gif")
+    assert (done.returncode, done.stdout) == (2, "")
+
+
+@pytest.mark.full
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_streams_that_are_full(pictures):
+    """Lost results are an error; lost notes are none."""
+    for command in ([], ["devices", "--json"], ["--help"], ["completion", "bash"]):
+        done = closed(">/dev/full", *command)
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1
+        assert done.stderr.startswith("clmorph: error: ")
+        assert "No space left" in done.stderr
+    arguments = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--frames", 2, "--backend", "numpy"]
+    done = closed("2>/dev/full", *arguments, "--size", 6, "--blur", 0.2)
+    assert done.returncode == 0
+    assert done.stdout.startswith("x.gif: 2 frames")
+    assert closed(">/dev/full 2>&1", *arguments, "--size", 0).returncode == 2
+
+
+QUICK = ["--frames", "2", "--backend", "numpy", "--size", "6", "--blur", "0.2"]
+
+
+def test_frames_into_the_folder_where_one_stands(pictures, monkeypatch, capfd):
+    Path("here").mkdir()
+    monkeypatch.chdir("here")
+    where = Path().stat()
+    assert main(["morph", "../a.png", "../b.jpg", "-o", ".", "--recipe", *QUICK]) == 0
+    assert os.path.samestat(Path().stat(), where)
+    assert [path.name for path in sorted(Path().iterdir())] == ["frame-0000.png", "frame-0001.png"]
+    recipe = json.loads(Path("../here.json").read_text())
+    assert [image["file"] for image in recipe["images"]] == ["a.png", "b.jpg"]
+    assert main(["morph", "../a.png", "../b.jpg", "-o", "new/", *QUICK]) == 0
+    assert len(list(Path("new").iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    ("output", "words"),
+    [
+        (".", ". exists already"),
+        ("..", ".. exists already"),
+        ("/", "/ exists already"),
+        ("", "'' is no name"),
+        ("a\0b", r"'a\x00b' is no name"),
+        ("x.gif/", "leave out the '/' or the ending"),
+    ],
+)
+def test_outputs_that_are_none(pictures, capfd, output, words):
+    before = sorted(pictures.rglob("*"))
+    assert main(["morph", "a.png", "b.jpg", "-o", output, *QUICK]) == 2
+    err = capfd.readouterr().err
+    assert err.count("\n") == 1
+    assert words in err
+    assert sorted(pictures.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["morph", "", "b.jpg", "-o", "x.gif"],
+        ["morph", "a.png", "b.jpg", "-o", "x.gif", "--config", ""],
+        ["inspect", "a.png", ""],
+        ["inspect", "a.png", "b.jpg", "-o", ""],
+        ["check", "--report", ""],
+    ],
+)
+def test_names_that_are_empty(pictures, capfd, arguments):
+    assert main(arguments) == 2
+    assert "'' is no name" in capfd.readouterr().err
+
+
+def test_names_of_any_characters(pictures, capfd):
+    """Neither markup nor emoji nor line ends nor escapes: nothing but names."""
+    odd = "[red]:cat:\n\x1b[2J é.png"
+    Path("a.png").rename(odd)
+    assert main(["morph", odd, odd, "-o", "[b]\n.gif", "--lossless", *QUICK]) == 0
+    out, err = capfd.readouterr()
+    assert out.startswith("[b]\\n.gif: 2 frames")
+    assert "note: --lossless makes no difference to [b]\\n.gif\n" in err
+    assert main(["morph", odd, "[/red]\n:cat:", "-o", "x.gif", *QUICK]) == 2
+    assert capfd.readouterr().err.startswith("clmorph: error: [/red]\\n:cat:: no such file; ")
+
+
+@pytest.mark.parametrize("digits", [400, 5000])
+def test_numbers_of_any_length(pictures, capfd, digits):
+    """Python reads whole numbers of at most 4300 digits, and floats end at 308."""
+    number = "9" * digits
+    for option in ("frames", "size", "blur", "reach", "sigma-start", "seed", "max-pixels", "fps",
+                   "max-memory", "sample", "solve-size", "max-iter", "canvas"):  # fmt: skip
+        line = ["morph", "a.png", "b.jpg", "-o", "x.gif", "--backend", "numpy"]
+        assert main([*line, f"--{option}", number]) == 2, option
+        out, err = capfd.readouterr()
+        assert out == ""
+        assert err.startswith("clmorph: error: ")
+        assert len(err) < 400
+        assert err.count("\n") == 1
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_streams_that_lack_characters(pictures, encoding):
+    """Help and tables are printed all the same; files of settings are always UTF-8."""
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    for arguments in (["morph", "--help"], ["devices"]):
+        done = subprocess.run(
+            [COMMAND, *arguments], capture_output=True, env=environment, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, b"")
+        assert len(done.stdout) > 200
+    done = subprocess.run(
+        [COMMAND, "morph", "ł.png", "b.jpg", "--dump-config"], capture_output=True,
+        env=environment, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert '"ł.png"'.encode() in done.stdout
+
+
+def test_nobody_reads_what_is_printed_at_once(pictures):
+    """The same whether the pipe closes before or after."""
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        for arguments in (["--version"], ["--help"], ["completion", "zsh"]):
+            done = subprocess.run(
+                [COMMAND, *arguments], stdout=write, stderr=subprocess.PIPE, check=False
+            )
+            assert (done.returncode, done.stderr) == (0, b"")
+    finally:
+        os.close(write)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no folder goes while somebody is in it")
+@pytest.mark.needs_device
+def test_a_folder_that_is_gone(pictures, monkeypatch, capfd):
+    Path("gone").mkdir()
+    monkeypatch.chdir("gone")
+    Path("../gone").rmdir()
+    a, b = pictures / "a.png", pictures / "b.jpg"
+    for arguments, words in (
+        (["morph", str(a), str(b), "-o", "x.gif", *QUICK], "x.gif: there is no such place"),
+        (["morph", str(a), str(b), "-o", ".", *QUICK], "there is no such place"),
+        (["demo", "--backend", "numpy"], "the current folder is gone"),
+        (["check", "--report", "x.json"], "x.json: there is no such place"),
+    ):
+        assert main(arguments) == 2
+        assert words in capfd.readouterr().err
+    assert main(["morph", str(a), str(b), "-o", str(pictures / "x.gif"), *QUICK]) == 0
+
+
+def test_mistakes_of_inspect_are_those_of_morph(pictures, capfd):
+    Image.new("RGBA", (5, 5)).save("void.png")
+    for arguments, words in (
+        (["void.png", "b.jpg"], "void.png: every pixel is transparent"),
+        (["a.png", "b.jpg", "--max-pixels", "0"], "--max-pixels 0: expected a whole number"),
+        (["a.png", "b.jpg", "--max-pixels", "5"], "a.png has 20 x 12 pixels: expected at most 5"),
+        (["a.png", "b.jpg", "--frames", "1"], "--frames 1: expected a whole number"),
+        (["a.png"], "1 picture given: expected two, as in clmorph inspect"),
+        (["a.png", "b.jpg", "a.png"], "3 pictures given: expected two"),
+    ):
+        assert main(["inspect", *arguments, "--backend", "numpy"]) == 2
+        assert words in capfd.readouterr().err

@@ -1,0 +1,618 @@
+"""Every public function with every argument, and values that callers give by mistake.
+
+`CASES` names the public functions with good arguments; `NASTY` the values that take an argument's
+place. A call may do one of two things: return a result without NaN, or raise one of clmorph's
+errors with one printable line. `check` judges one call by that, and by what it must leave alone:
+its arguments, and the state that the process shares.
+
+For a fuzzer: ``for description, call in calls(rng): check(description, call)`` draws calls
+without end, with one to three arguments replaced; `rng` is a `numpy.random.Generator`. All of
+them run in this process, on the NumPy backend, with images of 3 x 3 pixels; some write files into
+the working directory, so run them in an empty one, after `furnish()`. ``ConvergenceWarning`` is
+to be ignored.
+``python tests/helpers/api_values.py`` runs the whole table, of which the tests run a part.
+"""
+
+import dataclasses
+import decimal
+import inspect
+import locale
+import os
+import random
+import signal
+import tempfile
+import time
+import types
+import warnings
+from collections.abc import Callable, Iterator
+from decimal import Decimal
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from scipy.sparse import csr_array
+
+import clmorph
+import clmorph.analysis.channel_baseline
+import clmorph.analysis.metrics
+from clmorph.backends.opencl.devices.find import find_devices
+
+#: Seconds that a call may take at most; the tiniest morph takes a hundredth of one.
+PATIENCE = 20.0
+#: Characters of a message.
+LONGEST_MESSAGE = 1000
+
+# --- the public functions -----------------------------------------------------------------
+
+#: Modules that are documented beside the package's own names.
+MODULES = {
+    "clmorph": clmorph,
+    "quality": clmorph.analysis.metrics,
+    "baseline": clmorph.analysis.channel_baseline,
+    "reference": clmorph.reference,
+}
+
+
+def public_functions() -> dict[str, Callable[..., Any]]:
+    """Return all public functions, and methods of public classes, by name.
+
+    Not those of `NumPyOperations`, a backend: they take what the functions above have checked.
+    Nor constructors: public classes are results, and what takes one checks it.
+    """
+    found: dict[str, Callable[..., Any]] = {}
+    for prefix, module in MODULES.items():
+        names = getattr(module, "__all__", None) or [
+            name
+            for name, value in vars(module).items()
+            if not name.startswith("_") and getattr(value, "__module__", "") == module.__name__
+        ]
+        for name in names:
+            value = getattr(module, name)
+            if isinstance(value, type):
+                made_here = name != "NumPyOperations" and not issubclass(value, Exception)
+                found |= _methods(value) if made_here else {}
+            elif inspect.isfunction(value):
+                found[name if prefix == "clmorph" else f"{prefix}.{name}"] = value
+    return found
+
+
+def _methods(kind: type) -> dict[str, Callable[..., Any]]:
+    return {
+        f"{kind.__name__}.{name}": value
+        for owner in reversed(kind.__mro__)
+        if owner.__module__.partition(".")[0] == "clmorph"
+        for name, value in vars(owner).items()
+        if inspect.isfunction(value) and not name.startswith("_")
+    }
+
+
+class Idle:
+    """What is called with progress."""
+
+    def __call__(self, *told: Any) -> None:
+        """Take no notice."""
+
+
+@cache
+def examples() -> dict[str, Any]:
+    """Return one good object of every kind, made once: no call may change them."""
+    a = np.linspace(0.0, 1.0, 27).reshape(3, 3, 3)
+    b = a[::-1] ** 2
+    source, target = clmorph.lift(a), clmorph.lift(b)
+    potentials = clmorph.sinkhorn(source, target, backend="numpy")
+    morph = clmorph.morph(a, b, n_frames=2, backend="numpy")
+    reference = clmorph.reference.morph(a, b, n_frames=2)
+    divergence = clmorph.sinkhorn_divergence(source, target, backend="numpy")
+    return {
+        "a": a,
+        "b": b,
+        "source": source,
+        "target": target,
+        "potentials": potentials,
+        "plan": clmorph.transport_plan(source, target, potentials, backend="numpy"),
+        "morph": morph,
+        "sums": morph.sums(0.5),
+        "channels": clmorph.analysis.channel_baseline.channel_morph(a, b, 2, backend="numpy"),
+        "reference": reference,
+        "divergence": divergence,
+        "inspection": clmorph.inspect(a, b, n_frames=2, backend="numpy"),
+        "plain": (np.ones(3), np.arange(6.0).reshape(3, 2)),
+    }
+
+
+#: Options that `morph` and its like share.
+STRENGTHS = {"blur": 0.05, "reach": 0.3, "epsilon": None, "rho": None}
+SOLVER = {"tol": 1e-3, "max_iter": 2000}
+WIDTHS = {"sigma_start": 1.2, "sigma_end": 0.5, "gamma": 0.5}
+LIFTING = {"extent": "true", "mass": "uniform", "weights": None, "color_space": "srgb",
+           "color_metric": None, "color_weight": 2.0}  # fmt: skip
+
+
+def cases() -> dict[str, dict[str, Any]]:
+    """Return good arguments, all of them, of every public function."""
+    some = examples()
+    images = {"image_a": some["a"], "image_b": some["b"]}
+    measures = {"source": some["source"], "target": some["target"]}
+    planned = measures | {"potentials": some["potentials"], "backend": "numpy"}
+    shared = {"solve_size": None, "max_particles": None, "backend": "numpy", "progress": Idle()}
+    of_morph = {"morph": some["morph"]}
+    given: dict[str, dict[str, Any]] = {
+        "morph": images | STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | {
+            "n_frames": 2, "splatting": "adaptive", "sigma": None, "endpoints": "exact",
+            "unmatched": "fade", "path_space": "srgb", "barycentric": False, "sample": None,
+            "seed": 0, "ease": "linear", "max_memory": None, "log_threshold": None,
+        },
+        "inspect": images | STRENGTHS | SOLVER | LIFTING | shared | {
+            "n_frames": 2, "divergence": True, "max_bytes": 1e9, "max_memory": None,
+            "log_threshold": None,
+        },
+        "sinkhorn": measures | STRENGTHS | SOLVER | {
+            "backend": "numpy", "method": "certified", "scaling": 0.9, "precision": "auto",
+            "start": None, "progress": Idle(), "multiscale": "auto", "truncation": "auto",
+            "verify": False,
+        },
+        "sinkhorn_divergence": measures | STRENGTHS | SOLVER | {
+            "backend": "numpy", "precision": "auto", "cross": None, "progress": Idle(),
+        },
+        "transport_plan": planned | {
+            "relative": 1e-4, "relative_to": "rows", "log_threshold": None, "max_bytes": 1e9,
+        },
+        "sample_plan": planned | {"draws": 2, "seed": 0},
+        "barycentric_plan": planned,
+        "displacement_statistics": measures | {"plan": some["plan"], "mask": 0.0},
+        "particles": measures | {"plan": some["plan"], "unmatched": "fade", "path_space": "srgb"},
+        "lift": {"image": some["a"], **LIFTING},
+        "fit": {"image": some["a"], "size": 2},
+        "read_image": {"path": "a.png", "max_pixels": 1000},
+        "load": {"path": "a.npz", "max_bytes": 1e9},
+        "get_backend": {"backend": "numpy"},
+        "save": {
+            "morphs": some["morph"], "path": "out.png", "format": None, "fps": 20.0, "hold": 0.65,
+            "loop": "loop", "reverse": False, "canvas": "dynamic", "scaling": "auto",
+            "background": None, "lossless": False, "parameters": None, "progress": Idle(),
+        },
+        "Morph.frame": {"self": some["morph"], "t": 0.5},
+        "Morph.coverage": {"self": some["morph"], "t": 0.5},
+        "Morph.canvas": {"self": some["morph"], "t": 0.5},
+        "Morph.sums": {"self": some["morph"], "t": 0.5, "widths": None},
+        "Morph.iter_frames": {"self": some["morph"]},
+        "Morph.save": {"self": some["morph"], "path": "out.png"},
+        "Plan.mean_destinations": {
+            "self": some["plan"], "source": some["source"].positions,
+            "target": some["target"].positions,
+        },
+        "Plan.to_scipy": {"self": some["plan"]},
+        "Particles.mass": {"self": some["morph"].particles, "t": 0.5},
+        "Potentials.swapped": {"self": some["potentials"]},
+        "Divergence.closer_than": {"self": some["divergence"], "other": some["divergence"]},
+        "Inspection.summary": {"self": some["inspection"]},
+        "Inspection.lines": {"self": some["inspection"]},
+        "Inspection.entries": {"self": some["inspection"]},
+        "quality.frame_measure": of_morph | {"t": 0.5, "weights": "kernel", "sums": some["sums"]},
+        "quality.particle_measure": of_morph | {"t": 0.5, "max_points": 64},
+        "quality.path_divergence": of_morph | SOLVER | {
+            "times": [0.5], "to": "target", "weights": None, "blur": None, "reach": None,
+            "max_points": 64, "backend": "numpy", "progress": Idle(),
+        },
+        "quality.hole_fraction": {"coverage": np.ones((3, 3))},
+        "quality.sharpness": {"frame": some["a"]},
+        "quality.step_sizes": {"frames": [some["a"], some["b"]]},
+        "baseline.channel_morph": images | SOLVER | WIDTHS | {
+            "blur": 0.05, "reach": 0.3, "n_frames": 2, "backend": "numpy", "extent": "true",
+        },
+        "ChannelMorph.frame": {"self": some["channels"], "t": 0.5},
+        "ChannelMorph.iter_frames": {"self": some["channels"]},
+        "reference.morph": images | STRENGTHS | SOLVER | WIDTHS | {
+            "n_frames": 2, "color_weight": 2.0, "extent": "true", "unmatched": "fade",
+            "log_threshold": None,
+        },
+        "reference.sinkhorn": measures | STRENGTHS | SOLVER,
+        "reference.transport_plan": measures | {
+            "potentials": some["potentials"], "log_threshold": None,
+        },
+        "reference.cost_matrix": measures,
+        "reference.render": measures | {
+            "plan": some["reference"].plan, "t": 0.5, "sigma": 1.0, "unmatched": "fade",
+        },
+        "ReferenceMorph.frame": {"self": some["reference"], "t": 0.5},
+    }  # fmt: skip
+    given["quality.path_divergence"].pop("max_iter")
+    return given
+
+
+# --- the values -----------------------------------------------------------------------------
+
+
+class Hostile:
+    """Raises whatever it is asked for."""
+
+    def _refuse(self, *arguments: Any, **more: Any) -> Any:
+        raise RuntimeError("this object\ncannot be used")
+
+    __float__ = __index__ = __array__ = __len__ = __iter__ = __repr__ = __fspath__ = _refuse
+
+
+class OnDevice:
+    """An array that is not on the host, as tensors can be."""
+
+    shape = (3, 3, 3)
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+        raise TypeError("can't convert cuda:0 device type tensor to numpy")
+
+
+class Frame:
+    """What a data frame does to become an array."""
+
+    def __init__(self, values: Any) -> None:
+        self.values = values
+
+    def __array__(self, dtype: Any = None) -> Any:
+        return np.asarray(self.values, dtype)
+
+
+def read_only(value: Any) -> Any:
+    """Return an array that may not be written to."""
+    array = np.array(value)
+    array.flags.writeable = False
+    return array
+
+
+def short(value: Any) -> str:
+    """Return a test's name for a value."""
+    return type(value).__name__
+
+
+def _endless_list() -> list[Any]:
+    result: list[Any] = []
+    result.append(result)
+    return result
+
+
+def _picture(value: float = 0.5) -> Any:
+    return np.full((3, 3, 3), value)
+
+
+#: Each makes a value: generators serve once, and lists could be changed.
+NASTY: dict[str, Callable[[], Any]] = {
+    "None": lambda: None,
+    "True": lambda: True,
+    "np.False_": lambda: np.False_,
+    "0": lambda: 0,
+    "-0.0": lambda: -0.0,
+    "-1": lambda: -1,
+    "0.5": lambda: 0.5,
+    "3": lambda: 3,
+    "1e-300": lambda: 1e-300,
+    "1e300": lambda: 1e300,
+    "nan": lambda: float("nan"),
+    "inf": lambda: float("inf"),
+    "-inf": lambda: float("-inf"),
+    "10**400": lambda: 10**400,
+    "-10**5000": lambda: -(10**5000),
+    "1j": lambda: 1j,
+    "Decimal 0.5": lambda: Decimal("0.5"),
+    "Decimal 2": lambda: Decimal(2),
+    "Decimal NaN": lambda: Decimal("NaN"),
+    "Decimal sNaN": lambda: Decimal("sNaN"),
+    "Decimal 1e999": lambda: Decimal("1e999"),
+    "Fraction 1/2": lambda: Fraction(1, 2),
+    "Fraction 10**400": lambda: Fraction(10**400, 3),
+    "float32": lambda: np.float32(0.5),
+    "float16": lambda: np.float16(0.5),
+    "longdouble": lambda: np.longdouble(0.5),
+    "int64": lambda: np.int64(2),
+    "uint8": lambda: np.uint8(2),
+    "timedelta": lambda: np.timedelta64(5),
+    "0-d 3": lambda: np.array(3),
+    "0-d 0.5": lambda: np.array(0.5),
+    "0-d text": lambda: np.array("0.5"),
+    "0-d object": lambda: np.array(Decimal("0.5"), object),
+    "masked": lambda: np.ma.masked,
+    "0-d masked": lambda: np.ma.array(0.5, mask=True),
+    "one in a list": lambda: [0.5],
+    "one in an array": lambda: np.array([0.5]),
+    "pair": lambda: (0.3, 0.4),
+    "ragged pair": lambda: ((1, 2), 3),
+    "pair with None": lambda: (0.3, None),
+    "pair of texts": lambda: ("x", "y"),
+    "triple": lambda: [1, 2, 3],
+    "empty text": lambda: "",
+    "x": lambda: "x",
+    "text": lambda: "no such text",
+    "0.5 as text": lambda: "0.5",
+    "auto": lambda: "auto",
+    "escape": lambda: "a\nb\x1b[31m\x00",
+    "surrogate": lambda: "\ud800",
+    "long text": lambda: "y" * 5000,
+    "bytes": lambda: b"",
+    "path": lambda: Path("x.png"),
+    "empty list": lambda: [],
+    "empty dict": lambda: {},
+    "dict": lambda: {"a": 1, 2: object()},
+    "set": lambda: {1, 2},
+    "range": lambda: range(3),
+    "object": object,
+    "generator": lambda: (number for number in (1, 2)),
+    "function": lambda: lambda *told: None,
+    "module": lambda: types,
+    "class": lambda: clmorph.reference.NumPyOperations,
+    "Ellipsis": lambda: ...,
+    "hostile": Hostile,
+    "on a device": OnDevice,
+    "ragged": lambda: [[1.0, 2.0], [3.0]],
+    "endless": _endless_list,
+    "empty array": lambda: np.zeros((0, 3)),
+    "nan picture": lambda: _picture(np.nan),
+    "picture": _picture,
+    "gray": lambda: np.eye(3),
+    "float16 picture": lambda: _picture().astype(np.float16),
+    "longdouble picture": lambda: _picture().astype(np.longdouble),
+    "big-endian picture": lambda: _picture().astype(">f8"),
+    "big-endian bytes": lambda: np.full((3, 3), 9, ">u2"),
+    "Fortran picture": lambda: np.asfortranarray(_picture()),
+    "strided picture": lambda: np.full((6, 6, 6), 0.5)[::2, ::-2, ::2],
+    "complex picture": lambda: _picture() + 1j,
+    "text picture": lambda: _picture().astype("U"),
+    "masked picture": lambda: np.ma.array(_picture(), mask=_picture() > 0),
+    "rows, one masked": lambda: [np.ma.array([0.5] * 3, mask=[0, 1, 0]), [0.5] * 3, [0.5] * 3],
+    "nothing masked": lambda: np.ma.array(np.eye(3), mask=False),
+    "object picture": lambda: np.full((3, 3), Fraction(1, 2), object),
+    "objects": lambda: np.array([None, "x", object()], object),
+    "structured": lambda: np.zeros((3, 3), [("r", float), ("g", float)]),
+    "dates": lambda: np.zeros((3, 3), "datetime64[s]"),
+    "sparse": lambda: csr_array(np.eye(3)),
+    "data frame": lambda: Frame(np.eye(3)),
+    "data frame of texts": lambda: Frame([["a"]]),
+    "palette": lambda: Image.new("P", (3, 3)),
+    "CMYK": lambda: Image.new("CMYK", (3, 3)),
+    "Pillow": lambda: Image.new("RGB", (3, 3)),
+    "weights and points": lambda: (np.ones(3), np.arange(6.0).reshape(3, 2)),
+    "swapped pair": lambda: (np.arange(6.0).reshape(3, 2), np.ones(3)),
+    "nan points": lambda: (np.ones(3), np.full((3, 5), np.nan)),
+    "9 points": lambda: (np.ones(9), np.linspace(0, 1, 45).reshape(9, 5)),
+    "12 dimensions": lambda: (np.ones(3), np.zeros((3, 12))),
+    "negative weights": lambda: (-np.ones(3), np.zeros((3, 5))),
+    "masked points": lambda: (np.ones(3), np.ma.array(np.zeros((3, 5)), mask=True)),
+    "own points": lambda: clmorph.WeightedPoints([[0.0, 1.0]], [1.0]),
+    "other image": lambda: clmorph.lift(np.eye(4)),
+    "own potentials": lambda: examples()["potentials"],
+    "own plan": lambda: examples()["plan"],
+    "own morph": lambda: examples()["morph"],
+}
+
+
+#: Values that every argument meets in the quick run.
+CORE = {"None", "True", "text", "nan", "-1", "10**400", "0-d masked", "object", "masked picture"}
+
+
+def damaged(kind: str) -> Iterator[tuple[str, Any]]:
+    """Return examples of a public class, each with one part replaced."""
+    good = examples()[kind]
+    parts: dict[str, Any] = {
+        "None": None,
+        "text": "x",
+        "list": [1.0, 2.0],
+        "nan": np.full(9, np.nan),
+        "short": np.ones(2),
+        "number": -1,
+    }
+    for field in dataclasses.fields(good):
+        for name, value in parts.items():
+            yield (
+                f"{kind} with {field.name}={name}",
+                dataclasses.replace(good, **{field.name: value}),
+            )
+
+
+#: Which arguments are objects of public classes; damaged ones take their place too.
+KINDS = {
+    "source": "source",
+    "target": "target",
+    "potentials": "potentials",
+    "start": "potentials",
+    "cross": "potentials",
+    "plan": "plan",
+}
+
+
+def is_fit(argument: str, label: str) -> bool:
+    """Whether a value may take an argument's place."""
+    if argument == "backend":
+        return label not in ("empty text", "auto", "x", "0.5 as text")  # devices of the machine
+    return not (argument == "progress" and label == "class")  # which is called, with anything
+
+
+def single(name: str, every: int = 1) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """Return calls of a public function with one argument replaced, for all arguments.
+
+    Parameters
+    ----------
+    name : str
+        Of `public_functions`.
+    every : int
+        Of the values beside `CORE` only each so-manieth is taken, others for other arguments.
+    """
+    function, good = public_functions()[name], cases()[name]
+    for position, argument in enumerate(good):
+        if argument == "self":
+            continue
+        for number, (label, make) in enumerate(NASTY.items()):
+            taken = label in CORE or (number + position) % every == 0
+            if taken and is_fit(argument, label):
+                yield f"{name}({argument}={label})", _call(function, good, {argument: make})
+        if argument in KINDS and isinstance(good[argument], clmorph.Measure) | (
+            KINDS[argument] != "source"
+        ):
+            for number, (label, value) in enumerate(damaged(KINDS[argument])):
+                if not name.startswith("reference.render") and (number + position) % every == 0:
+                    call = _call(function, good, {argument: lambda value=value: value})
+                    yield f"{name}({argument}={label})", call
+
+
+def calls(rng: np.random.Generator) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """Draw calls without end: what is called, and a function without arguments that calls it.
+
+    One to three arguments of a public function are replaced by values of `NASTY`.
+    """
+    functions, good = public_functions(), cases()
+    names = [name for name in good if set(good[name]) - {"self"}]
+    labels = list(NASTY)
+    while True:
+        name = names[rng.integers(len(names))]
+        own = [argument for argument in good[name] if argument != "self"]
+        chosen = rng.permutation(own)[: rng.integers(1, 4)]
+        drawn = {str(argument): labels[rng.integers(len(labels))] for argument in chosen}
+        drawn = {name: label for name, label in drawn.items() if is_fit(name, label)}
+        told = ", ".join(f"{argument}={label}" for argument, label in drawn.items())
+        replaced = {argument: NASTY[label] for argument, label in drawn.items()}
+        yield f"{name}({told})", _call(functions[name], good[name], replaced)
+
+
+def _call(
+    function: Callable[..., Any], good: dict[str, Any], replaced: dict[str, Callable[[], Any]]
+) -> Callable[[], Any]:
+    def call() -> Any:
+        arguments = good | {name: make() for name, make in replaced.items()}
+        before = [_digest(value) for value in arguments.values()]
+        try:
+            result = function(**arguments)
+            if isinstance(result, clmorph.Morph):
+                return result, result.frames, result.coverage(0.5)
+            return list(result) if isinstance(result, types.GeneratorType) else result
+        finally:
+            after = [_digest(value) for value in arguments.values()]
+            assert before == after, f"{function.__name__} changed its arguments"
+
+    return call
+
+
+# --- the judge ------------------------------------------------------------------------------
+
+
+def check(description: str, call: Callable[[], Any]) -> str:
+    """Judge one call.
+
+    Returns
+    -------
+    str
+        The message of the error that it raised; empty if it returned a result.
+
+    Raises
+    ------
+    AssertionError
+        If it did anything else than what it may, see above.
+    """
+    before, began = shared_state(), time.monotonic()
+    message = ""
+    try:
+        result = call()
+    except clmorph.ClmorphError as error:
+        message = str(error)
+        assert message.strip(), f"{description}: no message"
+        assert message.isprintable(), f"{description}: {message!r}"
+        assert len(message) <= LONGEST_MESSAGE, f"{description}: {message[:80]}… is too long"
+    except AssertionError:
+        raise
+    except Exception as error:
+        raise AssertionError(f"{description}: {type(error).__name__}: {error}") from error
+    else:
+        flaws = list(not_finite(result))
+        assert not flaws, f"{description}: NaN at {flaws[0]}"
+    seconds = time.monotonic() - began
+    assert seconds < PATIENCE, f"{description} took {seconds:.1f} s"
+    after = shared_state()
+    changed = [name for name in before if before[name] != after[name]]
+    assert not changed, f"{description} changed {changed}"
+    return message
+
+
+def shared_state() -> dict[str, Any]:
+    """Return what all of a process shares, and no call may change."""
+    generator = np.random.get_state()  # noqa: NPY002 - the one that all share
+    return {
+        "numpy's errors": np.geterr(),
+        "numpy's printing": np.get_printoptions(),
+        "numpy's generator": (generator[1].tobytes(), generator[2:]),
+        "random": random.getstate(),
+        "warnings": list(warnings.filters),
+        "locale": locale.setlocale(locale.LC_ALL),
+        "folder": Path.cwd(),
+        "environment": dict(os.environ),
+        "decimal": repr(decimal.getcontext()),
+        "Pillow's limit": Image.MAX_IMAGE_PIXELS,
+        "interrupts": signal.getsignal(signal.SIGINT),
+    }
+
+
+def not_finite(value: Any, path: str = "result", depth: int = 0) -> Iterator[str]:
+    """Return where a result holds NaN, or infinity in an array."""
+    if isinstance(value, float) and value != value:
+        yield path
+    elif isinstance(value, np.ndarray):
+        if value.dtype.kind == "f" and not np.all(np.isfinite(value)):
+            yield path
+    elif depth > 4:
+        return
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        for field in dataclasses.fields(value):
+            yield from not_finite(getattr(value, field.name), f"{path}.{field.name}", depth + 1)
+    elif isinstance(value, list | tuple):
+        for index, part in enumerate(value):
+            yield from not_finite(part, f"{path}[{index}]", depth + 1)
+
+
+def _digest(value: Any, depth: int = 0) -> Any:
+    """Return what says whether a value has changed."""
+    if value is np.ma.masked:
+        return "masked"
+    if isinstance(value, np.ndarray):
+        if value.dtype.hasobject:
+            return value.dtype, value.shape, [id(entry) for entry in value.flat]
+        masks = np.ma.getmaskarray(value).tobytes() if np.ma.isMaskedArray(value) else b""
+        return value.dtype, value.shape, value.strides, value.tobytes(), masks
+    if depth > 4:
+        return id(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = dataclasses.fields(value)
+        return [_digest(getattr(value, field.name), depth + 1) for field in fields]
+    if isinstance(value, list | tuple):
+        return [_digest(part, depth + 1) for part in value]
+    if isinstance(value, dict):
+        return [(id(key), _digest(part, depth + 1)) for key, part in value.items()]
+    return id(value)
+
+
+def main() -> None:
+    """Run the whole table, in a temporary folder; print what is wrong."""
+    warnings.simplefilter("error")
+    warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+    wrong = count = 0
+    find_devices()  # pyopencl sets a variable of the environment when it is imported
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        furnish()
+        for name in public_functions():
+            for description, call in single(name):
+                count += 1
+                try:
+                    check(description, call)
+                except AssertionError as error:
+                    wrong += 1
+                    print(error)
+        os.chdir("/")
+    print(f"{count} calls, {wrong} wrong")
+    raise SystemExit(bool(wrong))
+
+
+def furnish() -> None:
+    """Write into the working directory the files that good arguments name."""
+    Image.new("RGB", (3, 3)).save("a.png")
+    examples()["morph"].save("a.npz")
+
+
+if __name__ == "__main__":
+    main()

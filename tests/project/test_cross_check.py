@@ -1,0 +1,434 @@
+"""The judge of ``tools/cross_check.py`` is right, it notices what is wrong, and a share of it."""
+
+import signal
+import sys
+import time
+from dataclasses import replace
+from decimal import Decimal, localcontext
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import clmorph
+
+TOOLS = Path(__file__).parents[2] / "tools"
+if not TOOLS.exists():
+    pytest.skip("the tools need a checkout", allow_module_level=True)
+sys.path.insert(0, str(TOOLS))
+
+import cross_check  # noqa: E402
+from crosscheck import claims, exact, judge, problems  # noqa: E402
+from crosscheck.exact import EXTENDED, NUMBER, Dense, make_side  # noqa: E402
+from findings import Findings  # noqa: E402
+
+SEED = 20261122
+#: Seconds of work for one solve.
+PATIENCE = 20.0
+#: Relative, in long double or in float64.
+CLOSE = 1e-17 if EXTENDED else 1e-13
+INF = float("inf")
+
+
+def dense(a, x, b, y, blur, rho, offsets=(None, None)):
+    sides = [
+        make_side(np.array(weights, float), np.array(points, float), offset, strength)
+        for weights, points, offset, strength in zip((a, b), (x, y), offsets, rho, strict=True)
+    ]
+    return Dense(*sides, NUMBER(blur**2))
+
+
+def kl(p, q):
+    return p * np.log(p / q) - p + q
+
+
+def near(optimum, value, share=CLOSE):
+    """Hold the bounds to be on both sides of a value, and close."""
+    assert optimum.settled
+    assert optimum.low <= value + share * abs(value)
+    assert optimum.high >= value - share * abs(value)
+
+
+RHOS = [(0.09, 0.09), (1e-4, 25.0), (INF, 0.3), (2.0, INF), (INF, INF)]
+
+
+@pytest.mark.parametrize("rho", RHOS, ids=str)
+@pytest.mark.parametrize("masses", [(1.0, 1.0), (3e-12, 4e-9), (2e15, 5e3)])
+@pytest.mark.parametrize("blur", [0.0078125, 0.5])
+def test_two_diracs(rho, masses, blur):
+    """Log m = (rho_1 log a + rho_2 log b + epsilon log(a b) - C) / (rho_1 + rho_2 + epsilon)."""
+    a, b = map(NUMBER, masses)
+    if rho == (INF, INF):
+        b = a
+    problem = dense([float(a)], [[0.0, 1.0]], [float(b)], [[0.75, 0.0]], blur, rho)
+    cost, epsilon = NUMBER(0.5 * (0.75**2 + 1)), problem.epsilon
+    strengths = [NUMBER(one) for one in rho]
+    if np.isinf(rho[0]):
+        m = a
+    elif np.isinf(rho[1]):
+        m = b
+    else:
+        m = strengths[0] * np.log(a) + strengths[1] * np.log(b) + epsilon * np.log(a * b) - cost
+        m = np.exp(m / (strengths[0] + strengths[1] + epsilon))
+    value = cost * m + epsilon * kl(m, a * b)
+    for strength, mass in zip(strengths, (a, b), strict=True):
+        value += 0 if np.isinf(strength) else strength * kl(m, mass)
+    near(judge.solve(problem), value, 20 * CLOSE)
+
+
+def test_two_points_and_their_mirror_image():
+    """Balanced, masses 1/2: of each point the share 1 / (1 + e^(-c / epsilon)) stays."""
+    blur, c = 0.25, NUMBER(0.5) * NUMBER(0.625) ** 2
+    problem = dense([0.5, 0.5], [[0.0], [0.625]], [0.5, 0.5], [[0.0], [0.625]], blur, (INF, INF))
+    stays = 1 / (1 + np.exp(-c / problem.epsilon))
+    value = c * (1 - stays)
+    value += problem.epsilon * (stays * np.log(2 * stays) + (1 - stays) * np.log(2 * (1 - stays)))
+    near(judge.solve(problem), value)
+
+
+@pytest.mark.parametrize("rho", [0.01, 4.0])
+def test_two_points_unbalanced(rho):
+    """By symmetry f = g = s on all points, s = Delta (-epsilon log(w (1 + e^(-c / eps))) - s)."""
+    blur, w, c, rho_ = 0.125, NUMBER(3), NUMBER(0.5) * NUMBER(0.25) ** 2, NUMBER(rho)
+    problem = dense([3.0, 3.0], [[1.0], [1.25]], [3.0, 3.0], [[1.0], [1.25]], blur, (rho, rho))
+    epsilon = problem.epsilon
+    delta = rho_ / (rho_ + epsilon)
+    s = -delta / (1 + delta) * epsilon * np.log(w * (1 + np.exp(-c / epsilon)))
+    mass = 2 * w * np.exp(-s / rho_)
+    value = 2 * rho_ * 2 * w * -np.expm1(-s / rho_) - epsilon * (mass - (2 * w) ** 2)
+    found = judge.solve(problem)
+    near(found, value, 10 * CLOSE)
+    assert np.abs(found.f - s).max() < 1e3 * CLOSE
+
+
+@pytest.mark.parametrize("rho", [(0.01, 0.04), (INF, 0.04), (INF, INF)], ids=str)
+def test_equal_measures_of_points_far_apart_are_diracs(rho):
+    """Each point keeps to itself; of the rest only epsilon m_a m_b is left.
+
+    Between two points e^-256 of the mass is exchanged, so that the Hessian of balanced transport
+    is almost 0 in every direction.
+    """
+    weights, blur = [0.5, 2.0**-60, 3.0, 0.25], 0.0625
+    points = np.eye(4)
+    problem = dense(weights, points, weights, points, blur, rho)
+    epsilon, value = problem.epsilon, problem.constant
+    for weight in map(NUMBER, weights):
+        one, other = (NUMBER(strength) for strength in rho)
+        m = weight
+        if not np.isinf(one):
+            m = np.exp((one + other + 2 * epsilon) / (one + other + epsilon) * np.log(weight))
+        elif not np.isinf(other):
+            m = weight
+        value += epsilon * (kl(m, weight**2) - weight**2)
+        value += sum(s * kl(m, weight) for s in (one, other) if not np.isinf(s))
+    near(judge.solve(problem), value, 10 * CLOSE)
+
+
+def test_points_at_one_place_are_one_dirac():
+    apart = dense([0.25, 0.5, 0.25], np.zeros((3, 2)), [2.0, 1.0], np.ones((2, 2)), 0.1, (1.0, INF))
+    whole = dense([1.0], np.zeros((1, 2)), [3.0], np.ones((1, 2)), 0.1, (1.0, INF))
+    value = judge.solve(whole)
+    near(judge.solve(apart), value.low, 10 * CLOSE)
+
+
+@pytest.mark.parametrize("rho", RHOS, ids=str)
+def test_primal_and_dual_agree(rho):
+    """Both as they are written, over a dense plan, to 1e-15."""
+    rng = np.random.default_rng(7)
+    a, b = rng.integers(1, 100, 30) / 64, rng.integers(1, 100, 41) / 64
+    if rho == (INF, INF):
+        b = np.append(a / 2, a / 2)[rng.permutation(60)]
+    problem = dense(a, rng.random((30, 3)), b, rng.random((len(b), 3)), 0.0625, rho)
+    found = judge.solve(problem)
+    assert found.settled
+    f, g, epsilon, cost = found.f, found.g, problem.epsilon, problem.cost()
+    reference = problem.source.mass[:, None] * problem.target.mass
+    plan = np.exp((f[:, None] + g - cost) / epsilon) * reference
+    primal = (cost * plan).sum() + epsilon * kl(plan, reference).sum()
+    dual = -epsilon * (plan - reference).sum()
+    for side, potential, marginal in (
+        (problem.source, f, plan.sum(axis=1)), (problem.target, g, plan.sum(axis=0)),
+    ):  # fmt: skip
+        if side.balanced:
+            dual += (side.mass * potential).sum()
+            assert np.abs(marginal / side.mass - 1).max() < 1e4 * CLOSE
+        else:
+            dual += side.rho * (side.mass * (1 - np.exp(-potential / side.rho))).sum()
+            primal += side.rho * kl(marginal, side.mass).sum()
+    share = 1e-15 if EXTENDED else 1e-11
+    assert abs(primal - dual) <= share * abs(dual)
+    assert abs(dual - found.low) <= share * abs(dual)
+
+
+def test_clusters_that_exchange_almost_nothing():
+    """No accuracy is lost where balanced clusters are coupled by e^-300 and less."""
+    w = np.array([[0, 1, 1e-150], [1, 0, 1e-140], [1e-150, 1e-140, 0]], NUMBER)
+    right = np.array([1, 2, -3], NUMBER)
+    x = judge.solve_laplacian(w, np.zeros(3, NUMBER), right)
+    # All that enters the third node goes through 1e-150 and 1e-140.
+    flow = w * (x[:, None] - x)
+    assert np.allclose(flow.sum(axis=1)[2], -3, rtol=1e-15)
+    assert x[0] - x[2] == pytest.approx(3e140, rel=1e-8)
+
+
+@pytest.mark.parametrize("rho", [(0.25, 2.0), (INF, 0.5), (INF, INF)], ids=str)
+@pytest.mark.parametrize("number", [NUMBER, np.float64])
+@pytest.mark.parametrize("blur", [0.01171875, 0.25])
+def test_sums_are_right_within_their_bounds(rho, number, blur):
+    """Against 60 decimals, at potentials that are no solution."""
+    rng = np.random.default_rng(3)
+    a, b = rng.random(7), rng.random(5)
+    x, y = 100 + rng.random((7, 3)), 100 + rng.random((5, 3))
+    offsets = rng.random(7), -rng.random(5)
+    problem = dense(a, x, b, y, blur, rho, offsets)
+    cost = problem.cost().astype(float)
+    f = cost.min(axis=1) + 2 * blur**2 * rng.normal(size=7)
+    g = (cost - f[:, None]).min(axis=0) + 2 * blur**2 * rng.normal(size=5)
+    truth = exact.evaluate(problem, f, g, number)
+    with localcontext() as context:
+        context.prec = 60
+        epsilon = Decimal(blur) ** 2
+        decimals = [[Decimal(float(one)) for one in vector] for vector in (a, b, f, g, *offsets)]
+        a_, b_, f_, g_, r_, s_ = decimals
+        plan = [
+            [
+                a_[i] * b_[j] * ((f_[i] + g_[j] - r_[i] - s_[j] - sum(
+                    (Decimal(float(x[i, k])) - Decimal(float(y[j, k]))) ** 2 for k in range(3)
+                ) / 2) / epsilon).exp()
+                for j in range(5)
+            ]
+            for i in range(7)
+        ]  # fmt: skip
+        rows, columns = [sum(row) for row in plan], [sum(col) for col in zip(*plan, strict=True)]
+        dual = -epsilon * (sum(rows) - sum(a_) * sum(b_))
+        gap, wrong, residual = Decimal(0), Decimal(0), Decimal(0)
+        for weights, potential, marginal, rho_ in (
+            (a_, f_, rows, rho[0]),
+            (b_, g_, columns, rho[1]),
+        ):
+            rate = 0 if rho_ == INF else 1 / Decimal(rho_)
+            for weight, value, mass in zip(weights, potential, marginal, strict=True):
+                softmin = value - epsilon * (mass / weight).ln()
+                delta = 1 / (1 + epsilon * rate)
+                residual = max(residual, abs(value - delta * softmin) / epsilon)
+                if rho_ == INF:
+                    dual += weight * value
+                    wrong += abs(mass - weight)
+                else:
+                    limit = weight * (-value * rate).exp()
+                    dual += (weight - limit) / rate
+                    gap += (mass * (mass / limit).ln() - mass + limit) / rate
+        logarithms = [mass.ln() for mass in rows], [mass.ln() for mass in columns]
+
+        def off(told, true):
+            # Of a long double no digit may be lost.
+            high = float(told)
+            return abs(Decimal(high) + Decimal(float(told - NUMBER(high))) - true)
+
+        def holds(interval, true):
+            assert off(interval.value, true) <= Decimal(float(interval.error)) * Decimal(
+                "1.0000001"
+            )
+            assert float(interval.error) <= (1e-10 if number is np.float64 else 1e4 * CLOSE) * max(
+                abs(float(true)), float(epsilon)
+            )
+
+        for told, slack, true in (
+            (truth.rows, truth.rows_slack, logarithms[0]),
+            (truth.columns, truth.columns_slack, logarithms[1]),
+        ):
+            for one, bound, exactly in zip(told, slack, true, strict=True):
+                assert off(one, exactly) <= Decimal(float(bound))
+        holds(truth.dual, dual)
+        holds(truth.residual, residual)
+        holds(truth.mass, sum(rows))
+        if INF in rho:
+            holds(truth.marginal_error, wrong)
+            assert truth.gap is None
+        else:
+            holds(truth.gap, gap)
+
+
+def test_random_problems_are_settled():
+    """The judge leaves few without an optimum, whatever the strengths and masses."""
+    tried = unsettled = 0
+    for number in range(80):
+        problem = problems.make(SEED, number)
+        if problem.refused or problem.pairs > cross_check.MOST_SOLVED:
+            continue
+        tried += 1
+        unsettled += not judge.solve(problem.dense()).settled
+    assert tried > 60
+    assert unsettled <= (0.02 if EXTENDED else 0.1) * tried
+
+
+def test_a_problem_follows_from_its_number():
+    for number in range(20):
+        one, other = problems.make(3, number), problems.make(3, number)
+        assert one.words == other.words
+        assert np.array_equal(problems.parts(one.source)[1], problems.parts(other.source)[1])
+
+
+def above(value):
+    return float(np.nextafter(float(value), np.inf))
+
+
+def honest(rho, sigma=0.0):
+    """A result that tells the truth about potentials, which may be off the optimum."""
+    rng = np.random.default_rng(11)
+    a, b = rng.integers(0, 9, 12) / 8, rng.integers(0, 9, 15) / 8
+    a[:2], b[:2] = 1.0, 0.0
+    if rho == (INF, INF):
+        b = np.append(a / 2, a / 2)
+    problem = dense(a, rng.random((12, 2)), b, rng.random((len(b), 2)), 0.125, rho)
+    optimum = judge.solve(problem)
+    f, g = np.zeros(len(a)), np.zeros(len(b))
+    f[problem.source.places] = optimum.f + sigma * rng.normal(size=len(optimum.f))
+    g[problem.target.places] = optimum.g
+    truth = exact.evaluate(problem, f[problem.source.places], g[problem.target.places])
+    rows, columns = np.zeros(len(a)), np.zeros(len(b))
+    rows[problem.source.places], columns[problem.target.places] = (
+        np.exp(truth.rows),
+        np.exp(truth.columns),
+    )
+    dual = float(truth.dual.low) - 1e-12
+    balanced = problem.source.balanced, problem.target.balanced
+    primal = None if any(balanced) else float(truth.dual.high + truth.gap.high) + 1e-12
+    result = SimpleNamespace(
+        f=f, g=g, dual=dual, primal=primal, gap=None if primal is None else primal - dual,
+        residual=above(truth.residual.high), status="max_iter", truncation=None,
+        truncation_error=1e-12, row_mass=rows, column_mass=columns,
+        transported_mass=float(truth.mass.value), marginal_error=above(truth.marginal_error.high),
+    )  # fmt: skip
+    return claims.Told(result, problem, truth, optimum, 1e-3)
+
+
+def broken(told):
+    return {outcome.check for outcome in claims.check(told) if outcome.broken}
+
+
+@pytest.mark.parametrize("rho", RHOS, ids=str)
+@pytest.mark.parametrize("sigma", [0.0, 1e-4, 0.01])
+def test_the_truth_is_no_finding(rho, sigma):
+    told = honest(rho, sigma)
+    assert broken(told) == set()
+    checked = {outcome.check for outcome in claims.check(told)}
+    assert {"dual <= optimum", "dual <= D(f, g)", "residual", "row_mass", "finite"} <= checked
+
+
+MASSES = {"row_mass", "column_mass", "transported_mass"}
+UNBALANCED, ONE_SIDED, BALANCED = (0.25, 1.0), (INF, 0.25), (INF, INF)
+
+
+@pytest.mark.parametrize(
+    ("rho", "sigma", "changed", "expected"),
+    [
+        (UNBALANCED, 0.0, {"dual": 1e-9}, {"dual <= optimum", "dual <= D(f, g)", "gap"}),
+        (ONE_SIDED, 0.0, {"dual": 1e-9}, {"dual <= optimum", "dual <= D(f, g)"}),
+        (BALANCED, 0.0, {"dual": 1e-9}, {"dual <= optimum", "dual <= D(f, g)"}),
+        (UNBALANCED, 0.0, {"primal": -1e-9}, {"optimum <= primal", "P(f, g) <= primal", "gap"}),
+        (UNBALANCED, 0.01, {"primal": -1e-9}, {"P(f, g) <= primal", "gap"}),
+        (UNBALANCED, 0.0, {"gap": 1e-9}, {"gap"}),
+        (UNBALANCED, 0.0, {"gap": None}, {"gap"}),
+        (UNBALANCED, 0.0, {"primal": None}, {"optimum <= primal", "gap"}),
+        (UNBALANCED, 0.0, {"primal": 1e-3, "gap": 1e-3}, {"widening"}),
+        (UNBALANCED, 0.0, {"dual": -1e-3, "gap": 1e-3}, {"widening"}),
+        (UNBALANCED, 0.01, {"residual": -1e-9}, {"residual"}),
+        (BALANCED, 0.01, {"residual": -1e-9}, {"residual"}),
+        (UNBALANCED, 0.01, {"status": "converged"}, {"converged"}),
+        (UNBALANCED, 0.0, {"row_mass": 1e-9}, {"row_mass"}),
+        (UNBALANCED, 0.0, {"column_mass": -1e-9}, {"column_mass"}),
+        (UNBALANCED, 0.0, {"transported_mass": 1e-9}, {"transported_mass"}),
+        pytest.param(
+            UNBALANCED,
+            0.0,
+            {"truncation_error": -1e-12},
+            MASSES,
+            marks=pytest.mark.skipif(not EXTENDED, reason="float64 itself rounds so much"),
+        ),
+        (ONE_SIDED, 0.01, {"marginal_error": -1e-9}, {"marginal_error"}),
+        (BALANCED, 0.01, {"marginal_error": -1e-9}, {"marginal_error"}),
+        (UNBALANCED, 0.0, {"primal": np.nan}, {"finite"}),
+        (BALANCED, 0.0, {"residual": np.inf}, {"finite"}),
+    ],
+)
+def test_what_is_wrong_is_found(rho, sigma, changed, expected):
+    told = honest(rho, sigma)
+    values = dict(vars(told.result))
+    for name, change in changed.items():
+        if name.endswith("mass"):
+            values[name] = values[name] * (1 + change)
+        elif isinstance(change, float):
+            values[name] = values[name] + change
+        else:
+            values[name] = change
+    found = broken(replace(told, result=SimpleNamespace(**values)))
+    assert found & expected
+    assert found <= expected
+
+
+@pytest.mark.parametrize("rho", [ONE_SIDED, BALANCED], ids=str)
+def test_a_primal_below_the_optimum_is_found(rho):
+    """With a balanced side there need not be a primal; one with a gap is held to be a bound."""
+    told = honest(rho)
+    values = vars(told.result) | {"primal": float(told.optimum.low) - 1e-9}
+    values["gap"] = values["primal"] - values["dual"]
+    assert "optimum <= primal" in broken(replace(told, result=SimpleNamespace(**values)))
+    values["primal"] = float(told.optimum.high) + 1e-9
+    values["gap"] = values["primal"] - values["dual"]
+    assert broken(replace(told, result=SimpleNamespace(**values))) == set()
+
+
+def first(wanted):
+    return next(n for n in range(1000) if wanted(problems.make(SEED, n)))
+
+
+def test_errors_and_endless_solves_are_found(monkeypatch):
+    usual = first(lambda problem: not problem.refused and problem.pairs < 100)
+    meant = first(lambda problem: problem.refused == "different masses")
+
+    def ends(number, call):
+        monkeypatch.setattr(clmorph, "sinkhorn", call)
+        (outcome,), told = cross_check.Judge(SEED, patience=0.02).compare(number, "numpy")
+        assert told is None
+        assert outcome.check == "answers"
+        return outcome
+
+    def refuse(*_, **__):
+        raise clmorph.InputError("no")
+
+    def fail(*_, **__):
+        raise ZeroDivisionError
+
+    def loop(*_, **__):
+        while True:
+            time.sleep(0)
+
+    assert ends(usual, refuse).broken
+    assert not ends(meant, refuse).broken
+    assert ends(meant, fail).broken
+    assert ends(meant, lambda *_, **__: None).words == "not refused: different masses"
+    if hasattr(signal, "setitimer"):
+        assert "no answer after 0.02" in ends(usual, loop).words
+
+
+def test_a_line_tells_how_to_repeat_it(monkeypatch, capsys):
+    meant = first(lambda problem: problem.refused == "different masses")
+    monkeypatch.setattr(clmorph, "sinkhorn", lambda *_, **__: None)
+    given = ["--only", str(meant), "--device", "numpy", "--seed", str(SEED)]
+    assert cross_check.main([*given, "--markdown"]) == 1
+    out = capsys.readouterr().out
+    assert f"FINDING numpy: {meant}, answers: not refused: different masses" in out
+    assert f"--only {meant} --device numpy --seed {SEED}" in out
+    assert "| numpy | answers | 1 | 1 | 1 |" in out
+
+
+@pytest.mark.parametrize("share", range(4))
+def test_what_is_told_is_true(any_backend, share, capsys, monkeypatch):
+    """Twenty problems a share, on each backend."""
+    monkeypatch.setattr(sys, "argv", ["cross_check.py"])  # what lines tell to repeat
+    findings = Findings(["--seed", str(SEED)])
+    numbers = range(20 * share, 20 * share + 20)
+    cross_check.run([any_backend], SEED, numbers, findings, 1 << 16, PATIENCE)
+    assert findings.end() == 0, capsys.readouterr().out

@@ -1,0 +1,76 @@
+"""What is shipped: built here, looked at, and run from elsewhere."""
+
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.full
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """The sdist, and the wheel made from it."""
+    folder = tmp_path_factory.mktemp("dist")
+    subprocess.run(
+        [sys.executable, "-m", "build", "--outdir", folder, ROOT], check=True, capture_output=True
+    )
+    (sdist,), (wheel,) = folder.glob("*.tar.gz"), folder.glob("*.whl")
+    return sdist, wheel
+
+
+def test_the_wheel_is_complete(built):
+    with zipfile.ZipFile(built[1]) as wheel:
+        names = set(wheel.namelist())
+    kernels = {f"clmorph/cl_kernels/{path.name}" for path in (ROOT / "cl_kernels").glob("*.cl")}
+    modules = {str(path.relative_to(ROOT)) for path in (ROOT / "clmorph").rglob("*.py")}
+    viewer = {
+        str(path.relative_to(ROOT))
+        for ending in ("html", "css", "js")
+        for path in (ROOT / "clmorph" / "output" / "html").glob(f"*.{ending}")
+    }
+    assert len(kernels) == 7
+    assert len(viewer) == 9
+    assert kernels | modules | viewer | {"clmorph/py.typed", "clmorph/cli/samples/cat.png"} <= names
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+    assert not any(name.startswith(("tests/", "tools/", "cl_kernels/")) for name in names)
+
+
+def test_the_sdist_is_complete(built):
+    with tarfile.open(built[0]) as sdist:
+        names = {name.split("/", 1)[-1] for name in sdist.getnames()}
+    wanted = {
+        "LICENSE",
+        "README.md",
+        "pyproject.toml",
+        "clmorph/py.typed",
+        "clmorph/cli/samples/cat.png",
+    }
+    wanted |= {f"cl_kernels/{path.name}" for path in (ROOT / "cl_kernels").glob("*")}
+    wanted |= {
+        f"clmorph/output/html/{path.name}" for path in (ROOT / "clmorph/output/html").glob("*.*")
+    }
+    assert {name for name in wanted if "__pycache__" not in name} <= names
+
+
+def test_the_wheel_works_from_another_folder(built, tmp_path):
+    """Installed into a folder that stands before everything else on the path."""
+    site, elsewhere = tmp_path / "site", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    subprocess.run(
+        [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", site, built[1]],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]);"
+        "import clmorph, numpy as np; from pathlib import Path;"
+        "assert Path(clmorph.__file__).is_relative_to(sys.argv[1]), clmorph.__file__;"
+        "a = np.random.default_rng(0).random((2, 6, 7, 3));"
+        "clmorph.morph(*a, n_frames=3).save('out.gif')"
+    )
+    subprocess.run([sys.executable, "-P", "-c", code, site], check=True, cwd=elsewhere)
+    assert [path.name for path in elsewhere.iterdir()] == ["out.gif"]

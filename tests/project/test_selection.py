@@ -1,0 +1,93 @@
+"""What is tested without ``--full``: each value of each parameter."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from conftest import TESTED, _is_repeated, _share
+
+ROOT = Path(__file__).parents[2]
+
+
+def items(**parameters):
+    """Return stand-ins of a grid's items: all combinations of the values of each parameter."""
+    grids = [{}]
+    for name, values in parameters.items():
+        grids = [{**grid, name: value} for grid in grids for value in values]
+    return [
+        SimpleNamespace(nodeid="test.py::test[x]", callspec=SimpleNamespace(params=grid))
+        for grid in grids
+    ]
+
+
+AXES = {"a": "xyz", "b": [1.0, 2.0], "c": [None, True, False, 4, 5]}
+
+
+def values(chosen, name):
+    return {item.callspec.params[name] for item in chosen}
+
+
+def test_each_value_is_tested_on_each_device():
+    chosen = _share(items(variant="PQR", **AXES))
+    for device in "PQR":
+        own = [item for item in chosen if item.callspec.params["variant"] == device]
+        assert len(own) == 5
+        assert all(values(own, name) == set(wanted) for name, wanted in AXES.items())
+
+
+@pytest.mark.parametrize("name", ["device", "any_backend"])
+def test_each_value_is_tested_on_one_device(name):
+    chosen = _share(items(**{name: "PQR"}, **AXES))
+    assert len(chosen) == 5
+    assert values(chosen, name) == set("PQR")
+    assert all(values(chosen, axis) == set(wanted) for axis, wanted in AXES.items())
+    assert len(_share(items(**{name: "PQR"}))) == 1
+    assert len(_share(items(**{name: "P"}, **AXES))) == 5
+
+
+def test_parameters_that_are_set_together_stay_together():
+    grid = items(device="P", pair=[("x", 1), ("x", 2), ("y", 1)])
+    for item in grid:
+        params = item.callspec.params
+        params["one"], params["other"] = params.pop("pair")
+    assert _share(grid) == grid
+
+
+def test_tests_without_a_grid_stay():
+    alone = [SimpleNamespace(nodeid="test.py::alone")]
+    assert _share(alone) == alone
+    row = items(device="P", a=range(7))
+    assert _share(row) == row
+
+
+@pytest.mark.full
+@pytest.mark.needs_device
+def test_one_device_can_be_named():
+    def collected(*options):
+        command = [sys.executable, "-m", "pytest", "-n", "0", "--collect-only", "-q", *options]
+        # With one device those that the whole run requires are not all there.
+        environment = {k: v for k, v in os.environ.items() if k != "CLMORPH_TEST_REQUIRE"}
+        return subprocess.run(
+            command, capture_output=True, text=True, check=False, cwd=ROOT, env=environment
+        )
+
+    done = collected("--device", TESTED[0].index, "tests/cli/test_check.py")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("test_every_device_passes[") == 1
+    done = collected("--device", "warp-drive", "tests/cli/test_check.py")
+    assert done.returncode == 4
+    assert "no usable OpenCL device matches --device warp-drive" in done.stderr
+
+
+def test_a_device_that_repeats_another_one_is_known(monkeypatch):
+    devices = [
+        SimpleNamespace(index=index, platform=platform, kind=kind)
+        for index, (platform, kind) in enumerate(
+            [("P", "CPU"), ("P", "GPU"), ("Q", "CPU"), ("P", "CPU")]
+        )
+    ]
+    monkeypatch.setattr("conftest.TESTED", devices)
+    assert [_is_repeated(device) for device in [*devices, None]] == [False] * 3 + [True, False]

@@ -1,0 +1,69 @@
+"""A small share of what ``tools/faults.py`` and ``tools/soak.py`` try."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import TESTED
+
+TOOLS = Path(__file__).parents[2] / "tools"
+
+
+@pytest.fixture(autouse=True)
+def tools(monkeypatch):
+    if not TOOLS.exists() or sys.platform == "win32":
+        pytest.skip("the tools need a checkout, and signals as POSIX has them")
+    monkeypatch.syspath_prepend(str(TOOLS))
+
+
+@pytest.mark.full
+@pytest.mark.needs_device
+def test_runs_that_are_interrupted(capsys):
+    """Ctrl-C while frames are drawn and written, over an old file and without one; a full disk."""
+    import faults
+
+    runs = faults.Runs(TESTED[0].index, faults.Findings([]))
+    runs.measure("gif")
+    seconds = runs.references["gif"].seconds
+    for share, old in ((0.6, True), (0.9, False)):
+        runs.kill("gif", "SIGINT", share * seconds, old)
+    runs.fill("gif", 0)
+    assert runs.findings.end() == 0, capsys.readouterr().out
+
+
+def test_a_fault_is_found(capsys):
+    """A tool that finds nothing must be able to."""
+    import faults
+
+    runs = faults.Runs("numpy", faults.Findings(["--device", "numpy"]))
+    runs.references["gif"] = faults.Reference(1.0, "another output", frozenset())
+    ended = faults.Ended(1, ["Traceback (most recent call last):"], [".clmorph-x"], "")
+    runs._same("cache", "garbage:kernels", ended)
+    assert runs.findings.end() == 1
+    out = capsys.readouterr().out
+    assert "FINDING cache: garbage:kernels: exit code 1" in out
+    assert "--cache garbage:kernels --device numpy" in out
+
+
+@pytest.mark.full
+@pytest.mark.needs_device
+def test_morphs_in_threads_are_those_in_a_row(capsys):
+    import soak
+
+    device = TESTED[0].index
+    given = ["--morphs", "20", "--sets", "5", "--threads", "4", "--processes", "0"]
+    assert soak.main([*given, "--device", device]) == 0, capsys.readouterr().out
+
+
+def test_an_empty_line_is_one_too_many(tmp_path):
+    """Only what an undisturbed run says as well is left out."""
+    import faults
+
+    runs = faults.Runs("numpy", faults.Findings([]))
+    runs.references["gif"] = faults.Reference(1.0, "", frozenset({"device: NumPy", ""}))
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "tmp" / "errors").write_text("device: NumPy\n\nclmorph: interrupted\n")
+    with subprocess.Popen([sys.executable, "-c", ""], start_new_session=True) as process:
+        ended = runs.end(process, tmp_path, "gif")
+    assert ended.lines == ["", "clmorph: interrupted"]

@@ -1,0 +1,127 @@
+"""The accelerated iteration against the plain one, and what makes it fast."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph import reference, sinkhorn
+from clmorph.transport._solver.anderson import Anderson
+
+
+def clouds(kind, rng):
+    n, m = rng.integers(1, 40, 2)
+    dimension = rng.integers(1, 6)
+    x, y = rng.random((n, dimension)), rng.random((m, dimension))
+    a, b = rng.random(n) + 0.01, rng.random(m) + 0.01
+    if kind == "two far clusters":
+        x = 0.1 * x + 3 * rng.integers(0, 2, (n, 1))
+        y = 0.1 * y + 3 * rng.integers(0, 2, (m, 1))
+    if kind == "one place and many":
+        x[:] = x[0]
+    if kind == "one place":
+        x[:], y[:] = 0.5, 0.5
+    if kind == "line":
+        x[:, 1:], y[:, 1:] = 0, 0
+    if kind == "duplicates":
+        x, y = np.round(4 * x) / 4, np.round(4 * y) / 4
+    if kind == "masses over ten orders":
+        a, b = 10 ** rng.uniform(-10, 0, n), 10 ** rng.uniform(-10, 0, m)
+    return (a, x), (b, y)
+
+
+KINDS = [
+    "random", "two far clusters", "one place and many", "one place", "line", "duplicates",
+    "masses over ten orders",
+]  # fmt: skip
+
+
+def quietly(solve, *arguments, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        return solve(*arguments, **options)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("reach", [0.1, 0.3, 1.0, None, (0.3, None), (0.2, 1.0)], ids=str)
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_dual_is_never_below_the_plain_iterations(kind, reach, seed):
+    """After equally many softmins, wherever it is stopped."""
+    rng = np.random.default_rng([KINDS.index(kind), seed])
+    (a, x), (b, y) = clouds(kind, rng)
+    if reach is None:
+        a, b = a / a.sum(), b / b.sum()
+    blur = 10 ** rng.uniform(-1.7, 0)
+    for max_iter in (1, 2, 5, 12, 24, 60, 2000):
+        ours = quietly(sinkhorn, (a, x), (b, y), blur, reach, max_iter=max_iter, backend="numpy")
+        plain = quietly(
+            reference.sinkhorn, (a, x), (b, y), blur, reach, 1e-15, max_iter=ours.n_iter
+        )  # fmt: skip
+        rounding = 1e-9 * (abs(plain.dual) + ours.epsilon * ours.transported_mass)
+        assert ours.dual >= plain.dual - rounding, max_iter
+
+
+@pytest.mark.parametrize("imbalance", [0.3, 0.1, 0.03, 0.01])
+def test_mass_that_must_cross_a_gap(rng, imbalance):
+    """Two far clusters, balanced: plain iteration gains one epsilon of C at a time."""
+    x, y = 0.1 * rng.random((20, 3)), 0.1 * rng.random((20, 3))
+    x[10:] += 3
+    y[10:] += 3
+    a, b = np.full(20, 0.05), np.full(20, 0.05)
+    b[:10] *= 1 + imbalance
+    b[10:] *= 1 - imbalance
+    got = sinkhorn((a, x), (b, y), 0.09, None, max_iter=150, backend="numpy")
+    assert got.converged
+    plan = reference.transport_plan((a, x), (b, y), got)
+    assert plan[10:, :10].sum() == pytest.approx(0.5 * imbalance, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("blur", "reach", "limit"),
+    [(0.05, 0.3, 45), (0.05, 1.0, 100), (0.05, None, 170), (0.02, 0.3, 110), (0.01, 0.3, 220)],
+)
+def test_iterations_on_pictures(device, blur, reach, limit):
+    y, x = np.mgrid[:48, :48] / 48
+    one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
+    two = np.stack([(x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.1, y, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
+    got = sinkhorn(clmorph.lift(one), clmorph.lift(two), blur, reach, backend=device)
+    assert got.converged
+    assert got.n_iter <= limit
+
+
+def test_residuals_are_the_history(rng):
+    (a, x), (b, y) = clouds("random", np.random.default_rng(1))
+    got = sinkhorn((a, x), (b, y), 0.05, 0.5, backend="numpy")
+    assert got.residuals[-1] == got.residual <= 1e-3
+    assert got.n_iter - 2 <= len(got.residuals) <= got.n_iter + 1
+    assert np.all(got.residuals > 0)
+
+
+def test_extrapolation_solves_a_linear_problem_at_once(rng):
+    """x <- M x + c with M of rank 4: a Krylov method ends after as many steps."""
+    basis = np.linalg.qr(rng.normal(size=(30, 4)))[0]
+    matrix = basis @ np.diag([0.99, 0.9, 0.5, -0.3]) @ basis.T
+    offset = basis @ rng.normal(size=4)
+    solution = np.linalg.solve(np.eye(30) - matrix, offset)
+    memory, x = Anderson(), np.zeros(30)
+    memory._trust_radius = 1e6
+    for _ in range(9):
+        image = matrix @ x + offset
+        guess = memory.extrapolate(x, image, np.ones(30))
+        x = image if guess is None else guess
+    assert np.abs(x - solution).max() < 1e-6 * np.abs(solution).max()
+    assert np.abs(np.linalg.matrix_power(matrix, 9) @ solution).max() > 0.1
+
+
+def test_an_extrapolation_keeps_its_length(rng):
+    memory = Anderson()
+    assert memory.extrapolate(np.zeros(3), np.ones(3), np.ones(3)) is None
+    # Hardly any change of the residual: the next iterates lie very far away.
+    guess = memory.extrapolate(np.ones(3), 2 - 1e-9 * np.ones(3), np.ones(3))
+    assert np.linalg.norm(guess - 2) == pytest.approx(32 * 3**0.5, rel=1e-6)
+    memory.accepted()
+    longer = memory.extrapolate(guess, guess + 1 - 2e-9, np.ones(3))
+    assert np.linalg.norm(longer - guess) > 100
+    memory.rejected()
+    assert memory.extrapolate(guess, guess + 1, np.ones(3)) is None

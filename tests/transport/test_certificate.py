@@ -1,0 +1,310 @@
+"""Values, gap and marginals against a dense float64 primal and dual; other strengths."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph import InputError, reference, sinkhorn
+from clmorph.reference.transport import certificate
+from clmorph.transport.regularization import regularization
+
+REACHES = [0.1, 0.3, 2.0, None, (0.2, 0.9), (0.3, None), (None, 0.3)]
+
+
+def clouds(rng, n=50, m=64, dimension=5, balanced=False):
+    a, b = rng.random(n), rng.random(m)
+    a[::7] = 0
+    if balanced:
+        a, b = a / a.sum(), b / b.sum()
+    return (a, rng.random((n, dimension))), (b, rng.random((m, dimension)))
+
+
+@pytest.mark.parametrize("max_iter", [1, 4, 1000])
+@pytest.mark.parametrize("reach", REACHES, ids=str)
+def test_certificate_is_that_of_the_dense_plan(any_backend, rng, reach, max_iter):
+    """Near the optimum and far from it."""
+    pair = clouds(rng, balanced=reach is None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        got = sinkhorn(*pair, 0.2, reach, 1e-5, max_iter, any_backend)
+    measures = clmorph.measures.points.as_pair(*pair)
+    want = certificate(*measures, got.f, got.g, regularization(0.2, reach))
+    size = abs(want.primal) + got.epsilon * want.transported_mass
+    rounding = 1e-5 * got.epsilon * want.transported_mass + 1e-9 * size
+    assert got.dual == pytest.approx(want.dual, abs=rounding)
+    if got.rho == np.inf or np.inf in np.ravel(got.rho):
+        # Another feasible plan than the reference's: a bound of its own.
+        assert got.primal >= want.dual - rounding
+        if got.converged:
+            assert got.gap <= 0.02 * got.primal
+    else:
+        assert got.primal == pytest.approx(want.primal, abs=rounding)
+    assert got.marginal_error == pytest.approx(want.marginal_error, abs=1e-5 * got.transported_mass)
+    assert got.transported_mass == pytest.approx(want.transported_mass, rel=1e-5)
+    assert np.allclose(got.row_mass, want.row_mass, rtol=2e-5, atol=1e-30)
+    assert np.allclose(got.column_mass, want.column_mass, rtol=2e-5, atol=1e-30)
+    assert got.gap == got.primal - got.dual >= 0
+    if not isinstance(reach, tuple) and reach is not None:
+        assert got.gap == pytest.approx(want.gap, abs=rounding)
+
+
+@pytest.mark.parametrize("reach", [0.1, 0.3, 2.0, (0.2, 0.9)], ids=str)
+def test_the_gap_bounds_the_distance_to_the_optimum(rng, reach):
+    pair = clouds(rng)
+    best = sinkhorn(*pair, 0.2, reach, 1e-12, backend="numpy")
+    assert 0 < best.gap < 1e-11 * best.primal
+    for max_iter in (1, 2, 3, 5, 8):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+            got = sinkhorn(*pair, 0.2, reach, 1e-12, max_iter, "numpy")
+        assert got.dual <= best.primal
+        assert best.dual <= got.primal
+
+
+@pytest.mark.parametrize("reach", REACHES, ids=str)
+def test_against_the_plain_iteration(any_backend, rng, reach):
+    pair = clouds(rng, balanced=reach is None)
+    got = sinkhorn(*pair, 0.15, reach, 1e-5, backend=any_backend)
+    want = reference.sinkhorn(*pair, 0.15, reach, 1e-8, 20000)
+    assert got.converged
+    assert want.converged
+    assert got.dual == pytest.approx(want.dual, abs=1e-6 * got.epsilon * got.transported_mass)
+    assert got.row_mass == pytest.approx(want.row_mass, rel=1e-3)
+    assert got.column_mass == pytest.approx(want.column_mass, rel=1e-3)
+
+
+@pytest.mark.parametrize("reach", [(None, 0.3), (0.3, None)], ids=str)
+def test_a_balanced_side_keeps_its_mass(any_backend, rng, reach):
+    (a, x), (b, y) = clouds(rng)
+    got = sinkhorn((a, x), (b, y), 0.2, reach, 1e-5, backend=any_backend)
+    kept, marginal = (a, got.row_mass) if reach[0] is None else (b, got.column_mass)
+    assert np.allclose(marginal, kept, rtol=1e-4)
+    assert got.transported_mass == pytest.approx(kept.sum(), rel=1e-4)
+    assert got.rho == tuple(np.inf if value is None else value**2 for value in reach)
+
+
+def test_two_names_of_a_strength(rng):
+    pair = clouds(rng)
+    named = sinkhorn(*pair, 0.2, 0.5, backend="numpy")
+    squared = sinkhorn(*pair, epsilon=0.2**2, rho=0.25, backend="numpy")
+    assert squared.blur == pytest.approx(0.2)
+    assert np.allclose(named.f, squared.f, rtol=0, atol=1e-12)
+    pairs = sinkhorn(*pair, 0.2, rho=(0.25, np.inf), backend="numpy")
+    assert pairs.reach == (0.5, None)
+    assert sinkhorn(*clouds(rng, balanced=True), 0.2, rho=np.inf, backend="numpy").reach is None
+    assert sinkhorn(*pair, 0.2, (0.5, 0.5), backend="numpy").reach == 0.5
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"blur": 0.1, "epsilon": 0.01}, "two names of one strength"),
+        ({"reach": 0.1, "rho": 0.01}, "two names of one strength"),
+        ({"reach": None, "rho": 0.01}, "two names of one strength"),
+        ({"blur": 0.05, "epsilon": 0.0025}, "two names"),
+        ({"epsilon": 0}, "epsilon=0"), ({"epsilon": -1.0}, "epsilon=-1"),
+        ({"epsilon": np.nan}, "epsilon=nan"), ({"epsilon": "x"}, "epsilon='x'"),
+        ({"epsilon": np.inf}, "epsilon=inf"), ({"epsilon": [1, 2]}, "epsilon="),
+        ({"rho": 0}, "rho=0"), ({"rho": -0.1}, "rho=-0.1"), ({"rho": (1, -1)}, "rho=-1"),
+        ({"rho": (1, 2, 3)}, "a pair"), ({"reach": (1,)}, "a pair"),
+        ({"method": "fast"}, "method='fast'"), ({"precision": "half"}, "precision='half'"),
+        ({"scaling": 1.0}, "scaling=1"), ({"start": 3}, "start=3"),
+        ({"blur": 1e-6}, "too small"), ({"reach": 1e6}, "too large for blur"),
+    ],
+)  # fmt: skip
+def test_wrong_strengths_and_options(rng, options, words):
+    with pytest.raises(InputError, match=words) as caught:
+        sinkhorn(*clouds(rng), backend="numpy", **options)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("dimension", range(1, 9))
+def test_points_of_any_dimension(any_backend, rng, dimension):
+    pair = clouds(rng, 30, 40, dimension)
+    got = sinkhorn(*pair, 0.2, 0.5, 1e-4, backend=any_backend)
+    want = reference.sinkhorn(*pair, 0.2, 0.5, 1e-6)
+    assert np.abs(got.f - want.f).max() < 1e-3 * got.epsilon
+    plan = clmorph.transport_plan(*pair, got, backend=any_backend)
+    assert plan.row_mass == pytest.approx(got.row_mass, rel=2e-3, abs=1e-12)
+
+
+def test_points_on_a_line_may_be_given_flat(rng):
+    a, x = np.ones(5), np.linspace(0, 1, 5)
+    flat = sinkhorn((a, x), (a, x + 0.1), backend="numpy")
+    column = sinkhorn((a.tolist(), x[:, None].tolist()), (a, x[:, None] + 0.1), backend="numpy")
+    assert np.array_equal(flat.f, column.f)
+
+
+ONE = (np.ones(3), np.zeros((3, 2)))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (np.zeros((4, 5)), "expected a Measure"),
+        (None, "expected a Measure"),
+        ((np.ones(3),), "expected a Measure"),
+        (("a", "b"), "no array of numbers"),
+        ((np.ones(4), np.zeros((3, 2))), "in this order"),
+        ((np.zeros((3, 2)), np.ones(3)), "in this order"),
+        ((np.ones(0), np.zeros((0, 2))), "N > 0"),
+        ((np.ones(3), np.zeros((3, 9))), "dimensions"),
+        ((np.ones(3), np.zeros((3, 0))), "dimensions"),
+        ((np.ones(3), np.full((3, 2), np.nan)), "coordinates"),
+        ((np.ones(3), np.full((3, 2), 1e9)), "coordinates"),
+        ((np.array([1, -1, 1]), np.zeros((3, 2))), "at least 0"),
+        ((np.zeros(3), np.zeros((3, 2))), "positive sum"),
+        ((np.full(3, np.inf), np.zeros((3, 2))), "positive sum"),
+        ((np.ones(3), np.zeros((3, 3))), "dimensions, target in"),
+    ],
+)
+def test_wrong_points(wrong, words):
+    for pair in ((wrong, ONE), (ONE, wrong)):
+        if words == "dimensions, target in" and pair[0] is ONE:
+            continue
+        with pytest.raises(InputError, match=words) as caught:
+            sinkhorn(*pair, backend="numpy")
+        assert "\n" not in str(caught.value)
+
+
+def test_a_measure_and_plain_points_of_the_same_space(rng):
+    image = clmorph.lift(rng.random((6, 7, 3)))
+    got = sinkhorn(image, (image.weights, image.points), backend="numpy")
+    assert np.abs(got.f - got.g).max() < 1e-3 * got.epsilon
+
+
+def test_a_start_saves_iterations_and_changes_nothing(rng):
+    pair = clouds(rng, 60, 60)
+    cold = sinkhorn(*pair, 0.05, 1.0, backend="numpy")
+    warm = sinkhorn(*pair, 0.05, 1.0, backend="numpy", start=cold)
+    assert warm.n_iter <= 2
+    assert warm.dual == pytest.approx(cold.dual, abs=cold.gap)
+    near = sinkhorn(*pair, 0.045, 1.0, backend="numpy", start=cold)
+    assert near.n_iter < sinkhorn(*pair, 0.045, 1.0, backend="numpy").n_iter
+    with pytest.raises(InputError, match="expected 60 and 64"):
+        sinkhorn(*clouds(rng, 60, 64), 0.05, 1.0, backend="numpy", start=cold)
+
+
+def test_the_blur_that_is_proposed_is_enough(rng):
+    (a, x), (b, y) = clouds(rng)
+    with pytest.raises(InputError, match="too small") as caught:
+        sinkhorn((a, 3 * x), (b, 3 * y), 1e-6, backend="numpy")
+    proposed = float(str(caught.value).split("at least ")[1].split(";")[0])
+    assert 1e-6 < proposed < 1e-5
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        assert sinkhorn((a, 3 * x), (b, 3 * y), proposed, max_iter=1, backend="numpy").n_iter == 1
+
+
+@pytest.mark.parametrize("reach", [(None, 0.3), (0.3, None), None], ids=str)
+def test_a_balanced_side_has_an_upper_bound(any_backend, rng, reach):
+    """Not the value of a plan that misses its masses, which is below the optimum."""
+    pair = clouds(rng, balanced=reach is None)
+    best = sinkhorn(*pair, 0.1, reach, 1e-11, 5000, "numpy")
+    for max_iter in (1, 2, 4, 8, 30):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+            got = sinkhorn(*pair, 0.1, reach, 1e-6, max_iter, any_backend)
+        assert best.dual <= got.primal < np.inf
+        assert got.dual <= best.primal
+        assert got.gap == got.primal - got.dual
+    assert got.gap < 0.02 * best.dual
+
+
+def _optimum(pair, blur, reach):
+    """An interval of the optimum that is far narrower than any device's rounding."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        best = sinkhorn(*pair, blur, reach, 1e-10, 5000, "numpy")
+    assert best.gap <= 1e-10 * abs(best.primal) + 1e-13
+    return best
+
+
+@pytest.mark.parametrize("dimension", range(1, 12))
+def test_bounds_include_the_rounding_of_the_device(device, rng, dimension):
+    """Without it a dual value is above the optimum in half of all problems."""
+    for blur, reach in ((0.03, 0.3), (0.2, 0.3), (1.0, 2.0), (0.2, (0.5, 2.0))):
+        n, m = rng.integers(1, 80, 2)
+        pair = clouds(rng, n + 1, m + 1, dimension)
+        best = _optimum(pair, blur, reach)
+        got = sinkhorn(*pair, blur, reach, 1e-6, 5000, device)
+        assert got.dual <= best.primal
+        assert best.dual <= got.primal
+        exact = certificate(
+            *clmorph.measures.points.as_pair(*pair), got.f, got.g, regularization(blur, reach)
+        )
+        assert got.gap <= exact.gap + 2e-6 * got.primal
+
+
+@pytest.mark.parametrize("mass", [1e-20, 1e15, 1e29])
+@pytest.mark.parametrize("multiscale", [False, True])
+def test_balanced_transport_of_any_mass(any_backend, mass, multiscale):
+    """As many iterations as for a mass of one, and the residual that is told."""
+    for seed in (1, 4):
+        rng = np.random.default_rng(seed)
+        n, m = rng.integers(20, 300, 2)
+        dimension = rng.integers(1, 6)
+        a, b = rng.random(n), rng.random(m)
+        x, y = rng.random((n, dimension)), rng.random((m, dimension))
+        pair = (a / a.sum(), x), (b / b.sum(), y)
+        plain = sinkhorn(*pair, 0.02, None, backend=any_backend, multiscale=multiscale)
+        pair = (mass * pair[0][0], x), (mass * pair[1][0], y)
+        got = sinkhorn(*pair, 0.02, None, backend=any_backend, multiscale=multiscale)
+        assert plain.converged
+        assert got.converged
+        assert got.n_iter <= 2 * plain.n_iter
+        exact = clmorph.reference.cost_matrix(*pair)
+        true = [
+            np.abs(got.f + got.epsilon * _log_sums(got.g - exact, pair[1][0], got.epsilon)).max(),
+            np.abs(got.g + got.epsilon * _log_sums(got.f - exact.T, pair[0][0], got.epsilon)).max(),
+        ]
+        assert max(true) / got.epsilon <= got.residual * (1 + 1e-9) <= 1e-3
+        assert np.abs(got.row_mass - pair[0][0]).sum() <= got.marginal_error
+
+
+def _log_sums(values, weights, epsilon):
+    exponents = values / epsilon + np.log(weights)
+    largest = exponents.max(axis=1)
+    return largest + np.log(np.exp(exponents - largest[:, None]).sum(axis=1))
+
+
+@pytest.mark.parametrize("excess", [0.0, 5e-7])
+@pytest.mark.parametrize("mass", [1.0, 1e15])
+def test_balanced_potentials_do_not_drift(any_backend, rng, mass, excess):
+    """They are free up to a constant, along which extrapolation ran off below rounding."""
+    for n, m in ((1, 5), (30, 40)):
+        pair = (
+            (np.full(n, mass / n), rng.random((n, 3))),
+            (
+                np.full(m, mass * (1 + excess) / m),
+                rng.random((m, 3)),
+            ),
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+            got = sinkhorn(*pair, 0.1, None, 1e-10, 300, any_backend)
+        size = 1.5 + got.epsilon * abs(np.log(mass))
+        assert np.abs(got.f).max() <= 2 * size
+        assert np.abs(got.g).max() <= 2 * size
+        assert got.residual <= 1e-5
+
+
+def test_the_repr_says_how_much_is_transported():
+    """One line: the mass that moves, of the mass that there is."""
+    near, far = (
+        (np.ones(2) / 2, np.array([[0.0], [0.1]])),
+        (np.ones(2) / 2, np.array([[0.2], [3.0]])),
+    )
+    got = sinkhorn(near, far, 0.1, 0.3, backend="numpy")
+    text = repr(got)
+    assert "\n" not in text
+    assert text.startswith("<Potentials for 2 and 2 points, converged in ")
+    assert text.endswith(f"transported {got.transported_mass:.3g} of 1>")
+    assert 0 < got.transported_mass < 1
+    heavy = (3 * far[0], far[1])
+    more = sinkhorn(near, heavy, 0.1, 0.3, backend="numpy")
+    assert repr(more).endswith(" of 1 (source) and 3 (target)>")
+    assert repr(more.swapped()).endswith(" of 3 (source) and 1 (target)>")
+    assert repr(clmorph.reference.sinkhorn(near, far, 0.1, 0.3)).endswith(" of 1>")

@@ -1,0 +1,345 @@
+"""Solving through clusters, against solving directly."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph import reference, sinkhorn
+from clmorph.measures.cluster import make_clusters
+from clmorph.measures.points import WeightedPoints
+from clmorph.transport._solver import coarse_grid, multiscale
+from clmorph.transport._solver.coarse_grid import CorrectedProblem, stored_grid
+from clmorph.transport._solver.problem import Problem
+
+
+def pictures(side, noise=0.0, color_weight=1.0):
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:side, :side] / side
+    one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
+    two = np.stack([(x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.1, y, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
+    return [clmorph.lift(np.clip(image + noise * rng.normal(size=(side, side, 3)), 0, 1),
+                         color_weight)
+            for image in (one, two)]  # fmt: skip
+
+
+def same_up_to_a_constant(got, want, tolerance):
+    shift = 0.0 if got.reach is not None else np.mean(got.f - want.f)
+    assert np.abs(got.f - want.f - shift).max() <= tolerance * got.epsilon
+    assert np.abs(got.g - want.g + shift).max() <= tolerance * got.epsilon
+
+
+# --- clusters ------------------------------------------------------------------------------
+
+
+def test_clusters_are_small_and_keep_mass_and_its_center(rng):
+    points, weights = rng.normal(size=(3000, 5)), rng.random(3000)
+    clusters = make_clusters(WeightedPoints(points, weights), 0.7)
+    coarse = clusters.measure
+    assert len(coarse) == clusters.labels.max() + 1 < 3000
+    assert coarse.mass == pytest.approx(weights.sum(), rel=1e-12)
+    assert np.allclose(coarse.weights @ coarse.points, weights @ points, atol=1e-9)
+    for cluster in range(0, len(coarse), 50):
+        own = points[clusters.labels == cluster]
+        assert np.all(np.ptp(own, axis=0) <= 0.7)
+        assert np.all(np.abs(own - coarse.points[cluster]) <= 0.7)
+    values = rng.random(3000)
+    sums = np.bincount(clusters.labels, weights * values)
+    assert np.allclose(clusters.restrict(values, weights), sums / coarse.weights)
+
+
+def test_clusters_without_mass_and_with_offsets():
+    points = np.array([[0.1], [0.2], [5.0], [5.05], [9.0]])
+    weights = np.array([1.0, 3.0, 0.0, 0.0, 0.0])
+    clusters = make_clusters(WeightedPoints(points, weights, np.arange(5.0)), 1.0)
+    assert clusters.measure.weights.tolist() == [4.0, 0.0, 0.0]
+    assert np.allclose(clusters.measure.points[:, 0], [0.175, 5.025, 9.0])
+    assert np.allclose(clusters.measure.offsets, [0.75, 2.5, 4.0])
+    assert np.allclose(clusters.restrict(points[:, 0], weights), [0.175, 5.025, 9.0])
+
+
+def test_clusters_of_eleven_dimensions_far_apart(rng):
+    """More places than an integer can count."""
+    points = 1e3 * rng.normal(size=(500, 11))
+    points[250:] = points[:250] + 1e-7
+    clusters = make_clusters(WeightedPoints(points, np.ones(500)), 1e-3)
+    assert 250 <= len(clusters.measure) <= 260
+    assert np.mean(clusters.labels[:250] == clusters.labels[250:]) > 0.95
+
+
+# --- the correction ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rho", [(0.3, 0.3), (0.1, np.inf), (np.inf, np.inf)])
+def test_a_corrected_problem_is_a_transport_problem(rng, rho):
+    """Its dual has its softmins as gradient: half-steps maximize it."""
+    x, y = rng.random((20, 2)), rng.random((25, 2))
+    source, target = (WeightedPoints(points, np.full(len(points), 1 / len(points)))
+                      for points in (x, y))  # fmt: skip
+    epsilon = 0.05
+    problem = CorrectedProblem.between(clmorph.get_backend("numpy"), source, target, rho)
+    problem.correct(
+        0.3 * epsilon * rng.normal(size=20), 0.3 * epsilon * rng.normal(size=25), epsilon
+    )
+    assert np.isclose(*problem.masses) or np.isfinite(rho[0])
+    g = 0.1 * rng.random(25)
+    f, g, t_rows = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
+
+    def dual(f, g):
+        rows = problem.row_mass(f, problem.softmin_rows(g, epsilon, True), epsilon)
+        return problem.dual(f, g, float(rows.sum()), epsilon)
+
+    best = dual(f, g)
+    for _ in range(20):
+        assert dual(f + 1e-3 * rng.normal(size=20), g) < best
+    for s in (1e-3, -1e-3):
+        assert dual(f + s, g - s) <= best + 1e-12
+    rows = problem.row_mass(f, t_rows, epsilon).sum()
+    columns = problem.column_mass(g, problem.softmin_columns(f, epsilon, True), epsilon).sum()
+    assert rows == pytest.approx(columns, rel=1e-9)  # one plan has both
+
+
+def test_the_correction_makes_the_clusters_problem_agree(rng):
+    """At the potentials that it was computed for, softmins are those of the points."""
+    source, target = pictures(20)
+    epsilon, backend = 0.01, clmorph.get_backend("numpy")
+    points = Problem.between(backend, source, target, (0.1, 0.1))
+    clusters = [make_clusters(measure, 0.1) for measure in (source, target)]
+    coarse = CorrectedProblem.between(backend, clusters[0].measure, clusters[1].measure, (0.1, 0.1))
+    f, g = 0.1 * rng.random(400), 0.1 * rng.random(400)
+    own_f, own_g = clusters[0].restrict(f, source.weights), clusters[1].restrict(g, target.weights)
+    want = [clusters[0].restrict(points.to_rows(g, epsilon), source.weights),
+            clusters[1].restrict(points.to_columns(f, epsilon), target.weights)]  # fmt: skip
+    coarse.correct(want[0] - coarse.to_rows(own_g, epsilon),
+                   want[1] - coarse.to_columns(own_f, epsilon), epsilon)  # fmt: skip
+    assert np.allclose(coarse.softmin_rows(own_g, epsilon, True), want[0])
+    assert np.allclose(coarse.softmin_columns(own_f, epsilon, True), want[1])
+
+
+# --- whole solves -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reach", [0.05, 0.3, 1.0, None, (0.3, None), (0.1, 0.7)], ids=str)
+@pytest.mark.parametrize("blur", [0.02, 0.05, 0.2])
+def test_the_solution_is_the_same(device, blur, reach):
+    source, target = pictures(40)
+    got = sinkhorn(source, target, blur, reach, 1e-4, backend=device, multiscale=True)
+    want = sinkhorn(source, target, blur, reach, 1e-4, backend=device)
+    assert got.converged
+    assert got.residual <= 1e-4
+    rounding = 2e-5 * got.epsilon * got.transported_mass
+    assert got.dual - rounding <= want.primal + want.marginal_error
+    assert want.dual - rounding <= got.primal + got.marginal_error
+    if reach == 0.3:
+        same_up_to_a_constant(got, want, 0.02)
+
+
+def test_few_iterations_over_the_points(device):
+    source, target = pictures(64)
+    got = sinkhorn(source, target, 0.1, 0.3, backend=device, multiscale=True)
+    assert got.converged
+    assert got.n_iter <= 4
+    assert len(got.residuals) == got.n_iter
+    # Each cycle leaves a small part.
+    assert np.all(got.residuals[1:] < 0.3 * got.residuals[:-1])
+
+
+def test_the_residual_is_that_of_the_points(rng):
+    source, target = pictures(24)
+    got = sinkhorn(source, target, 0.1, 0.3, 1e-2, backend="numpy", multiscale=True)
+    problem = Problem.between(clmorph.get_backend("numpy"), source, target, (got.rho, got.rho))
+    softmins = problem.to_rows(got.g, got.epsilon), problem.to_columns(got.f, got.epsilon)
+    residual = problem.residual(got.f, got.g, *softmins, got.epsilon)
+    assert residual == pytest.approx(got.residual, rel=1e-6)
+
+
+# --- stored pairs -----------------------------------------------------------------------
+
+
+def sharp(side):
+    """Two pictures with noise, whose colors hold most pixels apart."""
+    return pictures(side, 0.15, 2.0)
+
+
+def stored_near(device, side, blur, rho):
+    """A problem, its state after an iteration, and the grid of its pairs that matter."""
+    source, target = sharp(side)
+    problem, epsilon = Problem.between(clmorph.get_backend(device), source, target, rho), blur**2
+    g = sinkhorn(source, target, blur, rho[0] ** 0.5, 0.3, backend=device).g
+    f, g, t_rows = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
+    t_columns = problem.softmin_columns(f, epsilon, True)
+    grid = stored_grid(problem, f, g, (t_rows, t_columns), epsilon, 10**8)
+    return problem, f, g, t_rows, t_columns, grid
+
+
+def test_stored_pairs_stand_for_the_points(device, rng):
+    """At their potentials, and as long as these move no farther than is allowed."""
+    blur, rho = 0.05, (0.09, 0.09)
+    epsilon = blur**2
+    problem, f, g, t_rows, t_columns, grid = stored_near(device, 32, blur, rho)
+    near = grid.problem
+    assert near.to_rows.left_out == 0
+    pairs = near.to_rows._stored.n_pairs
+    assert pairs < 0.9 * len(f) * len(g)
+    rounding = 20 * problem.rounding(epsilon, True) + near.rounding(epsilon, False) + 1e-5
+    if device != "numpy":
+        rounding += 4 * problem.rounding(epsilon, False)
+    assert np.abs(near.to_rows(g, epsilon) - t_rows).max() <= rounding * epsilon
+    assert np.abs(near.to_columns(f, epsilon) - t_columns).max() <= rounding * epsilon
+    near.center_trust_region(f)
+    move = coarse_grid.TRUST_RADIUS * epsilon * rng.uniform(-1, 1, len(f))
+    assert not near.outside_trust_region(f + 7.0, epsilon)  # all alike is no move
+    assert near.outside_trust_region(f + 3 * move, epsilon)
+    held = near.clip_to_trust_region(f + 7.0 + 3 * move, epsilon)
+    assert np.abs(held - 7.0 - f).max() <= 1.5 * coarse_grid.TRUST_RADIUS * epsilon
+    # Each pair that is left out has grown by exp(40) at most against those that are not.
+    change = 20 * epsilon * rng.uniform(-1, 1, len(g))
+    left_out = len(g) * coarse_grid.STORED_SHARE * np.exp(40)
+    assert left_out < 1e-4
+    got = near.to_rows(g + change, epsilon)
+    want = problem.to_rows(g + change, epsilon, True)
+    assert np.abs(got - want).max() <= (left_out + rounding) * epsilon
+
+
+@pytest.mark.parametrize(
+    "reach",
+    [0.05, 0.3, 1.0, pytest.param(None, marks=pytest.mark.full), (0.3, None)],
+    ids=str,
+)
+def test_small_blurs_are_solved_over_stored_pairs(device, monkeypatch, reach):
+    solved = []
+    original = coarse_grid.stored_grid
+
+    def seen(*arguments):
+        solved.append(original(*arguments))
+        return solved[-1]
+
+    monkeypatch.setattr(multiscale, "stored_grid", seen)
+    source, target = sharp(40)
+    got = sinkhorn(source, target, 0.03, reach, 1e-4, backend=device, multiscale=True)
+    want = sinkhorn(source, target, 0.03, reach, 1e-4, backend=device, multiscale=False)
+    assert got.converged
+    assert solved
+    assert all(solved)
+    assert got.n_iter <= 8 < want.n_iter
+    rounding = 2e-5 * got.epsilon * got.transported_mass
+    assert got.dual - rounding <= want.primal + want.marginal_error
+    assert want.dual - rounding <= got.primal + got.marginal_error
+    if reach == 0.3:
+        same_up_to_a_constant(got, want, 0.02)
+
+
+def test_without_memory_for_pairs_points_are_iterated_over(device, monkeypatch):
+    monkeypatch.setattr(multiscale, "STORED_PER_POINT", 1)
+    monkeypatch.setattr(multiscale, "STORED", 1)
+    source, target = sharp(24)
+    got = sinkhorn(source, target, 0.03, 0.3, backend=device, multiscale=True)
+    assert got.converged
+    assert got.n_iter > 10
+
+
+def test_pairs_that_mislead_are_left(monkeypatch):
+    """With far too few pairs cycles do not converge; the solve does."""
+    monkeypatch.setattr(coarse_grid, "STORED_SHARE", 0.3)
+    source, target = sharp(24)
+    got = sinkhorn(source, target, 0.04, 0.3, backend="numpy", multiscale=True)
+    assert got.converged
+    want = sinkhorn(source, target, 0.04, 0.3, 1e-5, backend="numpy", multiscale=False)
+    same_up_to_a_constant(got, want, 0.1)
+
+
+def test_points_without_mass_over_stored_pairs(device, rng):
+    source, target = sharp(24)
+    weights = [measure.weights * (rng.random(576) > 0.3) for measure in (source, target)]
+    pair = [(w, measure.points) for w, measure in zip(weights, (source, target), strict=True)]
+    got = sinkhorn(*pair, 0.03, 0.3, 1e-4, backend=device, multiscale=True)
+    want = sinkhorn(*pair, 0.03, 0.3, 1e-5, backend=device, multiscale=False)
+    assert got.converged
+    assert np.all(np.isfinite(got.f))
+    same_up_to_a_constant(got, want, 0.05)
+
+
+def test_without_clusters_that_save_anything(rng):
+    """A blur below the points' distance: each is a cluster of its own, and nothing is gained."""
+    (a, x), (b, y) = [(np.full(60, 1 / 60), rng.random((60, 3))) for _ in range(2)]
+    got = sinkhorn((a, x), (b, y), 0.01, 0.3, 1e-4, backend="numpy", multiscale=True)
+    want = reference.sinkhorn((a, x), (b, y), 0.01, 0.3, 1e-6, 10**5)
+    assert got.converged
+    same_up_to_a_constant(got, want, 0.05)
+
+
+def test_clusters_that_mislead_are_left(monkeypatch):
+    """With clusters far larger than the blur cycles do not converge; the solve does."""
+    monkeypatch.setattr(multiscale, "SIDES", (6.0,))
+    monkeypatch.setattr(multiscale, "ENOUGH", (1.0,))
+    source, target = pictures(24)
+    got = sinkhorn(source, target, 0.04, 0.3, backend="numpy", multiscale=True)
+    assert got.converged
+    want = sinkhorn(source, target, 0.04, 0.3, 1e-5, backend="numpy", multiscale=False)
+    same_up_to_a_constant(got, want, 0.1)
+
+
+def test_an_earlier_solution_is_a_start(device):
+    source, target = pictures(48)
+    first = sinkhorn(source, target, 0.1, 0.3, backend=device, multiscale=True)
+    again = sinkhorn(source, target, 0.1, 0.3, backend=device, multiscale=True, start=first)
+    assert again.converged
+    assert again.n_iter <= 2
+
+
+def test_max_iter_and_progress(rng):
+    source, target = pictures(32)
+    shares = []
+    with pytest.warns(clmorph.ConvergenceWarning, match="not converged after 2 iterations"):
+        got = sinkhorn(
+            source, target, 0.1, 1.0, 1e-9, 2, "numpy", multiscale=True, progress=shares.append
+        )
+    assert (got.status, got.n_iter) == ("max_iter", 2)
+    assert shares[-1] == 1
+    assert np.all(np.diff(shares) >= 0)
+
+
+def test_costs_with_offsets(device, rng):
+    """A color metric for each pixel: eleven coordinates and offsets."""
+    image = rng.random((24, 24, 3))
+    metric = np.eye(3) + 0.1 * np.abs(rng.normal(size=(24, 24, 1, 1)))
+    source = clmorph.lift(image, 0.5, color_metric=metric)
+    target = clmorph.lift(rng.random((24, 24, 3)), 0.5)
+    got = sinkhorn(source, target, 0.1, 0.3, 1e-4, backend=device, multiscale=True)
+    want = sinkhorn(source, target, 0.1, 0.3, 1e-5, backend=device)
+    assert got.converged
+    same_up_to_a_constant(got, want, 0.02)
+
+
+@pytest.mark.parametrize("value", ["yes", 2, None])
+def test_wrong_options(value):
+    one = clmorph.lift(np.zeros((2, 2)))
+    with pytest.raises(clmorph.InputError, match="multiscale"):
+        sinkhorn(one, one, backend="numpy", multiscale=value)
+
+
+def test_small_problems_are_solved_as_ever(device):
+    """Bit by bit, and without a truncation."""
+    source, target = pictures(32)
+    ours = sinkhorn(source, target, backend=device)
+    plain = sinkhorn(source, target, backend=device, multiscale=False, truncation=None)
+    assert np.array_equal(ours.f, plain.f)
+    assert np.array_equal(ours.g, plain.g)
+    assert (ours.truncation, ours.visited) == (None, 1.0)
+    assert ours.truncation_error < 1e-8  # rounding alone
+
+
+@pytest.mark.parametrize("precision", ["auto", "float32"])
+@pytest.mark.parametrize("reach", [0.3, None])
+def test_cycles_end_where_rounding_begins(device, rng, precision, reach):
+    """However small the tolerance, in clusters and over stored pairs."""
+    for blur in (0.1, 0.8):
+        pair = [(np.full(30, 1 / 30), rng.random((30, 2))) for _ in range(2)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+            got = sinkhorn(
+                *pair, blur, reach, 1e-9, 3000, device, precision=precision, multiscale=True
+            )  # fmt: skip
+        assert got.n_iter < 1500
+        assert got.status in ("precision", "converged")

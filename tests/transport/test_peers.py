@@ -1,0 +1,145 @@
+"""Closed forms, and other libraries at the same problem."""
+
+from pathlib import Path
+
+import numpy as np
+import ot
+import pytest
+
+import clmorph
+from clmorph import reference, sinkhorn
+from clmorph.reference.transport import cost_matrix
+from clmorph.transport._solver import geomloss as geomloss_schedule
+
+GEOMLOSS = np.load(Path(__file__).parents[1] / "data" / "geomloss.npz")
+
+
+# --- unbalanced Gaussians: Janati, Muzellec, Peyré, Cuturi (2020) ------------------------
+
+
+def gaussian_potentials(masses, means, variances, epsilon, rho):
+    """Potentials f(x) = sum_d (-F_d x_d^2 / 2 + l_d x_d) + f0 between two Gaussians.
+
+    A soft minimum of a quadratic over a Gaussian is a quadratic, so the fixed point is one
+    quadratic equation and two linear ones.
+    """
+    damping = rho / (rho + epsilon)
+    s_a, s_b = (epsilon / v for v in variances)
+    alpha = 1 - damping
+    k = s_b + alpha
+    half = k * (s_a - alpha)
+    root = np.sqrt(half**2 + 4 * k * (k * alpha * s_a + damping * (alpha + s_a)))
+    p = (root - half) / (2 * k)  # 1 + F
+    q = alpha + damping / (s_a + p)  # 1 + G
+    scaled = s_b + q, s_a + p  # epsilon times the precision of each Gaussian integral
+    slopes = []
+    for d in range(len(p)):
+        matrix = [[1, damping / scaled[0][d]], [damping / scaled[1][d], 1]]
+        right = [
+            -damping * s_b[d] * means[1][d] / scaled[0][d],
+            -damping * s_a[d] * means[0][d] / scaled[1][d],
+        ]
+        slopes.append(np.linalg.solve(matrix, right))
+    f1, g1 = np.transpose(slopes)
+
+    def constant(mean, variance, s, scale, slope, mass):
+        terms = 0.5 * s * mean**2 + 0.5 * epsilon * np.log(variance * scale / epsilon)
+        terms = terms - 0.5 * (s * mean + slope) ** 2 / scale
+        return damping * (terms.sum() - epsilon * np.log(mass))
+
+    right = [
+        constant(means[1], variances[1], s_b, scaled[0], g1, masses[1]),
+        constant(means[0], variances[0], s_a, scaled[1], f1, masses[0]),
+    ]
+    f0, g0 = np.linalg.solve([[1, damping], [damping, 1]], right)
+    return (p - 1, f1, f0), (q - 1, g1, g0)
+
+
+def on_grid(mass, mean, variance, side, low=-1.5, high=1.5):
+    axis = np.linspace(low, high, side)
+    points = np.stack(np.meshgrid(*[axis] * len(mean), indexing="ij"), -1).reshape(-1, len(mean))
+    density = np.exp(-0.5 * np.sum((points - mean) ** 2 / variance, axis=1))
+    density /= np.prod(np.sqrt(2 * np.pi * variance))
+    return mass * density * (axis[1] - axis[0]) ** len(mean), points
+
+
+@pytest.mark.parametrize(("dimension", "side"), [(1, 400), (2, 36)])
+@pytest.mark.parametrize(("blur", "reach"), [(0.3, 0.5), (0.2, 2.0), (0.5, 0.3)])
+def test_unbalanced_gaussians(any_backend, dimension, side, blur, reach):
+    masses = 0.7, 1.6
+    means = np.array([-0.2, 0.1])[:dimension], np.array([0.25, -0.05])[:dimension]
+    variances = np.array([0.02, 0.04])[:dimension], np.array([0.05, 0.025])[:dimension]
+    pair = [on_grid(*measure, side) for measure in zip(masses, means, variances, strict=True)]
+    got = sinkhorn(*pair, blur, reach, 1e-5, backend=any_backend)
+    epsilon, rho = blur**2, reach**2
+    exact = gaussian_potentials(masses, means, variances, epsilon, rho)
+    values = []
+    for potential, (weights, points), (curve, slope, level) in zip(
+        (got.f, got.g), pair, exact, strict=True
+    ):
+        want = points @ slope - 0.5 * points**2 @ curve + level
+        inside = weights > 1e-4 * weights.max()  # farther out the grid's end is felt
+        assert np.abs(potential - want)[inside].max() < 2e-4 * epsilon
+        values.append(weights @ np.exp(-want / rho))
+    assert values[0] == pytest.approx(values[1], rel=1e-6)
+    assert got.transported_mass == pytest.approx(values[0], rel=1e-4)
+    optimum = rho * sum(masses) + epsilon * masses[0] * masses[1]
+    optimum -= (rho + epsilon / 2) * sum(values)
+    assert got.dual == pytest.approx(optimum, abs=1e-6)
+    assert got.dual - 1e-6 <= optimum <= got.primal + 1e-6
+
+
+# --- POT: half the cost, so half of its strengths ----------------------------------------
+
+
+@pytest.mark.parametrize("squared", [True, False])
+@pytest.mark.parametrize("reach", [0.2, 0.5, (0.2, 0.7)], ids=str)
+def test_pot(any_backend, rng, reach, squared):
+    """With POT's usual cost |x - y|^2 its reg is 2 epsilon and its reg_m 2 rho."""
+    a, b = rng.random(40), 2 * rng.random(50)
+    x, y = rng.random((40, 3)), rng.random((50, 3))
+    got = sinkhorn((a, x), (b, y), 0.2, reach, 1e-5, backend=any_backend)
+    plan = clmorph.transport_plan((a, x), (b, y), got, relative=1e-12, backend=any_backend)
+    factor = 2.0 if squared else 1.0
+    cost = factor * cost_matrix(*clmorph.measures.points.as_pair((a, x), (b, y)))
+    rho = np.broadcast_to(got.rho, 2)
+    theirs = ot.unbalanced.sinkhorn_unbalanced(
+        a, b, cost, factor * got.epsilon, tuple(factor * rho), reg_type="kl",
+        numItermax=20_000, stopThr=1e-12,
+    )  # fmt: skip
+    assert np.abs(plan.to_scipy().toarray() - theirs).max() < 1e-4 * theirs.max()
+    assert got.transported_mass == pytest.approx(theirs.sum(), rel=1e-5)
+
+
+def test_pot_balanced(any_backend, rng):
+    x, y = rng.random((40, 3)), rng.random((50, 3))
+    a, b = np.full(40, 1 / 40), np.full(50, 1 / 50)
+    got = sinkhorn((a, x), (b, y), 0.2, None, 1e-6, backend=any_backend)
+    cost = cost_matrix(*clmorph.measures.points.as_pair((a, x), (b, y)))
+    theirs = ot.sinkhorn(a, b, cost, got.epsilon, numItermax=20_000, stopThr=1e-12)
+    ours = reference.transport_plan((a, x), (b, y), got)
+    assert np.abs(ours - theirs).max() < 1e-5 * theirs.max()
+
+
+# --- GeomLoss: its schedule, step by step ------------------------------------------------
+
+
+@pytest.mark.parametrize("scaling", [0.9, 0.5])
+@pytest.mark.parametrize("reach", [None, 0.01, 0.05, 0.1, 0.3, 0.5])
+def test_geomloss(any_backend, reach, scaling):
+    """Its own results in float64, written by ``tools/geomloss_reference.py``."""
+    pair = (GEOMLOSS["a"], GEOMLOSS["x"]), (GEOMLOSS["b"], GEOMLOSS["y"])
+    got = sinkhorn(*pair, 0.05, reach, method="geomloss", scaling=scaling, backend=any_backend)
+    for ours, name in ((got.f, "f"), (got.g, "g")):
+        theirs = GEOMLOSS[f"{name} reach {reach} scaling {scaling}"]
+        assert np.abs(ours - theirs).max() < 1e-3 * got.epsilon
+    assert got.status in ("schedule", "converged")
+    assert "GeomLoss" in got.message
+
+
+def test_geomloss_schedule():
+    levels = geomloss_schedule.blurs(2.0, 0.05, 0.5)
+    assert levels[:2] == pytest.approx([2.0, 2.0])
+    assert levels[-1] == 0.05
+    assert levels[-2] == pytest.approx(2.0 * 0.5**5)
+    assert geomloss_schedule.blurs(0.0, 0.05, 0.5) == [0.05, 0.05]

@@ -1,0 +1,205 @@
+"""With near pairs only, against all pairs: what is left out is what is said."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import clmorph
+from clmorph import sinkhorn
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.softmin import Softmin
+from clmorph.transport.regularization import regularization
+
+MANY = settings(max_examples=60, deadline=None, derandomize=True)
+BLURS = [0.005, 0.02, 0.05, 0.15, 0.5]
+REACHES = [0.05, 0.3, 2.0, None]
+CLOUDS = ["random", "picture", "equal", "line", "two far clusters", "many clusters", "ten orders"]
+
+
+def pair_of(kind, rng, n, m):
+    dimension = int(rng.integers(1, 6))
+    x, y = rng.random((n, dimension)), rng.random((m, dimension))
+    a, b = rng.random(n) + 0.01, rng.random(m) + 0.01
+    if kind == "picture":
+        t, u = np.linspace(0, 1, n), np.linspace(0, 1, m)
+        x = np.column_stack((t, 0.5 + 0.4 * np.sin(9 * t), t**2))
+        y = np.column_stack((u, 0.5 + 0.4 * np.cos(7 * u), 1 - u))
+    if kind == "equal":
+        x[:], y[:] = 0.4, 0.4
+    if kind == "line":
+        x[:, 1:], y[:, 1:] = 0, 0
+    if kind == "two far clusters":
+        x = 0.1 * x + rng.integers(0, 2, (n, 1))
+        y = 0.1 * y + rng.integers(0, 2, (m, 1))
+    if kind == "many clusters":
+        x = 0.02 * x + 0.2 * rng.integers(0, 5, x.shape)
+        y = 0.02 * y + 0.2 * rng.integers(0, 5, y.shape)
+    if kind == "ten orders":
+        a, b = 10 ** rng.uniform(-10, 0, n), 10 ** rng.uniform(-10, 0, m)
+    return (a / a.sum(), x), (b / b.sum(), y)
+
+
+def quietly(*arguments, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        return sinkhorn(*arguments, **options)
+
+
+def exact_residual(pair, got):
+    """Residual and certificate over all pairs, in float64."""
+    given = regularization(got.blur, got.reach)
+    measures = clmorph.measures.points.as_pair(*pair)
+    problem = Problem.between(clmorph.get_backend("numpy"), *measures, given.rho)
+    softmins = problem.to_rows(got.g, given.epsilon), problem.to_columns(got.f, given.epsilon)
+    residual = problem.residual(got.f, got.g, *softmins, given.epsilon)
+    return residual, problem.certificate(got.f, got.g, *softmins, given.epsilon)
+
+
+@pytest.mark.parametrize("backend", ["numpy", "auto"])
+@pytest.mark.parametrize("multiscale", [False, True])
+@MANY
+@given(
+    st.integers(0, 10**6), st.sampled_from(CLOUDS), st.sampled_from(BLURS),
+    st.sampled_from(REACHES), st.sampled_from([1e-4, 1e-2]),
+)  # fmt: skip
+def test_everything_said_holds_over_all_pairs(backend, multiscale, seed, kind, blur, reach, budget):
+    rng = np.random.default_rng(seed)
+    pair = pair_of(kind, rng, *rng.integers(1, 300, 2))
+    tol = 10 * budget
+    got = quietly(
+        *pair, blur, reach, tol, 60, backend, truncation=budget, multiscale=multiscale
+    )  # fmt: skip
+    assert got.truncation == budget
+    assert 0 <= got.truncation_error <= budget + 1e-6
+    assert 0 < got.visited <= 1
+    residual, certificate = exact_residual(pair, got)
+    # The reference's own, in float64.
+    rounding = 1e-10
+    assert residual <= got.residual + rounding
+    # Masses are missing by no more than is said.
+    missing = np.log(np.maximum(certificate.row_mass, 1e-280) / np.maximum(got.row_mass, 1e-280))
+    assert missing.min() >= -got.truncation_error - rounding
+    assert missing.max() <= got.truncation_error + rounding
+    # Bounds stay bounds: the values of these very potentials are within.
+    slack = 1e-12 * (abs(certificate.primal) + abs(certificate.dual) + got.epsilon)
+    assert got.dual <= certificate.dual + slack
+    assert certificate.primal <= got.primal + slack
+    assert got.gap == got.primal - got.dual >= 0
+    assert certificate.marginal_error <= got.marginal_error * (1 + rounding) + rounding
+
+
+@pytest.mark.parametrize("kind", CLOUDS)
+def test_with_and_without_agree(device, rng, kind):
+    pair = pair_of(kind, rng, 700, 900)
+    tol = 1e-4
+    got = sinkhorn(*pair, 0.05, 0.3, tol, 5000, device, truncation=1e-5)
+    want = sinkhorn(*pair, 0.05, 0.3, tol, 5000, device, truncation=None)
+    assert got.converged
+    assert want.converged
+    # A residual r leaves potentials off by up to r / (1 - contraction).
+    worst = 2 * (tol + 1e-5) / (1 - (0.09 / (0.09 + 0.0025)) ** 2)
+    assert np.abs(got.f - want.f).max() <= worst * got.epsilon
+    assert np.abs(got.g - want.g).max() <= worst * got.epsilon
+    rounding = 2e-5 * got.epsilon * got.transported_mass
+    assert got.primal >= want.dual - rounding
+    assert want.primal >= got.dual - rounding
+
+
+def test_far_pairs_are_left_out(device, rng):
+    pair = pair_of("many clusters", rng, 2000, 2000)
+    got = sinkhorn(*pair, 0.01, 0.05, 1e-3, 5000, device, truncation=1e-4)
+    assert got.converged
+    assert got.visited < 0.3
+
+
+def test_verify_takes_all_pairs(device, rng):
+    pair = pair_of("picture", rng, 1500, 1300)
+    got = sinkhorn(*pair, 0.02, 0.3, 1e-2, backend=device, truncation=1e-3, verify=True)
+    assert (got.truncation, got.visited) == (1e-3, 1.0)
+    assert got.truncation_error < 1e-8
+    residual, certificate = exact_residual(pair, got)
+    assert residual - 1e-10 <= got.residual <= residual + 1e-7
+    assert got.dual == pytest.approx(certificate.dual, rel=1e-8)
+
+
+def test_lists_serve_until_potentials_have_moved_too_far(rng):
+    """The bound holds on the way, and lists are made anew only when it must be."""
+    backend = clmorph.get_backend("numpy")
+    (a, x), (b, y) = pair_of("picture", rng, 200, 300)
+    clouds, epsilon, budget = (backend.upload(x, a), backend.upload(y, b)), 0.0004, 1e-3
+    softmin = Softmin(backend, *clouds, (a, b), budget)
+    g = backend.softmin(*clouds[::-1], np.zeros(200), epsilon)
+    made = []
+    near_pairs = backend.near_pairs
+    backend.near_pairs = lambda *arguments: made.append(1) or near_pairs(*arguments)
+    try:
+        direction = rng.normal(size=300)
+        for step in np.concatenate((np.zeros(2), np.linspace(0, 20, 60))):
+            potential = g + step * epsilon * direction
+            got = softmin(potential, epsilon)
+            want = backend.softmin(*clouds, potential, epsilon)
+            assert 0 <= softmin.left_out <= budget
+            missing = (got - want) / epsilon
+            assert missing.min() >= -1e-12
+            assert missing.max() <= softmin.left_out + 1e-12
+    finally:
+        del backend.near_pairs
+    assert 2 <= len(made) < 30
+    count = len(made)
+    softmin(potential, epsilon)  # the same again: nothing moved
+    assert len(made) == count
+
+
+def test_plans_of_truncated_potentials(device, monkeypatch, rng):
+    """The same pairs as without, up to those at the threshold; draws and means alike."""
+    monkeypatch.setattr("clmorph.backends.opencl.kernels.plan_rows.LISTED_FROM", 0)
+    y, x = np.mgrid[:40, :40] / 40
+    one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
+    source, target = clmorph.lift(one), clmorph.lift(one[::-1] ** 2)
+    potentials = sinkhorn(source, target, 0.05, 0.3, backend=device, truncation=1e-6)
+    whole = clmorph.transport.potentials.replace(potentials, truncation=None)
+    plans = [
+        clmorph.transport_plan(source, target, each, backend=device).to_scipy()
+        for each in (potentials, whole)
+    ]
+    difference = abs(plans[0] - plans[1])
+    assert difference.max() <= 2e-4 * plans[1].max()
+    assert difference.sum() <= 1e-4 * plans[1].sum()
+    means = [
+        clmorph.barycentric_plan(source, target, each, backend=device)
+        for each in (potentials, whole)
+    ]
+    assert np.abs(means[0].positions - means[1].positions).max() <= 1e-4
+    assert np.allclose(means[0].column_mass, means[1].column_mass, rtol=1e-4)
+    draws = [
+        clmorph.sample_plan(source, target, each, 2, backend=device).mean_destinations(
+            source.positions, target.positions
+        )[0]
+        for each in (potentials, whole)
+    ]
+    assert np.mean(np.abs(draws[0] - draws[1])) <= 0.01
+
+
+def test_divergences_of_many_points_are_truncated_and_stay_bounded(device, monkeypatch, rng):
+    pair = pair_of("picture", rng, 500, 600)
+    want = clmorph.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
+    assert want.cross.truncation is want.source_self.truncation is None
+    for module in ("sinkhorn", "divergence", "_solver.multiscale"):
+        monkeypatch.setattr(f"clmorph.transport.{module}.MANY_PAIRS", 0)
+    got = clmorph.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
+    for part in (got.cross, got.source_self, got.target_self):
+        assert part.truncation == pytest.approx(1e-5)
+        assert part.truncation_error <= part.truncation + 1e-8
+        assert part.converged
+    assert got.interval[0] <= want.interval[1]
+    assert want.interval[0] <= got.interval[1]
+
+
+@pytest.mark.parametrize("value", ["much", -1.0, 0.0, 0.5, np.nan, [1e-4], 1e-3, 0.09])
+def test_wrong_options(value):
+    one = clmorph.lift(np.zeros((2, 2)))
+    with pytest.raises(clmorph.InputError, match="truncation"):
+        sinkhorn(one, one, backend="numpy", truncation=value)

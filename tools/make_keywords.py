@@ -1,0 +1,70 @@
+"""Write `clmorph/pipeline/keywords.py`: the types of `clmorph.morph`'s options by name.
+
+Type checkers cannot read them from the option classes. ``--check`` only says whether the file is
+what the classes say.
+
+    python tools/make_keywords.py
+"""
+
+import sys
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from clmorph.pipeline.documentation import annotation
+from clmorph.pipeline.options import MorphOptions
+
+FILE = Path(__file__).parents[1] / "clmorph" / "pipeline" / "keywords.py"
+HEAD = '''"""The types of `clmorph.morph`'s options by name, for type checkers.
+
+Written by ``tools/make_keywords.py`` from the option classes: change those.
+"""
+
+from typing import Literal, TypedDict
+
+
+class MorphKeywords(TypedDict, total=False):
+    """Options of `clmorph.morph` by name."""
+
+'''
+
+
+def name_of(kind: Any) -> str:
+    """Return a type as it is written."""
+    if get_origin(kind) is None:
+        return "None" if kind is type(None) else annotation(kind)
+    parts = get_args(kind)
+    if "Literal" in str(get_origin(kind)):
+        return f"Literal[{', '.join(map(quoted, parts))}]"
+    if get_origin(kind) is tuple:
+        return f"tuple[{', '.join(map(name_of, parts))}]"
+    return " | ".join(map(name_of, parts))
+
+
+def quoted(text: str) -> str:
+    return f'"{text}"'
+
+
+def made() -> str:
+    """Return the file's text."""
+    lines = [
+        f"    {each.name}: {name_of(each.type)}\n"
+        for each in fields(MorphOptions)
+        if "option" in each.metadata
+    ]
+    return HEAD + "".join(lines)
+
+
+def main() -> int:
+    """Write the file, or check it."""
+    text = made()
+    if "--check" in sys.argv[1:]:
+        same = FILE.read_text("utf-8") == text
+        print(f"{FILE.name} is " + ("up to date" if same else "stale: run tools/make_keywords.py"))
+        return 0 if same else 1
+    FILE.write_text(text, "utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
