@@ -57,10 +57,10 @@ from .images.pixels import (
     read_image as read_image,
 )
 from .measures.lift import (
-    Measure as Measure,
-)
-from .measures.lift import (
     lift as lift,
+)
+from .measures.measure import (
+    Measure as Measure,
 )
 from .measures.points import (
     WeightedPoints as WeightedPoints,

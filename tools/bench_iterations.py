@@ -15,7 +15,8 @@ from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.backends.select import get_backend
 from clmorph.cli.demo import demo_images
 from clmorph.images.pixels import as_rgb
-from clmorph.measures.lift import Measure, lift
+from clmorph.measures.lift import lift
+from clmorph.measures.measure import Measure
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport.sinkhorn import sinkhorn
 

@@ -25,7 +25,7 @@ from clmorph.analysis.drawing import (
 )
 from clmorph.analysis.report import Inspection
 from clmorph.errors import OutputError
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.transport.displacement import Displacement
 
 #: Endings of pictures that can be written.

@@ -15,7 +15,7 @@ from clmorph.analysis.timing import SAMPLED_PAIRS, fill_seconds, frame_seconds
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import PlanSizeError
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.measures.options import LiftOptions
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import as_pair

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clmorph._shared.printable import percent, size_text, time_text
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.pipeline.memory import Memory
 from clmorph.transport.displacement import Displacement
 from clmorph.transport.divergence import Divergence

@@ -15,7 +15,7 @@ from clmorph.frames.particles import Particles, particles
 from clmorph.frames.render import render
 from clmorph.images.color import from_space
 from clmorph.images.detail import auto_sigma
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.memory import part_of
 from clmorph.transport.plan import Plan

@@ -20,7 +20,8 @@ from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.records import Float64
 from clmorph.backends.rounding import rounding_error
 from clmorph.backends.width_levels import WIDTH_LEVELS
-from clmorph.measures.lift import Measure, lift
+from clmorph.measures.lift import lift
+from clmorph.measures.measure import Measure
 from clmorph.pipeline.morph import morph
 from clmorph.transport._solver.problem import largest_cost
 

@@ -9,7 +9,7 @@ from clmorph.frames.canvas import Canvas
 from clmorph.frames.render import Sums
 from clmorph.frames.sequence import FrameSequence, check_frame_sequence
 from clmorph.images.color import from_space
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.measures.points import WeightedPoints
 
 Array = NDArray[np.float64]

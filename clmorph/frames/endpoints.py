@@ -18,7 +18,7 @@ from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.pixels import resized
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric
 

@@ -14,7 +14,7 @@ from clmorph.frames.opacity import alpha_particles, opacity
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths, render
 from clmorph.images.color import from_space, to_space
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric
 

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric
 

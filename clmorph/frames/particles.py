@@ -10,7 +10,7 @@ from clmorph._shared.validation import check_choice, check_number
 from clmorph.errors import InputError
 from clmorph.frames.options import UNMATCHED
 from clmorph.images.color import COLOR_SPACES, to_space
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_image_measure
 from clmorph.transport.plan import Plan, check_plan
 from clmorph.transport.plan_sampling import Barycentric, check_barycentric

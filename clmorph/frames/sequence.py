@@ -13,7 +13,7 @@ from clmorph.frames.canvas import Canvas
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import Barycentric
 from clmorph.transport.potentials import Potentials

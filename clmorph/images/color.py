@@ -1,8 +1,8 @@
 """Color spaces for the cost and for the path, and metrics of color (paper, section 5).
 
-Every space is a map of sRGB in [0, 1] to three coordinates. They are divided by one number a
-space, so that two colors drawn evenly from the sRGB cube are, in the root mean square, as far
-apart in each space as in sRGB: a color weight means the same in all of them.
+Every space is a map from sRGB in [0, 1] to three coordinates. All coordinates of a space are
+divided by one number. It is chosen so that two colors drawn uniformly from the sRGB cube have the
+same root mean square distance in every space; so a color weight means the same in all of them.
 """
 
 from __future__ import annotations
@@ -60,6 +60,13 @@ def to_space(colors: ArrayLike, space: str) -> Array:
     ------
     InputError
         If there is no such space.
+
+    Examples
+    --------
+    >>> to_space([0.0, 0.5, 1.0], "srgb").tolist()
+    [0.0, 0.5, 1.0]
+    >>> from_space(to_space([0.2, 0.5, 0.9], "oklab"), "oklab").round(6).tolist()
+    [0.2, 0.5, 0.9]
     """
     check_choice("color space", space, COLOR_SPACES)
     return _convert(np.asarray(colors, float), space) / _scale(space)
@@ -113,7 +120,7 @@ def _without_negative_light(lab: Array) -> Array:
 
 
 def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return a metric of color as an array, after checking that it is one.
+    """Return a metric of color M (paper, 5) as an array, after checking that it is one.
 
     Parameters
     ----------

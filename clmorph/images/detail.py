@@ -8,9 +8,9 @@ from clmorph._shared.typing import Array
 
 #: Share of its edges' energy that an enlarged sprite has on the grid of its blocks.
 BLOCK_SHARE = 0.9
-#: Effective number of lines of edges from which on they tell a grid.
+#: Effective number of lines of edges that a grid of blocks has at least.
 FEWEST_LINES = 4.0
-#: A sprite that is not enlarged has at most so many colors, and so many pixels along a side.
+#: Most colors, and most pixels along a side, of a sprite that is not enlarged.
 SPRITE_COLORS = 64
 SPRITE_SIDE = 256
 #: Range of luma below which an image has no detail: less than a step of 8 bits.
@@ -29,14 +29,26 @@ def intrinsic_spacing(image: Array) -> float:
     Returns
     -------
     float
-        The blocks' side for an enlarged sprite, also where compression left traces; for others
-        half the shortest period in their spectrum.
+        For an enlarged sprite the side of its blocks, even if compression has left traces; for
+        another image half the shortest period in its spectrum.
     """
     return max(1.0, float(_block_side(image)), _half_period(image))
 
 
 def auto_sigma(image: Array) -> float:
-    """Return the kernel width that suits an image's resolution: half its smallest detail."""
+    """Return the kernel width, in pixels, that suits an image: half of its smallest detail.
+
+    Parameters
+    ----------
+    image : (H, W, C) array
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> sprite = np.random.default_rng(0).random((16, 16, 3))
+    >>> auto_sigma(np.kron(sprite, np.ones((4, 4, 1))))  # blocks of 4 x 4 pixels
+    2.0
+    """
     return 0.5 * intrinsic_spacing(image)
 
 

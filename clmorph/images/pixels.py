@@ -1,4 +1,4 @@
-"""Images in, as arrays of sRGB values in [0, 1], with opacity where there is some."""
+"""Images as arrays of sRGB values in [0, 1], with opacity if parts are transparent."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from clmorph._shared.typing import AnyArray, Array, ArrayLike
 from clmorph._shared.validation import check_integer, check_max_pixels, is_path, shown
 from clmorph.errors import FileError, ImageWarning, InputError
 
-#: Pixels above which a file is refused before it is decoded, unless told otherwise.
+#: Largest number of pixels of a file that is decoded, unless the caller allows more.
 MAX_PIXELS = 64_000_000
 
 
@@ -27,20 +27,26 @@ def as_pixels(image: ArrayLike, name: str = "image", *, max_pixels: int | None =
     image : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) array
         uint8, uint16, bool, or float in [0, 1].
     name : str
-        What messages call it.
+        The name of the image in error messages.
     max_pixels : int, optional
-        A larger image is refused.
+        Largest number of pixels; a larger image raises an error.
 
     Returns
     -------
-    (H, W, 3) or (H, W, 4) array
-        With a fourth channel, opacity, if any pixel is not opaque; colors are not multiplied
-        by it.
+    (H, W, 3) or (H, W, 4) float64 array
+        sRGB in [0, 1]. If any pixel is not opaque there is a fourth channel, opacity, by which
+        colors are not multiplied.
 
     Raises
     ------
     InputError
         If the shape, dtype or values are not those of an image.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> as_pixels(np.array([[0, 255]], np.uint8)).tolist()
+    [[[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]]
     """
     if isinstance(image, str | PathLike):
         raise InputError(
@@ -132,20 +138,33 @@ def block_size(image: Array) -> int:
 
 
 def fit(image: ArrayLike, size: int) -> Array:
-    """Reduce an image so that its longer side has at most `size` pixels.
+    """Downscale an image so that its longer side has at most `size` pixels.
 
     Parameters
     ----------
-    image : array
-        See `as_pixels`.
+    image : array_like
+        (H, W), (H, W, 1), (H, W, 3) or (H, W, 4); uint8, uint16, bool, or float in [0, 1].
     size : int
-        Pixels; a smaller image is returned as it is.
+        Largest length of the longer side, in pixels; a smaller image keeps its size.
 
     Returns
     -------
-    (H', W', 3) or (H', W', 4) array
-        The aspect ratio kept. Anti-aliased; but a sprite, made of blocks of k x k pixels,
-        keeps its blocks at the largest whole number of pixels that fits.
+    (H', W', 3) or (H', W', 4) float64 array
+        sRGB in [0, 1], with a fourth channel (opacity) if parts are transparent. The aspect ratio
+        is kept. Averages are anti-aliased. A sprite that is made of blocks of k x k pixels of one
+        color keeps such blocks, with the largest whole number of pixels along a block that fits.
+
+    Raises
+    ------
+    InputError
+        If `image` is no image, or `size` is not from 2 to 65536.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> clmorph.fit(np.zeros((40, 20)), 10).shape
+    (10, 5, 3)
     """
     size = check_integer("size", size, 2, 1 << 16)
     pixels = as_pixels(image)
@@ -186,17 +205,18 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     Parameters
     ----------
     path : path
-        PNG, JPEG, WebP, AVIF, GIF, TIFF, BMP, JPEG 2000 or one of the others in
-        `reading.opening.FORMATS`; the first picture of an animation or of several pages. It
-        is turned as its Exif says. PNG and TIFF keep 16 bits, TIFF floats too.
+        PNG, JPEG, WebP, AVIF, GIF, TIFF, BMP, JPEG 2000 or another format of
+        `clmorph.images.reading.opening.FORMATS`. Of an animation, or of several pages, the first
+        picture is read. The picture is turned as its Exif says. PNG and TIFF keep 16 bits, and
+        TIFF keeps floats.
     max_pixels : int
-        A larger image is refused before it is decoded.
+        Largest number of pixels; a larger image raises an error before it is decoded.
 
     Returns
     -------
-    (H, W, 3) array, or (H, W, 4) if parts are transparent
-        sRGB in [0, 1], and opacity. Colors with a profile are converted by it, those of a PNG
-        by its gamma; others are taken as sRGB.
+    (H, W, 3) float64 array, or (H, W, 4) if parts are transparent
+        sRGB in [0, 1], and opacity. A color profile converts the colors, and so does the gamma of a
+        PNG; other colors are taken as sRGB.
 
     Raises
     ------
@@ -208,8 +228,21 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     Warns
     -----
     ImageWarning
-        If only the first of several pictures is taken, a color profile cannot be used, or bits
+        If only the first of several pictures is read, a color profile cannot be used, or bits
         are lost.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from PIL import Image
+    >>> import clmorph
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "red.png"
+    ...     Image.new("RGB", (3, 2), "red").save(file)
+    ...     image = clmorph.read_image(file)
+    >>> image.shape, image[0, 0].tolist()
+    ((2, 3, 3), [1.0, 0.0, 0.0])
     """
     max_pixels = check_max_pixels(max_pixels)
     if not is_path(path):
@@ -233,7 +266,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     except MemoryError as error:
         raise FileError(f"{name} does not fit into memory; reduce it first") from error
     except Exception as error:
-        # What decoders raise for a damaged file is without end: nothing but them is run here.
+        # Decoders raise errors of any kind for damaged files, and only decoders run here.
         raise FileError(
             f"{name} cannot be decoded ({reason_of(error, REASON_LENGTH)}); is it complete?"
         ) from error

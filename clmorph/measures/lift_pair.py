@@ -9,7 +9,8 @@ from clmorph._shared.arrays import as_array
 from clmorph._shared.typing import ArrayLike
 from clmorph.errors import InputError
 from clmorph.images.color import ColorSpace
-from clmorph.measures.lift import Measure, lift
+from clmorph.measures.lift import lift
+from clmorph.measures.measure import Measure
 from clmorph.measures.options import Extent, LiftOptions, Mass
 
 

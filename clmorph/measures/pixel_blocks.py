@@ -8,7 +8,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
 from clmorph.errors import InputError
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 
 
 @dataclass(frozen=True, eq=False)

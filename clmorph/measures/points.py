@@ -12,7 +12,7 @@ from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph.backends.interface import MAX_DIMENSION, MAX_POINTS
 from clmorph.errors import InputError
-from clmorph.measures.lift import Measure, check_masses, check_measure
+from clmorph.measures.measure import Measure, check_masses, check_measure
 
 #: Largest coordinate, in the unit of blur and reach.
 MAX_COORDINATE = 1e6
@@ -20,15 +20,23 @@ MAX_COORDINATE = 1e6
 
 @dataclass(frozen=True, repr=False, eq=False)
 class WeightedPoints:
-    """A sum of Diracs in R^D.
+    """The measure sum_i a_i delta_(X_i) of weighted points in R^D.
 
     Attributes
     ----------
     points : (N, D) array
+        Finite coordinates in any unit, D from 1 to 11; `blur` and `reach` have the same unit.
     weights : (N,) array
-        Masses, at least 0.
+        Masses a_i, at least 0, of positive sum.
     offsets : (N,) array, optional
-        Added to the cost of each point.
+        A cost for each point, which is added to that of all its pairs; cost units.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> clmorph.WeightedPoints(np.zeros((4, 2)), np.full(4, 0.25))
+    <4 WeightedPoints in 2D, mass 1>
     """
 
     points: Array
@@ -47,7 +55,7 @@ class WeightedPoints:
         return float(self.weights.sum())
 
 
-#: What the solver transports.
+#: Both kinds of measure that the solver takes.
 AnyMeasure = Measure | WeightedPoints
 #: What the public functions take: a measure, or (weights (N,), points (N, D) or (N,)).
 MeasureLike = AnyMeasure | tuple[ArrayLike, ArrayLike]
@@ -63,7 +71,8 @@ def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
     Returns
     -------
     two of Measure or WeightedPoints
-        C_ij = |X_i - Y_j|^2 / 2, plus their `offsets` if they have some.
+        With the cost C_ij = |X_i - Y_j|^2 / 2 (paper, Eq. 1 with the factor 1/2), plus the offsets
+        r_i and s_j if they have some.
 
     Raises
     ------
@@ -108,12 +117,12 @@ def _bilinear(source: Measure, target: Measure) -> tuple[WeightedPoints, Weighte
     """Lift a cost whose metric of color depends on the source pixel (paper, section 5).
 
     |c - d|^2_M / 2 = c^T M c / 2 - (M c)^T d + sum_k M_kk d_k^2 / 2 + sum_(k<l) M_kl d_k d_l is
-    a sum of products of what depends on the source pixel and what depends on the target's.
+    a sum of products of one number of the source pixel and one of the target pixel.
     With these nine numbers for colors C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j.
     """
     c, d = (measure.color_weight * measure.coordinates for measure in (source, target))
-    # Distances do not see where colors are counted from, but products do: small numbers serve
-    # float32 better.
+    # Distances do not depend on the origin of colors, but products do: float32 keeps more digits
+    # of small numbers.
     middle = 0.5 * (c.mean(axis=0) + d.mean(axis=0))
     c, d = c - middle, d - middle
     metric = source.color_metric
@@ -122,7 +131,7 @@ def _bilinear(source: Measure, target: Measure) -> tuple[WeightedPoints, Weighte
     mc = np.einsum("nkl,nl->nk", metric, c)
     ours = np.column_stack((mc, -np.where(k == m, 0.5, 1.0) * metric[:, k, m]))
     theirs = np.column_stack((d, d[:, k] * d[:, m]))
-    # What is the same for every source pixel is the target's own affair.
+    # Terms that are the same for every source pixel go into the offsets of the target.
     common = ours.mean(axis=0)
     ours = ours - common
     sizes = [np.sqrt(np.mean(features**2, axis=0)) for features in (ours, theirs)]
@@ -143,7 +152,7 @@ def as_measure(name: str, value: Any) -> AnyMeasure:
     Parameters
     ----------
     name : str
-        What messages call it.
+        The name of the measure in error messages.
     value : Measure, WeightedPoints, or (weights (N,), points (N, D) or (N,))
 
     Returns
@@ -177,12 +186,12 @@ def as_image_measure(name: str, value: Any, why: str, instead: str = "") -> Meas
     Parameters
     ----------
     name : str
-        What messages call it.
+        The name of the measure in error messages.
     value : Measure
     why : str
-        What is needed of an image, for the message.
+        The reason why it must be an image, for the error message.
     instead : str
-        What to do with plain points, for the message.
+        What to do with plain points, for the error message.
 
     Raises
     ------

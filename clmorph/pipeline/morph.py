@@ -17,8 +17,8 @@ from clmorph.frames.kernel_width import KernelWidth, effective_count
 from clmorph.frames.particles import particles
 from clmorph.images.detail import auto_sigma
 from clmorph.images.pixels import as_pixels, fit
-from clmorph.measures.lift import Measure
 from clmorph.measures.lift_pair import lift_pair
+from clmorph.measures.measure import Measure
 from clmorph.measures.options import LiftOptions
 from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.output.playback import eased

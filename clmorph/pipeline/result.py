@@ -17,7 +17,7 @@ from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.detail import is_pixel_art
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.output.html import repr_html
 from clmorph.output.save import save
 from clmorph.pipeline.options import MorphOptions

@@ -19,7 +19,7 @@ from clmorph._shared.validation import check_choice, check_number, check_sigma
 from clmorph.errors import InputError
 from clmorph.frames.options import UNMATCHED
 from clmorph.images.pixels import as_rgb
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_image_measure
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords

@@ -10,7 +10,7 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_integer, check_number
 from clmorph.errors import InputError
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_measures
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.options import Reach, SolverOptions

@@ -8,7 +8,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array, BoolArray
 from clmorph._shared.validation import check_number
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_image_measure
 from clmorph.transport.plan import Plan, check_plan
 

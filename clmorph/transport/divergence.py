@@ -1,4 +1,4 @@
-"""The debiased, unbalanced Sinkhorn divergence between two measures (paper, 2.2).
+"""The debiased, unbalanced Sinkhorn divergence between two measures (paper, 2.2; math: S).
 
 S(a, b) = OT(a, b) - OT(a, a) / 2 - OT(b, b) / 2 + epsilon / 2 (m_a - m_b)^2.
 
@@ -36,20 +36,33 @@ from clmorph.transport.sinkhorn import (
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Divergence:
-    """A Sinkhorn divergence, what it was computed from, and what is certain about it.
+    """A Sinkhorn divergence, its potentials, and an interval that certainly holds its value.
 
     Attributes
     ----------
     value : float
         Cost units times mass; `float(divergence)` is the same. Never negative.
     interval : (low, high)
-        Holds the true value: from dual values (below) and primal ones (above) of the three
-        problems, rounding included. For balanced transport primal values follow from the marginal
-        errors, and are wide unless `tol` is small.
+        Bounds of the true value, rounding included. They follow from dual values (lower bounds)
+        and primal values (upper bounds) of the three problems. For balanced transport primal values
+        follow from the marginal errors, and the interval is wide unless `tol` is small.
     cross : Potentials
-        Of (source, target).
+        Of the problem between source and target.
     source_self, target_self : Potentials
-        Of each measure with itself; f = g.
+        Of the problem of each measure with itself, where f = g.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+    >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+    >>> found = clmorph.sinkhorn_divergence(source, target, 0.1, 0.3, backend="numpy")
+    >>> round(float(found), 5), found.converged
+    (0.0239, True)
+    >>> low, high = found.interval
+    >>> bool(low <= found.value <= high)
+    True
     """
 
     value: float
@@ -71,7 +84,36 @@ class Divergence:
         return all(part.converged for part in (self.cross, self.source_self, self.target_self))
 
     def closer_than(self, other: Divergence) -> bool | None:
-        """Compare two divergences of the same strengths: True or False if proven, else None."""
+        """Return whether this divergence is smaller than another: True or False if proven.
+
+        Parameters
+        ----------
+        other : Divergence
+            With the same blur and reach.
+
+        Returns
+        -------
+        bool or None
+            None if the two intervals overlap, so that nothing is proven.
+
+        Raises
+        ------
+        InputError
+            If `other` is no Divergence.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> near, far = (
+        ...     clmorph.sinkhorn_divergence(
+        ...         ([1.0], [0.0]), ([1.0], [x]), 0.1, None, backend="numpy"
+        ...     )
+        ...     for x in (0.1, 0.2)
+        ... )
+        >>> near.closer_than(far), far.closer_than(near), near.closer_than(near)
+        (True, False, None)
+        """
         if not isinstance(other, Divergence):
             raise InputError(
                 f"other={shown(other)}: expected a Divergence, as clmorph.sinkhorn_divergence "
@@ -99,22 +141,25 @@ def sinkhorn_divergence(
     cross: Potentials | None = None,
     progress: Progress | None = None,
 ) -> Divergence:
-    """Return how far two measures are apart: 0 only if they are equal, never negative.
+    """Return the Sinkhorn divergence of two measures: 0 only if they are equal, never negative.
+
+    S(a, b) = OT(a, b) - OT(a, a) / 2 - OT(b, b) / 2 + epsilon / 2 (m_a - m_b)^2 (paper, 2.2), where
+    OT is the optimal value of the problem that `clmorph.sinkhorn` solves.
 
     Parameters
     ----------
     source, target : Measure, WeightedPoints, or (weights (N,), points (N, D))
-        Of any masses; of equal ones if `reach` is None.
+        Their masses may differ unless `reach` is None.
     blur, epsilon
         As in `clmorph.sinkhorn`.
     reach : float or None
-        One for both measures: with two the divergence has no meaning.
+        As in `clmorph.sinkhorn`, but one number for both measures: with two there is no divergence.
     rho : float, optional
         reach^2, in place of `reach`; infinity is balanced.
     tol, max_iter, backend, precision, progress
         As in `clmorph.sinkhorn`, for each of the three problems.
     cross : Potentials, optional
-        Of (source, target) with the same strengths, if they are known already.
+        Potentials between source and target with the same blur and reach, if they are known.
 
     Returns
     -------
@@ -129,6 +174,17 @@ def sinkhorn_divergence(
     -----
     ConvergenceWarning
         If a residual does not reach `tol`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+    >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+    >>> clmorph.sinkhorn_divergence(source, target, 0.1, 0.3, backend="numpy")
+    <Divergence 0.0239032, certainly within [0.0239032, 0.0239032]>
+    >>> float(clmorph.sinkhorn_divergence(source, source, 0.1, 0.3, backend="numpy"))
+    0.0
     """
     given = regularization(blur, reach, epsilon, rho)
     if isinstance(given.reach, tuple):
@@ -176,7 +232,7 @@ def sinkhorn_divergence(
     rounding = SUM_ERROR * (extra + sum(abs(dual) for dual in duals))
     low = value - 0.5 * (parts[0].gap + parts[1].gap) - rounding
     high = value + cross.gap + rounding
-    # S >= 0 is a theorem: what rounding puts below is 0.
+    # S >= 0 is a theorem, so a negative lower bound is rounding and 0 takes its place.
     low = max(0.0, low)
     return Divergence(max(low, value), (low, max(low, high)), cross, parts[0], parts[1])
 
@@ -202,7 +258,7 @@ def _are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
 def _self_transport(
     problem: Problem, given: Regularization, tol: float, max_iter: int, precision: str
 ) -> Potentials:
-    """Solve a measure's problem with itself: f = g, f <- (f + Delta T(f)) / 2.
+    """Solve the problem of a measure with itself: f = g, f <- (f + Delta T(f)) / 2 (paper, 2.2).
 
     The Gaussian kernel is positive, so near the solution this contracts by 1/2 at least.
     """
@@ -224,7 +280,7 @@ def _self_transport(
             if precision == "auto" and not precise and (residual <= max(coarse, tol) or out):
                 precise = True
                 continue
-            # Halving ends where rounding begins.
+            # The residual no longer falls where it is rounding.
             stalled = residual <= finest and len(residuals) > 1 and residual > 0.9 * residuals[-2]
             if residual <= share * tol or out or stalled:
                 break

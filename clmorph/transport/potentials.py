@@ -1,4 +1,4 @@
-"""What a transport solver returns."""
+"""Dual potentials, which the transport solvers return."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from clmorph.transport.certificate import Certificate
 from clmorph.transport.options import Reach
 from clmorph.transport.regularization import regularization
 
-#: How a solve can end, and what that means.
+#: The ways in which a solve can end, and what each means.
 STATUSES = {
     "converged": "the residual is at most the tolerance",
     "max_iter": "the iterations ran out first",
@@ -39,13 +39,13 @@ class Potentials:
     status : {"converged", "max_iter", "precision", "schedule"}
         See `STATUSES`.
     message : str
-        What happened, and what to do about it.
+        One line that says how the solve ended and, if it did not converge, what to do.
     n_iter : int
-        Iterations, annealing included; one is both updates. Updates that were taken back
-        count too.
+        Iterations, those of the annealing included; one iteration updates both potentials.
+        Iterations that were taken back count too.
     residual : float
         max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon over points of positive mass, for these
-        very potentials: an upper bound, of which rounding and what was left out are part.
+        potentials (math: residual). It is an upper bound, which includes rounding and truncation.
     residuals : (k,) array
         The residual after each iteration that was kept, each in units of its own level's
         epsilon: while the blur is annealed they start high at every level.
@@ -54,13 +54,27 @@ class Potentials:
     precise : bool
         Whether the last iterations needed more than float32 exponents.
     truncation : float or None
-        What pairs could be left out for, see `clmorph.sinkhorn`; None: nothing was.
+        Nats up to which pairs could be left out, see `clmorph.sinkhorn`; None: all were summed.
     truncation_error : float
-        By how many nats the logarithms of `row_mass`, `column_mass` and `transported_mass` can be
-        off, for what was left out and for the device's rounding: a proven bound. It is part of
-        `residual`, `primal` and `dual`.
+        Proven bound, in nats, of the error of the logarithms of `row_mass`, `column_mass` and
+        `transported_mass` from pairs left out and from rounding. `residual`, `primal` and `dual`
+        include it.
     visited : float
         Share of all pairs of points that the last softmins summed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+    >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+    >>> potentials = clmorph.sinkhorn(source, target, blur=0.1, reach=0.3, backend="numpy")
+    >>> potentials.f.shape, potentials.g.shape, potentials.status
+    ((3,), (2,), 'converged')
+    >>> potentials.row_mass.round(3).tolist()  # what leaves each source point
+    [0.27, 0.289, 0.27]
+    >>> repr(potentials).endswith("transported 0.828 of 1>")
+    True
     """
 
     f: Array
@@ -93,18 +107,18 @@ class Potentials:
 
     @property
     def epsilon(self) -> float:
-        """Entropic strength, in cost units."""
+        """Entropic regularization epsilon = blur^2, in cost units."""
         return self.blur**2
 
     @cached_property
     def rho(self) -> Any:
-        """Marginal strength, in cost units, infinite if balanced; a pair if reach is one."""
+        """Marginal penalty rho = reach^2, cost units; infinite if balanced, a pair if reach is."""
         if isinstance(self.reach, tuple):
             return tuple(np.inf if reach is None else reach**2 for reach in self.reach)
         return np.inf if self.reach is None else self.reach**2
 
     def swapped(self) -> Potentials:
-        """Return the same seen from the target."""
+        """Return the potentials of the problem with source and target exchanged."""
         reach = self.reach[::-1] if isinstance(self.reach, tuple) else self.reach
         certificate = self.certificate._replace(
             row_mass=self.column_mass,
@@ -160,7 +174,7 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     Parameters
     ----------
     name : str
-        What messages call them.
+        Their name in error messages.
     value : Potentials
     sizes : (N, M)
 
@@ -219,13 +233,14 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     return value
 
 
-#: Share by which the marginal of a plan may differ from the one that its potentials tell, beside
-#: rounding and truncation: far more than either leaves, far less than other measures do.
+#: Share by which the marginal of a plan may differ from the one that came with its potentials,
+#: beside rounding and truncation. It is far more than these cause, and far less than the
+#: difference that other measures make.
 FOREIGN = 0.01
 
 
 def check_origin(potentials: Potentials, row_mass: Array, rounding: float) -> None:
-    """Check that a plan's marginal is the one that its potentials were returned with.
+    """Check that potentials belong to measures: the plan's marginal must be the one they came with.
 
     Parameters
     ----------

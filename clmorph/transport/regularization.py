@@ -1,4 +1,4 @@
-"""The two strengths of the problem: entropic and marginal, each in either of two units."""
+"""Entropic regularization and marginal penalty, each given as a length or in cost units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from clmorph.transport.options import Reach, SolverOptions
 
 
 class Regularization(NamedTuple):
-    """Checked strengths.
+    """Checked entropic regularization and marginal penalty.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ def regularization(
     epsilon: Any = None,
     rho: Any = None,
 ) -> Regularization:
-    """Take blur or epsilon = blur^2, and reach or rho = reach^2: one of each.
+    """Check blur or epsilon = blur^2, and reach or rho = reach^2: one of each (paper, 2.1).
 
     Parameters
     ----------
@@ -54,7 +54,12 @@ def regularization(
     Raises
     ------
     InputError
-        If one is out of range, or both of a pair of alternatives are given.
+        If one is out of range, or both epsilon and blur or both rho and reach are given.
+
+    Examples
+    --------
+    >>> regularization(0.5, None)
+    Regularization(blur=0.5, reach=None, epsilon=0.25, rho=(inf, inf))
     """
     if epsilon is not None:
         if blur is not None:
@@ -92,7 +97,7 @@ def _each(value: Any, function: Any) -> tuple[float | None, float | None]:
 
 
 def _root(name: str, value: Any, check: Any) -> Any:
-    """Square root of a strength, told in the strength's own name if it cannot be used."""
+    """Return the square root of epsilon or rho; errors name what the caller gave."""
     number = as_float(value)
     if number is None:
         raise InputError(f"{name}={shown(value)}: expected a positive number")

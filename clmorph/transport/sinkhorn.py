@@ -1,4 +1,4 @@
-"""Unbalanced log-domain Sinkhorn (paper, 2.1 and 3.1), accelerated. Knows no device."""
+"""Unbalanced log-domain Sinkhorn (paper, 2.1 and 3.1), accelerated, on any backend."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from clmorph.transport.options import (
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.regularization import Regularization, regularization
 
-#: Or a bool.
+#: Values of `multiscale` beside True and False.
 MULTISCALE = ("auto",)
 #: Relative difference of masses up to which balanced transport is feasible.
 MASS_TOLERANCE = 1e-6
@@ -67,26 +67,27 @@ def sinkhorn(
     truncation: float | str | None = "auto",
     verify: bool = False,
 ) -> Potentials:
-    """Solve unbalanced entropic optimal transport between two measures.
+    """Solve unbalanced entropic optimal transport between two measures (paper, 2.1 and 3.1).
 
-    Minimizes <C, pi> + rho KL(pi 1 | a) + rho KL(pi^T 1 | b) + epsilon KL(pi | a x b) with
-    C = |X - Y|^2 / 2, epsilon = blur^2, rho = reach^2, in the log domain.
+    It minimizes <C, pi> + rho KL(pi 1 | a) + rho KL(pi^T 1 | b) + epsilon KL(pi | a x b) over plans
+    pi >= 0 with C = |X - Y|^2 / 2, epsilon = blur^2, rho = reach^2, in the log domain.
 
     Parameters
     ----------
     source, target : Measure, WeightedPoints, or (weights (N,), points (N, D))
-        Of one space: D from 1 to 11. Zero weights are legal, and so are any total masses.
+        Both in one space, with D from 1 to 11. Weights may be zero, and their sums may differ.
     blur : float, optional
         Entropic length scale, in the points' unit (for images: the longer side); 0.03 if neither
         `blur` nor `epsilon` is given.
     reach : float, None, or a pair (reach_source, reach_target)
-        Length scale beyond which mass is created and destroyed rather than moved, same unit. None,
-        the default, is balanced transport: the masses must then be equal. With a pair, each half
-        bounds one measure; one None is semi-unbalanced transport.
+        Length scale, in the points' unit, of the marginal penalty: beyond it mass is destroyed and
+        created rather than moved. None, the default, is balanced transport, which needs equal
+        masses. With a pair, each half belongs to one measure; one None is semi-unbalanced
+        transport.
     tol : float
-        Residual at which to stop, in units of epsilon.
+        Residual at which the iteration stops, in units of epsilon.
     max_iter : int
-        Iterations (one is both updates) after which to stop all the same.
+        Largest number of iterations; one iteration updates both potentials.
     backend : str or Operations
         See `clmorph.get_backend`.
     epsilon : float, optional
@@ -94,28 +95,30 @@ def sinkhorn(
     rho : float or a pair, optional
         reach^2, in place of `reach`; infinity is balanced.
     method : {"certified", "geomloss"}
-        "certified" accelerates and stops by the residual. "geomloss" runs that library's
-        schedule, without a convergence test, to reproduce its numbers.
+        "certified" is accelerated and stops by the residual. "geomloss" runs the schedule of that
+        library, which has no convergence test, to reproduce its numbers.
     scaling : float in (0, 1)
         Factor between the blurs of "geomloss".
     precision : {"auto", "float32", "float64"}
-        Of exponents, while it iterates. "auto" takes more than float32 only where `tol` needs it,
-        from float64 or, on a device without it, from pairs of float32. The last softmins, of which
-        residual and certificate are made, are more exact in any case.
+        Precision of exponents during the iteration. "auto" uses more than float32 only where `tol`
+        needs it: float64 or, on a device without it, pairs of float32. The last softmins, from
+        which residual and certificate follow, are more exact in any case.
     start : Potentials, optional
-        Of a similar problem with as many points: where to begin, instead of annealing.
+        Potentials of a similar problem with as many points, at which the iteration begins in place
+        of annealing.
     progress : callable, optional
-        Called now and then with the share done.
+        Called with the share of the work that is done, from 0 to 1.
     multiscale : {"auto", True, False}
-        Whether to solve through coarser problems (`_solver.multiscale`); "auto" does with
-        2^27 pairs of points or more. `n_iter` counts the iterations over the points.
+        Whether the problem is solved through coarser problems (`_solver.multiscale`); "auto" does
+        so with 2^27 pairs of points or more. `n_iter` counts the iterations over the points.
     truncation : float, "auto" or None
-        Far pairs are left out of the sums as long as this provably lowers no row's or column's
-        logarithm by more than so many nats, fewer than `tol`; `truncation_error` says what was left
-        out at most. "auto": tol / 10 with 2^27 pairs or more, else None, which leaves out nothing.
+        Largest error, in nats, that the logarithm of a row's or column's sum may have because far
+        pairs are left out; it is proven and must be less than `tol`. `truncation_error` of the
+        result is its bound. "auto" is tol / 10 with 2^27 pairs or more, else None. None sums all
+        pairs.
     verify : bool
-        With truncation: take the last two softmins once more, over all pairs. The residual and
-        the certificate are then those without truncation.
+        Whether, with truncation, the last two softmins are computed once more over all pairs. The
+        residual and the certificate are then those without truncation.
 
     Returns
     -------
@@ -132,6 +135,20 @@ def sinkhorn(
     -----
     ConvergenceWarning
         If the residual does not reach `tol`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+    >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+    >>> potentials = clmorph.sinkhorn(source, target, blur=0.1, reach=0.3, backend="numpy")
+    >>> potentials.converged, potentials.residual <= 1e-3
+    (True, True)
+    >>> round(potentials.transported_mass, 3)  # of 1: the rest is destroyed and created
+    0.828
+    >>> bool(potentials.dual <= potentials.primal)  # they enclose the optimal value
+    True
     """
     given = regularization(blur, reach, epsilon, rho)
     tol, max_iter, scaling = check_solver_options(
@@ -192,7 +209,7 @@ def check_solver_options(
 
 
 def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
-    """Return what pairs may be left out for, in nats; None for nothing."""
+    """Return the truncation in nats, see `sinkhorn`; None leaves out nothing."""
     if isinstance(truncation, str) and truncation == "auto":
         return 0.1 * tol if many else None
     if truncation is None:
@@ -207,7 +224,7 @@ def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
 
 
 def _take_all_pairs(iteration: Iteration | Multiscale, epsilon: float) -> None:
-    """Replace the last softmins by such over all pairs."""
+    """Compute the last softmins once more, over all pairs."""
     problem, state = iteration.problem, iteration.state
     for softmin in (problem.to_rows, problem.to_columns):
         softmin.release()
@@ -285,7 +302,7 @@ def _geomloss(
 def _finish(
     iteration: Iteration | Multiscale, given: Regularization, truncation: float | None
 ) -> Potentials:
-    """Put the result together, and warn if it is not what was asked for."""
+    """Return the potentials, and warn if they did not reach the tolerance."""
     problem, state = iteration.problem, iteration.state
     reached = f"residual {state.residual:.1e} epsilon"
     missed = (

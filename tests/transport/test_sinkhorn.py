@@ -6,7 +6,7 @@ from scipy.special import logsumexp
 
 import clmorph
 from clmorph import ConvergenceWarning, InputError, lift, reference, sinkhorn
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 from clmorph.transport._solver.problem import Problem
 
 

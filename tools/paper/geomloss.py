@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from clmorph.errors import InputError
-from clmorph.measures.lift import Measure
+from clmorph.measures.measure import Measure
 
 #: Written by ``tools/geomloss_displacements.py``.
 STORED = Path(__file__).parents[2] / "tests" / "data" / "geomloss_displacements.csv"

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array
+from clmorph.backends.interface import Operations
 from clmorph.backends.records import NearPairs
 from clmorph.backends.rounding import rounding_error
 from clmorph.errors import InputError

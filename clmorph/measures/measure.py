@@ -1,0 +1,178 @@
+"""A lifted image: a measure of weighted points in position and color (paper, 2.3 and 5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from clmorph._shared.typing import Array
+from clmorph._shared.validation import check_choice, check_color_weight, shown
+from clmorph.errors import InputError
+from clmorph.images.color import COLOR_SPACES, square_root, to_space
+from clmorph.measures.options import EXTENTS
+
+#: How pixels stand in the common frame: "true" keeps the aspect ratio, "unit" stretches
+#: each axis to [0, 1].
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Measure:
+    """The measure sum_i a_i delta_(x_i, c_i) of a lifted image (paper, 2.3).
+
+    Attributes
+    ----------
+    positions : (N, 2) array
+        x to the right, y down, in the common frame [0, 1]^2.
+    colors : (N, 3) array
+        sRGB in [0, 1].
+    weights : (N,) array
+        Masses a_i, at least 0.
+    shape : (height, width)
+        Of the image that was lifted; its N = height * width pixels stand row by row.
+    color_weight : float
+        lambda, the weight of color relative to position.
+    extent : {"true", "unit"}
+        How the pixels stand in the common frame.
+    color_space : str
+        The space in which colors are compared, see `clmorph.images.color.to_space`.
+    color_metric : (3, 3) or (N, 3, 3) array, optional
+        Metric M of colors in that space: squared distances are lambda^2 (c - d)^T M (c - d)
+        (paper, 5). One for all pixels, or one for each pixel (of a source).
+    alpha : (N,) array, optional
+        Opacity of each pixel; None if all are opaque.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> measure = clmorph.lift(np.eye(2))
+    >>> len(measure), measure.shape, measure.mass, measure.spacing
+    (4, (2, 2), 1.0, 1.0)
+    >>> measure.positions.tolist()
+    [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+    """
+
+    positions: Array
+    colors: Array
+    weights: Array
+    shape: tuple[int, int]
+    color_weight: float
+    extent: str
+    color_space: str = "srgb"
+    color_metric: Array | None = None
+    alpha: Array | None = None
+    #: A lifted image has no offsets, see `clmorph.measures.points.WeightedPoints`.
+    offsets = None
+
+    def __repr__(self) -> str:
+        return f"<Measure of {len(self)} points, mass {self.mass:g}>"
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    @cached_property
+    def points(self) -> Array:
+        """(N, 5) lifted points X = (x, y, lambda r, lambda g, lambda b) (paper, 2.3, Eq. 1).
+
+        In another color space its coordinates stand in place of r, g, b. With a metric
+        M = L L^T they are multiplied by L (paper, 5), so that |X - Y|^2 has the metric in it.
+        """
+        if self.has_metric_map:
+            raise InputError(
+                "a source with a map of color metrics has no points of its own: its cost needs "
+                "a target"
+            )
+        colors = self.coordinates
+        if self.color_metric is not None:
+            colors = colors @ square_root(self.color_metric)
+        return np.column_stack((self.positions, self.color_weight * colors))
+
+    @cached_property
+    def coordinates(self) -> Array:
+        """(N, 3) colors, as coordinates of the space in which they are compared."""
+        return to_space(self.colors, self.color_space)
+
+    @property
+    def has_metric_map(self) -> bool:
+        """Whether every pixel has its own metric of color."""
+        return self.color_metric is not None and self.color_metric.ndim == 3
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighboring pixels in the common frame; the mean of both axes."""
+        height, width = self.shape
+        sides = 2 * max(height, width) - 2 if self.extent == "true" else height + width - 2
+        return 2.0 / max(1, sides)
+
+    @property
+    def mass(self) -> float:
+        """Total mass."""
+        return float(self.weights.sum())
+
+
+def check_masses(name: str, masses: Array) -> None:
+    """Check masses of points.
+
+    Raises
+    ------
+    InputError
+        If one is negative or NaN, or their sum is out of range.
+    """
+    with np.errstate(over="ignore"):
+        total = masses.sum()
+    if not (np.all(masses >= 0) and 1e-30 <= total <= 1e30):
+        raise InputError(
+            f"{name}: expected masses of at least 0 with a positive sum, from 1e-30 to 1e30; "
+            "replace negative or missing ones by 0, and scale them"
+        )
+
+
+def check_measure(name: str, measure: Measure) -> None:
+    """Check a lifted image, whose parts a caller can have replaced.
+
+    Raises
+    ------
+    InputError
+        If a part is not what `Measure` says it is.
+    """
+    remedy = "lift the image again with clmorph.lift, which checks what it is given"
+    try:
+        height, width = measure.shape
+        n = int(height) * int(width)
+        if min(height, width) < 1:
+            raise InputError(f"its shape is {height} x {width}")
+        check_color_weight(measure.color_weight)
+        check_choice("extent", measure.extent, EXTENTS)
+        check_choice("color_space", measure.color_space, COLOR_SPACES)
+    except (TypeError, ValueError) as error:
+        reason = f": {error}" if isinstance(error, InputError) else ""
+        raise InputError(f"{name} is no usable Measure{reason}; {remedy}") from None
+    shapes = {"positions": (n, 2), "colors": (n, 3), "weights": (n,)}
+    if measure.alpha is not None:
+        shapes["alpha"] = (n,)
+    for part, shape in shapes.items():
+        array = getattr(measure, part)
+        usable = type(array) is np.ndarray and array.dtype == np.float64 and array.shape == shape
+        low, high = (-1e6, 1e6) if part == "positions" else (-1e-6, 1 + 1e-6)
+        # NaN is within no range.
+        if usable and part != "weights":
+            usable = bool(array.min() >= low and array.max() <= high)
+        if not usable:
+            raise InputError(
+                f"{name} has {part} {shown(array)}: expected a float64 array of shape {shape}, "
+                f"each from {low:g} to {high:g}; {remedy}"
+                if part != "weights"
+                else f"{name} has weights {shown(array)}: expected a float64 array of shape "
+                f"{shape}; {remedy}"
+            )
+    check_masses(f"{name}: its weights", measure.weights)
+    if measure.color_metric is not None:
+        metric = measure.color_metric
+        usable = type(metric) is np.ndarray and metric.shape in ((3, 3), (n, 3, 3))
+        if not usable or metric.dtype != np.float64 or not np.all(np.isfinite(metric)):
+            raise InputError(
+                f"{name} has color_metric {shown(metric)}: expected a finite float64 array of "
+                f"shape (3, 3) or {(n, 3, 3)}; {remedy}"
+            )
