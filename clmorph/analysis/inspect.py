@@ -101,6 +101,18 @@ def inspect(
         If the particles of a morph would not all fit into `max_memory`.
     PruningWarning
         If `log_threshold` drops more than a quarter of the plan's mass.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> found = clmorph.inspect(left, right, blur=0.1, reach=0.3, backend="numpy")
+    >>> round(found.transported + found.destroyed, 2)
+    1.0
+    >>> found.divergence.value > 0
+    True
     """
     chosen = as_options(options, preset, given)
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)

@@ -91,7 +91,18 @@ class FrameSequence(Sequence[Frame]):
         return self.frame(float(self.times[index]))
 
     def iter_frames(self) -> Iterator[Frame]:
-        """Render the frames one by one, without keeping them."""
+        """Render the frames one by one, without keeping them.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> [frame.shape for frame in morph.iter_frames()]
+        [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
+        """
         return (self.frame(float(t)) for t in self.times)
 
 
