@@ -1,5 +1,5 @@
-// The loop over the column tiles of every row, which log_sum_exp.cl, near_field.cl and plan_rows.cl
-// share. It streams over the columns of the log-kernel
+// The loop over the column tiles of every row, which log_sum_exp.cl, near_field.cl, plan_rows.cl
+// and plan_shares.cl share. It streams over the columns of the log-kernel
 //
 //     e_ij = log2(e) * [ (g_j - C_ij) / epsilon + log b_j ] - (a constant of row i),
 //     C_ij = |X_i - Y_j|^2 / 2,
@@ -153,3 +153,10 @@ static inline void load_rows(
     stage_columns(TILE_AT(n), row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),      \
                   row_centers, column_shifts, column_centers, column_logits,                   \
                   own_levels + (n), staged)
+
+// e_ij + offset_i, such as log2 of a mass pi_ij of the plan: a small number where it matters, unlike both
+// its terms. The offset comes as two float32: the nearest, and what that rounds off.
+static inline vreal with_offset(const ereal e, const vreal offset, const vreal offset_low)
+{
+    return e_above(e, -offset) + offset_low;
+}

@@ -179,7 +179,7 @@ class PruningWarning(ClmorphWarning):
     >>> images = rng.random((2, 5, 5, 3))
     >>> with warnings.catch_warnings(record=True) as caught:
     ...     warnings.simplefilter("always")
-    ...     result = clmorph.morph(*images, n_frames=2, log_threshold=-4, backend="numpy")
+    ...     result = clmorph.morph(*images, blur=0.1, log_threshold=-3.5, backend="numpy")
     >>> caught[0].category.__name__
     'PruningWarning'
     """

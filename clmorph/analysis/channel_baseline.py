@@ -28,7 +28,7 @@ from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.options import PAPER, MorphOptions
 from clmorph.transport.options import SolverOptions
-from clmorph.transport.plan import transport_plan
+from clmorph.transport.plan_building import transport_plan
 from clmorph.transport.sinkhorn import sinkhorn
 
 #: The options of `channel_morph`.

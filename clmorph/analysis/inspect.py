@@ -32,11 +32,12 @@ from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import Problem, as_options, fitted
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
 from clmorph.pipeline.presets import PresetName
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.displacement import Displacement, displacement_of, displacement_statistics
 from clmorph.transport.divergence import sinkhorn_divergence
 from clmorph.transport.options import MAX_DRAWS, PruningOptions, Reach, SolverOptions
-from clmorph.transport.plan import Plan, transport_plan
-from clmorph.transport.plan_sampling import Barycentric
+from clmorph.transport.plan import Plan
+from clmorph.transport.plan_building import transport_plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.refine_plan import refined
 from clmorph.transport.sinkhorn import sinkhorn

@@ -1,1 +1,1 @@
-"""The few expensive operations: one protocol, its float64 twin in NumPy, and OpenCL."""
+"""The few expensive operations: their protocol, its float64 twin in NumPy, and OpenCL."""

@@ -17,8 +17,8 @@ LARGEST_BOUND = 1e-5
 def splat_tolerance(count: int, chunk: int = 1024) -> float:
     """Return the relative error that float32 sums of `count` splats may have.
 
-    The additions of a chunk, the sum of the chunks, and an exponent of up to 30 rounded a
-    few times.
+    The bound covers the additions of a chunk, the sum of the chunks, and a few roundings of an
+    exponent of up to 30.
     """
     return UNIT * (chunk + count / chunk + 4 * 30)
 
@@ -32,18 +32,18 @@ def splat_excess(
     radius: float,
     relative: float,
 ) -> float:
-    """Return how far the sums of a splat are from what they may be, in units of tolerance.
+    """Return by how much the sums of a splat leave their range, in units of the tolerance.
 
-    The cut may lie anywhere from `radius` to `sigma` beyond; around that, the tolerance is
-    `relative` and KERNEL_ERROR of every kernel.
+    A kernel may be cut anywhere from `radius` to `radius` + `sigma`, which gives each sum a
+    range. The tolerance around the range is `relative` plus KERNEL_ERROR of every kernel.
 
     Parameters
     ----------
     sums : numerator, denominator
-        What some operations returned.
+        As returned by `splat` of the backend to be judged.
     exact : Operations
     splats
-        Of the exact operations; no color below 0.
+        Splats of the exact operations, without colors below 0.
     shape, sigma, radius
         As given to `splat`.
     relative : float
@@ -65,14 +65,21 @@ def splat_excess(
 
 @dataclass(frozen=True)
 class Finding:
-    """One comparison.
+    """The result of one comparison with the NumPy twin.
 
     Attributes
     ----------
     name : str
+        Operation and setting.
     error, tolerance : float
-        Largest error and what it may be, in `unit`.
+        The largest error and the largest that is accepted, in `unit`.
     unit : str
+
+    Examples
+    --------
+    >>> from clmorph.backends.comparison import Finding
+    >>> Finding("softmin", error=1e-6, tolerance=1e-5, unit="nats").passed
+    True
     """
 
     name: str

@@ -12,19 +12,28 @@ from numpy.typing import NDArray
 
 from clmorph.backends.records import Bins, Float32, Float64, NearPairs, PlanRows, StoredPairs
 
-#: Points of one cloud: kernels count columns in float32, exactly up to here.
+#: The most points that a cloud may have: kernels count columns in float32, exact up to here.
 MAX_POINTS = 1 << 24
-#: Dimensions of points: a kernel keeps one register for each.
+#: The most dimensions that points may have: a kernel keeps one register for each.
 MAX_DIMENSION = 11
 
-#: By how much a splat's kernel may be off, as a share of its peak.
+#: The largest error of a splat's kernel, as a share of the kernel's peak.
 KERNEL_ERROR = 1e-6
 
 
 class Operations(Protocol):
-    """What a backend does. Clouds, particles and splats are the backend's own handles."""
+    """The operations of a backend. Clouds, particles and splats are handles of its own.
 
-    #: What the user is told: the device, its platform and driver.
+    A cloud x_i with masses a_i is uploaded once and then stands for rows or for columns of a
+    matrix. Rows are indexed by i (N of them), columns by j (M of them); C_ij = |X_i - Y_j|^2 / 2 is
+    the cost of a pair, f and g are dual potentials, and
+
+        pi_ij = a_i b_j exp((f_i + g_j - C_ij) / epsilon)
+
+    is the transport plan (Eq. 2 of the paper).
+    """
+
+    #: The name of the device, its platform and its driver, as reports show it.
     description: str
     #: Side of a bin in pixels.
     bin_size: int
@@ -51,9 +60,13 @@ class Operations(Protocol):
         weights : (N,) array
             Masses, at least 0, of positive sum.
         offsets : (N,) array, optional
-            In cost units, added to the cost of every pair with this point:
-            C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j. With them any cost that is a sum of products
-            of features of both points can be had.
+            Added to the cost of every pair with this point, in cost units:
+            C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j. With offsets, any cost that is a sum of
+            products of features of the two points can be expressed.
+
+        Returns
+        -------
+        cloud
         """
 
     def softmin(
@@ -92,10 +105,11 @@ class Operations(Protocol):
         epsilon: float,
         near: NearPairs | None = None,
     ) -> tuple[Float64, float]:
-        """Return the soft minimum with exponentials and sums in float64, or pairs of float32.
+        """Return the soft minimum with a proven bound of its rounding error.
 
-        What bounds of a transport value are made of. It takes about three times as long as
-        `softmin` where there is float64, else about nine times.
+        Exponentials and sums are formed in float64, or in pairs of float32. Bounds of a
+        transport value are made of such soft minima. The operation takes about three times as
+        long as `softmin` on devices with float64, and about nine times on others.
 
         Parameters
         ----------
@@ -106,8 +120,8 @@ class Operations(Protocol):
         -------
         softmin : (N,) array, cost units
         error : float
-            By how many nats its sums' logarithms may be off, whatever the roundings; infinite
-            where numbers are too large for a bound. What `near` leaves out is not part of it.
+            A bound of the rounding error of the sums' logarithms, in nats; infinite where
+            numbers are too large for a bound. It does not cover the pairs that `near` leaves out.
         """
 
     def near_pairs(
@@ -119,18 +133,22 @@ class Operations(Protocol):
         epsilon: float,
         budget: float,
     ) -> NearPairs:
-        """Find the pairs that matter for the rows' sums.
+        """Find the pairs that contribute to the rows' sums, and bound the others' share.
 
         Parameters
         ----------
         rows, columns : clouds of N and M points
         potential : (M,) array, cost units
         softmin : (N,) array, cost units
-            T(potential), or a guess at it: the better it is the fewer pairs are left, and the
-            nearer `skipped` comes to the budget; that it bounds what is left out holds always.
+            T(potential), or a guess at it. A better guess leaves fewer pairs, and brings
+            `skipped` nearer to the budget; the bound holds for any guess.
         epsilon : float, cost units
         budget : float
             The share of a row's sum that may be left out.
+
+        Returns
+        -------
+        NearPairs
         """
 
     def row_maxima(
@@ -182,11 +200,11 @@ class Operations(Protocol):
         f, g : (N,) and (M,) arrays, cost units
         epsilon : float, cost units
         row_thresholds, column_thresholds : (N,) and (M,) arrays, in nats
-            +inf never keeps, -inf always does.
+            With +inf no pair is kept for this row or column, with -inf all pairs are.
         precise : bool
             As in `softmin`.
         counts : (N,) array, optional
-            What `count_plan_rows` returned for the same arguments; saves counting again.
+            The result of `count_plan_rows` for the same arguments, which saves counting again.
         """
 
     def store_pairs(
@@ -201,29 +219,34 @@ class Operations(Protocol):
         max_pairs: int,
         near: tuple[NearPairs | None, NearPairs | None] = (None, None),
     ) -> StoredPairs | None:
-        """Keep log pi_ij of pairs in the device's memory, for `sum_stored`.
+        """Store log pi_ij of the pairs above a threshold on the device, for `sum_stored`.
 
         Parameters
         ----------
         rows, columns, f, g, epsilon, row_thresholds, column_thresholds
             As in `plan_rows`.
         max_pairs : int
-            Pairs to keep at most; with more None is returned.
-        near : (of the rows, of the columns), optional
-            Look at no other pairs than those near one or the other.
+            The most pairs that may be stored.
+        near : (NearPairs of the rows, NearPairs of the columns), optional
+            Only pairs in one list or the other are considered.
+
+        Returns
+        -------
+        StoredPairs or None
+            None if there are more than `max_pairs` pairs, or more than the device can hold.
         """
 
     def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
         """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row.
 
-        That is what the rows' sums become when g_j grows by epsilon changes_j.
+        The rows' sums become this when g_j grows by epsilon changes_j.
 
         Parameters
         ----------
         stored : StoredPairs
         changes : (M,) array, in nats
         by_column : bool
-            Sum over the rows instead: `changes` are (N,), and there is a sum for each column.
+            Sum over the rows of each column instead; `changes` are then (N,).
 
         Returns
         -------
@@ -243,7 +266,7 @@ class Operations(Protocol):
     ) -> tuple[Float64, Float64]:
         """Return mean and covariance of each row's destinations, over the whole plan.
 
-        Row i goes to Y_j with the share pi_ij / (pi 1)_i, which needs g alone.
+        Row i is sent to Y_j with the share pi_ij / (pi 1)_i, which depends on g alone.
 
         Parameters
         ----------
@@ -291,7 +314,7 @@ class Operations(Protocol):
         links: NDArray[np.uint32],
         weights: Float64,
     ) -> Any:
-        """Take moving particles.
+        """Take particles that move in straight lines.
 
         Parameters
         ----------
@@ -301,7 +324,11 @@ class Operations(Protocol):
         links : (K, 2) array
             Rows of `table` where each particle starts and ends.
         weights : (K, 2) array
-            Its mass at t = 0 and at t = 1.
+            Mass of each particle at t = 0 and at t = 1.
+
+        Returns
+        -------
+        particles
         """
 
     def advect(
@@ -311,7 +338,16 @@ class Operations(Protocol):
         scale: tuple[float, float],
         center: tuple[float, float],
     ) -> Any:
-        """Move particles to time t and onto a canvas: (z - 1/2) * scale + center, in pixels.
+        """Move particles to time t, and into the pixels of a canvas.
+
+        A particle at z in the common frame is drawn at (z - 1/2) * scale + center.
+
+        Parameters
+        ----------
+        particles
+        t : float
+            Time, from 0 to 1.
+        scale, center : (x, y), in pixels
 
         Returns
         -------
@@ -325,7 +361,7 @@ class Operations(Protocol):
         weights: Float32,
         spacings: Float32 | None = None,
     ) -> Any:
-        """Take resting particles.
+        """Take particles at rest.
 
         Parameters
         ----------
@@ -334,11 +370,15 @@ class Operations(Protocol):
         weights : (K,) array
             Masses.
         spacings : (K,) array, optional
-            Distance of neighbors where each belongs, in pixels; 1 if not given.
+            Distance of neighboring particles around each particle, in pixels; 1 if not given.
+
+        Returns
+        -------
+        splats
         """
 
     def deposit(self, splats: Any, shape: tuple[int, int]) -> tuple[Float64, Float64]:
-        """Return what lies nearest to each pixel: sum of masses and of their squares.
+        """Give each splat to its nearest pixel; return sums of masses and of their squares.
 
         Parameters
         ----------
@@ -352,24 +392,25 @@ class Operations(Protocol):
         """
 
     def adapt_widths(self, splats: Any, distances: Float64, sigma: float) -> Any:
-        """Give every splat a width of its own: Eq. 3 with the distance of neighbors there.
+        """Give every splat a width of its own, by Eq. 3 with the distance of its neighbors.
 
-        max(sigma * spacing, distance / 2), rounded to one of the `width_levels.WIDTH_LEVELS`
-        around sigma; distances are read between pixels bilinearly, and at the border outside.
+        The width is max(sigma * spacing, distance / 2), rounded to one of the
+        `width_levels.WIDTH_LEVELS` around sigma. Distances are interpolated bilinearly between
+        pixels; outside the canvas, the distance at the border counts.
 
         Parameters
         ----------
         splats
         distances : (height, width) array
-            Of neighboring particles around each pixel of the canvas, in pixels.
+            Distance of neighboring particles around each pixel of the canvas, in pixels.
         sigma : float
-            In units of the spacing.
+            Kernel width, in units of the spacing.
 
         Returns
         -------
         splats
-            For `splat` with the same `sigma`. Weights are scaled so that the sum of each
-            kernel over the canvas is that of a kernel of width sigma.
+            Splats for `splat` with the same `sigma`. Weights are scaled so that the sum of
+            each kernel over the canvas is that of a kernel of width sigma.
         """
 
     def width_levels(self, splats: Any) -> NDArray[np.int64]:
@@ -384,6 +425,10 @@ class Operations(Protocol):
         shape : (height, width) of the canvas, in pixels
         margin : int
             Bins added on every side; splats farther out fall into the outermost ones.
+
+        Returns
+        -------
+        Bins
         """
 
     def splat(
@@ -391,19 +436,21 @@ class Operations(Protocol):
     ) -> tuple[Float64, Float64]:
         """Return the two sums of a Nadaraya-Watson frame (paper, section 3.3).
 
-        Splats with widths of their own use these in place of `sigma`, and `radius` grows alike.
+        Splats with widths of their own use them in place of `sigma`; `radius` is then scaled
+        by the ratio of the two.
 
         Parameters
         ----------
         splats
         shape : (height, width) of the canvas, in pixels
         sigma : float
-            Kernel width in pixels. 0 gives each splat to its nearest pixel instead.
+            Kernel width in pixels. With 0, each splat is given to its nearest pixel.
         radius : float
-            Where the kernel is cut: it counts while |dx| and |dy| are at most this, and no
-            more where one of them exceeds this by a kernel width (`sigma`, or the splat's
-            own); between, a backend may count it or not. Up to there the kernel may be off by
-            `KERNEL_ERROR` of its peak. Without a width both are exact.
+            Distance at which the kernel is cut, in pixels. A kernel counts where |dx| and |dy|
+            are at most `radius`; it does not count where one of them is larger than `radius`
+            plus a kernel width (`sigma`, or the splat's own). A backend is free to count it in
+            between. The kernel's error is at most `KERNEL_ERROR` of its peak; with a width of 0
+            there is none.
 
         Returns
         -------

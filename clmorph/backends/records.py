@@ -1,4 +1,4 @@
-"""What operations return beside arrays, and the types of their arrays."""
+"""Records that operations return beside plain arrays, and the types of these arrays."""
 
 from typing import Any, NamedTuple
 
@@ -26,25 +26,25 @@ class Bins(NamedTuple):
 
 
 class NearPairs(NamedTuple):
-    """The pairs of two clouds that matter, as `Operations.near_pairs` found them.
+    """The pairs of two clouds that contribute to sums, as found by `Operations.near_pairs`.
 
-    What is left out is known: a row's sum over all columns is at most 1 + `skipped` times that
-    over these pairs, for the potential and epsilon that they were found for.
+    The share of the pairs that are left out is bounded: a row's sum over all columns is at most
+    1 + `skipped` times its sum over these pairs, at the potential and epsilon of the search.
     """
 
-    pairs: Any  #: the backend's own
-    softmin: Float64  #: (N,) T(g) over these pairs, or over some more; cost units
-    skipped: Float64  #: (N,) above 0 where anything is left out
-    n_pairs: int  #: pairs that are visited
-    n_columns: int  #: most columns of a row
-    largest: float  #: largest cost among them, cost units
+    pairs: Any  #: the backend's own handle
+    softmin: Float64  #: (N,) T(g) over these pairs, or over a larger set; cost units
+    skipped: Float64  #: (N,) above 0 where a pair is left out
+    n_pairs: int  #: number of pairs that are visited
+    n_columns: int  #: the largest number of columns of a row
+    largest: float  #: the largest cost among the pairs, cost units
 
 
 class StoredPairs(NamedTuple):
-    """Pairs of a plan that a backend keeps, see `Operations.store_pairs`."""
+    """Pairs of a plan that a backend holds, see `Operations.store_pairs`."""
 
-    pairs: Any  #: the backend's own
-    n_pairs: int
+    pairs: Any  #: the backend's own handle
+    n_pairs: int  #: number of pairs
 
 
 def bin_grid(shape: tuple[int, int], margin: int, size: float) -> tuple[int, int]:

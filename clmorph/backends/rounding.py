@@ -1,22 +1,31 @@
-"""How far roundings can move what a backend computes."""
+"""The size of rounding errors in the results of a backend."""
 
 from clmorph.backends.interface import Operations
 
 
 def rounding_error(operations: Operations, n_columns: int, largest: float, precise: bool) -> float:
-    """Return by how many nats a log-sum-exp of `operations` may be off.
+    """Return the rounding error that a log-sum-exp of `operations` may have, in nats.
 
-    A few roundings of each term (8 units, the exponential's error included), the random
-    walk of a sum of `n_columns` terms, and one rounding of an exponent of size C / epsilon;
-    several happen, but tiles make the numbers smaller.
+    The estimate adds a few roundings of each term (8 units, the exponential's error included),
+    the random walk of a sum of `n_columns` terms, and one rounding of an exponent of size
+    C / epsilon. An exponent is rounded several times, but tiles make the numbers smaller.
 
     Parameters
     ----------
     operations : Operations
     n_columns : int
+        Terms of each sum.
     largest : float
         The largest C / epsilon.
     precise : bool
+        Whether exponents are formed in more than float32.
+
+    Examples
+    --------
+    >>> from clmorph.backends.numpy import NumPyOperations
+    >>> from clmorph.backends.rounding import rounding_error
+    >>> rounding_error(NumPyOperations(), 100, 1000.0, precise=False) < 1e-12
+    True
     """
     in_exponent = operations.precise_roundoff if precise else operations.exponent_roundoff
     return operations.sum_roundoff * (8 + 2 * n_columns**0.5) + in_exponent * largest

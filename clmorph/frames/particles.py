@@ -12,8 +12,8 @@ from clmorph.frames.options import UNMATCHED
 from clmorph.images.color import COLOR_SPACES, to_space
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_image_measure
+from clmorph.transport.barycentric import Barycentric, check_barycentric
 from clmorph.transport.plan import Plan, check_plan
-from clmorph.transport.plan_sampling import Barycentric, check_barycentric
 
 
 @dataclass(frozen=True, repr=False, eq=False)

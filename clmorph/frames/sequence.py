@@ -14,8 +14,8 @@ from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths
 from clmorph.measures.measure import Measure
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric
 from clmorph.transport.potentials import Potentials
 
 Frame = NDArray[np.float32]

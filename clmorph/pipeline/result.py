@@ -22,8 +22,8 @@ from clmorph.output.html import repr_html
 from clmorph.output.save import save
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.recipe import recipe
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric
 from clmorph.transport.potentials import Potentials
 
 

@@ -266,7 +266,7 @@ def test_writers_at_once_keep_each_others_verdicts(monkeypatch, tmp_path):
         for name in names:
             verdicts.save_verdict(name, WORKS)
 
-    code = "from clmorph.backends.opencl import verdicts as v\n"
+    code = "from clmorph.backends.opencl.devices import verdicts as v\n"
     code += f"for n in range(64, 128): v.save_verdict(str(n), {WORKS})"
     environment = dict(os.environ, XDG_CACHE_HOME=str(tmp_path.parent))
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path.parent / "clmorph")

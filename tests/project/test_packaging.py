@@ -33,8 +33,8 @@ def test_the_wheel_is_complete(built):
         for ending in ("html", "css", "js")
         for path in (ROOT / "clmorph" / "output" / "html").glob(f"*.{ending}")
     }
-    assert len(kernels) == 7
-    assert len(viewer) == 9
+    assert kernels
+    assert viewer
     assert kernels | modules | viewer | {"clmorph/py.typed", "clmorph/cli/samples/cat.png"} <= names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not any(name.startswith(("tests/", "tools/", "cl_kernels/")) for name in names)

@@ -3,6 +3,7 @@
 ``lint-imports`` checks the walls between the rooms; `pyproject.toml` says what they are.
 """
 
+import tomllib
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -24,6 +25,13 @@ def test_each_room_has_its_tests():
     """Rooms and folders of tests have the same names."""
     tested = {path.parent.name for path in (ROOT / "tests").glob("*/test_*.py")}
     assert tested == ROOMS | {"project"}
+
+
+def test_all_folders_are_installed():
+    """The list in ``pyproject.toml`` is written by hand: the kernels come from another folder."""
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    found = {".".join(path.parent.relative_to(ROOT).parts) for path in PACKAGE.rglob("*.py")}
+    assert found | {"clmorph.cl_kernels"} == set(listed)
 
 
 def test_no_circle_of_files():

@@ -17,7 +17,7 @@ class Cloud(NamedTuple):
 
 
 class ParticleSet(NamedTuple):
-    """Moving particles, as given to `NumPyOperations.upload_particles`."""
+    """Particles that move, as given to `NumPyOperations.upload_particles`."""
 
     table: Float64
     links: NDArray[np.uint32]
@@ -25,7 +25,7 @@ class ParticleSet(NamedTuple):
 
 
 class Splats(NamedTuple):
-    """Resting particles: (K, 2) pixel positions, (K, 3) colors, (K,) masses and spacings."""
+    """Particles at rest: (K, 2) pixel positions, (K, 3) colors, (K,) masses and spacings."""
 
     positions: Float64
     colors: Float64

@@ -1,4 +1,4 @@
-"""NumPy twins, in float64, of the operations that run on a device."""
+"""The operations in NumPy and float64, against which other backends are compared."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,18 @@ from clmorph.backends.width_levels import WIDTH_LEVELS
 
 
 class NumPyOperations:
-    """The operations of `clmorph.backends.interface.Operations`, obvious rather than fast."""
+    """The operations of `clmorph.backends.interface.Operations`, obvious rather than fast.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph.backends.numpy import NumPyOperations
+    >>> operations = NumPyOperations()
+    >>> points = np.array([[0.0, 0.0], [1.0, 0.0]])
+    >>> cloud = operations.upload(points, np.array([0.5, 0.5]))
+    >>> operations.softmin(cloud, cloud, np.zeros(2), epsilon=0.1).round(4).tolist()
+    [0.0686, 0.0686]
+    """
 
     description = "NumPy float64"
     bin_size = 8
@@ -59,7 +70,7 @@ class NumPyOperations:
         epsilon: float,
         near: NearPairs | None = None,
     ) -> tuple[Float64, float]:
-        """Return T(g), and by how many nats the roundings of float64 may leave it off."""
+        """Return T(g), and a bound of its rounding error in nats."""
         softmin = self.softmin(rows, columns, potential, epsilon, near=near)
         points = np.concatenate((rows.points, columns.points))
         size = 0.5 * float(np.sum(np.ptp(points, axis=0) ** 2))
@@ -79,7 +90,7 @@ class NumPyOperations:
         epsilon: float,
         budget: float,
     ) -> NearPairs:
-        """Find the pairs that matter for the rows' sums, each by itself and without the guess."""
+        """Find the pairs that contribute to the rows' sums, one by one and without the guess."""
         keep = np.ones((len(rows.points), len(columns.points)), bool)
         found, skipped = np.empty(len(keep)), np.empty(len(keep))
         largest = 0.0
@@ -167,7 +178,7 @@ class NumPyOperations:
         max_pairs: int,
         near: tuple[NearPairs | None, NearPairs | None] = (None, None),
     ) -> StoredPairs | None:
-        """Keep log pi_ij of pairs, as a whole matrix with -inf elsewhere."""
+        """Store log pi_ij of pairs, as a dense matrix with -inf elsewhere."""
         whole = np.full((len(rows.points), len(columns.points)), -np.inf)
         blocks = plan_blocks(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
         for block, log_plan, keep in blocks:
@@ -235,7 +246,7 @@ class NumPyOperations:
         links: NDArray[np.uint32],
         weights: Float64,
     ) -> ParticleSet:
-        """Take moving particles."""
+        """Take particles that move in straight lines."""
         return ParticleSet(table, links, weights)
 
     def advect(
@@ -245,7 +256,7 @@ class NumPyOperations:
         scale: tuple[float, float],
         center: tuple[float, float],
     ) -> Splats:
-        """Move particles to time t and onto a canvas."""
+        """Move particles to time t, and into the pixels of a canvas."""
         start, end = particles.table[particles.links[:, 0]], particles.table[particles.links[:, 1]]
         moved = (1 - t) * start + t * end
         weights = (1 - t) * particles.weights[:, 0] + t * particles.weights[:, 1]
@@ -260,12 +271,12 @@ class NumPyOperations:
         weights: Float32,
         spacings: Float32 | None = None,
     ) -> Splats:
-        """Take resting particles."""
+        """Take particles at rest."""
         given = np.ones(len(weights)) if spacings is None else spacings
         return Splats(*(array.astype(float) for array in (positions, colors, weights, given)))
 
     def deposit(self, splats: Splats, shape: tuple[int, int]) -> tuple[Float64, Float64]:
-        """Return what lies nearest to each pixel: sum of masses and of their squares."""
+        """Give each splat to its nearest pixel; return sums of masses and of their squares."""
         column, row = np.ceil(splats.positions - 0.5).T.astype(np.int64)
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
         pixel = (row * shape[1] + column)[inside]

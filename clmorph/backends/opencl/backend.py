@@ -14,6 +14,7 @@ from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
 from clmorph.backends.opencl.kernels.near_field import NearField
 from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
+from clmorph.backends.opencl.kernels.plan_shares import PlanShares
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.sliced_ellpack import SlicedEllpack
 from clmorph.backends.opencl.kernels.splat import Splatting
@@ -74,7 +75,7 @@ class OpenCLOperations:
         loop = RowLoop(self.work, self.constants)
         clouds = CloudStore(self.work, self.constants.tile)
         log_sum_exp, near_field = LogSumExp(loop), NearField(loop)
-        plan_rows = PlanRowReductions(loop)
+        plan_rows, plan_shares = PlanRowReductions(loop), PlanShares(loop)
         stored = SlicedEllpack(loop, plan_rows)
         splatting = self.splatting = Splatting(self.work, self.constants)
 
@@ -86,8 +87,8 @@ class OpenCLOperations:
         self.near_pairs = take_turns(near_field.near_pairs)
         self.count_plan_rows = take_turns(plan_rows.count_plan_rows)
         self.plan_rows = take_turns(plan_rows.plan_rows)
-        self.plan_moments = take_turns(plan_rows.plan_moments)
-        self.sample_plan_rows = take_turns(plan_rows.sample_plan_rows)
+        self.plan_moments = take_turns(plan_shares.plan_moments)
+        self.sample_plan_rows = take_turns(plan_shares.sample_plan_rows)
         self.store_pairs = take_turns(stored.store_pairs)
         self.sum_stored = take_turns(stored.sum_stored)
         self.upload_particles = take_turns(splatting.upload_particles)

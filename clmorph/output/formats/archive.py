@@ -19,8 +19,8 @@ from clmorph.output.formats.npz import Arrays
 from clmorph.output.framing import FrameStyle
 from clmorph.output.metadata import as_text
 from clmorph.output.recording import Recording
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric
 
 #: Arrays of either kind of plan, as they are called there: axes and kind of numbers.
 PLAN_ARRAYS = {

@@ -1,4 +1,4 @@
-"""Build-time constants of the kernels, chosen by the kind of device."""
+"""Constants with which the kernels are built, chosen by the kind of device."""
 
 import math
 from dataclasses import dataclass, replace
@@ -12,20 +12,20 @@ from clmorph.backends.width_levels import WIDTH_LEVELS
 #: Stands for minus infinity in float32 exponents: far under any of them, yet the sum of
 #: a few is still finite. Exact in float32, so that it is the same number in any precision.
 SENTINEL = float(np.float32(-1e30))
-#: Log2 of the largest share of a tile that is told from larger ones, where a guess at the sum of
-#: a row was far too small; times a tile of points it is still a float32.
+#: Log2 at which the shares of tiles are clipped; they are that large where the guess at a row's sum
+#: is far too small. The share of a whole tile is then still within float32's range.
 LARGEST_SHARE = 110
-#: Particles of a bin whose moments are added up before they join the total.
+#: Particles of a bin whose moments are summed before they are added to the total.
 MOMENT_CHUNK = 1024
-#: Columns taken together where exponents fill two registers each.
+#: Columns handled together where an exponent fills two registers.
 PRECISE_UNROLL = 4
-#: Stored pairs of a row taken together.
+#: Stored pairs of a row that are handled together.
 STORED_UNROLL = 4
 
 
 @dataclass(frozen=True)
 class BuildConstants:
-    """Sizes that change speed only; see the headers of ``cl_kernels/*.cl``.
+    """Sizes that change speed and rounding only; see the headers of ``cl_kernels/*.cl``.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class BuildConstants:
     group : int
         Work-items of a work-group in the row reductions.
     unroll : int
-        Columns taken together in the log-sum-exp.
+        Columns handled together in the log-sum-exp.
     exp2_builtin : int
         1: the device's own exp2; 0: the polynomial.
     precise : int
@@ -45,7 +45,7 @@ class BuildConstants:
     bin : int
         Side of a bin of particles, in pixels.
     chunk : int
-        Particles added up before they join the total.
+        Particles that are summed before they are added to the total.
     tile_group : int
         Work-items along each side of a splatting work-group.
     slices_per_unit : int
@@ -154,7 +154,7 @@ def choose_constants(device: cl.Device, quirks: frozenset[str] | None = None) ->
     ----------
     device : pyopencl.Device
     quirks : set of str, optional
-        Names from `clmorph.backends.opencl.devices.quirks.QUIRKS`; found out if not given.
+        Names from `clmorph.backends.opencl.devices.quirks.QUIRKS`; detected if not given.
     """
     if quirks is None:
         quirks = find_quirks(device)

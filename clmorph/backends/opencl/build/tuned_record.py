@@ -9,18 +9,18 @@ from clmorph.backends.opencl.devices.cache import forget_cached, load_record, sa
 from clmorph.backends.opencl.devices.quirks import find_quirks
 from clmorph.backends.opencl.devices.verdicts import verdict_key
 
-#: Constants that are tried, one after the other, and their values.
+#: The constants that tuning tries, one after the other, and their values.
 CANDIDATES: dict[str, tuple[int, ...]] = {
     "width": (1, 2, 4, 8, 16),
     "exp2_builtin": (0, 1),
     "group": (1, 16, 32, 64, 128, 256),
-    "tile": (32, 64, 128),  # larger ones are less exact, see `Reductions`
+    "tile": (32, 64, 128),  # larger ones round more, see ``sums.cl``
     "unroll": (4, 8, 16, 32),
 }
 
 
 def is_possible(constants: BuildConstants, largest_group: int) -> bool:
-    """Whether the kernels can be built so: work-groups cover whole tiles, and exist."""
+    """Return whether kernels can be built so: work-groups are allowed and divide tiles."""
     return (
         constants.group <= largest_group
         and constants.tile in CANDIDATES["tile"]
@@ -54,7 +54,7 @@ def forget_tuning(device: cl.Device) -> None:
 
 
 def tuned_constants(device: cl.Device) -> BuildConstants:
-    """Return the constants for a device: as tuned, else by its kind; quirks obeyed."""
+    """Return the constants for a device: as tuned, else by its kind; quirks are respected."""
     constants = choose_constants(device)
     entry = load_record(_record(device))
     if not entry:

@@ -1,4 +1,4 @@
-"""Find the fastest build-time constants for a device by trying, and remember them."""
+"""Search for the fastest build constants of a device by timing, and keep them."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -12,14 +12,14 @@ from clmorph.backends.opencl.build.constants import BuildConstants, choose_const
 from clmorph.backends.opencl.build.tuned_record import CANDIDATES, is_possible, save_tuning
 from clmorph.errors import ClmorphError
 
-#: A change must gain this share of the time, or it is noise.
+#: The least gain in speed for which a constant is changed; smaller ones may be noise.
 LEAST_GAIN = 0.03
 #: Points of each cloud in a trial, and its repetitions.
 POINTS, REPEATS = 4096, 7
 
 
 def variants(constants: BuildConstants, name: str, largest_group: int) -> Iterator[BuildConstants]:
-    """Yield what a constant could be instead; others follow where they must."""
+    """Yield constants with another value of one of them; others follow where they must."""
     for value in CANDIDATES[name]:
         other = replace(constants, **{name: value})
         if name in ("width", "tile") and other.tile % (other.width * other.group):
@@ -31,7 +31,7 @@ def variants(constants: BuildConstants, name: str, largest_group: int) -> Iterat
 
 
 def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants, float, float]:
-    """Try constants on a device and remember the best in the user's cache folder.
+    """Time constants on a device and keep the best in the user's cache folder.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants
 
 
 def _speed(device: cl.Device, constants: BuildConstants) -> float:
-    """Point pairs per second: the median of a few."""
+    """Return point pairs per second, the median of a few runs."""
     operations = OpenCLOperations(device, constants)
     rng = np.random.default_rng(0)
     cloud = operations.upload(rng.random((POINTS, 5)), np.full(POINTS, 1 / POINTS))

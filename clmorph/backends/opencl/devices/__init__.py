@@ -1,1 +1,1 @@
-"""OpenCL devices: find them, try them, remember which of them work."""
+"""OpenCL devices: find them, test them, and remember which of them work."""

@@ -1,7 +1,8 @@
-"""Small files in the user's cache folder: they can be made anew at any time.
+"""Small files in the user's cache folder, which can be made anew at any time.
 
-Nothing here fails. What cannot be read is not there, what cannot be written is not kept, and
-processes that write at once replace each other's files whole.
+No function here raises an error. A file that cannot be read counts as missing, and a file that
+cannot be written is not kept. Processes that write at the same time replace each other's files
+as a whole.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""Find OpenCL devices, learn which of them work, and choose one."""
+"""Find OpenCL devices, determine which of them work, and choose one."""
 
 import os
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Device:
-    """An OpenCL device and what is known of it.
+    """An OpenCL device, its properties, and whether it works.
 
     Attributes
     ----------
@@ -127,16 +127,16 @@ def _describe(index: str, device: "cl.Device", verdict: dict[str, Any]) -> Devic
 def find_devices() -> tuple[Device, ...]:
     """List every OpenCL device, usable or not.
 
-    The verdict on each is remembered by driver, platform, processor and kernel sources;
-    a device seen for the first time takes some seconds. A trial that found no time or no
-    memory says nothing of the device, and is repeated by the next process.
+    The verdict on each device is remembered by driver, platform, processor and kernel sources;
+    a device that is seen for the first time takes some seconds. A test that ran out of time or
+    memory says nothing about the device, and is repeated by the next process.
 
     Raises
     ------
     InputError
         If ``CLMORPH_PROBE_SECONDS`` is no number from 1 to 3600.
     """
-    probe_seconds()  # a mistake is told at once, not when a device is new
+    probe_seconds()  # a mistake is reported at once, not only when a device is new
     devices = []
     for index, handle in raw_devices():
         key = verdict_key(handle)
@@ -230,7 +230,7 @@ def _from_pyopencl_ctx(devices: tuple[Device, ...]) -> Device:
 
 
 def _installation_hint(devices: tuple[Device, ...]) -> str:
-    """Say how to get a device that works, given those that were found."""
+    """Return advice how to get a device that works, given those that were found."""
     if any("Intel" in device.platform for device in devices):
         return "update the drivers (clmorph devices --again), or use the backend 'numpy'"
     if intel_runtime() is not None:

@@ -1,4 +1,4 @@
-"""Try the kernels on one device; run as ``python -m clmorph.backends.opencl.devices.probe INDEX``.
+"""Test the kernels on one device; run as ``python -m clmorph.backends.opencl.devices.probe INDEX``.
 
 Prints one line of JSON: usable, reason, pairs_per_second, lasting.
 """
@@ -24,7 +24,7 @@ from clmorph.errors import ClmorphError
 
 #: Points of the timed log-sum-exp; small enough for any device.
 TIMED_POINTS = 2048
-#: What a driver answers when it, or another user of the device, has taken all that there is.
+#: Error codes of a driver whose resources are taken, by this process or by another.
 PASSING = (
     cl.status_code.DEVICE_NOT_AVAILABLE,
     cl.status_code.MEM_OBJECT_ALLOCATION_FAILURE,
@@ -34,7 +34,7 @@ PASSING = (
 
 
 def _wrong_result(operations: OpenCLOperations) -> str:
-    """Compare a small log-sum-exp and a small splat with NumPy: what is wrong, or ''."""
+    """Compare a small log-sum-exp and a small splat with NumPy; return the fault found, or ''."""
     random = np.random.default_rng(0)
     points = [random.random((n, 5)) for n in (130, 70)]
     potential = 0.1 * random.random(70)
@@ -84,7 +84,7 @@ def _failure(reason: str, lasting: bool) -> dict[str, Any]:
 
 
 def _is_passing(error: BaseException | None) -> bool:
-    """Whether an error, or what it came from, speaks of the moment, not of the driver."""
+    """Return whether an error, or its cause, depends on the moment, not on the driver."""
     if error is None:
         return False
     if isinstance(error, MemoryError | OSError):

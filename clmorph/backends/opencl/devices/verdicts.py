@@ -1,7 +1,7 @@
-"""Whether a device works: tried in a process of its own, and remembered.
+"""Verdicts on devices: each device is tested in a process of its own, and the result is kept.
 
-A driver may abort or hang its process, so the trial (`opencl.devices.probe`) is kept out of
-this one. What it says of the device and its driver is remembered; what it says of the moment
+A driver may abort or hang its process, so the test (`opencl.devices.probe`) does not run in this
+one. A verdict that depends on the device and its driver is kept; one that depends on the moment
 (no time, no memory, killed by hand) is not.
 """
 
@@ -24,22 +24,22 @@ from clmorph.backends.opencl.devices.cache import forget_cached, load_record, sa
 if TYPE_CHECKING:
     import pyopencl as cl
 
-#: Seconds that a device may take to build and run the probe, and the variable that says others.
+#: Seconds that a device may take to build and run the probe, and the variable that changes them.
 PROBE_SECONDS = 60.0
 PROBE_SECONDS_VARIABLE = "CLMORPH_PROBE_SECONDS"
-#: What the probe prints when it is loaded and turns to the device.
+#: The line that the probe prints before it opens the device.
 LOADED = "clmorph.backends.opencl.devices.probe: loaded"
 #: The folder of verdicts in the cache: one file each.
 _FOLDER = "devices"
-#: Signals by which something else than the driver ends a process: people, or a lack of memory.
+#: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
 _FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
-#: Variables that make an interpreter stop, speak or write otherwise than the probe must.
+#: Variables that would change how the probe's interpreter ends, warns or prints.
 _UNWANTED = ("PYTHONINSPECT", "PYTHONIOENCODING", "PYTHONWARNINGS")
 
 
 @cache
 def cpu_identity() -> str:
-    """Name of the processor: CPU runtimes that build on one can fail on another."""
+    """Return the name of the processor: CPU runtimes that build on one can fail on another."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -50,7 +50,7 @@ def cpu_identity() -> str:
 
 @cache
 def _code_identity() -> str:
-    """Digest of the probe and of everything that it builds and runs."""
+    """Return a digest of the probe and of everything that it builds and runs."""
     from importlib import resources
 
     digest = hashlib.sha256()
@@ -65,7 +65,7 @@ def _code_identity() -> str:
 
 
 def verdict_key(device: "cl.Device") -> str:
-    """Digest of a device, its driver, the processor and our kernels."""
+    """Return a digest of a device, its driver, the processor and the package's kernels."""
     identity = (
         device.name, device.driver_version, device.platform.name, device.platform.version,
         cpu_identity(), _code_identity(),
@@ -74,7 +74,7 @@ def verdict_key(device: "cl.Device") -> str:
 
 
 def load_verdict(key: str) -> dict[str, Any] | None:
-    """Return what is remembered of a device; None if it is nothing, or damaged.
+    """Return the verdict on a device that was kept; None if there is none, or it is damaged.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def load_verdict(key: str) -> dict[str, Any] | None:
 
 
 def save_verdict(key: str, verdict: dict[str, Any]) -> None:
-    """Remember what a trial said, unless it speaks of the moment only."""
+    """Keep a verdict, unless it depends on the moment only."""
     if verdict.get("lasting", True):
         save_record(f"{_FOLDER}/{key}", verdict)
 

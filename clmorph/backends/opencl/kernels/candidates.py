@@ -1,4 +1,4 @@
-"""Pairs of tiles that bounds do not exclude, and which of them to keep."""
+"""Find pairs of tiles that bounds do not exclude, and choose which of them to keep."""
 
 import functools
 from collections.abc import Iterator
@@ -19,16 +19,16 @@ from clmorph.backends.records import Float64
 
 #: Entries of a block of bounds: small enough for a core's cache.
 BLOCK_BOUNDS = 1 << 17
-#: Bounds of pairs of tiles from which on groups of tiles are bounded first.
+#: Groups of tiles are bounded first where there are at least so many pairs of tiles.
 WIDE_FROM = 1 << 24
-#: Pairs of tiles that are looked at together.
+#: Pairs of tiles that are handled together.
 CHUNK_PAIRS = 1 << 20
-#: Shares at which a list may be cut, as parts of the budget.
+#: Thresholds at which a list of shares may be cut, as parts of the budget.
 CUTS = 8.0 ** -np.arange(7)
 
 
 class Candidates(NamedTuple):
-    """Column tiles of some row tiles, and the share that all others can have there."""
+    """Column tiles of some row tiles, and a bound of the share of all other column tiles."""
 
     part: range
     pairs: TilePairs
@@ -43,7 +43,7 @@ def candidates(
     k: float,
     budget: float,
 ) -> Iterator[Candidates]:
-    """Yield pairs of tiles in parts of the row tiles, without such as bounds exclude.
+    """Yield the pairs of tiles that bounds do not exclude, in parts of the row tiles.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def candidates(
         Values of the sorted points, as `row_bounds` and `column_bounds` take them.
     k : float
     budget : float
-        What those may hold that are left out, as a share of any row.
+        The share of any row's sum that the excluded pairs may hold.
     """
     n_rows, n_columns = len(rows.centers), len(columns.centers)
     sides = row_bounds(rows, of_rows, k), column_bounds(columns, of_columns, k)
@@ -93,7 +93,7 @@ def possible_pairs(
     values: list[tuple[Float64, Float64]],
     k: float,
 ) -> Iterator[tuple[range, TilePairs]]:
-    """Yield pairs of tiles that any of some bounds leaves above 0, in parts of the row tiles.
+    """Yield pairs of tiles for which at least one of several bounds exceeds 0, in parts.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def _blocks(
 ) -> Iterator[tuple[slice, NDArray[np.int64] | None]]:
     """Yield row tiles, and the numbers of the column tiles to bound there; None for all.
 
-    With bounds of groups of tiles those groups are left out that stay under a limit.
+    Where there are bounds of groups of tiles, groups whose bound is under a limit are left out.
     """
     if not wides:
         step = max(1, BLOCK_BOUNDS // n_columns)
@@ -165,7 +165,7 @@ def _blocks(
 def _numbered(
     places: NDArray[np.int64], width: int, numbers: NDArray[np.int64] | None
 ) -> NDArray[np.uint32]:
-    """Return the column tiles at places of a block of bounds."""
+    """Return the column tiles at the given places of a flattened block of bounds."""
     tiles = places % width
     return (tiles if numbers is None else numbers[tiles]).astype(np.uint32)
 

@@ -1,4 +1,4 @@
-"""Launches of ``cl_kernels/gauss_transform.cl``: splatting by way of the moments of cells."""
+"""Splatting by an improved fast Gauss transform, ``cl_kernels/gauss_transform.cl``."""
 
 import functools
 from dataclasses import dataclass
@@ -13,22 +13,22 @@ from clmorph.backends.opencl.kernels import launches
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.opencl.kernels.particles import SortedSplats
 
-#: Cells along a side of a bin: with their moments, what a core's nearest cache holds.
+#: Cells along a side of a bin: the moments of a bin then fit into a core's nearest cache.
 BIN_CELLS = 8
 #: Largest side of a cell, in kernel widths: the expansion then is off by at most
 #: `clmorph.backends.interface.KERNEL_ERROR`.
 LARGEST_CELL = 0.75
-#: Sides of cells, in pixels: finer ones serve kernels of few pixels, which are cheap anyway.
+#: Least and largest side of a cell, in pixels: narrower kernels are cheap to gather.
 SIDES = 0.25, 64.0
-#: Cuts farther out, in kernel widths, take more cells than they are worth.
+#: The farthest cut of a kernel, in kernel widths, for which cells are used.
 FARTHEST_CUT = 8.0
-#: As in the kernels: pairs (a, b), values of a and, rounded up, of b.
+#: As in the kernels: the number of pairs (a, b), and of values of a (of b, rounded up).
 TERMS, ORDERS = 40, 8
-#: Bytes of moments at a time: what stays in cache.
+#: Bytes of moments at a time: so many stay in cache.
 STRIP_BYTES = 1 << 23
 #: Pixels of a row that one work-item of a CPU takes.
 SPAN = 16
-#: Nodes of the interpolation that gives Chebyshev coefficients, many more than are used.
+#: Nodes of the interpolation that gives Chebyshev coefficients; far more than coefficients.
 NODES = 32
 
 
@@ -41,7 +41,7 @@ class Cells:
     side : float
         In pixels, a power of two.
     reach : int
-        How many cells before the one where pixel 0 begins the kernel does.
+        Number of cells that the kernel extends before the cell in which pixel 0 begins.
     coefficients : (phases, taps, ORDERS) array
         Chebyshev coefficients of the kernel over a cell, by where a pixel is in the coarser
         of both grids, and by cell; 0 for cells without a point within the cut.
@@ -53,7 +53,7 @@ class Cells:
 
 
 def cell_side(sigma: float, radius: float) -> float | None:
-    """Return the side of the cells that serve a kernel, in pixels; None if none do."""
+    """Return the side of the cells for a kernel, in pixels; None if cells cannot serve it."""
     if not SIDES[0] <= LARGEST_CELL * sigma < 2 * SIDES[1] or radius > FARTHEST_CUT * sigma:
         return None
     return float(2.0 ** np.floor(np.log2(LARGEST_CELL * sigma)))
@@ -61,7 +61,7 @@ def cell_side(sigma: float, radius: float) -> float | None:
 
 @functools.lru_cache(maxsize=64)
 def make_cells(sigma: float, radius: float) -> Cells:
-    """Expand a kernel that cells serve over them."""
+    """Expand a kernel over its cells; `cell_side` must not be None for it."""
     side = cell_side(sigma, radius)
     assert side is not None
     phases = max(1, round(side))
@@ -80,10 +80,10 @@ def make_cells(sigma: float, radius: float) -> Cells:
 def moments_pay(
     count: int, shape: tuple[int, int], sigma: float, radius: float, block: int
 ) -> bool:
-    """Whether moments of cells serve a kernel, and likely cost less than the gather.
+    """Return whether moments of cells can serve a kernel, and likely cost less than the gather.
 
-    In nanoseconds, as fitted to both on a CPU with two cores of 16 lanes; elsewhere both
-    are faster or slower.
+    The costs are in nanoseconds, fitted to measurements on a CPU with two cores of 16 lanes. On
+    other devices both are faster or slower.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def moments_pay(
 
 
 class Moments:
-    """Adds splats to the sums of a canvas, where there are many to a pixel.
+    """Adds splats to the sums of a canvas by moments of cells, where splats are many.
 
     Parameters
     ----------

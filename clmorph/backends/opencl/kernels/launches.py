@@ -12,21 +12,21 @@ import pyopencl as cl
 from numpy.typing import NDArray
 from pyopencl.tools import ImmediateAllocator, MemoryPool
 
-#: Length that launches aim at, in seconds; well under the limit of 0.2 s.
+#: The duration that launches aim at, in seconds; well under the limit of 0.2 s.
 TARGET_SECONDS = 0.08
-#: Particles that one launch moves, sorts or lets a block of pixels look at.
+#: The most particles that one launch moves or sorts, or that a block of pixels visits in it.
 LAUNCH_PARTICLES = 1 << 20
-#: Bytes of released buffers that are kept for the next ones.
+#: The most bytes of released buffers that are kept for later ones.
 HELD_BYTES = 1 << 28
 
 
 class LaunchBudget:
-    """How much work one launch may take, learned from the launches before it.
+    """The amount of work of one launch, learned from the launches before it.
 
     Parameters
     ----------
     first : int
-        Work of the first launch, in point pairs; small, for an unknown device.
+        Work of the first launch, in point pairs; small, as the device is unknown.
     """
 
     def __init__(self, first: int = 1 << 22) -> None:

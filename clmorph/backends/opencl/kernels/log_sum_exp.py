@@ -8,10 +8,10 @@ from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import Float64, NearPairs
 
-#: Errors of pairs of float32: of an operation, and of a power of two.
+#: Relative errors of arithmetic in pairs of float32: of an operation, and of a power of two.
 PAIRS_ERRORS = 2.0**-45, 2.0**-31
-#: A larger maximum (log2) is rounded so far, in float32, that no bound holds; up to there the
-#: largest power is not smaller than this.
+#: The error bound holds while a row's maximum (log2) is at most the first number, as float32
+#: rounds larger ones too far; a sum is then larger than the second number.
 LARGEST_MAXIMUM, SMALLEST_SUM = 2.0**28, 2.0**-70
 
 
@@ -37,7 +37,7 @@ class LogSumExp:
     ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
         maxima, sums, offsets = self._log_sum_exp(rows, columns, potential, epsilon, precise, near)
-        # Of points that float32 cannot hold apart nothing is left; the caller looks at results.
+        # Overflow leaves NaN where float32 cannot hold the numbers; the caller checks results.
         with np.errstate(invalid="ignore"):
             return unsort(rows, -epsilon / LOG2_E * (maxima + offsets + np.log2(sums)))
 
@@ -49,7 +49,7 @@ class LogSumExp:
         epsilon: float,
         near: NearPairs | None = None,
     ) -> tuple[Float64, float]:
-        """Return T(g), far more exact than float32, and a bound of its error in nats."""
+        """Return T(g) with a proven bound of its rounding error, in nats."""
         maxima, sums, offsets = self._log_sum_exp(
             rows, columns, potential, epsilon, True, near, bounded=True
         )
@@ -63,11 +63,11 @@ class LogSumExp:
     def _error_bound(
         self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
     ) -> float:
-        """By how many nats `bounded_softmin` may be off: every rounding at its worst.
+        """Return the bound of `bounded_softmin`, in nats: every rounding at its worst.
 
-        An exponent adds up products that are no larger than `size`, of numbers that pairs of
-        float32 hold to 2^-49, in 3 D + 6 operations. What is the same for a whole row is at most
-        `of_row` large, in float64. See ``cl_kernels/sums.cl`` for powers and additions.
+        An exponent is a sum of products no larger than `size`, formed in 3 D + 6 operations from
+        numbers that pairs of float32 hold to 2^-49. The constant of a row is at most `of_row`
+        and is formed in float64. See ``cl_kernels/sums.cl`` for powers and additions.
         """
         k, n_tiles, dimension = LOG2_E / epsilon, len(columns.centers), columns.centers.shape[1]
         constants = self._loop.constants
@@ -105,7 +105,10 @@ class LogSumExp:
         near: NearPairs | None = None,
         bounded: bool = False,
     ) -> tuple[Float64, Float64, Float64]:
-        """Log2 maximum, sum and what to add to the first, of every sorted row."""
+        """Return maximum, sum and offset of every sorted row.
+
+        The row's log-sum-exp, to base 2, is maximum + offset + log2(sum).
+        """
         pairs = None if near is None else near.pairs
         loop, tile = self._loop, self._loop.constants.tile
         kernel = loop.kernel(

@@ -1,4 +1,4 @@
-"""Find the pairs of tiles that matter, and leave out the rest with a proof of what it holds."""
+"""Find the pairs of tiles that contribute to sums, and bound the share of all others."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -14,17 +14,17 @@ from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, half_sides
 from clmorph.backends.records import Float64, NearPairs
 
-#: Half of the budget is for what is never looked at.
+#: Share of the budget that tiles may hold which bounds alone exclude.
 UNSEEN = 0.5
-#: Tiles with small terms only are looked for first as long as no more than this share is left.
+#: The search for tiles with small terms only is given up where it leaves more than this share.
 WORTHWHILE = 0.5
-#: What float32 may take off a measured share, as a factor; and by how many units of an exponent's
-#: size it may be off, in log2.
+#: Rounding errors of a measured share in float32: a factor, and an error in log2 for each unit of
+#: the exponent's size.
 MARGIN, EXPONENT_ERROR = 1.05, 2.0**-22
 
 
 class _Clouds(NamedTuple):
-    """What is looked at: clouds, what forms their exponents, and log2 of the rows' sums."""
+    """Two clouds, what forms their exponents, and a guess at log2 of the rows' sums."""
 
     rows: Cloud
     columns: Cloud
@@ -33,7 +33,7 @@ class _Clouds(NamedTuple):
 
 
 class NearField:
-    """Finds lists of tiles that matter.
+    """Finds the pairs of tiles that contribute to the rows' sums.
 
     Parameters
     ----------
@@ -52,10 +52,10 @@ class NearField:
         epsilon: float,
         budget: float,
     ) -> NearPairs:
-        """Find the pairs that matter for the rows' sums.
+        """Find the pairs that contribute to the rows' sums.
 
-        Bounds over pairs of tiles exclude most; the rest is summed, once, and tiles whose largest
-        share in any of their rows turns out to be small are left out as well.
+        Bounds over pairs of tiles exclude most of them. The rest is summed once, and a tile whose
+        measured share is small in all rows is left out as well.
         """
         k, tile, n = LOG2_E / epsilon, self._loop.constants.tile, len(rows)
         values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
@@ -79,7 +79,7 @@ class NearField:
             section = slice(part.start * tile, part.stop * tile)
             sums, shares = self._measured(clouds, pairs, part)
             found[section] = sums
-            # By how much the guess was above the sum, in the worst row of each tile.
+            # Difference of guess and sum (log2), at its largest and least in each row tile.
             off = np.full((2, len(sums)), [[-np.inf], [np.inf]])
             off[:, : n - section.start] = guess[section] - sums[: n - section.start]
             above, below = off.reshape(2, len(part), tile)
@@ -87,7 +87,7 @@ class NearField:
             factor = MARGIN * np.exp2(np.clip(above.max(axis=1) + off_by, -900.0, 600.0))
             starts = pairs.starts[part.start : part.stop + 1]
             shares *= np.repeat(factor, np.diff(starts))
-            # Where the guess was far below the sum of some row, shares were not told apart.
+            # Where the guess is far below the sum of some row, shares were clipped: keep all.
             shares[np.repeat(below.min(axis=1) < -LARGEST_SHARE, np.diff(starts))] = 1.0
             keep, left = kept_shares(starts, shares, (1 - UNSEEN) * budget)
             left += factor * unseen
@@ -109,7 +109,7 @@ class NearField:
         )
 
     def _measured(self, clouds: _Clouds, pairs: TilePairs, part: range) -> tuple[Float64, Float64]:
-        """Log2 of the sums of a part's rows, and each pair's largest share, by the guess."""
+        """Return log2 of the sums of a part's rows, and each pair's largest share, by the guess."""
         sums, shares = np.empty(len(part) * self._loop.constants.tile), np.empty(len(pairs.tiles))
         for own, section, constants, out in self._looks("measure_tiles", 2, clouds, pairs, part):
             with np.errstate(divide="ignore"):
@@ -120,7 +120,7 @@ class NearField:
     def _without_small(
         self, clouds: _Clouds, pairs: TilePairs, part: range, budget: float
     ) -> tuple[TilePairs, Float64]:
-        """Leave out tiles with small terms only; return the others and the share of these."""
+        """Leave out tiles with small terms only; return the others, and the share left out."""
         largest = np.empty(len(pairs.tiles))
         for _, section, _, out in self._looks("largest_shares", 0, clouds, pairs, part):
             largest[section] = out[0]
@@ -135,10 +135,11 @@ class NearField:
     def _looks(
         self, name: str, of_rows: int, clouds: _Clouds, pairs: TilePairs, part: range
     ) -> Iterator[tuple[slice, slice, Float64, list[NDArray[np.float32]]]]:
-        """Run a kernel over the pairs of a part's rows.
+        """Run a kernel over the pairs of a part's rows, in launches.
 
-        Yields of every launch its rows in the part, its pairs, the constants of its rows, and what
-        the kernel found: so many numbers for each row, then one for each pair.
+        Yields, for every launch: the places of its rows in the part, the places of its pairs, the
+        offsets of its rows, and the kernel's results, `of_rows` numbers for each row and then one
+        for each pair.
         """
         (rows, columns, exponents, guess), loop, n = clouds, self._loop, len(clouds.rows)
         _, tile_max, row_level, k = exponents

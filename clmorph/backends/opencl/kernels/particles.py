@@ -20,7 +20,7 @@ COUNT_ENTRIES = 1 << 21
 
 @dataclass(frozen=True)
 class ParticleSet:
-    """Moving particles on the device; weights are divided by `unit`."""
+    """Particles that move, on the device; weights are divided by `unit`."""
 
     count: int
     unit: float
@@ -31,7 +31,7 @@ class ParticleSet:
 
 @dataclass(frozen=True)
 class Splats:
-    """Resting particles on the device; weights are divided by `unit`."""
+    """Particles at rest, on the device; weights are divided by `unit`."""
 
     count: int
     unit: float

@@ -1,4 +1,4 @@
-"""The reductions of ``cl_kernels/plan_rows.cl``: pairs above a threshold, moments, draws."""
+"""The pairs of a plan above a threshold, by ``cl_kernels/plan_rows.cl``."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -12,10 +12,8 @@ from clmorph.backends.opencl.kernels.candidates import possible_pairs
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
-from clmorph.backends.records import Float64, NearPairs, PlanRows
+from clmorph.backends.records import Float64, PlanRows
 
-#: Thresholds of draws stay below row sums that rounding made a little less than 1.
-LARGEST_THRESHOLD = 1.0 - 1e-5
 #: From so many pairs on rows of plans are sought by lists of tiles.
 LISTED_FROM = 1 << 27
 
@@ -43,7 +41,7 @@ class Section(NamedTuple):
 
 
 class PlanRowReductions:
-    """Reductions over the rows of a plan.
+    """Counts and writes the kept pairs of a plan.
 
     Parameters
     ----------
@@ -184,88 +182,6 @@ class PlanRowReductions:
         return _unsort_rows(
             rows, len(columns), sorted_counts[:n], np.concatenate(indices), np.concatenate(mass)
         )
-
-    def plan_moments(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        g: Float64,
-        softmin: Float64,
-        epsilon: float,
-        precise: bool = False,
-        near: NearPairs | None = None,
-    ) -> tuple[Float64, Float64]:
-        """Return mean and covariance of each row's destinations."""
-        pairs = None if near is None else near.pairs
-        loop, tile = self._loop, self._loop.constants.tile
-        kernel = loop.kernel("plan_rows.cl", "plan_moments", rows, precise, pairs is not None)
-        exponents = loop.exponents(rows, columns, g, epsilon, pairs)
-        offsets = self._share_offsets(rows, softmin, exponents)
-        dimension, n = rows.centers.shape[1], len(rows)
-        moments = np.empty((1 + dimension + dimension * (dimension + 1) // 2, rows.stride))
-        for part in loop.parts(kernel, rows, columns, pairs=pairs):
-            out = np.empty((len(moments), len(part) * tile), np.float32)
-            buffer = loop.work.empty(out.nbytes)
-            loop.launch(
-                kernel, rows, columns, exponents, part, np.uint32(out.shape[1]),
-                offsets, buffer, precise=precise, pairs=pairs,
-            )  # fmt: skip
-            cl.enqueue_copy(loop.work.queue, out, buffer)
-            moments[:, part.start * tile : part.stop * tile] = out
-        moments = moments[1:, :n] / moments[0, :n]
-        k = LOG2_E / epsilon
-        mean, covariance = np.empty((n, dimension)), np.empty((n, dimension, dimension))
-        first, number = np.empty((dimension, n)), 0
-        for d in range(dimension):
-            first[d] = moments[number]
-            mean[:, d] = np.repeat(rows.centers[:, d], tile)[:n] + first[d] / k
-            for e in range(d + 1):
-                second = moments[number + 1 + e] - first[d] * first[e]
-                covariance[:, d, e] = covariance[:, e, d] = second / k**2
-            number += d + 2
-        return unsort(rows, mean), unsort(rows, covariance)
-
-    def sample_plan_rows(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        g: Float64,
-        softmin: Float64,
-        epsilon: float,
-        thresholds: Float64,
-        precise: bool = False,
-        near: NearPairs | None = None,
-    ) -> NDArray[np.int32]:
-        """Return columns drawn from each plan row."""
-        pairs = None if near is None else near.pairs
-        loop, tile = self._loop, self._loop.constants.tile
-        kernel = loop.kernel("plan_rows.cl", "sample_plan_rows", rows, precise, pairs is not None)
-        exponents = loop.exponents(rows, columns, g, epsilon, pairs)
-        offsets = self._share_offsets(rows, softmin, exponents)
-        n, n_draws = thresholds.shape
-        ordered = np.zeros((rows.stride, n_draws), np.float32)
-        ordered[:n] = np.minimum(thresholds[rows.order], LARGEST_THRESHOLD)
-        draws = np.empty((rows.stride, n_draws), np.int32)
-        for part in loop.parts(kernel, rows, columns, pairs=pairs):
-            section = slice(part.start * tile, part.stop * tile)
-            draws[section] = -1
-            buffer = loop.work.buffer(draws[section], np.int32)
-            loop.launch(
-                kernel, rows, columns, exponents, part, np.uint32(n_draws),
-                offsets, loop.work.buffer(ordered[section]), buffer, precise=precise, pairs=pairs,
-            )  # fmt: skip
-            cl.enqueue_copy(loop.work.queue, draws[section], buffer)
-        # Row sums that rounding keeps from the last thresholds: as the draw before them.
-        for number in range(1, n_draws):
-            missing = draws[:n, number] < 0
-            draws[:n][missing, number] = draws[:n][missing, number - 1]
-        return unsort(rows, columns.order[np.maximum(draws[:n], 0)].astype(np.int32))
-
-    def _share_offsets(self, rows: Cloud, softmin: Float64, exponents: Exponents) -> cl.Buffer:
-        """Return the row offsets that make log2 of pi_ij / (pi 1)_i of e_ij."""
-        offsets = self._loop.row_offsets(rows, exponents)
-        offsets += exponents.k * softmin[rows.order]
-        return self._loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))
 
     def sections(self, plan: Plan) -> Iterator[Section]:
         """Yield parts of the row tiles, and what kernels need to find the kept pairs there."""

@@ -23,7 +23,8 @@ FILL_PAIRS = 1 << 22
 KERNELS = {
     "log_sum_exp.cl": ("log_sum_exp",),
     "near_field.cl": ("largest_shares", "measure_tiles"),
-    "plan_rows.cl": ("count_plan_rows", "fill_plan_rows", "plan_moments", "sample_plan_rows"),
+    "plan_rows.cl": ("count_plan_rows", "fill_plan_rows"),
+    "plan_shares.cl": ("plan_moments", "sample_plan_rows"),
 }
 
 

@@ -24,12 +24,12 @@ from clmorph.backends.records import Float64, NearPairs, StoredPairs
 BYTES_PER_PAIR = 18
 #: The format's sigma: rows that are sorted by their length together.
 WINDOW = 1024
-#: Changes of potentials are cut here, in powers of 2: far beyond where a sum is worth anything.
+#: Changes of potentials are clipped here (log2): sums at larger changes are of no use.
 LARGEST_CHANGE = 1e4
 
 
 class _Part(NamedTuple):
-    """Pairs of some row tiles, in slices."""
+    """The pairs of some row tiles, in slices."""
 
     rows: NDArray[np.int64]  #: numbers of the sorted rows, in the slices' order
     starts: cl.Buffer
@@ -38,7 +38,7 @@ class _Part(NamedTuple):
 
 
 class _Side(NamedTuple):
-    """Pairs by row."""
+    """All stored pairs, row by row."""
 
     rows: Cloud
     columns: Cloud
@@ -71,7 +71,7 @@ class SlicedEllpack:
         max_pairs: int,
         near: tuple[NearPairs | None, NearPairs | None] = (None, None),
     ) -> StoredPairs | None:
-        """Keep the pairs of a plan above a threshold: once by row, once by column."""
+        """Store the pairs of a plan above a threshold twice: by row and by column."""
         sides = []
         n_pairs = 0
         for plan, (own, other) in (
@@ -153,5 +153,5 @@ class SlicedEllpack:
 
 
 def _by_length(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Order rows so that slices hold rows of like length, but near ones still."""
+    """Sort rows by length inside each window, so that the rows of a slice are of like length."""
     return np.lexsort((counts, np.arange(len(counts)) // WINDOW))

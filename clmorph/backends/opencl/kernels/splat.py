@@ -24,10 +24,10 @@ from clmorph.backends.records import Bins, Float32, Float64
 from clmorph.backends.width_levels import WIDTH_LEVELS
 from clmorph.errors import DeviceError
 
-#: Bins around the canvas; particles farther out fall into these, wherever they are.
+#: Bins around the canvas; particles farther out fall into the outermost ones.
 MARGIN = 1
-#: Of splats with widths of their own, moments serve those from `sigma` to so many times that;
-#: bins are made for these.
+#: Of splats with widths of their own, moments are used for widths from `sigma` to so many times
+#: `sigma`; the sides of bins are chosen for these.
 WIDEST = 2
 #: The kernels of ``particles.cl``.
 PARTICLE_KERNELS = (
@@ -36,13 +36,19 @@ PARTICLE_KERNELS = (
 
 
 class Splatting:
-    """The splatting half of `OpenCLOperations`."""
+    """Operations on particles: move, sort, choose widths, splat.
+
+    Parameters
+    ----------
+    work : Workspace
+    constants : BuildConstants
+    """
 
     def __init__(self, work: Workspace, constants: BuildConstants) -> None:
         self._work, self._constants = work, constants
         self._budget = LaunchBudget()
         self._block = constants.width * constants.tile_group  # pixels of a work-group's side
-        #: How kernels reach pixels: "gather", "moments" where they serve, or the cheaper.
+        #: "gather"; "moments", where cells can serve a kernel; "auto": the cheaper of both.
         self.method = "auto"
 
     @functools.cached_property
@@ -64,7 +70,7 @@ class Splatting:
     def upload_particles(
         self, table: Float64, links: NDArray[np.uint32], weights: Float64
     ) -> ParticleSet:
-        """Take moving particles; see `clmorph.backends.interface.Operations`."""
+        """Take particles that move; see `clmorph.backends.interface.Operations`."""
         unit = _unit(weights)
         return ParticleSet(
             count=_checked_count(len(links)),
@@ -81,7 +87,7 @@ class Splatting:
         weights: Float32,
         spacings: Float32 | None = None,
     ) -> Splats:
-        """Take resting particles; see `clmorph.backends.interface.Operations`."""
+        """Take particles at rest; see `clmorph.backends.interface.Operations`."""
         unit = _unit(weights)
         samples = np.column_stack((weights.astype(float) / unit, colors))
         return Splats(
@@ -99,7 +105,7 @@ class Splatting:
         scale: tuple[float, float],
         center: tuple[float, float],
     ) -> Splats:
-        """Move particles to time t and onto a canvas; see `interface.Operations`."""
+        """Move particles to time t and into pixels; see `interface.Operations`."""
         n = particles.count
         positions, samples = self._work.empty(8 * n), self._work.empty(16 * n)
         spacings = self._work.empty(4 * n)
@@ -199,7 +205,7 @@ class Splatting:
         return np.moveaxis(frame[1:], 0, -1), frame[0]
 
     def _by_moments(self, count: int, shape: tuple[int, int], sigma: float, radius: float) -> bool:
-        """Whether moments of cells serve a kernel, and cost less than the gather."""
+        """Return whether to add splats by moments of cells rather than by the gather."""
         if self.method == "auto":
             return moments_pay(count, shape, sigma, radius, self._block)
         return self.method == "moments" and cell_side(sigma, radius) is not None
@@ -245,7 +251,7 @@ class Splatting:
         side: int,
         radius: float,
     ) -> NDArray[np.int64]:
-        """Particles that each block of pixels looks at, row by row."""
+        """Return the number of particles that each block of pixels visits, row by row."""
         sums = np.zeros((bins.shape[0] + 1, bins.shape[1] + 1), np.int64)
         sums[1:, 1:] = np.diff(starts).reshape(bins.shape).cumsum(axis=0).cumsum(axis=1)
         low, high = [], []
@@ -265,12 +271,12 @@ class Splatting:
 
 
 def _cost(visits: NDArray[np.int64], side: int) -> int:
-    """Work of a launch: particles looked at, once for every row of a block."""
+    """Return the work of a launch: particles visited, once for every row of a block."""
     return int((visits + 1).sum()) * side
 
 
 def _unit(weights: NDArray[Any]) -> float:
-    """Largest weight: dividing by it keeps float32 away from its smallest numbers."""
+    """Return the largest weight: weights divided by it keep clear of float32's smallest numbers."""
     largest = float(np.max(weights, initial=0.0))
     return largest if largest > 0 else 1.0
 

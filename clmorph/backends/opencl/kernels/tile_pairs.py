@@ -1,4 +1,4 @@
-"""Lists of column tiles for every row tile, and bounds of what a pair of tiles can hold.
+"""Lists of column tiles for every row tile, and bounds of the share of a pair of tiles.
 
 With p, q the centers of a row and a column tile, x = p + u and y_j = q + v_j points of theirs,
 and c_j = k g_j + log2 b_j, the sum over the column tile is 2^(s(x)),
@@ -29,7 +29,7 @@ from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.clouds import Tiles
 from clmorph.backends.records import Float64
 
-#: What float32 may take off a bound, as a share of its largest terms.
+#: Rounding error of a bound in float32, as a share of its largest terms.
 ROUNDOFF = 2.0**-20
 
 

@@ -1,0 +1,383 @@
+"""The pages: every command and every block of Python runs as it stands there, and names exist.
+
+Pictures are such that the commands take the branches that photographs take: they are reduced,
+solved between blocks of pixels, drawn by a sample of the plan, with a kernel width for each
+particle.
+"""
+
+import ast
+import functools
+import importlib
+import itertools
+import re
+import shlex
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from skimage import data
+
+import clmorph
+from clmorph.analysis import inspect as inspection
+from clmorph.cli.main import cli, main
+from clmorph.output.save import FORMATS
+from clmorph.pipeline import budget as planning
+from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.presets import PRESETS
+
+ROOT = Path(__file__).parents[2]
+#: Every page by its path.
+PAGES = {
+    str(path.relative_to(ROOT)): path.read_text("utf-8")
+    for pattern in ("*.md", ".github/*.md", "clmorph/**/*.md", "tools/*.md", "tests/*.md")
+    for path in sorted(ROOT.glob(pattern))
+}
+#: The main page, and what changed in the past, which may name what is no longer there.
+README, CHANGES = "README.md", "CHANGELOG.md"
+#: The limits of the default preset, so much smaller that all commands together take seconds.
+#: Photographs are larger and their plans have more pairs all the same, as with its own limits.
+LIMITS = {"size": 48, "solve_size": 24, "max_particles": 12_000}
+#: Commands that take minutes or install something: what runs them, and words that show it there.
+ELSEWHERE = {
+    r"python3 -m venv .* && \.venv/bin/clmorph demo": (".ci/run", "readme_command 1"),
+    r"python3 -m venv .* && \.venv/bin/pytest": (".ci/run", "readme_command 2"),
+    r"python tools/reproduce_paper\.py (--source a\.png --target b\.jpg )?--out reproduction": (
+        "tests/project/test_reproduce.py",
+        "reproduce_paper",
+    ),
+    r"ruff (check|format) \.": (".ci/run", "ruff format --check ."),
+    r"lint-imports": (".ci/run", "bin/lint-imports"),
+    r"mypy": (".ci/run", "bin/mypy"),
+    r"pytest": (".ci/run", "readme_command 2"),
+    r"python tools/golden_record\.py (make|compare) .*": (
+        "tests/project/test_golden_record.py",
+        '"compare"',
+    ),
+    r"python tools/fuzz\.py (images|configs|api) --count \d+": (
+        "tests/project/test_fuzz.py",
+        "fuzz.py",
+    ),
+    r"python tools/faults\.py .*": ("tests/project/test_tools_faults.py", "import faults"),
+    r"python tools/soak\.py .*": ("tests/project/test_tools_faults.py", "import soak"),
+    r"python tools/cross_check\.py .*": ("tests/project/test_cross_check.py", "import cross_check"),
+    r"python tools/peer_suites\.py .*": ("tests/project/test_peer_suites.py", "peer_suites"),
+}
+PICTURES = {"a.png": "astronaut", "b.jpg": "coffee", "c.png": "chelsea", "d.jpg": "rocket"}
+
+
+def blocks(page):
+    """Fenced blocks of a page as (heading, kind, text), whatever they hold."""
+    heading, kind, lines = "", None, []
+    for line in PAGES[page].splitlines():
+        if kind is None and line.startswith("#"):
+            heading = line.lstrip("# ")
+        elif line.startswith("```") and kind is None:
+            kind, lines = line[3:], []
+        elif line.startswith("```"):
+            yield heading, kind, "\n".join(lines) + "\n"
+            kind = None
+        elif kind is not None:
+            lines.append(line)
+    assert kind is None, f"{page}: a block that does not end"
+
+
+BLOCKS = [(page, *block) for page in PAGES for block in blocks(page)]
+#: Commands as (page, line).
+COMMANDS = [
+    (page, line)
+    for page, _, kind, text in BLOCKS
+    if kind == "sh"
+    for line in text.splitlines()
+    if line.strip()
+]
+OURS = {page: [line for other, line in COMMANDS if other == page and line.startswith("clmorph ")]
+        for page in PAGES}  # fmt: skip
+#: Words in code, without line breaks; blocks are left out.
+CODE = {
+    page: re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    for page, text in PAGES.items()
+}
+
+
+def write_pictures(longer=None):
+    """Make the pictures that the pages name, in the current folder."""
+    for name, photograph in PICTURES.items():
+        picture = Image.fromarray(getattr(data, photograph)())
+        if longer:
+            picture.thumbnail((longer, longer))
+        picture.save(name)
+    for name, sprite in (("cat.png", "cat"), ("dog.png", "toadstool")):
+        with Image.open(ROOT / f"clmorph/cli/samples/{sprite}.png") as picture:
+            picture.save(name)
+
+
+@pytest.fixture
+def ways(monkeypatch):
+    """How plans are made: pixels of a block, and draws in place of all pairs."""
+    found = []
+    choose = planning.choose_way
+
+    @functools.wraps(choose)
+    def spy(source, target, *arguments, **options):
+        way = choose(source, target, *arguments, **options)
+        found.append((planning.finest_pixels(source, target), way))
+        return way
+
+    for module in (planning, inspection):
+        monkeypatch.setattr(module, "choose_way", spy)
+    return found
+
+
+@pytest.fixture
+def widths(monkeypatch):
+    """Kinds of kernel widths that morphs are drawn with."""
+    found = []
+    module = importlib.import_module("clmorph.pipeline.morph")
+    make = module.KernelWidth
+
+    def spy(*arguments):
+        width = make(*arguments)
+        found.append(width.splatting)
+        return width
+
+    monkeypatch.setattr(module, "KernelWidth", spy)
+    return found
+
+
+def test_there_is_nothing_that_is_not_run():
+    """Each block is of a kind that is run here, and each command is run here or elsewhere."""
+    assert {kind for _, _, kind, _ in BLOCKS} == {"sh", "python", "text"}
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = extras["optional-dependencies"]
+    for page, line in COMMANDS:
+        line = re.sub(r"\s+#.*", "", line)
+        named = re.search(r'pip install (?:-e )?"\.\[([\w,]+)\]"', line)
+        if named:
+            assert set(named[1].split(",")) <= set(extras), line
+        if line.startswith("clmorph "):
+            continue
+        if named and line == named[0]:
+            continue  # an installation alone
+        places = [place for text, place in ELSEWHERE.items() if re.fullmatch(text, line)]
+        assert len(places) == 1, f"{page}: nothing runs {line!r}"
+        path, words = places[0]
+        assert words in (ROOT / path).read_text(), f"{path} runs {line!r} no longer"
+    starts = [line for page, line in COMMANDS if line.startswith("python3 -m venv")]
+    assert len(starts) == 2  # what .ci/run counts
+    assert "clmorph demo" in starts[0]
+    assert "pytest" in starts[1]
+
+
+def test_the_main_page_is_short():
+    assert PAGES[README].count("\n") <= 150
+
+
+def test_options_that_are_named_exist():
+    """Options of clmorph, or of the tools and tests on the pages about these."""
+    known = {"--version", "--help", "--no-"}
+    for command in cli.commands.values():
+        for parameter in command.params:
+            known |= {*parameter.opts, *parameter.secondary_opts}
+    scripts = [*(ROOT / "tools").rglob("*.py"), ROOT / "tests" / "conftest.py"]
+    of_scripts = set(re.findall(r'"(--[a-z][a-z-]*)"', "".join(map(Path.read_text, scripts))))
+    total = set()
+    for page, code in CODE.items():
+        named = {
+            option
+            for text in code
+            if "tools/" not in text
+            for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)
+        }
+        others = set() if page in (README, "clmorph/cli/README.md") else of_scripts
+        unknown = {option for option in named - known - others if page != CHANGES}
+        assert not unknown, f"{page}: {unknown}"
+        total |= named
+    assert len(total) > 40
+
+
+@pytest.mark.parametrize("page", sorted(set(PAGES) - {CHANGES}))
+def test_commands_of_tools_name_tools_and_their_options(page):
+    lines = [line for other, line in COMMANDS if other == page] + CODE[page]
+    for line in lines:
+        found = re.match(r"python (tools/\w+\.py)(.*)", line)
+        if not found:
+            continue
+        assert (ROOT / found[1]).exists(), f"{page}: {line}"
+        text = (ROOT / found[1]).read_text()
+        for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", re.sub(r"\s#.*", "", found[2])):
+            assert f'"{option}"' in text, f"{page}: {line}"
+
+
+@pytest.mark.parametrize("page", sorted(set(PAGES) - {CHANGES}))
+def test_links_and_files_that_are_named_exist(page):
+    """Links lead somewhere; what looks like a file in code is one, here or below the package."""
+    folder = (ROOT / page).parent
+    for target in re.findall(r"\]\(([^)\s]+)\)", PAGES[page]):
+        if "://" not in target:
+            assert (folder / target.partition("#")[0]).exists(), f"{page}: {target}"
+    package = ROOT / "clmorph"
+    for text in CODE[page]:
+        if not re.fullmatch(r"[\w./-]+(\.(py|pyi|cl|md|toml|cff)|/)", text) or "NAME" in text:
+            continue
+        if "/" in text:
+            places = (folder / text, ROOT / text, package / text)
+            assert any(path.exists() for path in places), f"{page}: {text}"
+        else:
+            found = [*ROOT.glob(text)] + [
+                path for top in ("clmorph", "tests", "tools", "cl_kernels")
+                for path in (ROOT / top).rglob(text)
+            ]  # fmt: skip
+            assert found, f"{page}: {text}"
+
+
+def test_names_in_the_package_that_are_named_exist():
+    """`clmorph.x` and `module.name` in the pages."""
+    for page, code in CODE.items():
+        for text in code:
+            found = re.match(r"clmorph\.(\w+)", text)
+            if found and page != CHANGES:
+                assert hasattr(clmorph, found[1]) or found[1] == "analysis", f"{page}: {text}"
+
+
+def test_tools_are_listed():
+    listed = set(re.findall(r"`(\w+\.py)`", PAGES["tools/README.md"]))
+    assert {path.name for path in (ROOT / "tools").glob("*.py")} <= listed
+
+
+def test_presets_formats_and_options_are_listed():
+    for preset in PRESETS:
+        assert f"| `{preset}`" in PAGES[README]
+    for format in FORMATS.values():
+        assert all(f"`{ending}`" in PAGES[README] for ending in format.endings[:1] if ending)
+    sys.path.insert(0, str(ROOT / "tools"))
+    table = importlib.import_module("make_option_table")
+    assert table.table() in PAGES["clmorph/cli/README.md"], "run tools/make_option_table.py"
+
+
+def test_versions_agree():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    version = project["version"]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"## {version}" in PAGES[CHANGES].splitlines()[2]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("page", [page for page, lines in OURS.items() if lines])
+def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
+    """All of them, one after the other in one folder, as somebody types them."""
+    monkeypatch.chdir(tmp_path)
+    write_pictures()
+    for name, limit in LIMITS.items():
+        assert limit < getattr(MorphOptions(), name)
+        monkeypatch.setitem(PRESETS["photo"].options, name, limit)
+    for line in OURS[page]:
+        command = shlex.split(line, comments=True)[1:]
+        ways.clear()
+        widths.clear()
+        assert main(command) == 0, (line, capfd.readouterr().err)
+        pairs = itertools.pairwise(command)
+        outputs = [word for option, word in pairs if option == "-o"]
+        assert all(Path(name).stat().st_size > 1000 for name in outputs)
+        assert outputs or "inspect" in command
+        out, err = capfd.readouterr()
+        assert "Traceback" not in err
+        assert all(name in out for name in outputs)
+        sprites = "cat.png" in command or "--config" in command
+        morphs = sum(name in PICTURES for name in command) - 1
+        assert len(ways) == (1 if sprites else morphs), line
+        if sprites:
+            assert ways == [(1, {})]
+        else:
+            for finest, way in ways:
+                assert finest == 4, line
+                assert way.get("sample", 0) > 1, line
+        if "inspect" not in command:
+            assert set(widths) == {"local"}, line
+    if not Path("again.gif").exists():
+        return
+    with Image.open("out.gif") as once, Image.open("again.gif") as again:
+        assert once.n_frames == again.n_frames > 20
+        for number in range(once.n_frames):
+            once.seek(number)
+            again.seek(number)
+            assert np.array_equal(once.convert("RGB"), again.convert("RGB"))
+
+
+@pytest.mark.full
+def test_inspecting_photographs_within_the_presets_own_limits(tmp_path, monkeypatch, capfd, ways):
+    """As small as they can be and still be drawn by a sample between blocks."""
+    monkeypatch.chdir(tmp_path)
+    write_pictures(140)
+    assert main(["inspect", "a.png", "b.jpg"]) == 0
+    ((finest, way),) = ways
+    assert finest == 4
+    assert way["sample"] > 1
+    assert "140 x 140 pixels in 70 x 70 " in capfd.readouterr().out
+
+
+def photographs(side):
+    return [clmorph.fit(clmorph.read_image(name), side) for name in ("a.png", "b.jpg")]
+
+
+def pipeline_names(names):
+    """What the reader of the second block about morphs from Python has."""
+    a, b = photographs(10)
+    return {"a": a, "b": b, "M": np.diag([1.0, 2.0, 1.0]), "map_a": np.ones(a.shape[:2])}
+
+
+def solver_names(names):
+    """What the reader of the page about the solver has."""
+    rng = np.random.default_rng(5)
+    source, target = map(clmorph.lift, photographs(10))
+    other = clmorph.sinkhorn_divergence(target, target, blur=0.05, reach=0.3)
+    return {
+        **{"a": rng.random(90), "x": rng.random((90, 3))},
+        **{"b": rng.random(70), "y": rng.random((70, 3))},
+        **{"source": source, "target": target, "other": other},
+    }
+
+
+#: Names that blocks use and do not define, by their pages and headings.
+GIVEN = {
+    ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
+    ("clmorph/transport/README.md", "The solver alone"): solver_names,
+}
+#: Files that blocks leave.
+LEFT = {
+    README: ("out.gif",),
+    "clmorph/pipeline/README.md": ("out.gif", "tour.webp", "out.npz"),
+}
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    "page", list(dict.fromkeys(page for page, _, kind, _ in BLOCKS if kind == "python"))
+)
+def test_python(page, tmp_path, monkeypatch):
+    """All blocks of a page in order, in one namespace; nothing of them warns."""
+    monkeypatch.chdir(tmp_path)
+    write_pictures(64)
+    python = [(heading, text) for other, heading, kind, text in BLOCKS
+              if (other, kind) == (page, "python")]  # fmt: skip
+    names = {}
+    seen = set()
+    for heading, text in python:
+        where = f"{page}, {heading!r}"
+        if (page, heading) in GIVEN and heading not in seen:
+            given = GIVEN[page, heading](names)
+            seen.add(heading)
+            used = {node.id for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Name)}
+            assert set(given) <= used, f"{where}: {set(given) - used} is not used"
+            names.update(given)
+        for statement in ast.parse(text, where).body:
+            shown = isinstance(statement, ast.Expr)
+            if shown and isinstance(statement.value, ast.Name):  # as a notebook shows it
+                shown_page = names[statement.value.id]._repr_html_()
+                assert "<canvas" in shown_page or "<iframe" in shown_page
+            exec(compile(ast.Module([statement], []), where, "exec"), names)
+    assert seen == {heading for other, heading in GIVEN if other == page}
+    for file in LEFT.get(page, ()):
+        assert Path(file).stat().st_size > 1000
