@@ -7,7 +7,6 @@ import warnings
 from decimal import Decimal
 
 import numpy as np
-import plain
 import pytest
 from clouds import PAIRS
 from PIL import Image
@@ -34,6 +33,8 @@ from clmorph.pipeline.presets import PRESETS
 
 OPTIONS = {"blur": 0.05, "reach": 0.3, "color_weight": 0.5}
 PHOTO = {"blur": 0.03, "reach": 0.3, "color_weight": 0.5}
+#: Every pair of the plan between the pixels themselves is one particle.
+WHOLE = {"solve_size": None, "max_particles": None}
 
 
 def _picture(shape, phase=0.0, channels=3):
@@ -81,8 +82,8 @@ def _is_json(found):
 
 class TestNumbers:
     def test_are_those_of_the_functions_that_compute_them(self, images, found):
-        source, target = (plain.lift(image, 0.5) for image in images)
-        potentials = plain.sinkhorn(source, target, 0.05, 0.3, backend="numpy")
+        source, target = (clmorph.lift(image, 0.5) for image in images)
+        potentials = clmorph.sinkhorn(source, target, 0.05, 0.3, backend="numpy")
         plan = clmorph.transport_plan(source, target, potentials, backend="numpy")
         moved = clmorph.displacement_statistics(source, target, plan)
         np.testing.assert_array_equal(found.potentials.f, potentials.f)
@@ -116,8 +117,8 @@ class TestNumbers:
         assert heavy.transported < 1.5
 
     def test_divergence_is_the_divergence_and_solves_nothing_twice(self, images, found):
-        source, target = (plain.lift(image, 0.5) for image in images)
-        alone = plain.sinkhorn_divergence(source, target, 0.05, 0.3, backend="numpy")
+        source, target = (clmorph.lift(image, 0.5) for image in images)
+        alone = clmorph.sinkhorn_divergence(source, target, 0.05, 0.3, backend="numpy")
         assert found.divergence.value == alone.value
         assert found.divergence.interval == alone.interval
         assert found.divergence.cross is found.potentials
@@ -128,10 +129,10 @@ class TestNumbers:
         }  # fmt: skip
 
     def test_potentials_of_another_problem_are_no_cross_term(self, images, found):
-        source, target = (plain.lift(image, 0.5) for image in images)
+        source, target = (clmorph.lift(image, 0.5) for image in images)
         for pair, reach in (((source, source), 0.3), ((source, target), 0.2)):
             with pytest.raises(InputError, match=r"cross: .*expected"):
-                plain.sinkhorn_divergence(
+                clmorph.sinkhorn_divergence(
                     *pair, 0.05, reach, backend="numpy", cross=found.potentials
                 )
 
@@ -275,7 +276,7 @@ class TestPairs:
     def test_counted_where_the_sample_is_all(self, name, rng):
         (x, a), (y, b) = PAIRS[name](rng)
         source, target = (a, x), (b, y)
-        potentials = plain.sinkhorn(source, target, 0.1, 0.5, backend="numpy")
+        potentials = clmorph.sinkhorn(source, target, 0.1, 0.5, backend="numpy")
         plan = clmorph.transport_plan(source, target, potentials, backend="numpy")
         predicted = predict_pairs(source, target, potentials, rows=600, backend="numpy")
         # What rounds to either side of its own threshold.
@@ -291,8 +292,8 @@ class TestPairs:
     @pytest.mark.parametrize("tau", [None, -13.0])
     @pytest.mark.parametrize("options", [PHOTO, {"blur": 0.05, "reach": 0.3, "color_weight": 2.0}])
     def test_predicted_from_few_rows(self, device, options, tau):
-        source, target = (plain.lift(image, options["color_weight"]) for image in _photos(48))
-        potentials = plain.sinkhorn(
+        source, target = (clmorph.lift(image, options["color_weight"]) for image in _photos(48))
+        potentials = clmorph.sinkhorn(
             source, target, options["blur"], options["reach"], backend=device
         )
         kept = len(
@@ -364,9 +365,9 @@ class TestMemory:
         counted = _Counted(monkeypatch, device)
         tracemalloc.start()
         try:
-            result = plain.morph(
-                first, second, 5, blur, 0.3, 0.5, "auto", "auto", backend=device,
-                splatting="local", **way,
+            result = clmorph.morph(
+                first, second, n_frames=5, blur=blur, reach=0.3, color_weight=0.5,
+                path_space="srgb", backend=device, **WHOLE, **way,
             )  # fmt: skip
             for t in (0.0, 0.3, 0.5):
                 result.frame(t)
@@ -386,7 +387,9 @@ class TestMemory:
         first, second = _photos(32)
         tracemalloc.start()
         try:
-            result = plain.morph(first, second, 5, 0.03, 0.3, 0.5, backend="numpy")
+            result = clmorph.morph(
+                first, second, n_frames=5, splatting="adaptive", backend="numpy", **PHOTO, **WHOLE
+            )
             result.frame(0.5)
             _, host = tracemalloc.get_traced_memory()
         finally:
@@ -440,9 +443,9 @@ class TestTime:
 
     @pytest.mark.parametrize(("side", "blur"), [(32, 0.03), (64, 0.015), (64, 0.03)])
     def test_of_frames_is_about_what_they_take(self, device, side, blur):
-        result = plain.morph(
-            *_photos(side), 12, blur, 0.3, 0.5, "auto", "auto", backend=device,
-            splatting="local", path_space="oklab",
+        result = clmorph.morph(
+            *_photos(side), n_frames=12, blur=blur, reach=0.3, color_weight=0.5, backend=device,
+            **WHOLE,
         )  # fmt: skip
         ratios = []
         for _ in range(4):  # runtimes' threads also wait in earnest
@@ -608,7 +611,7 @@ class TestWhatAMorphWouldDraw:
     def _check(self, found, images, **options):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MemoryWarning)
-            result = plain.morph(*images, 3, backend="numpy", **options)
+            result = clmorph.morph(*images, n_frames=3, backend="numpy", **options)
         assert found.moving == len(result.plan)
         assert found.seconds.frames > 0
         _is_json(found)
@@ -660,7 +663,7 @@ class TestWhatAMorphWouldDraw:
             found = inspect(*images, backend=device, divergence=False, **options)
         assert caught[0].filename == __file__
         with pytest.warns(MemoryWarning):
-            result = plain.morph(*images, 3, backend=device, **options)
+            result = clmorph.morph(*images, n_frames=3, backend=device, **options)
         assert found.moving == len(result.plan) < found.pairs
         assert max(found.memory.ram, found.memory.device) <= options["max_memory"]
 

@@ -191,7 +191,7 @@ def test_thin_canvases_have_no_black_gaps(device, splatting):
     image = np.full((1, 600, 3), 0.8)
     result = morph(
         image, image, n_frames=2, weights=(weights, weights), splatting=splatting,
-        endpoints="paper", backend=device,
+        endpoints="paper", size=None, backend=device,
     )  # fmt: skip
     assert np.abs(result.frame(0.5) - 0.8).max() < 1e-3
 
