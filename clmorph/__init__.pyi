@@ -86,6 +86,12 @@ from .pipeline.recipe import (
 from .pipeline.result import (
     Morph as Morph,
 )
+from .transport.barycentric import (
+    Barycentric as Barycentric,
+)
+from .transport.barycentric import (
+    barycentric_plan as barycentric_plan,
+)
 from .transport.displacement import (
     Displacement as Displacement,
 )
@@ -101,14 +107,8 @@ from .transport.divergence import (
 from .transport.plan import (
     Plan as Plan,
 )
-from .transport.plan import (
+from .transport.plan_building import (
     transport_plan as transport_plan,
-)
-from .transport.plan_sampling import (
-    Barycentric as Barycentric,
-)
-from .transport.plan_sampling import (
-    barycentric_plan as barycentric_plan,
 )
 from .transport.plan_sampling import (
     sample_plan as sample_plan,

@@ -28,7 +28,7 @@ from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.options import PAPER, MorphOptions
 from clmorph.transport.options import SolverOptions
-from clmorph.transport.plan import transport_plan
+from clmorph.transport.plan_building import transport_plan
 from clmorph.transport.sinkhorn import sinkhorn
 
 #: The options of `channel_morph`.
@@ -51,6 +51,17 @@ class ChannelMorph:
     channels : three of (uploaded particles, kernel width, light at both ends)
     operations : Operations
     extent : {"true", "unit"}
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> from clmorph.analysis.channel_baseline import channel_morph
+    >>> baseline = channel_morph(left, right, n_frames=4, backend="numpy")
+    >>> [frame.shape for frame in baseline.iter_frames()]
+    [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
     """
 
     shapes: tuple[tuple[int, int], tuple[int, int]]
@@ -60,7 +71,19 @@ class ChannelMorph:
     extent: str
 
     def frame(self, t: float) -> NDArray[np.float32]:
-        """Render the frame at time t: (H(t), W(t), 3) array, sRGB in [0, 1]."""
+        """Render the frame at time t: (H(t), W(t), 3) array, sRGB in [0, 1].
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> from clmorph.analysis.channel_baseline import channel_morph
+        >>> baseline = channel_morph(left, right, n_frames=4, backend="numpy")
+        >>> baseline.frame(0.5).shape
+        (6, 6, 3)
+        """
         t = check_number("t", t, 0.0, 1.0)
         canvas = canvas_at(t, *self.shapes, self.extent)
         pixels = canvas.shape[0] * canvas.shape[1]
@@ -111,6 +134,17 @@ def channel_morph(
     ------
     InputError
         If an argument cannot be used.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> from clmorph.analysis.channel_baseline import channel_morph
+    >>> baseline = channel_morph(left, right, n_frames=4, backend="numpy")
+    >>> len(baseline.channels), len(baseline.frames)
+    (3, 4)
     """
     options = PAPER.chosen(CHANNEL_OPTIONS, given)
     start, end, gamma = (

@@ -32,11 +32,12 @@ from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import Problem, as_options, fitted
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
 from clmorph.pipeline.presets import PresetName
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.displacement import Displacement, displacement_of, displacement_statistics
 from clmorph.transport.divergence import sinkhorn_divergence
 from clmorph.transport.options import MAX_DRAWS, PruningOptions, Reach, SolverOptions
-from clmorph.transport.plan import Plan, transport_plan
-from clmorph.transport.plan_sampling import Barycentric
+from clmorph.transport.plan import Plan
+from clmorph.transport.plan_building import transport_plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.refine_plan import refined
 from clmorph.transport.sinkhorn import sinkhorn
@@ -100,6 +101,18 @@ def inspect(
         If the particles of a morph would not all fit into `max_memory`.
     PruningWarning
         If `log_threshold` drops more than a quarter of the plan's mass.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> found = clmorph.inspect(left, right, blur=0.1, reach=0.3, backend="numpy")
+    >>> round(found.transported + found.destroyed, 2)
+    1.0
+    >>> found.divergence.value > 0
+    True
     """
     chosen = as_options(options, preset, given)
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)

@@ -94,6 +94,18 @@ def path_divergence(
     ------
     InputError
         If an option cannot be used, or the morph's reach is a pair and none is given.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+    >>> from clmorph.analysis.metrics import path_divergence
+    >>> first, last = path_divergence(morph, [0.0, 1.0])
+    >>> last.value < first.value
+    True
     """
     check_frame_sequence(morph)
     check_choice("to", to, REFERENCES)
@@ -137,6 +149,15 @@ def hole_fraction(coverage: ArrayLike) -> float:
     ----------
     coverage : (H, W) array
         By `Morph.coverage`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph.analysis.metrics import hole_fraction
+    >>> coverage = np.ones((10, 10))
+    >>> coverage[4, 4] = 0.0
+    >>> hole_fraction(coverage)
+    0.01
     """
     values = _as_array("coverage", coverage, (2,))
     return float(np.mean(is_torn(values)))
@@ -148,6 +169,15 @@ def sharpness(frame: ArrayLike) -> float:
     Parameters
     ----------
     frame : (H, W, C) array
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph.analysis.metrics import sharpness
+    >>> stripes = np.zeros((4, 4, 3))
+    >>> stripes[:, ::2] = 1.0
+    >>> round(sharpness(stripes), 4), sharpness(np.ones((4, 4, 3)))
+    (0.7071, 0.0)
     """
     luma = _as_array("frame", frame, (3,))[..., :3] @ LUMINANCE
     slopes = [np.diff(luma, axis=axis) ** 2 for axis in (0, 1)]
@@ -162,6 +192,14 @@ def step_sizes(frames: Sequence[ArrayLike]) -> Array:
     ----------
     frames : sequence of (H, W, C) arrays
         Smaller ones are enlarged to the largest sides first; opacity is left out.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph.analysis.metrics import step_sizes
+    >>> frames = [np.full((4, 4, 3), level) for level in (0.0, 0.25, 1.0)]
+    >>> step_sizes(frames).tolist()
+    [0.25, 0.75]
     """
     if not isinstance(frames, Sequence | np.ndarray) or not np.iterable(frames):
         raise InputError(f"frames={shown(frames)}: expected a sequence of arrays (H, W, 3)")

@@ -66,6 +66,18 @@ class Inspection:
         Of the images that a morph draws.
     device : str
         What measured them.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> found = clmorph.inspect(left, right, blur=0.1, reach=0.3, backend="numpy")
+    >>> found.potentials.status
+    'converged'
+    >>> found.displacement.max > 0
+    True
     """
 
     source: Measure
@@ -127,7 +139,18 @@ class Inspection:
         return float(self.displacement.created.sum()) / self.target.mass
 
     def summary(self) -> dict[str, Any]:
-        """Return all numbers, as `json.dumps` takes them: finite, or None."""
+        """Return all numbers, as `json.dumps` takes them: finite, or None.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> found = clmorph.inspect(left, right, blur=0.1, reach=0.3, backend="numpy")
+        >>> sorted(found.summary()["mass"])
+        ['created', 'destroyed', 'transported']
+        """
         found, moved, plan = self.potentials, self.displacement, self.plan
         reach = found.reach if isinstance(found.reach, tuple) else (found.reach, found.reach)
         divergence = self.divergence
@@ -194,11 +217,33 @@ class Inspection:
         return _finite(result)
 
     def lines(self) -> list[str]:
-        """Return the main numbers for people, a line each."""
+        """Return the main numbers for people, a line each.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> found = clmorph.inspect(left, right, blur=0.1, reach=0.3, backend="numpy")
+        >>> found.lines()[0]
+        'source        6 x 6 pixels'
+        """
         return [f"{label:<13} {text}" for label, text in self.entries()]
 
     def entries(self) -> list[tuple[str, str]]:
-        """Return the main numbers as labels and texts."""
+        """Return the main numbers as labels and texts.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> found = clmorph.inspect(left, right, blur=0.1, reach=0.3, backend="numpy")
+        >>> found.entries()[0]
+        ('source', '6 x 6 pixels')
+        """
         moved, plan, seconds = self.displacement, self.plan, self.seconds
         bounds = f"gap {self.potentials.gap:.2g}" if self.potentials.reach is not None else (
             f"marginals off by {self.potentials.marginal_error:.2g}"

@@ -18,8 +18,9 @@ from clmorph.images.detail import auto_sigma
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.memory import part_of
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric, sample_plan
+from clmorph.transport.plan_sampling import sample_plan
 from clmorph.transport.potentials import Potentials
 
 #: Pairs that are drawn at most; the time of more follows from these and a quarter of them.

@@ -18,9 +18,10 @@ from clmorph.pipeline.options import MorphOptions
 #: Pixels for each block of the sprite, and the photograph's side.
 SPRITE_ZOOM = 6
 PHOTO_SIDE = 256
-#: A little more blur than usual: few colors meet many. The pictures are drawn as large as they
-#: are.
-OPTIONS = MorphOptions(n_frames=40, size=None, blur=0.04, color_weight=1.0)
+#: The options that differ from the usual ones: a little more blur, because few colors meet many.
+CHANGES: dict[str, float] = {"blur": 0.04, "color_weight": 1.0}
+#: All options. The pictures have their sizes already.
+OPTIONS = MorphOptions(n_frames=40, size=None, **CHANGES)  # type: ignore[arg-type]
 
 
 def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -46,7 +47,7 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     Returns
     -------
     list of str
-        What to tell the user: parameters, times, files.
+        Lines for the user: pictures, options, times, files.
 
     Raises
     ------
@@ -61,15 +62,18 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
         [result], Motion(), keep=True, parameters=result.parameters, folder=folder,
         progress=stages,
     ) as recording:  # fmt: skip
-        write_all(outputs, recording, report=lambda output, share: stages(output.path.name, share))
-    shown = ("blur", "reach", "color_weight", "solve_size", "splatting")
-    options = ", ".join(f"{name} {getattr(OPTIONS, name)}" for name in shown)
-    times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in stages.seconds.items())
+        write_all(
+            outputs, recording,
+            report=lambda output, share: stages(f"write {output.path.name}", share),
+        )  # fmt: skip
+    options = {"frames": OPTIONS.n_frames, **CHANGES}
+    given = " ".join(f"--{name.replace('_', '-')} {value:g}" for name, value in options.items())
+    seconds = ", ".join(f"{stage} {time:.1f} s" for stage, time in stages.seconds.items())
     return [
-        f"images: {sprite.shape[1]}x{sprite.shape[0]} to {photo.shape[1]}x{photo.shape[0]}, "
-        f"{OPTIONS.n_frames} frames, {len(result.particles)} particles",
-        f"parameters: {options}",
+        f"pictures: {sprite.shape[1]}x{sprite.shape[0]} into {photo.shape[1]}x{photo.shape[0]} "
+        f"pixels, {len(result.particles)} particles",
+        f"options: --preset photo {given}",
         f"solver: {result.potentials.message}",
-        f"times: {times}",
+        f"times: {seconds}",
         *(f"wrote {file.name}" for file in files),
     ]

@@ -31,7 +31,7 @@ from clmorph.errors import (
 )
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.pixels import MAX_PIXELS
-from clmorph.output.framing import FrameStyle
+from clmorph.output.framing import FrameStyle, enlargement_note
 from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
@@ -176,6 +176,9 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
                 # What gave way would not on a larger device: its limit belongs to the recipe.
                 run.options = run.options.replace(max_memory=default_memory(operations))
                 film = replace(film, parameters=told())
+            enlarged = enlargement_note(run.style, film.shapes, film.pixelated, run.options.size)
+            if enlarged and any("canvas" in place.format.relevant_options for place in places):
+                note(enlarged)
             texts = {}
             for beside in recipes:
                 folder = beside.resolve().parent

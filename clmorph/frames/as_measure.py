@@ -43,6 +43,18 @@ def frame_measure(
     ------
     InputError
         If an option is none of these.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+    >>> from clmorph.frames.as_measure import frame_measure
+    >>> frame = frame_measure(morph, 0.5)
+    >>> frame.points.shape, round(float(frame.weights.sum()), 6)
+    ((36, 5), 1.0)
     """
     check_frame_sequence(morph)
     t = check_number("t", t, 0.0, 1.0)
@@ -81,6 +93,18 @@ def particle_measure(
     spread : float
         Root mean square distance of particles to the point they were merged to, in image sides;
         0 if none was.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+    >>> from clmorph.frames.as_measure import particle_measure
+    >>> measure, spread = particle_measure(morph, 0.5, max_points=64)
+    >>> len(measure.weights) <= 64, 0.0 <= spread < 0.5
+    (True, True)
     """
     check_frame_sequence(morph)
     t = check_number("t", t, 0.0, 1.0)

@@ -19,8 +19,8 @@ from clmorph.frames.canvas import Canvas
 from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.pixels import resized
 from clmorph.measures.measure import Measure
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric
 
 Array = NDArray[np.float64]
 

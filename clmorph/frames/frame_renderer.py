@@ -15,8 +15,8 @@ from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths, render
 from clmorph.images.color import from_space, to_space
 from clmorph.measures.measure import Measure
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric
 
 #: Opacity below which 8 bits show nothing.
 UNSEEN = 1 / 1024

@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums
 from clmorph.measures.measure import Measure
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from clmorph.frames.options import UNMATCHED
 from clmorph.images.color import COLOR_SPACES, to_space
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_image_measure
+from clmorph.transport.barycentric import Barycentric, check_barycentric
 from clmorph.transport.plan import Plan, check_plan
-from clmorph.transport.plan_sampling import Barycentric, check_barycentric
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -35,6 +35,19 @@ class Particles:
         Its mass at t = 0 and at t = 1.
     path_space : str
         In which colors change evenly, see `clmorph.images.color.to_space`.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> source, target = clmorph.lift(left), clmorph.lift(right)
+    >>> potentials = clmorph.sinkhorn(source, target, blur=0.1, reach=0.3, backend="numpy")
+    >>> plan = clmorph.transport_plan(source, target, potentials, backend="numpy")
+    >>> moving = clmorph.particles(source, target, plan)
+    >>> moving.table.shape, moving.weights.shape == (len(moving), 2)
+    ((72, 6), True)
     """
 
     table: NDArray[np.float64]
@@ -53,7 +66,21 @@ class Particles:
         return np.asarray(self.weights.sum(axis=0))
 
     def mass(self, t: float) -> float:
-        """Total mass at time t, from 0 to 1."""
+        """Total mass at time t, from 0 to 1.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> source, target = clmorph.lift(left), clmorph.lift(right)
+        >>> potentials = clmorph.sinkhorn(source, target, blur=0.1, reach=0.3, backend="numpy")
+        >>> plan = clmorph.transport_plan(source, target, potentials, backend="numpy")
+        >>> moving = clmorph.particles(source, target, plan)
+        >>> round(moving.mass(0.0), 6), round(moving.mass(1.0), 6)
+        (1.0, 1.0)
+        """
         t = check_number("t", t, 0.0, 1.0)
         start, end = self._end_masses
         return float((1 - t) * start + t * end)
@@ -99,6 +126,21 @@ def particles(
     ------
     InputError
         If an argument cannot be used, or "drop" would leave no particle.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> source, target = clmorph.lift(left), clmorph.lift(right)
+    >>> potentials = clmorph.sinkhorn(source, target, blur=0.1, reach=0.3, backend="numpy")
+    >>> plan = clmorph.transport_plan(source, target, potentials, backend="numpy")
+    >>> moving = clmorph.particles(source, target, plan)
+    >>> len(moving) > len(plan)  # pairs of the plan, and mass that dies or is born
+    True
+    >>> len(clmorph.particles(source, target, plan, unmatched="drop")) == len(plan)
+    True
     """
     check_choice("unmatched", unmatched, UNMATCHED)
     check_choice("path_space", path_space, COLOR_SPACES)

@@ -14,8 +14,8 @@ from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths
 from clmorph.measures.measure import Measure
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric
 from clmorph.transport.potentials import Potentials
 
 Frame = NDArray[np.float32]
@@ -91,7 +91,18 @@ class FrameSequence(Sequence[Frame]):
         return self.frame(float(self.times[index]))
 
     def iter_frames(self) -> Iterator[Frame]:
-        """Render the frames one by one, without keeping them."""
+        """Render the frames one by one, without keeping them.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> [frame.shape for frame in morph.iter_frames()]
+        [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
+        """
         return (self.frame(float(t)) for t in self.times)
 
 

@@ -1,7 +1,6 @@
 """Frames of any sizes on one canvas, for files that have only one."""
 
 import math
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -9,17 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import as_float, check_choice, check_flag, shown
-from clmorph.errors import InputError
+from clmorph._shared.validation import check_choice, check_flag
+from clmorph.output.checks import as_canvas, check_color
 from clmorph.output.options import SCALINGS, Scaling, StyleOptions
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-#: Canvases with a name: of every frame its own, the first picture's, the last one's.
-CANVASES = ("dynamic", "source", "target")
-#: A canvas's largest side, in pixels.
-MAX_SIDE = 16384
+#: Enlargement from which frames look soft.
+ENLARGED = 1.25
 
 
 @dataclass(frozen=True)
@@ -53,6 +50,10 @@ class FrameStyle:
     background: str | None = None
     lossless: bool = False
 
+    def is_nearest(self, pixelated: bool) -> bool:
+        """Return whether pixels are enlarged as squares, for pictures that are pixel art or not."""
+        return pixelated if self.scaling == "auto" else self.scaling == "nearest"
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "canvas", as_canvas(self.canvas))
         check_choice("scaling", self.scaling, SCALINGS)
@@ -61,59 +62,64 @@ class FrameStyle:
             check_color(self.background)
 
 
-def check_color(color: Any) -> str:
-    """Return a color that Pillow knows.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
-    from PIL import ImageColor
-
-    try:
-        if not isinstance(color, str):
-            raise TypeError
-        ImageColor.getrgb(color)
-    except (ValueError, AttributeError, TypeError):
-        raise InputError(
-            f"background={shown(color)}: expected a color such as 'white' or '#204060'"
-        ) from None
-    return color
-
-
-def as_canvas(canvas: Any) -> Any:
-    """Return a canvas as one of `CANVASES` or as (width, height).
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
-    if isinstance(canvas, str) and canvas in CANVASES:
-        return canvas
-    sides: Any = canvas
-    if isinstance(canvas, str):
-        found = re.fullmatch(r"(\d{1,6})[x×](\d{1,6})", canvas)
-        sides = found.groups() if found else ()
-    elif isinstance(canvas, list | tuple) or (isinstance(canvas, np.ndarray) and canvas.ndim == 1):
-        numbers = [as_float(side) for side in canvas]
-        sides = [number for number in numbers if number is not None and number % 1 == 0]
-    else:
-        sides = ()
-    width, height = (int(side) for side in sides) if len(sides) == 2 else (0, 0)
-    if 1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE:
-        return width, height
-    raise InputError(
-        f"canvas={shown(canvas)}: expected {', '.join(map(repr, CANVASES))}, or width x height in "
-        f"pixels such as '640x480', each from 1 to {MAX_SIDE}"
-    )
-
-
 def in_time(shapes: Iterable[tuple[int, ...]], times: NDArray[Any]) -> list[tuple[int, ...]]:
     """Return frames' shapes in the order of the morph's time, whichever is shown first."""
     shapes = list(shapes)
     return [shapes[index] for index in np.argsort(times, kind="stable")]
+
+
+def enlargement(canvas: Any, shapes: Iterable[tuple[int, ...]]) -> float:
+    """Return how many times a canvas of a given size enlarges the frame that it enlarges least.
+
+    Parameters
+    ----------
+    canvas : {"dynamic", "source", "target"} or (width, height)
+    shapes : iterable of (H, W, C)
+
+    Returns
+    -------
+    float
+        At most 1 if a frame is at least as large as the canvas, and for canvases with a name,
+        whose size comes from the frames.
+    """
+    if isinstance(canvas, str):
+        return 1.0
+    width, height = canvas
+    return min(min(width / shape[1], height / shape[0]) for shape in shapes)
+
+
+def enlargement_note(
+    style: FrameStyle, shapes: Iterable[tuple[int, ...]], pixelated: bool, size: int | None
+) -> str | None:
+    """Return what to tell a user whose canvas enlarges all frames and so makes them soft.
+
+    Parameters
+    ----------
+    style : FrameStyle
+    shapes : iterable of (H, W, C)
+        Of the frames.
+    pixelated : bool
+        Whether the pictures are pixel art, which stays sharp.
+    size : int or None
+        The longer side to which pictures were reduced (``--size``); None if they were not.
+
+    Returns
+    -------
+    str or None
+        None unless frames are enlarged by at least `ENLARGED`.
+    """
+    shapes = list(shapes)
+    factor = enlargement(style.canvas, shapes)
+    if factor < ENLARGED or style.is_nearest(pixelated):
+        return None
+    height, width, _ = max(shapes, key=lambda shape: (max(shape[:2]), shape[0] * shape[1]))
+    note = (
+        f"frames of up to {width}x{height} pixels are enlarged {factor:.2g} times to fit the "
+        f"canvas of {style.canvas[0]}x{style.canvas[1]}"
+    )
+    if size is None or max(height, width) < size:
+        return f"{note}: the pictures themselves have no more pixels"
+    return f"{note}; for sharper frames, which take longer, add --size {round(size * factor)}"
 
 
 class Framing:
@@ -151,7 +157,7 @@ class Framing:
         opacity: bool = True,
     ) -> None:
         shapes = list(shapes)
-        self.nearest = pixelated if style.scaling == "auto" else style.scaling == "nearest"
+        self.nearest = style.is_nearest(pixelated)
         transparent = any(shape[2] == 4 for shape in shapes)
         self.clear = transparent and opacity and style.background is None
         self._background = style.background or ("white" if transparent else "black")

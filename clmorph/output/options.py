@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from clmorph._shared.options import Kind, Options, choice, flag, integer, number, option, text
+from clmorph._shared.options import Options, choice, flag, integer, number, option, text
+from clmorph.output.checks import as_canvas, check_color
 
 #: How the time of the morph runs while frames follow one another evenly.
 Ease = Literal["linear", "smooth", "in", "out"]
@@ -18,24 +19,6 @@ SCALINGS = get_args(Scaling)
 
 #: Frames a second, unless said otherwise.
 FPS = 20.0
-
-
-def _checked_canvas() -> Kind:
-    def check(value: object) -> object:
-        from clmorph.output.framing import as_canvas
-
-        return as_canvas(value)
-
-    return text("dynamic|source|target|WxH", check)
-
-
-def _checked_color() -> Kind:
-    def check(value: object) -> object:
-        from clmorph.output.framing import check_color
-
-        return check_color(value)
-
-    return text("COLOR", check)
 
 
 @dataclass(frozen=True, init=False)
@@ -72,7 +55,7 @@ class StyleOptions(Options):
     """Options of how frames come into a file."""
 
     canvas: str | tuple[int, int] = option(
-        "dynamic", _checked_canvas(),
+        "dynamic", text("dynamic|source|target|WxH", as_canvas),
         "Size of the frames: each frame's own where the file can hold that (dynamic), the first "
         "picture's (source), the last one's (target), or a size in pixels such as 640x480.",
         "File", word="",
@@ -83,7 +66,7 @@ class StyleOptions(Options):
         "File", word="",
     )  # fmt: skip
     background: str | None = option(
-        None, _checked_color(),
+        None, text("COLOR", check_color),
         "Color under transparent parts and of bars, such as white or #204060; none: opacity is "
         "kept where the file can hold it, and else laid on white.",
         "File",

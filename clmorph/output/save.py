@@ -183,6 +183,23 @@ def save(
         If an option cannot be used.
     OutputError
         If it cannot be written there.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import clmorph
+    >>> import numpy as np
+    >>> images = np.zeros((3, 6, 6, 3))
+    >>> images[0, :, :3] = images[1, :3] = images[2, :, 3:] = 1.0
+    >>> chain = [
+    ...     clmorph.morph(one, other, n_frames=4, backend="numpy")
+    ...     for one, other in zip(images, images[1:])
+    ... ]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     clmorph.save(chain, Path(folder) / "out.npz")
+    ...     clmorph.load(Path(folder) / "out.npz")
+    <Archive of 7 frames, 2 plans>
     """
     chain = _as_chain(morphs)
     output = Output(path, format)

@@ -10,15 +10,11 @@ from clmorph.errors import InputError, MemoryWarning, PruningWarning
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.memory import affordable, estimate, predict_pairs
+from clmorph.transport.barycentric import Barycentric, barycentric_plan
 from clmorph.transport.options import MAX_DRAWS
-from clmorph.transport.plan import Plan, transport_plan
-from clmorph.transport.plan_sampling import (
-    Barycentric,
-    barycentric_plan,
-    draw_pairs,
-    n_draws,
-    sample_plan,
-)
+from clmorph.transport.plan import Plan
+from clmorph.transport.plan_building import transport_plan
+from clmorph.transport.plan_sampling import draw_pairs, n_draws, sample_plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.pruning import REMEDY, check_reachable
 from clmorph.transport.refine_plan import drawn, refined

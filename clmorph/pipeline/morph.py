@@ -29,9 +29,9 @@ from clmorph.pipeline.optimal_width import optimal_curve
 from clmorph.pipeline.options import NO_DIVERGENCE, MorphOptions
 from clmorph.pipeline.presets import PresetName
 from clmorph.pipeline.result import Morph
+from clmorph.transport.barycentric import Barycentric, destination_colors
 from clmorph.transport.options import SolverOptions
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric, destination_colors
 from clmorph.transport.sinkhorn import sinkhorn
 
 Picture = NDArray[np.float64]

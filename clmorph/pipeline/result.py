@@ -22,8 +22,8 @@ from clmorph.output.html import repr_html
 from clmorph.output.save import save
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.recipe import recipe
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric
 from clmorph.transport.potentials import Potentials
 
 
@@ -55,6 +55,21 @@ class Morph(FrameSequence):
         The options of `clmorph.morph`.
     arrays : tuple of str
         Names of the arrays that decided too: "weights", "color_metric".
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+    >>> len(morph), morph[0].shape
+    (5, (6, 6, 3))
+    >>> bool(np.allclose(morph[0], left, atol=1e-3))
+    True
+    >>> middle = morph.frame(0.5)
+    >>> [round(float(t), 2) for t in morph.times]
+    [0.0, 0.25, 0.5, 0.75, 1.0]
     """
 
     source: Measure
@@ -106,7 +121,18 @@ class Morph(FrameSequence):
         return self._kept[index] if self._kept else super().__getitem__(index)
 
     def canvas(self, t: float) -> Canvas:
-        """Return the canvas at time t."""
+        """Return the canvas at time t.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> morph.canvas(0.5).shape
+        (6, 6)
+        """
         return self._renderer.canvas(check_number("t", t, 0.0, 1.0))
 
     @property
@@ -132,6 +158,17 @@ class Morph(FrameSequence):
         (H(t), W(t), 3) float32 array
             sRGB in [0, 1]; if one of the images is not opaque all over, (H(t), W(t), 4), with
             opacity.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> frame = morph.frame(0.3)
+        >>> frame.shape, frame.dtype.name
+        ((6, 6, 3), 'float32')
         """
         return self._renderer.frame(check_number("t", t, 0.0, 1.0))
 
@@ -143,6 +180,16 @@ class Morph(FrameSequence):
         (H(t), W(t)) float32 array
             Kernel mass as a share of what an even spread would give; see
             `clmorph.analysis.metrics.hole_fraction`.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> morph.coverage(0.5).shape
+        (6, 6)
         """
         return self.sums(t).coverage.astype(np.float32)
 
@@ -158,6 +205,17 @@ class Morph(FrameSequence):
         Returns
         -------
         Sums
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> sums = morph.sums(0.5)
+        >>> sums.colors.shape, sums.coverage.shape, sums.density.shape
+        ((6, 6, 3), (6, 6), (6, 6))
         """
         t = check_number("t", t, 0.0, 1.0)
         if widths is not None and not isinstance(widths, Widths):
@@ -201,6 +259,20 @@ class Morph(FrameSequence):
             If an option cannot be used.
         OutputError
             If it cannot be written there.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     morph.save(Path(folder) / "out.gif", fps=10)
+        ...     sorted(path.name for path in Path(folder).iterdir())
+        ['out.gif']
         """
         save(self, path, **options)
 

@@ -1,8 +1,9 @@
 """The paper in plain NumPy float64: what every other implementation is compared with.
 
-`operations` has the twins of the device's operations; `transport` and `pipeline` the whole
-method in the textbook way, dense, without truncation and without anything borrowed from the
-accelerated path. A reader of the paper may well begin with them.
+`transport` and `pipeline` hold the whole method as a textbook would write it: dense, without
+truncation, and without any mathematics of the accelerated path. A reader of the paper can begin
+with them; `README.md` in this folder lists the function of each equation. `NumPyOperations` is the
+float64 twin of the operations that devices compute.
 """
 
 from clmorph.backends.numpy import NumPyOperations

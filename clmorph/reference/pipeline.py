@@ -1,8 +1,8 @@
-"""The paper from images to frames in plain NumPy float64: dense, textbook, independent.
+"""The paper from images to frames in plain NumPy float64, dense and independent.
 
-Plain Sinkhorn iteration from zero, the whole plan, the whole sum over all particles. It
-shares no mathematics with the accelerated path, so it can judge it; it needs N x M
-memory, so images should stay under about 64 x 64 pixels. Equations are those of the paper.
+It iterates plain Sinkhorn from zero, forms the whole plan, and sums the kernels of all particles.
+It shares no mathematics with the accelerated path, so it can judge it. It needs N x M numbers of
+memory, so images should have at most about 64 x 64 pixels. Equations are those of the paper.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ REFERENCE_OPTIONS = (
 
 
 def canvas_shape(t: float, source: Measure, target: Measure) -> tuple[int, int]:
-    """Return (H(t), W(t)): sides between the source's and the target's, rounded down."""
+    """Return the canvas (H(t), W(t)) of the frame at time t (paper, 3.3).
+
+    Its sides are interpolated between those of the source and of the target, and rounded down.
+    """
     (hs, ws), (ht, wt) = source.shape, target.shape
     return (
         hs + int(np.floor(t * (ht - hs) + 1e-9)),
@@ -53,10 +56,10 @@ def kernel_width(
     sigma_end: float,
     gamma: float,
 ) -> float:
-    """Return sigma(t) in pixels, Eq. 4, with the floor of Eq. 3.
+    """Return the kernel width sigma(t) in pixels (paper, Eq. 4), with the floor of Eq. 3.
 
-    `masses` are those drawn at both ends: the plan's marginals, or with births and deaths the
-    images' own.
+    `masses` are the masses drawn at both ends: the marginals of the plan, or with births and deaths
+    the masses of the images.
     """
     r, c = masses
     n_eff = (1 - t) * r.sum() ** 2 / np.sum(r**2) + t * c.sum() ** 2 / np.sum(c**2)
@@ -73,27 +76,45 @@ def render(
     sigma: float,
     unmatched: str = "fade",
 ) -> tuple[Array, Array]:
-    """Sum the kernels of all particles, none left out and none cut.
+    """Sum the kernels of all particles at time t (paper, 3.3), none left out and none cut.
+
+    Particle (i, j) stands at (1 - t) x_i + t y_j, has the color (1 - t) c_i + t d_j and the weight
+    pi_ij; its kernel is exp(-|p - p_k|^2 / (2 sigma^2)).
 
     Parameters
     ----------
     source, target : Measure
+        Lifted images.
     plan : (N, M) array
     t : float
+        Time in [0, 1].
     sigma : float
-        Kernel width, pixels.
+        Kernel width, in pixels.
     unmatched : {"fade", "drop"}
+        "fade" scales the weights so that the source at t = 0 and the target at t = 1 have their
+        masses, and draws mass that does not move as it dies or is born. "drop" leaves it out, as
+        the paper does.
 
     Returns
     -------
     numerator : (H, W, 3) array
     denominator : (H, W) array
-        The frame is numerator / denominator.
+        The frame is numerator / denominator (Nadaraya-Watson).
 
     Raises
     ------
     InputError
         If an argument cannot be used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> from clmorph import reference
+    >>> source, target = (clmorph.lift(np.full((2, 2), gray)) for gray in (0.2, 0.6))
+    >>> numerator, denominator = reference.render(source, target, np.eye(4) / 4, 0.5, 1.0)
+    >>> (numerator / denominator[..., None])[0, 0].round(3).tolist()
+    [0.4, 0.4, 0.4]
     """
     source, target = (
         as_image_measure(name, measure, "frames are images")
@@ -139,6 +160,7 @@ def render(
 
 
 def _to_pixels(positions: Array, t: float, source: Measure, target: Measure) -> tuple[Array, Array]:
+    """Return pixel coordinates x and y on the canvas at time t (paper, 3.3)."""
     height, width = canvas_shape(t, source, target)
     if source.extent == "unit":
         return positions[:, 0] * (width - 1), positions[:, 1] * (height - 1)
@@ -153,7 +175,7 @@ def _to_pixels(positions: Array, t: float, source: Measure, target: Measure) -> 
 
 
 def _lift(pixels: Array, color_weight: float, extent: str) -> Measure:
-    """Lift an image with uniform weights (2.3)."""
+    """Lift an image with uniform weights (paper, 2.3)."""
     height, width, _ = pixels.shape
     longer = max(height, width)
     positions = np.empty((height, width, 2))
@@ -179,7 +201,16 @@ def _lift(pixels: Array, color_weight: float, extent: str) -> Measure:
 
 @dataclass(frozen=True)
 class ReferenceMorph:
-    """What `morph` returns; attributes as `clmorph.Morph`, `plan` dense."""
+    """A morph by the reference; attributes as those of `clmorph.Morph`, with a dense plan.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph import reference
+    >>> morph = reference.morph(np.zeros((2, 2)), np.ones((2, 2)), n_frames=3, reach=None)
+    >>> morph.plan.shape, morph.sigma.round(2).tolist()
+    ((4, 4), [1.2, 1.35, 0.5])
+    """
 
     source: Measure
     target: Measure
@@ -200,12 +231,21 @@ class ReferenceMorph:
         shape = canvas_shape(t, self.source, self.target)
         masses = self.source.weights, self.target.weights
         if self.unmatched == "drop":
-            # The transport's own, whatever pairs are kept.
+            # The marginals of the whole plan, whichever pairs are kept.
             masses = self.potentials.row_mass, self.potentials.column_mass
         return kernel_width(t, shape, masses, self.sigma_start, self.sigma_end, self.gamma)
 
     def frame(self, t: float) -> Array:
-        """Return the (H(t), W(t), 3) frame at time t."""
+        """Return the (H(t), W(t), 3) frame at time t, sRGB in [0, 1] (paper, 3.3).
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from clmorph import reference
+        >>> morph = reference.morph(np.zeros((2, 2)), np.ones((2, 2)), n_frames=3, reach=None)
+        >>> morph.frame(0.5)[0, 0].round(3).tolist()
+        [0.5, 0.5, 0.5]
+        """
         t = check_number("t", t, 0.0, 1.0)
         sigma = self._sigma(t)
         numerator, denominator = render(
@@ -226,8 +266,9 @@ def morph(image_a: ArrayLike, image_b: ArrayLike, **given: Unpack[MorphKeywords]
 
     Parameters
     ----------
-    image_a, image_b : arrays
-        See `clmorph.images.pixels.as_rgb`; they are not reduced.
+    image_a, image_b : array_like
+        Source and target: (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), with at most 2^25 pairs of
+        pixels; they are not downscaled. Transparent parts are laid on white.
     {options}
 
     Returns
@@ -238,6 +279,14 @@ def morph(image_a: ArrayLike, image_b: ArrayLike, **given: Unpack[MorphKeywords]
     ------
     InputError
         If an argument cannot be used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph import reference
+    >>> morph = reference.morph(np.zeros((2, 2)), np.ones((2, 2)), n_frames=3, reach=None)
+    >>> [frame[0, 0, 0].round(3).item() for frame in morph.frames]
+    [0.0, 0.5, 1.0]
     """
     options = PAPER.chosen(REFERENCE_OPTIONS, given)
     sigma_start = check_sigma("sigma_start", options.sigma_start)

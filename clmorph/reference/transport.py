@@ -1,6 +1,7 @@
-"""The paper's transport (2.1, 3.1, Eq. 1 and 2) in plain NumPy float64: dense, textbook.
+"""The paper's transport (2.1, 3.1, Eq. 1 and 2) in plain NumPy float64, dense.
 
-Plain Sinkhorn iteration from zero, the whole plan, values by their definitions.
+It iterates plain Sinkhorn from zero, forms the whole plan, and evaluates values by their
+definitions.
 """
 
 from __future__ import annotations
@@ -18,20 +19,38 @@ from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.pruning import check_log_threshold, no_pair_kept
 from clmorph.transport.regularization import Regularization, regularization
 
-#: Pairs of points that a dense plan may have: 1.3 GB of coordinate differences alone.
+#: Largest number of pairs of a dense plan; coordinate differences alone then take 1.3 GB.
 MAX_PAIRS = 1 << 25
 
 
 def cost_matrix(source: MeasureLike, target: MeasureLike) -> Array:
-    """Return C_ij = |X_i - Y_j|^2 / 2 (Eq. 1 with the factor 1/2): (N, M) array.
+    """Return the cost C_ij = |X_i - Y_j|^2 / 2 (paper, Eq. 1, with the factor 1/2).
 
-    Or, with a metric of color for each source pixel (section 5),
+    With a metric of color M_i for each source pixel (paper, 5) it is
     |x_i - y_j|^2 / 2 + lambda^2 (c_i - d_j)^T M_i (c_i - d_j) / 2.
+
+    Parameters
+    ----------
+    source, target : Measure, WeightedPoints, or (weights (N,), points (N, D))
+
+    Returns
+    -------
+    (N, M) array
+        The points' unit squared.
 
     Raises
     ------
     InputError
-        If they are no measures, not of one space, or of too many pairs for a dense plan.
+        If they are no measures, not of one space, or have too many pairs for a dense matrix.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph import reference
+    >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+    >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+    >>> reference.cost_matrix(source, target).tolist()
+    [[0.03125, 0.28125], [0.03125, 0.03125], [0.28125, 0.03125]]
     """
     source, target = as_measures(source, target)
     return _cost_matrix(source, target)
@@ -75,18 +94,42 @@ def sinkhorn(
     epsilon: float | None = None,
     rho: float | tuple[float, float] | None = None,
 ) -> Potentials:
-    """Alternate f = Delta T(g), g = Delta T(f) from zero until the residual is `tol`.
+    """Iterate f = Delta T(g), g = Delta T(f) from zero until the residual is `tol` (paper, 3.1).
 
-    Parameters and result as `clmorph.sinkhorn`.
+    Parameters
+    ----------
+    source, target, blur, reach, tol, max_iter, epsilon, rho
+        As in `clmorph.sinkhorn`.
+
+    Returns
+    -------
+    Potentials
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used, or there are too many pairs for a dense plan.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph import reference
+    >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+    >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+    >>> potentials = reference.sinkhorn(source, target, blur=0.1, reach=0.3, tol=1e-9)
+    >>> potentials.converged, round(potentials.transported_mass, 3)
+    (True, 0.828)
     """
     given = regularization(blur, reach, epsilon, rho)
     tol = check_number("tol", tol, 0.0, 1e3, open_low=True)
     max_iter = check_integer("max_iter", max_iter, 1, 10**9)
     source, target = as_measures(source, target)
     epsilon = given.epsilon
+    # Delta = rho / (rho + epsilon), the proximal step of the marginal penalty (math: damping)
     damping = [1.0 if np.isinf(value) else value / (value + epsilon) for value in given.rho]
     cost = _cost_matrix(source, target)
     log_a, log_b = _log(source.weights), _log(target.weights)
+    # T(g)_i = -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon) (paper, 3.1; math: softmin)
     g = np.zeros(len(target))
     f_next = -damping[0] * epsilon * _log_sum_exp((g - cost) / epsilon + log_b, 1)
     n_iter, residual = 0, np.inf
@@ -96,7 +139,7 @@ def sinkhorn(
         t_f = -epsilon * _log_sum_exp((f[:, None] - cost) / epsilon + log_a[:, None], 0)
         g = damping[1] * t_f
         f_next = -damping[0] * epsilon * _log_sum_exp((g - cost) / epsilon + log_b, 1)
-        # g is exact for this f; what is left is f's own error.
+        # g is exact for this f, so the residual is the error of f alone (math: residual).
         residual = float(np.max(np.abs(f_next - f)[source.weights > 0])) / epsilon
         residuals.append(residual)
         n_iter += 1
@@ -110,9 +153,13 @@ def sinkhorn(
 def certificate(
     source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, given: Regularization
 ) -> Certificate:
-    """Evaluate the primal and the dual of 2.1 as they are written, on the dense plan.
+    """Evaluate the primal and the dual of the problem (paper, 2.1) on the dense plan.
 
-    The primal is that of a plan which keeps the balanced marginals: `_feasible`.
+    primal = <C, pi> + rho KL(pi 1|a) + rho KL(pi^T 1|b) + epsilon KL(pi|a x b) (math: primal) of a
+    plan that has the marginals of balanced sides, see `_feasible`.
+
+    dual = rho <a, 1 - exp(-f/rho)> + rho <b, 1 - exp(-g/rho)> - epsilon (m_pi - m_a m_b) (math:
+    dual), where <a, f> or <b, g> stands in place of the term of a balanced side.
     """
     epsilon = given.epsilon
     a, b = source.weights, target.weights
@@ -162,7 +209,7 @@ def _share(weights: Array, marginal: Array) -> Array:
 
 
 def _kullback_leibler(p: Array, q: Array) -> float:
-    """KL(p | q) = sum p log(p / q) - p + q."""
+    """Return KL(p | q) = sum p log(p / q) - p + q (paper, 2.1)."""
     positive = p > 0
     linear = float(q.sum() - p.sum())
     return float(np.sum(p[positive] * np.log(p[positive] / q[positive]))) + linear
@@ -175,14 +222,34 @@ def transport_plan(
     *,
     log_threshold: float | None = None,
 ) -> Array:
-    """Return the plan, Eq. 2: (N, M) array.
+    """Return the dense plan pi_ij = a_i b_j exp((f_i + g_j - C_ij) / epsilon) (paper, Eq. 2).
 
-    The whole one, or with `log_threshold`, the paper's tau, with 0 where log pi_ij is not above it.
+    Parameters
+    ----------
+    source, target : Measure, WeightedPoints, or (weights (N,), points (N, D))
+        The measures for which the potentials were computed.
+    potentials : Potentials
+    log_threshold : float, optional
+        The paper's tau (3.1): pairs whose log pi_ij is not above it become 0.
+
+    Returns
+    -------
+    (N, M) array
 
     Raises
     ------
     InputError
         If an argument cannot be used, or no pair is above the threshold.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph import reference
+    >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+    >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+    >>> potentials = reference.sinkhorn(source, target, blur=0.1, reach=0.3, tol=1e-9)
+    >>> reference.transport_plan(source, target, potentials).round(3).tolist()
+    [[0.27, 0.0], [0.144, 0.144], [0.0, 0.27]]
     """
     if log_threshold is not None:
         log_threshold = check_log_threshold(log_threshold)
@@ -194,7 +261,7 @@ def transport_plan(
         if largest <= log_threshold:
             raise no_pair_kept(log_threshold, largest)
         log_plan[log_plan <= log_threshold] = -np.inf
-    with np.errstate(over="ignore"):  # far from a solution, where the caller says so
+    with np.errstate(over="ignore"):  # far from a solution masses can be infinite
         return np.exp(log_plan)
 
 
@@ -204,5 +271,6 @@ def _plan(source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, epsilon: f
 
 
 def _log_plan(source: AnyMeasure, target: AnyMeasure, f: Array, g: Array, epsilon: float) -> Array:
+    # log pi_ij = (f_i + g_j - C_ij) / epsilon + log a_i + log b_j (paper, Eq. 2)
     log_plan = (f[:, None] + g - _cost_matrix(source, target)) / epsilon
     return log_plan + (_log(source.weights)[:, None] + _log(target.weights))

@@ -1,10 +1,13 @@
-"""What potentials prove: a lower and an upper bound of the optimal value, rounding included.
+"""Lower and upper bounds of the optimal value, proven by potentials, rounding included.
 
 The dual value D(f, g) of any potentials is at most the optimum. The primal value of any plan that
 keeps every balanced marginal is at least the optimum. Both values follow from the two marginals of
-the plan, and these from two softmins. A softmin is known up to what was left out of its sums and
-up to its rounding, and both are bounded in nats. `certify` returns the least dual value and the
-greatest primal value that these bounds leave possible.
+the plan, and these from two softmins. A softmin is known up to the pairs left out of its sums and
+up to its rounding, and both errors are bounded in nats. `certify` returns the least dual value and
+the greatest primal value that these bounds leave possible.
+
+For unbalanced problems (paper, 2.1) the difference of both values is
+rho KL(pi 1 | a e^(-f/rho)) + rho KL(pi^T 1 | b e^(-g/rho)) (math: certificate).
 
 Source of the formulas: Chizat, Peyré, Schmitzer, Vialard, "Scaling algorithms for unbalanced
 optimal transport problems" (2018).
@@ -27,21 +30,21 @@ STEPS_ERROR, SUM_ERROR = 2.0**-50, 2.0**-46
 
 
 class Certificate(NamedTuple):
-    """What the two marginals of the plan of (f, g) prove.
+    """Bounds that follow from the two marginals of the plan of (f, g).
 
     Attributes
     ----------
     primal, dual : float
-        Bounds of the optimal value, cost units times mass: dual <= optimum <= primal, whatever
-        was left out of sums and rounded; infinite where potentials are so far from a solution
-        that nothing is proven. Without a balanced side the primal value is that of the
-        plan; with one it is that of the plan with rows (or columns) scaled to the masses given;
-        with two it follows from the marginal errors and the oscillation of the cost, is wide
-        unless the potentials are good, and supposes equal masses.
+        Bounds of the optimal value, cost units times mass: dual <= optimum <= primal. Truncation
+        and rounding are included; the bounds are infinite where potentials are so far from a
+        solution that nothing is proven. Without a balanced side the primal value is that of the
+        plan. With one it is that of the plan with rows (or columns) scaled to the given masses.
+        With two it follows from the marginal errors and the oscillation of the cost; it is then
+        wide unless the potentials are good, and supposes equal masses.
     gap : float
         primal - dual.
     marginal_error : float
-        |pi 1 - a|_1 + |pi^T 1 - b|_1 over the balanced sides at most; 0 without any.
+        Upper bound of |pi 1 - a|_1 + |pi^T 1 - b|_1 over the balanced sides; 0 without any.
     row_mass, column_mass : (N,) and (M,) arrays
         Marginals of the plan.
     transported_mass : float
@@ -61,7 +64,7 @@ class Certificate(NamedTuple):
 
 
 class Side(NamedTuple):
-    """One measure, its potential, and what is known about the other potential's softmin there.
+    """One measure, its potential, and the softmin of the other potential with its error bounds.
 
     Attributes
     ----------
@@ -93,7 +96,7 @@ class Side(NamedTuple):
 
 
 class _Bounded:
-    """One side over its points of positive mass, every number with the interval it is within."""
+    """One side over its points of positive mass, every number with an interval that holds it."""
 
     def __init__(self, side: Side, epsilon: float) -> None:
         massive = side.weights > 0
@@ -125,7 +128,10 @@ class _Bounded:
 
     @property
     def penalty(self) -> tuple[float, float]:
-        """Return this potential's term of the dual, and a bound of its rounding."""
+        """Return this potential's term of the dual, and a bound of its rounding.
+
+        rho <a, 1 - e^(-f/rho)>, or <a, f> if balanced (paper, 2.1; math: dual).
+        """
         if not self.inverse_rho:
             terms = self.weights * self.potential
             return float(terms.sum()), SUM_ERROR * float(np.abs(terms).sum())
@@ -167,7 +173,7 @@ class _Bounded:
 
 
 def certify(rows: Side, columns: Side, epsilon: float) -> Certificate:
-    """Return what potentials, and their softmins, prove.
+    """Return the bounds that potentials and their softmins prove (math: certificate).
 
     Parameters
     ----------
@@ -247,7 +253,10 @@ def _infeasibility(rows: _Bounded, columns: _Bounded, epsilon: float) -> float:
 def marginal(
     weights: Array, log_weights: Array, potential: Array, softmin: Array, epsilon: float
 ) -> Array:
-    """Return a_i exp((f_i - T(g)_i) / epsilon), by its logarithm, as a alone may underflow."""
+    """Return the marginal (pi 1)_i = a_i exp((f_i - T(g)_i) / epsilon) (math: plan, Eq. 2).
+
+    It is computed by its logarithm, because a_i alone can underflow.
+    """
     with np.errstate(invalid="ignore"):
         exponent = np.minimum((potential - softmin) / epsilon + log_weights, MAX_EXPONENT)
     return np.where(weights > 0, np.exp(exponent), 0.0)

@@ -1,4 +1,4 @@
-"""How far a plan moves things (paper, section 4, Table 1), and what it creates and destroys."""
+"""How far a plan moves mass (paper, 4, Table 1), and how much it creates and destroys."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from clmorph.transport.plan import Plan, check_plan
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Displacement:
-    """Where each source pixel goes on average, and what happens to mass.
+    """Mean displacement of each source pixel, and the mass that moves, dies and is born.
 
     Attributes
     ----------
@@ -23,12 +23,27 @@ class Displacement:
         T(x_i) - x_i in pixels of the source, x to the right and y down; T(x_i) is the mean
         destination, sum_j pi_ij y_j / sum_j pi_ij. 0 where nothing leaves.
     source_mass, target_mass : (H, W) arrays
-        Kept mass that leaves each source pixel, and that arrives at each target pixel.
+        Mass that leaves each source pixel, and mass that arrives at each target pixel.
     moves : (H, W) array of bool
         Whether that mass is more than the mask.
     destroyed, created : (H, W) arrays
-        What does not leave its source pixel, (a_i - r_i)_+, and what is new at its target
-        pixel, (b_j - c_j)_+. Unbalanced transport can also move more than there is.
+        Mass that does not leave its source pixel, (a_i - r_i)_+, and mass that is new at its target
+        pixel, (b_j - c_j)_+ (math: mass in motion). Unbalanced transport can also move more mass
+        than a pixel has.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> source = clmorph.lift(np.array([[0.0, 1.0], [0.0, 1.0]]), color_weight=2.0)
+    >>> target = clmorph.lift(np.array([[1.0, 0.0], [1.0, 0.0]]), color_weight=2.0)
+    >>> potentials = clmorph.sinkhorn(source, target, blur=0.05, reach=0.3, backend="numpy")
+    >>> plan = clmorph.transport_plan(source, target, potentials, backend="numpy")
+    >>> moved = clmorph.displacement_statistics(source, target, plan)
+    >>> moved.field.round(3).tolist()
+    [[[1.0, 0.0], [-1.0, 0.0]], [[1.0, 0.0], [-1.0, 0.0]]]
+    >>> round(moved.max, 3), round(float(moved.destroyed.sum()), 3)
+    (1.0, 0.937)
     """
 
     field: Array
@@ -47,7 +62,7 @@ class Displacement:
 
     @property
     def length(self) -> Array:
-        """(H, W) |T(x_i) - x_i|, in pixels."""
+        """(H, W) displacements |T(x_i) - x_i|, in pixels."""
         return np.hypot(self.field[..., 0], self.field[..., 1])
 
     @property
@@ -57,12 +72,15 @@ class Displacement:
 
     @property
     def mean(self) -> float:
-        """Its mean over all pixels, in pixels (the paper's Table 1)."""
+        """The mean displacement of all source pixels, in pixels (paper, Table 1)."""
         return float(self.length.mean())
 
     @property
     def mass_weighted_mean(self) -> float:
-        """Its mean over the mass that leaves (of rows above the mask), in pixels; 0 if none."""
+        """The mean displacement weighted by the mass that leaves, in pixels; 0 if none leaves.
+
+        Rows at or below the mask do not count.
+        """
         mass = np.where(self.moves, self.source_mass, 0.0)
         total = mass.sum()
         return float((self.length * mass).sum() / total) if total > 0 else 0.0
@@ -71,7 +89,7 @@ class Displacement:
 def displacement_statistics(
     source: Measure, target: Measure, plan: Plan, *, mask: float = 0.0
 ) -> Displacement:
-    """Measure what a plan does.
+    """Measure how far a plan moves mass, and how much it creates and destroys (paper, Table 1).
 
     Parameters
     ----------
@@ -79,8 +97,8 @@ def displacement_statistics(
         Lifted images.
     plan : Plan
     mask : float
-        Rows of at most this mass count as resting (the paper's Table 1: 1e-6, which makes its
-        smallest reach look motionless).
+        Rows of at most this mass count as resting. The paper's Table 1 uses 1e-6, which makes its
+        smallest reach look motionless.
 
     Returns
     -------
@@ -90,6 +108,18 @@ def displacement_statistics(
     ------
     InputError
         If the measures are no images, or not those of the plan.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> source = clmorph.lift(np.array([[0.0, 1.0], [0.0, 1.0]]), color_weight=2.0)
+    >>> target = clmorph.lift(np.array([[1.0, 0.0], [1.0, 0.0]]), color_weight=2.0)
+    >>> potentials = clmorph.sinkhorn(source, target, blur=0.05, reach=0.3, backend="numpy")
+    >>> plan = clmorph.transport_plan(source, target, potentials, backend="numpy")
+    >>> moved = clmorph.displacement_statistics(source, target, plan)
+    >>> round(moved.mass_weighted_mean, 3), round(float(moved.source_mass.sum()), 3)
+    (1.0, 0.063)
     """
     mask = check_number("mask", mask, 0.0, 1e30)
     instead = ", or use plan.mean_destinations(x, y) for plain points"
@@ -110,7 +140,7 @@ def displacement_of(
     column_mass: Array,
     mask: float = 0.0,
 ) -> Displacement:
-    """Measure what a plan does, from its means and its marginals.
+    """Measure how far a plan moves mass, from its mean destinations and its marginals.
 
     Parameters
     ----------
@@ -129,7 +159,7 @@ def displacement_of(
     """
     height, width = source.shape
     moves = row_mass > mask
-    # Pixels in a unit of the common frame; with stretched axes as the paper counts them.
+    # Pixels in one unit of the common frame; for stretched axes as in the paper's Table 1.
     scale = np.full(2, float(max(1, max(source.shape) - 1)))
     if source.extent == "unit":
         scale = np.array([width, height], float)

@@ -11,33 +11,20 @@ from numpy.typing import NDArray
 
 from clmorph._shared.arrays import as_floats
 from clmorph._shared.typing import Array, IntArray
-from clmorph._shared.validation import check_choice, check_number, shown
-from clmorph.backends.select import Backend, get_backend
-from clmorph.errors import InputError, PlanSizeError
-from clmorph.measures.points import MeasureLike, as_pair
-from clmorph.transport._solver.problem import largest_cost
-from clmorph.transport._solver.softmin import plan_softmin
-from clmorph.transport.options import RELATIVE_TO, PruningOptions, RelativeTo
-from clmorph.transport.potentials import Potentials, check_origin, check_potentials
-from clmorph.transport.pruning import (
-    check_log_threshold,
-    no_pair_kept,
-    only,
-    strictly_above,
-    undecided,
-)
+from clmorph._shared.validation import shown
+from clmorph.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
-#: What a kept pair takes: its column (4 bytes) and its mass (8).
+#: Bytes of a kept pair: 4 for its column and 8 for its mass.
 BYTES_PER_PAIR = 12
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Plan:
-    """Kept pairs of a transport plan, as sparse rows.
+    """Kept pairs of a transport plan (paper, Eq. 2), as sparse rows.
 
     Attributes
     ----------
@@ -49,7 +36,20 @@ class Plan:
         Mass pi_ij of each pair.
     shape : (N, M)
     whole_row_mass, whole_column_mass : (N,) and (M,) arrays
-        Marginals of the whole plan: pairs that were dropped, or that draws missed, included.
+        Marginals of the whole plan: they include pairs that were dropped or not drawn.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+    >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+    >>> potentials = clmorph.sinkhorn(source, target, blur=0.1, reach=0.3, backend="numpy")
+    >>> plan = clmorph.transport_plan(source, target, potentials, backend="numpy")
+    >>> plan.shape, len(plan), round(plan.total_mass, 3), plan.dropped_mass < 1e-6
+    ((3, 2), 4, 0.828, True)
+    >>> plan.rows.tolist(), plan.indices.tolist(), plan.mass.round(3).tolist()
+    ([0, 1, 1, 2], [0, 0, 1, 1], [0.27, 0.144, 0.144, 0.27])
     """
 
     indptr: IntArray
@@ -118,23 +118,35 @@ class Plan:
         return float(self.dropped_row_mass.max())
 
     def mean_destinations(self, source: Array, target: Array) -> tuple[Array, Array]:
-        """Return where each source point goes, and where each target point comes from, on average.
+        """Return mean destinations of the source points, and mean origins of the target points.
 
         Parameters
         ----------
         source, target : (N, D) and (M, D) arrays
-            Where the points stand.
+            Coordinates of the points.
 
         Returns
         -------
         (N, D) and (M, D) arrays
-            T(x_i) = sum_j pi_ij y_j / sum_j pi_ij, and likewise backwards; a point that no mass
-            leaves or reaches stays.
+            T(x_i) = sum_j pi_ij y_j / sum_j pi_ij (paper, 4), and the same backwards. A point that
+            no mass leaves or reaches keeps its place.
 
         Raises
         ------
         InputError
-            If they are not as many points as the plan's, of one dimension.
+            If their numbers are not those of the plan, or their dimensions differ.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+        >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+        >>> potentials = clmorph.sinkhorn(source, target, blur=0.1, reach=0.3, backend="numpy")
+        >>> plan = clmorph.transport_plan(source, target, potentials, backend="numpy")
+        >>> forth, back = plan.mean_destinations(source[1][:, None], target[1][:, None])
+        >>> forth.round(3).tolist(), back.round(3).tolist()
+        ([[0.25], [0.5], [0.75]], [[0.174], [0.826]])
         """
         source, target = (
             as_floats(name, points, "an array (N, D) of points")
@@ -163,7 +175,19 @@ class Plan:
         return means[0], means[1]
 
     def to_scipy(self) -> csr_array[Any, tuple[int, int]]:
-        """Return the plan as a `scipy.sparse.csr_array` of shape (N, M)."""
+        """Return the plan as a `scipy.sparse.csr_array` of shape (N, M).
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+        >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+        >>> potentials = clmorph.sinkhorn(source, target, blur=0.1, reach=0.3, backend="numpy")
+        >>> plan = clmorph.transport_plan(source, target, potentials, backend="numpy")
+        >>> plan.to_scipy().toarray().round(3).tolist()
+        [[0.27, 0.0], [0.144, 0.144], [0.0, 0.27]]
+        """
         from scipy.sparse import csr_array
 
         return csr_array((self.mass, self.indices, self.indptr), shape=self.shape)
@@ -178,12 +202,12 @@ def _share_dropped(kept: Any, whole: Any) -> Any:
 
 
 def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
-    """Return a plan between measures of so many points.
+    """Return a plan after checking that it is one between measures of these sizes.
 
     Parameters
     ----------
     name : str
-        What messages call it.
+        The name of the plan in error messages.
     value : Plan
     sizes : (N, M)
 
@@ -227,127 +251,3 @@ def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
             "as clmorph.transport_plan returns it"
         )
     return value
-
-
-def transport_plan(
-    source: MeasureLike,
-    target: MeasureLike,
-    potentials: Potentials,
-    *,
-    relative: float = PruningOptions.relative,
-    relative_to: RelativeTo = "rows",
-    log_threshold: float | None = None,
-    max_bytes: float = PruningOptions.max_bytes,
-    backend: Backend = "auto",
-) -> Plan:
-    """Build the plan of potentials, in streaming: never a dense one.
-
-    log pi_ij = (f_i + g_j - C_ij) / epsilon + log a_i + log b_j (Eq. 2). Pairs are counted
-    first and then written, each row at its own place. Where many pairs are to be sought, parts
-    of the plan that provably hold none above its threshold are not looked at; where potentials
-    come with a truncation, largest pairs are sought, and row masses summed, with that as well.
-
-    By default frames of the kept pairs are, to about 0.01/255, those of all pairs: what is
-    dropped could decide a pixel only where kernels hardly reach, and there wider ones fill it (see
-    `clmorph.frames.render.render`; measured by ``tools/measure_pruning.py``).
-
-    Parameters
-    ----------
-    source, target : Measure, WeightedPoints, or (weights, points)
-        Those the potentials were computed for.
-    potentials : Potentials
-    relative : float
-        A pair is kept when its mass exceeds this share of the largest one.
-    relative_to : {"rows", "plan"}
-        The largest of its row or of its column, so that faint points keep their pairs at any
-        resolution; or the largest of the whole plan (the paper's code).
-    log_threshold : float, optional
-        Keep the pairs with log pi_ij above this instead (the paper's tau = -13; log pi_ij falls
-        with 1 / N^2, so it drops everything between large images). Pairs within rounding of it
-        are decided in float64, so that every device keeps the same ones.
-    max_bytes : float
-        The most that the pairs may take, 12 bytes each; checked before they are written.
-    backend : str or Operations
-        See `clmorph.get_backend`.
-
-    Returns
-    -------
-    Plan
-
-    Raises
-    ------
-    InputError
-        If an argument cannot be used or no pair is kept.
-    PlanSizeError
-        If the pairs take more than `max_bytes`; it says how many there are.
-    """
-    source, target = as_pair(source, target)
-    relative = check_number("relative", relative, 0.0, 1.0, open_low=True)
-    check_choice("relative_to", relative_to, RELATIVE_TO)
-    max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
-    if log_threshold is not None:
-        log_threshold = check_log_threshold(log_threshold)
-    check_potentials("potentials", potentials, (len(source), len(target)))
-    f, g, epsilon = potentials.f, potentials.g, potentials.epsilon
-    operations = get_backend(backend)
-    rows = operations.upload(source.points, source.weights, source.offsets)
-    columns = operations.upload(target.points, target.weights, target.offsets)
-    with np.errstate(divide="ignore"):
-        log_a, log_b = np.log(source.weights), np.log(target.weights)
-    with np.errstate(over="ignore"):
-        to_rows = plan_softmin(operations, (rows, columns), (source, target), potentials)
-        softmin = to_rows(g, epsilon, potentials.precise)
-        whole = np.exp((f - softmin) / epsilon + log_a)
-    largest = largest_cost(source.points, target.points)
-    rounding = to_rows.rounding(len(g), largest, epsilon, potentials.precise)
-    check_origin(potentials, whole, rounding)
-    total = float(whole.sum())
-    if not total <= 1e3 * max(source.mass, target.mass):
-        raise InputError(
-            f"the plan of these potentials has mass {total:.2g}: they are too far from a "
-            f"solution (residual {potentials.residual:.1e} epsilon); raise max_iter, or use a "
-            "larger blur or a smaller color_weight"
-        )
-    margin = 0.0
-    if log_threshold is not None:
-        margin = undecided(log_threshold, rounding)
-        row_thresholds = np.full(len(f), log_threshold - margin)
-        column_thresholds = np.full(len(g), np.inf)
-    else:
-        row_maxima = operations.row_maxima(rows, columns, g, epsilon, to_rows.near)
-        row_maxima += f / epsilon + log_a
-        row_thresholds = row_maxima + np.log(relative)
-        if relative_to == "plan":
-            row_thresholds[:] = row_thresholds.max()
-            column_thresholds = np.full(len(g), np.inf)
-        else:
-            near = None
-            if potentials.truncation is not None:
-                to_columns = plan_softmin(
-                    operations, (columns, rows), (target, source), potentials.swapped()
-                )
-                to_columns(f, epsilon)
-                near = to_columns.near
-            column_maxima = operations.row_maxima(columns, rows, f, epsilon, near)
-            column_maxima += g / epsilon + log_b
-            column_thresholds = column_maxima + np.log(relative)
-    arguments = rows, columns, f, g, epsilon, row_thresholds, column_thresholds, potentials.precise
-    counts = operations.count_plan_rows(*arguments)
-    kept = int(counts.sum())
-    if kept * BYTES_PER_PAIR > max_bytes:
-        raise PlanSizeError(
-            f"the plan would keep {kept} pairs ({kept * BYTES_PER_PAIR / 1e9:.3g} GB), more than "
-            f"max_bytes={max_bytes:.3g}: raise max_bytes or relative, use smaller images or a "
-            "smaller blur, draw from its rows (sample=8), or take their means (barycentric=True)",
-            kept,
-        )
-    pairs = operations.plan_rows(*arguments, counts)
-    if log_threshold is not None:
-        pairs = strictly_above(pairs, source, target, potentials, log_threshold, margin)
-        if not len(pairs.mass):
-            row_maxima = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon + log_a
-            raise no_pair_kept(log_threshold, float(row_maxima.max()))
-    # The mass of a pair can be smaller than any number, as all are at a tiny reach.
-    shape = len(source), len(target)
-    # The columns' marginal is the one that came with the potentials: another pass for it.
-    return Plan(*only(pairs, pairs.mass > 0), shape, whole, potentials.column_mass)

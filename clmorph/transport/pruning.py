@@ -1,4 +1,4 @@
-"""Which pairs of a transport plan are kept (paper, section 3.1).
+"""The rule by which pairs of a transport plan are kept (paper, 3.1).
 
 The paper keeps the pairs with log pi_ij > tau = -13. This threshold is absolute: between two images
 of N pixels log pi_ij falls as log(1 / N^2), so a tau that drops little of small images drops all of
@@ -19,7 +19,7 @@ from clmorph.measures.points import AnyMeasure
 from clmorph.transport.options import HIGHEST, LOWEST
 from clmorph.transport.potentials import Potentials
 
-#: Pairs so many rounding errors from the threshold are decided in float64.
+#: Pairs within this many rounding errors of the threshold are decided in float64.
 ROUNDINGS = 4.0
 #: Rounding of float32, in which devices hold log pi_ij of a pair.
 FLOAT32 = float(np.finfo(np.float32).eps)

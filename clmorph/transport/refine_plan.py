@@ -11,8 +11,9 @@ from scipy.sparse import coo_array
 from clmorph._shared.typing import Array, IntArray
 from clmorph.images.pixels import resized
 from clmorph.measures.pixel_blocks import PixelBlocks
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric, Draws
+from clmorph.transport.plan_sampling import Draws
 
 
 def refined(

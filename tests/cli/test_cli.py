@@ -254,7 +254,13 @@ def test_demo(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr("clmorph.cli.demo.SPRITE_ZOOM", 1)
     assert main(["demo"]) == 0
     out, err = capfd.readouterr()
-    for words in ("parameters: ", "blur 0.04", "times: transport ", "frames ", "clmorph-demo.gif"):
+    for words in (
+        "options: --preset photo",
+        "--blur 0.04",
+        "transport ",
+        "frames ",
+        "wrote clmorph-demo.gif",
+    ):
         assert words in out
     assert err.startswith("device: ")
     with Image.open("clmorph-demo.gif") as gif:

@@ -20,6 +20,7 @@ from programs import program
 import clmorph
 from clmorph import InputError, OutputError
 from clmorph.images.pixels import to_bytes
+from clmorph.output.formats.sheet import Layout
 from clmorph.output.formats.video import CONTAINERS
 from clmorph.output.framing import FrameStyle
 from clmorph.output.playback import Motion, held_frames
@@ -469,16 +470,32 @@ def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
         write_all([Output(tmp_path / "sheet.png")], film, look)
         with Image.open(tmp_path / "sheet.png") as sheet:
             width, height = sheet.size
-            first = np.asarray(sheet)[12 : 12 + size[1], 12 : 12 + size[0]]
-        assert height == 2 * (size[1] + 34) + 12
+            gap, label, *_ = Layout.around(*size)
+            first = np.asarray(sheet)[gap : gap + size[1], gap : gap + size[0]]
+        assert height == 2 * (size[1] + label + gap) + gap
         if look.canvas == (30, 20):
             assert 5 * (30 + 12) + 12 < width <= 5 * (60 + 12) + 12
         else:
-            assert width == 5 * (size[0] + 12) + 12
+            assert width == 5 * (size[0] + gap) + gap
         if look == FrameStyle():
             assert np.abs(first[4:-4, 4:-4].astype(int) - 128).max() < 20
         if look.scaling == "nearest":
             assert set(np.unique(first)) <= {0, 255}
+
+
+@pytest.mark.parametrize("side", ["8x8", "192x192", "1280x720", "16x400"])
+def test_captions_of_a_contact_sheet_can_be_read(tmp_path, side):
+    """Seen as a whole, or at its own size if that is small; none is cut off."""
+    frames = [np.full((8, 8, 3), 128, np.uint8)] * 3
+    film = Recording(frames, [(8, 8, 3)] * 3, np.linspace(0, 1, 3), np.zeros(3, bool), Motion())
+    write_all([Output(tmp_path / "sheet.png")], film, FrameStyle(side))
+    width, height = map(int, side.split("x"))
+    gap, label, *_ = Layout.around(width, height)
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        dark = np.asarray(sheet.convert("L")) < 99
+    rows = np.flatnonzero(dark[-gap - label : -gap].any(axis=1))
+    assert np.ptp(rows) >= max(9, 0.04 * min(width, height))
+    assert rows[-1] < label - 2
 
 
 def test_captions_of_a_contact_sheet_do_not_touch(tmp_path):
@@ -725,6 +742,7 @@ import pathlib, sys
 import numpy as np
 from clmorph.output.save import Output, write_all
 from clmorph.output.recording import Recording
+from clmorph.output.formats.sheet import Layout
 from clmorph.output.formats.video import CONTAINERS
 from clmorph.output.framing import FrameStyle
 from clmorph.output.playback import Motion

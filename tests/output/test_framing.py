@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from clmorph.images.detail import is_pixel_art
-from clmorph.output.framing import FrameStyle, Framing, as_canvas, in_time
+from clmorph.output.framing import (
+    FrameStyle,
+    Framing,
+    as_canvas,
+    enlargement,
+    enlargement_note,
+    in_time,
+)
 from clmorph.output.spool import Spool
 
 SHAPES = [(6, 8, 3), (9, 8, 3), (12, 8, 3)]
@@ -136,3 +143,24 @@ def test_a_spool_gives_back_what_it_took(rng, tmp_path, monkeypatch):
             with pytest.raises(IndexError):
                 spool[3]
         assert list(tmp_path.iterdir()) == []
+
+
+def test_a_canvas_that_enlarges_all_frames_is_noted():
+    shapes = [(192, 256, 3), (256, 256, 3)]
+    assert enlargement((1280, 720), shapes) == pytest.approx(720 / 256)
+    assert enlargement("source", shapes) == 1.0
+    said = enlargement_note(FrameStyle("1280x720"), shapes, False, 256)
+    assert said == (
+        "frames of up to 256x256 pixels are enlarged 2.8 times to fit the canvas of 1280x720; for "
+        "sharper frames, which take longer, add --size 720"
+    )
+    small = enlargement_note(FrameStyle("1280x720"), shapes, False, 300)
+    assert "the pictures themselves have no more pixels" in small
+    assert "the pictures themselves" in enlargement_note(
+        FrameStyle("1280x720"), shapes, False, None
+    )
+    for style, pixelated in (
+        (FrameStyle("1280x720"), True), (FrameStyle("1280x720", "nearest"), False),
+        (FrameStyle("256x256"), False), (FrameStyle("target"), False), (FrameStyle(), False),
+    ):  # fmt: skip
+        assert enlargement_note(style, shapes, pixelated, 256) is None

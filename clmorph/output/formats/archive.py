@@ -19,8 +19,8 @@ from clmorph.output.formats.npz import Arrays
 from clmorph.output.framing import FrameStyle
 from clmorph.output.metadata import as_text
 from clmorph.output.recording import Recording
+from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Barycentric
 
 #: Arrays of either kind of plan, as they are called there: axes and kind of numbers.
 PLAN_ARRAYS = {
@@ -50,6 +50,23 @@ class Archive:
         One for each morph of a chain.
     potentials : list of (f, g)
         Likewise; cost units.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     morph.save(Path(folder) / "out.npz")
+    ...     archive = clmorph.load(Path(folder) / "out.npz")
+    >>> archive
+    <Archive of 5 frames, 1 plans>
+    >>> len(archive.plan) == len(morph.plan)
+    True
     """
 
     frames: list[NDArray[np.float32]]
@@ -138,6 +155,21 @@ def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Archive:
     ------
     InputError
         If the file cannot be read, is another's, or its arrays take more.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     morph.save(Path(folder) / "out.npz")
+    ...     archive = clmorph.load(Path(folder) / "out.npz")
+    >>> bool(np.array_equal(archive.frames[2], morph[2]))
+    True
     """
     if not is_path(path):
         raise InputError(f"path={shown(path)}: expected the path of a morph saved as .npz")

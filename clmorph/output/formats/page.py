@@ -29,7 +29,7 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
         hold=recording.motion.hold,
         loop=recording.motion.loop,
         title=_title(recording),
-        pixelated=recording.pixelated if style.scaling == "auto" else style.scaling == "nearest",
+        pixelated=style.is_nearest(recording.pixelated),
         curves=_curves(recording),
         field=[_turned(field, span) for field in fields] if backwards else fields,
         parameters=recording.parameters,

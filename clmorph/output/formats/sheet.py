@@ -1,8 +1,9 @@
-"""A contact sheet: the frames at a glance."""
+"""``.png``: a contact sheet, the frames at a glance."""
 
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,8 +19,37 @@ SIDE = 192
 #: Pictures, and how many stand in a row.
 FRAMES = 10
 COLUMNS = 5
-#: Pixels between pictures, and below them for the time.
-GAP, LABEL = 12, 22
+
+
+class Layout(NamedTuple):
+    """Lengths on a sheet, in pixels.
+
+    Attributes
+    ----------
+    gap : int
+        Between pictures, and around them.
+    label : int
+        Height of the strip below each picture, for its time.
+    font : int
+        Size of the text.
+    offset : int
+        From a picture down to its text.
+    """
+
+    gap: int
+    label: int
+    font: int
+    offset: int
+
+    @classmethod
+    def around(cls, width: int, height: int) -> "Layout":
+        """Return the layout for pictures of one size: text that can be read beside them.
+
+        Large pictures are looked at from afar, so text and gaps grow with them. Small ones do not
+        make the text smaller.
+        """
+        scale = max(1.0, math.sqrt(width * height) / SIDE)
+        return cls(*(round(length * scale) for length in (12, 22, 14, 3)))
 
 
 @encoding("PNG")
@@ -33,36 +63,35 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     framing = Framing(_fitting(style, shapes), shapes, recording.pixelated, SIDE)
     width, height = framing.size
     captions = [f"t = {recording.times[index]:.2f}" for index in chosen]
-    font = ImageFont.load_default(14)
-    # Below narrow pictures captions need more than these.
+    layout = Layout.around(width, height)
+    font = ImageFont.load_default(layout.font)
+    # A caption can be wider than a narrow picture.
     cell = max(width, *(math.ceil(font.getlength(caption)) for caption in captions))
     columns = min(COLUMNS, len(chosen))
     rows = -(-len(chosen) // columns)
-    sheet = Image.new(
-        "RGB", (columns * (cell + GAP) + GAP, rows * (height + LABEL + GAP) + GAP), "white"
-    )
+    step = cell + layout.gap, height + layout.label + layout.gap
+    sheet = Image.new("RGB", (columns * step[0] + layout.gap, rows * step[1] + layout.gap), "white")
     draw = ImageDraw.Draw(sheet)
     for place, index in enumerate(tracked(chosen.tolist(), report)):
-        x = GAP + (place % columns) * (cell + GAP)
-        y = GAP + (place // columns) * (height + LABEL + GAP)
+        x = layout.gap + (place % columns) * step[0]
+        y = layout.gap + (place // columns) * step[1]
         sheet.paste(framing(recording.picture(index)), (x + (cell - width) // 2, y))
-        draw.text(
-            (x + cell / 2, y + height + 3), captions[place], fill="black", font=font, anchor="ma"
-        )
+        middle = x + cell / 2, y + height + layout.offset
+        draw.text(middle, captions[place], fill="black", font=font, anchor="ma")
         if place == len(chosen) - 1:
-            # Before the last report, for it takes a while as well.
+            # Before the last report, because it takes a while too.
             sheet.save(file, format="PNG", pnginfo=as_png_info(recording.parameters))
 
 
 def _fitting(style: FrameStyle, shapes: list[tuple[int, ...]]) -> FrameStyle:
-    """Return the style on white; of large frames, with a canvas as large as a picture here."""
+    """Return the style on white; large frames get a canvas as large as a picture on the sheet."""
     style = replace(style, background=style.background or "white")
     longest = max(max(shape[:2]) for shape in shapes)
     if style.canvas != "dynamic" or longest <= SIDE:
         return style
     height, width = (max(shape[axis] for shape in shapes) for axis in (0, 1))
     canvas = [max(1, round(side * SIDE / longest)) for side in (width, height)]
-    # Reduced by leaving out pixels, pixel art would be hard to know again.
+    # If pixels were left out, pixel art would be hard to recognize.
     scaling = "smooth" if style.scaling == "auto" else style.scaling
     return replace(style, canvas=canvas, scaling=scaling)
 

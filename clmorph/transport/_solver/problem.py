@@ -24,11 +24,11 @@ class Problem:
     Parameters
     ----------
     to_rows, to_columns : Softmin
-        What takes T(g) and T(f).
+        They compute T(g) and T(f).
     weights : (a, b)
         Masses of both measures.
     rho : (rho_source, rho_target)
-        Cost units; infinite is balanced.
+        Marginal penalties, cost units; infinite is balanced.
     largest_cost : float
         A bound of the cost.
     """
@@ -106,7 +106,7 @@ class Problem:
 
     @property
     def truncation(self) -> float | None:
-        """By how many nats a log-sum-exp may be too small."""
+        """Nats by which a log-sum-exp may be too small; None if all pairs are summed."""
         return self.to_rows.truncation
 
     def outside_trust_region(self, f: Array, epsilon: float) -> bool:
@@ -114,37 +114,40 @@ class Problem:
         return False
 
     def damping(self, epsilon: float) -> tuple[float, float]:
-        """Delta = rho / (rho + epsilon), the proximal step of the KL penalty; of both sides."""
+        """Return Delta = rho / (rho + epsilon) of both sides, the proximal step of the KL penalty.
+
+        (math: damping)
+        """
         source, target = (1.0 / (1.0 + epsilon * inverse) for inverse in self.inverse_rho)
         return source, target
 
     def softmin_rows(self, g: Array, epsilon: float, precise: bool) -> Array:
-        """T(g): (N,) array."""
+        """Return T(g), (N,) array (paper, 3.1; math: softmin)."""
         self.n_softmin += 1
         return self.to_rows(g, epsilon, precise)
 
     def softmin_columns(self, f: Array, epsilon: float, precise: bool) -> Array:
-        """T(f): (M,) array."""
+        """Return T(f), (M,) array (paper, 3.1; math: softmin)."""
         self.n_softmin += 1
         return self.to_columns(f, epsilon, precise)
 
     @property
     def left_out(self) -> float:
-        """By how many nats the last softmins' sums can be too small for what they left out."""
+        """Nats by which the sums of the last softmins can be too small for pairs left out."""
         return max(self.to_rows.left_out, self.to_columns.left_out)
 
     @property
     def error(self) -> float:
-        """By how many nats the sums of the last softmins, if bounded, can be off in all."""
+        """Nats by which the sums of the last softmins, if bounded, can be wrong for any reason."""
         return max(side.left_out + side.roundoff for side in (self.to_rows, self.to_columns))
 
     @property
     def visited(self) -> float:
-        """Share of all pairs that the last softmins summed, the mean of both."""
+        """Share of all pairs that the last softmins summed, as a mean of both."""
         return 0.5 * (self.to_rows.visited + self.to_columns.visited)
 
     def rounding(self, epsilon: float, precise: bool) -> float:
-        """By how many nats a softmin may be off."""
+        """Return by how many nats rounding can change a softmin."""
         return max(
             self.to_rows.rounding(len(self.b), self.largest_cost, epsilon, precise),
             self.to_columns.rounding(len(self.a), self.largest_cost, epsilon, precise),
@@ -153,10 +156,10 @@ class Problem:
     def update_f(self, g: Array, t_rows: Array, epsilon: float) -> tuple[Array, Array, Array]:
         """Maximize the dual over all (f, g + s), given T(g): return f, g + s and its softmin.
 
-        f = Delta T(g + s) for every s, and the best s has a closed form; a shift of its own,
-        after f, would spoil f again. Source of the idea: Séjourné, Vialard, Peyré, "Faster
-        unbalanced optimal transport: translation invariant Sinkhorn and 1-D Frank-Wolfe"
-        (2022).
+        f = Delta T(g + s) for every s (paper, 3.1), and the best s has a closed form (math:
+        translation invariance). A shift after f would change f again. Source of the idea: Séjourné,
+        Vialard, Peyré, "Faster unbalanced optimal transport: translation invariant Sinkhorn and 1-D
+        Frank-Wolfe" (2022).
         """
         s = self._shift(self.log_a, t_rows, 0, self.log_b, g, epsilon)
         return self.damping(epsilon)[0] * (t_rows - s), g + s, t_rows - s
@@ -169,7 +172,10 @@ class Problem:
     def _shift(
         self, log_new: Array, softmin: Array, side: int, log_old: Array, old: Array, epsilon: float
     ) -> float:
-        """Best s for `old` + s, if the other potential follows by its half-step."""
+        """Return the best s for `old` + s, if the other potential follows by its half-step.
+
+        (math: translation invariance)
+        """
         # 1 / (rho + epsilon) and 1 / rho: 0 if balanced
         new_rate = self.inverse_rho[side] * self.damping(epsilon)[side]
         old_rate = self.inverse_rho[1 - side]
@@ -187,10 +193,10 @@ class Problem:
     def residual(
         self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float
     ) -> float:
-        """max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon, over points of positive mass.
+        """Return max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon over points of positive mass.
 
-        For the softmins taken last: with what these left out it is a bound, and if they were
-        `bounded_softmins` rounding is within it.
+        (math: residual) The softmins must be those computed last: the pairs that they left out are
+        part of the result, and after `bounded_softmins` so is their rounding.
         """
         residuals = []
         for side, damping in zip(
@@ -198,7 +204,7 @@ class Problem:
         ):
             massive = side.weights > 0
             potential, softmin = side.potential[massive], side.softmin[massive]
-            # What is left out can only be missing from the sums behind the softmins.
+            # Pairs left out can only make the sums behind the softmins smaller.
             residual = float(np.abs(potential - damping * softmin).max()) / epsilon + side.left_out
             if side.roundoff:
                 size = float(np.abs(potential).max() + np.abs(softmin).max()) / epsilon
@@ -207,17 +213,17 @@ class Problem:
         return max(residuals)
 
     def row_mass(self, f: Array, t_rows: Array, epsilon: float) -> Array:
-        """First marginal of the plan of (f, g), given T(g)."""
+        """Return the first marginal of the plan of (f, g), given T(g) (math: plan, Eq. 2)."""
         return marginal(self.a, self.log_a, f, t_rows, epsilon)
 
     def column_mass(self, g: Array, t_columns: Array, epsilon: float) -> Array:
-        """Second marginal of the plan of (f, g), given T(f)."""
+        """Return the second marginal of the plan of (f, g), given T(f) (math: plan, Eq. 2)."""
         return marginal(self.b, self.log_b, g, t_columns, epsilon)
 
     def dual(self, f: Array, g: Array, plan_mass: float, epsilon: float) -> float:
-        """D(f, g) less its constant epsilon m_a m_b, given the mass of its plan.
+        """Return D(f, g) without its constant epsilon m_a m_b, given the mass of its plan.
 
-        The constant would swallow the rest where masses are large.
+        (paper, 2.1; math: dual) Where masses are large, adding the constant would lose digits.
         """
         value = -epsilon * plan_mass
         for potential, weights, inverse in (
@@ -235,7 +241,7 @@ class Problem:
     def certificate(
         self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float
     ) -> Certificate:
-        """Return what `bounded_softmins`, taken last, prove about (f, g)."""
+        """Return the certificate of (f, g), given `bounded_softmins` computed last."""
         return certify(*self._sides(f, g, t_rows, t_columns), epsilon)
 
     def _sides(self, f: Array, g: Array, t_rows: Array, t_columns: Array) -> tuple[Side, Side]:
@@ -253,14 +259,14 @@ class Problem:
 def inner(x: Array, y: Array) -> float:
     """Return the inner product of two vectors, in this thread.
 
-    A BLAS that shares it between threads lets them spin for a while afterwards, on the cores
-    that a CPU device's next kernel needs; that made solves a quarter slower.
+    A BLAS that uses several threads lets them spin for a while afterwards, on the cores that the
+    next kernel of a CPU device needs; this made solves a quarter slower.
     """
     return float(np.einsum("i,i", x, y))
 
 
 def largest_cost(x: Array, y: Array) -> float:
-    """Return a bound of the cost: half the squared diameter of the joint bounding box."""
+    """Return a bound of the cost |X - Y|^2 / 2, from the joint bounding box (paper, Eq. 1)."""
     low = np.minimum(x.min(axis=0), y.min(axis=0))
     high = np.maximum(x.max(axis=0), y.max(axis=0))
     return float(0.5 * np.sum((high - low) ** 2))

@@ -189,26 +189,6 @@ class Softmin:
         return rounding_error(self.operations, n_columns, largest_cost / epsilon, precise)
 
 
-def plan_softmin(
-    operations: Operations, clouds: tuple[Any, Any], pair: tuple[Any, Any], potentials: Any
-) -> Softmin:
-    """Return the softmin T(g) of a plan's rows, with the truncation that the solver used.
-
-    Parameters
-    ----------
-    operations : Operations
-    clouds : (rows, columns)
-    pair : (source, target)
-        Measures, or what has `weights`.
-    potentials : Potentials
-    """
-    weights = pair[0].weights, pair[1].weights
-    result = Softmin(operations, *clouds, weights, potentials.truncation)
-    rho = potentials.rho[0] if isinstance(potentials.rho, tuple) else potentials.rho
-    result.guess = potentials.f * (1.0 + potentials.epsilon / rho)
-    return result
-
-
 def _finite(softmin: Array) -> Array:
     """Return a softmin if it is finite; float32 ends before float64 does."""
     if np.all(np.isfinite(softmin)):

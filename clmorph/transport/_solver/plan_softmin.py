@@ -1,0 +1,74 @@
+"""The softmin T(g) of a plan's rows, from which its rows are computed without storing the plan."""
+
+from typing import Any
+
+import numpy as np
+
+from clmorph._shared.typing import Array
+from clmorph.backends.interface import Operations
+from clmorph.backends.select import Backend, get_backend
+from clmorph.measures.points import AnyMeasure
+from clmorph.transport._solver.problem import largest_cost
+from clmorph.transport._solver.softmin import Softmin
+from clmorph.transport.potentials import Potentials, check_origin, check_potentials
+
+
+def plan_softmin(
+    operations: Operations, clouds: tuple[Any, Any], pair: tuple[Any, Any], potentials: Any
+) -> Softmin:
+    """Return the softmin T(g) of a plan's rows, with the truncation that the solver used.
+
+    Parameters
+    ----------
+    operations : Operations
+    clouds : (rows, columns)
+    pair : (source, target)
+        Measures, or what has `weights`.
+    potentials : Potentials
+    """
+    weights = pair[0].weights, pair[1].weights
+    result = Softmin(operations, *clouds, weights, potentials.truncation)
+    rho = potentials.rho[0] if isinstance(potentials.rho, tuple) else potentials.rho
+    result.guess = potentials.f * (1.0 + potentials.epsilon / rho)
+    return result
+
+
+def row_softmin(
+    source: AnyMeasure, target: AnyMeasure, potentials: Potentials, backend: Backend
+) -> tuple[Operations, tuple[Any, Any], Softmin, Array]:
+    """Return T(g) of the rows of a plan, and what computed it.
+
+    Returns
+    -------
+    operations : Operations
+    clouds : (rows, columns)
+        Both measures, as the backend holds them.
+    to_rows : Softmin
+    softmin : (N,) array
+        T(g), cost units.
+
+    Raises
+    ------
+    InputError
+        If the potentials are unusable, or of other measures.
+    """
+    check_potentials("potentials", potentials, (len(source), len(target)))
+    operations = get_backend(backend)
+    clouds = (
+        operations.upload(source.points, source.weights, source.offsets),
+        operations.upload(target.points, target.weights, target.offsets),
+    )
+    to_rows = plan_softmin(operations, clouds, (source, target), potentials)
+    softmin = to_rows(potentials.g, potentials.epsilon, potentials.precise)
+    rounding = to_rows.rounding(
+        len(target), largest_cost(source.points, target.points), potentials.epsilon,
+        potentials.precise,
+    )  # fmt: skip
+    check_origin(potentials, row_mass(source.weights, potentials, softmin), rounding)
+    return operations, clouds, to_rows, softmin
+
+
+def row_mass(weights: Array, potentials: Potentials, softmin: Array) -> Array:
+    """Return the marginal (pi 1)_i = a_i exp((f_i - T(g)_i) / epsilon) (math: plan, Eq. 2)."""
+    with np.errstate(divide="ignore", over="ignore"):
+        return np.exp((potentials.f - softmin) / potentials.epsilon + np.log(weights))
