@@ -25,6 +25,9 @@ from clmorph._shared.validation import (
 )
 from clmorph.errors import InputError
 
+#: So many names are listed by an error; more would fill the screen.
+FEW = 16
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -278,7 +281,9 @@ def outside_name(name: str, known: Option) -> str:
 def unknown_option(name: str, known: Mapping[str, Any]) -> str:
     """Return the error for a name that is none."""
     near = get_close_matches(name[:99], list(known), 1)
-    hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
+    few = len(known) <= FEW
+    expected = f"expected one of {', '.join(known)}" if few else "clmorph morph --help lists them"
+    hint = f"did you mean {near[0]!r}?" if near else expected
     return f"unknown option {shown(name)}; {hint}"
 
 

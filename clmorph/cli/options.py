@@ -14,7 +14,6 @@ import rich_click as click
 from clmorph._shared.options import (
     Option,
     Options,
-    check,
     default,
     from_line,
     outside_name,
@@ -63,7 +62,7 @@ class OutputName(FileName):
 
 
 class Value(click.ParamType):
-    """The text of an option, checked; `given_options` makes a value of it.
+    """The text of an option, which can be read; `given_options` makes a value of it.
 
     Click takes None for "not given", but some texts stand for None.
     """
@@ -75,9 +74,9 @@ class Value(click.ParamType):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:  # noqa: D102 (click's)
         try:
-            check(self.known, self.option, from_line(self.known, str(value)))
+            from_line(self.known, str(value))
         except InputError as error:
-            self.fail(str(error).removeprefix(f"{self.option}="), param, ctx)
+            self.fail(str(error), param, ctx)
         return str(value)
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> Any:  # noqa: D102

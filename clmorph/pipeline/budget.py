@@ -79,7 +79,7 @@ def make_plan(
     if sample is None and not barycentric:
         way = choose_way(
             source, target, potentials, operations, max_particles, max_memory, log_threshold,
-            stacklevel=3,
+            stacklevel=4,
         )  # fmt: skip
         sample, barycentric = way.get("sample"), way.get("barycentric", False)
     if barycentric:
@@ -90,7 +90,7 @@ def make_plan(
             *measures, potentials, log_threshold=log_threshold, backend=operations
         )
         if log_threshold is not None:
-            warn_if_much_is_dropped(plan, log_threshold, stacklevel=3)
+            warn_if_much_is_dropped(plan, log_threshold, stacklevel=4)
         return refined(plan, source, target)
     finest = finest_pixels(source, target)
     if finest == 1:

@@ -9,6 +9,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clmorph._shared.arrays import as_array
 from clmorph._shared.progress import StageProgress
 from clmorph._shared.validation import check_progress, shown
 from clmorph.backends.select import Backend, get_backend
@@ -167,7 +168,9 @@ def fitted(
     small = [fit(image, options.size) for image in whole]
     reduced = [one.shape != other.shape for one, other in zip(whole, small, strict=True)]
     maps = weights if isinstance(weights, tuple | list) else (None, None)
-    metric = color_metric is not None and np.shape(color_metric) != (3, 3)
+    metric = color_metric is not None and as_array(
+        "color_metric", color_metric, "an array (3, 3), (H, W, 3, 3) or (H, W)"
+    ).shape != (3, 3)
     for name, is_map in (("weights", any(each is not None for each in maps)), ("color_metric",
                          metric)):  # fmt: skip
         if is_map and any(reduced):

@@ -37,13 +37,20 @@ ALTERNATIVES = (
 #: Those of which the first has a default, which gives way to the second.
 SQUARES_AND_PACE = ALTERNATIVES[:3]
 #: What an error adds about such a pair.
-REASONS = {
-    "epsilon": "epsilon is the square of blur",
-    "rho": "rho is the square of reach",
-    "duration": "both decide the pace",
-    "barycentric": "random draws and mean destinations exclude one another",
-    "sample": "random draws are from the whole plan",
-}
+REASONS = dict(
+    zip(
+        ALTERNATIVES,
+        (
+            "epsilon is the square of blur",
+            "rho is the square of reach",
+            "both decide the pace",
+            "random draws and mean destinations exclude one another",
+            "random draws are of the whole plan",
+            "mean destinations are of the whole plan",
+        ),
+        strict=True,
+    )
+)
 #: What an error adds where widths could not be found.
 NO_DIVERGENCE = (
     "sigma='optimal' needs a divergence: one reach for both images, and one color metric for all "
@@ -151,9 +158,9 @@ class MorphOptions(
             }  # fmt: skip
             for pair in ALTERNATIVES:
                 if chosen.issuperset(pair):
+                    first, second = (f"{name}={_text(layer[name])}" for name in pair)
                     raise InputError(
-                        f"{pair[0]}={shown(layer[pair[0]])} and {pair[1]}={shown(layer[pair[1]])} "
-                        f"contradict ({REASONS[pair[1]]}): give one of them"
+                        f"{first} and {second} contradict ({REASONS[pair]}): give one of them"
                     )
                 for name, other in (pair, pair[::-1]):
                     if name in chosen:
@@ -262,6 +269,10 @@ def preset_options(name: str | None) -> dict[str, Any]:
     return {name: value for name, value in usual.items() if name in decided} | dict(chosen.options)
 
 
+def _text(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else shown(value)
+
+
 def _is_off(value: Any, off: tuple[Any, ...]) -> bool:
     return any(type(value) is type(each) and value == each for each in off)
 
@@ -272,7 +283,7 @@ def _settle_gamma(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
         splatting = layer.get("splatting", "adaptive")
         if splatting != "adaptive":
             raise InputError(
-                f"gamma={shown(layer['gamma'])} belongs to adaptive splatting, not to "
+                f"gamma={_text(layer['gamma'])} belongs to adaptive splatting, not to "
                 f"{shown(splatting)}: leave one of them out"
             )
         settings["splatting"] = "adaptive"

@@ -101,18 +101,18 @@ def test_transparent_pictures_give_transparent_frames(pictures):
 def test_options_reach_the_morph(pictures, monkeypatch):
     seen = {}
 
-    def spy(source, target, n_frames, **options):
-        seen.update(options, shapes=(source.shape, target.shape), n_frames=n_frames)
+    def spy(problem, *more):
+        seen.update(problem.options.as_dict(), shapes=tuple(p.shape for p in problem.images))
         raise clmorph.InputError("seen")
 
-    monkeypatch.setattr("clmorph.cli.morph.make_morph", spy)
+    monkeypatch.setattr("clmorph.pipeline.morph.Problem.morph", spy)
     arguments = "morph a.png b.jpg -o x.gif --backend numpy --frames 7 --size 6 --blur 0.1"
     arguments += " --reach balanced --color-weight 3 --sigma-start 2 --sigma-end 1 --gamma 0.1"
     assert main(arguments.split()) == 2
     assert seen["n_frames"] == 7
     assert seen["shapes"] == ((4, 6, 3), (6, 4, 3))
     wanted = {
-        "blur": 0.1, "reach": np.inf, "color_weight": 3, "sigma_start": 2, "sigma_end": 1,
+        "blur": 0.1, "reach": None, "color_weight": 3, "sigma_start": 2, "sigma_end": 1,
         "gamma": 0.1, "extent": "true", "unmatched": "fade", "splatting": "adaptive",
         "endpoints": "exact", "path_space": "oklab",
     }  # fmt: skip
@@ -185,7 +185,7 @@ def test_ctrl_c_while_the_second_file_is_written(pictures, monkeypatch, capfd):
 
 
 def test_what_cannot_be_written_is_said_before_anything_is_solved(pictures, monkeypatch, capfd):
-    monkeypatch.setattr("clmorph.cli.morph.make_morph", None)
+    monkeypatch.setattr("clmorph.pipeline.morph.Problem.morph", None)
     Path("r.gif.json").mkdir()
     Image.new("RGBA", (5, 5)).save("void.png")
     for arguments, words in (

@@ -45,7 +45,7 @@ def pictures(tmp_path, monkeypatch, rng):
 
 @pytest.fixture
 def morph(rng):
-    return clmorph.morph(*rng.random((2, 5, 6, 3)), 3, backend="numpy")
+    return clmorph.morph(*rng.random((2, 5, 6, 3)), n_frames=3, backend="numpy")
 
 
 def run(*arguments):
@@ -192,17 +192,17 @@ def test_a_recipe_made_by_us_is_used_again_from_the_same_folder(tmp_path):
 @pytest.mark.parametrize("key", ["device", "backend", "config", "as_json"])
 def test_nothing_chooses_the_device(key, capfd):
     as_json(recipe(**{key: "numpy"}))
-    assert "unknown setting" in told(capfd, "--config", "foreign.json", "-o", "o.gif")
+    assert "unknown option" in told(capfd, "--config", "foreign.json", "-o", "o.gif")
 
 
 def test_a_recipe_may_lower_the_limit_of_memory_but_not_raise_it(capfd, monkeypatch):
     seen = []
 
-    def spy(*images, **options):
-        seen.append(options.get("max_memory"))
+    def spy(problem, *more):
+        seen.append(problem.options.max_memory)
         raise InputError("seen")
 
-    monkeypatch.setattr("clmorph.cli.morph.make_morph", spy)
+    monkeypatch.setattr("clmorph.pipeline.morph.Problem.morph", spy)
     monkeypatch.setattr("clmorph.cli.morph.default_memory", lambda operations: 2e9)
     for file, amount, want in (
         ("x.json", 1.5, 1.5e9),
@@ -369,7 +369,7 @@ def test_names_reach_the_terminal_without_commands(capfd, recwarn):
     as_json(recipe(**{HOSTILE: 1}))
     assert "\\x1b" in told(capfd, "--config", "foreign.json", "-o", "o.gif")
     as_json(recipe(**{"k" * 900_000: 1}))
-    assert "unknown setting" in told(capfd, "--config", "foreign.json", "-o", "o.gif")
+    assert "unknown option" in told(capfd, "--config", "foreign.json", "-o", "o.gif")
     as_json(recipe(splatting=HOSTILE * 1000))
     assert "splatting" in told(capfd, "--config", "foreign.json", "-o", "o.gif")
     as_json(recipe(blur=[[[[HOSTILE]]]] * 1000))
@@ -667,7 +667,7 @@ def test_settings_of_thousands_of_levels_reach_nobody():
     """Values are looked at, never walked through."""
     Path("deep.json").write_text(JSONS["deep enough to be parsed"])
     with contextlib.suppress(InputError):
-        read_settings(Path("deep.json"), main.__globals__["cli"].commands["morph"].params)
+        read_settings(Path("deep.json"))
 
 
 def test_a_picture_that_says_it_is_vast_is_told_in_one_line(capfd):

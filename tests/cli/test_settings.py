@@ -7,18 +7,23 @@ import os
 import tomllib
 from pathlib import Path
 
-import click
 import numpy as np
 import pytest
 from PIL import Image
 
 import clmorph
-from clmorph.cli.config import layered
-from clmorph.cli.main import NOT_SETTINGS, main, morph
+from clmorph._shared.options import outside_name, schema, specifications
+from clmorph.cli.config import as_toml
+from clmorph.cli.main import main
 from clmorph.errors import InputError
 from clmorph.output.provenance import read_parameters
 from clmorph.output.save import FORMATS
+from clmorph.pipeline.morph import Problem
+from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.recipe import load_options, options_of
+
+layered = MorphOptions.layered
 
 
 @pytest.fixture(autouse=True)
@@ -52,25 +57,68 @@ def test_layers():
     assert layered([{"epsilon": 3}, {"blur": 1}]) == {"blur": 1}
     assert layered([{"fps": 1}, {"duration": 3}]) == {"duration": 3}
     assert layered([{"blur": 1}, {"blur": 2}, {}]) == {"blur": 2}
-    both = {"blur": 1, "epsilon": 2}
-    assert layered([both]) == both  # the solver says that they contradict
+    for both in ({"blur": 1, "epsilon": 2}, {"reach": None, "rho": 2}, {"fps": 1, "duration": 2}):
+        with pytest.raises(InputError, match="contradict"):
+            layered([both])
     assert layered([{"splatting": "local"}, {"gamma": 1}])["splatting"] == "adaptive"
-    assert "gamma" not in layered([{"gamma": 1}, {"splatting": "fixed"}])
-    with pytest.raises(InputError, match="--gamma"):
+    assert layered([{"gamma": 1}, {"splatting": "fixed"}])["gamma"] is None
+    with pytest.raises(InputError, match="gamma"):
         layered([{"gamma": 1, "splatting": "local"}])
+
+
+def test_what_is_not_given_is_a_state_of_its_own():
+    """A value that happens to be the default counts as given."""
+    usual = MorphOptions()
+    for name, other in (("blur", "epsilon"), ("reach", "rho"), ("fps", "duration")):
+        value = getattr(usual, name)
+        with pytest.raises(InputError, match="contradict"):
+            MorphOptions(**{name: value, other: 0.04})
+        assert getattr(MorphOptions(**{other: 0.04}), name) is None
+    with pytest.raises(InputError, match="blur"):
+        clmorph.sinkhorn(([1], [0.0]), ([1], [0.1]), blur=0.03, epsilon=0.01, backend="numpy")
+
+
+@pytest.mark.parametrize("preset", [None, *PRESETS])
+def test_options_survive_a_file(preset):
+    """What is written outside is read as the same options, whatever the preset."""
+    for more in (
+        {},
+        {"rho": 0.04},
+        {"epsilon": 0.01},
+        {"duration": 9.0},
+        {"reach": (0.2, None)},
+        {"max_memory": 3e9},
+        {"canvas": (9, 7)},
+        {"sample": 3},
+        {"rho": (0.1, math.inf)},
+    ):
+        options = MorphOptions(preset=preset, **more)
+        text = json.loads(json.dumps(options.outside()))
+        assert MorphOptions(**options_of(text, "x")) == options
+        again = tomllib.loads(as_toml(options.outside(), []))
+        assert MorphOptions(**options_of(again, "x")) == options
+
+
+def test_the_schema_describes_what_is_written():
+    described = schema(MorphOptions)["properties"]
+    assert set(MorphOptions().outside()) <= set(described)
+    assert described["frames"]["default"] == 30
+    assert described["reach"]["default"] == 0.3
+    assert "balanced" in json.dumps(described["reach"])
+    assert all(each["description"].endswith((".", "s")) for each in described.values())
 
 
 def test_what_decides(capfd):
     """Command line, then a preset named there, then the file, then the file's preset."""
     Path("x.toml").write_text('preset = "paper"\nblur = 0.07\nframes = 9\nsplatting = "none"\n')
-    assert dumped(capfd)["blur"] == PRESETS["photo"]["blur"]
+    assert dumped(capfd)["blur"] == MorphOptions().blur
     found = dumped(capfd, "--config", "x.toml")
     assert found["blur"] == 0.07
     assert found["frames"] == 9
     assert found["extent"] == "unit"
-    assert "gamma" not in found
+    assert found["gamma"] == "none"
     found = dumped(capfd, "--config", "x.toml", "--preset", "balanced", "--frames", "4")
-    assert found["blur"] == PRESETS["balanced"]["blur"]
+    assert found["blur"] == MorphOptions().blur
     assert found["reach"] == "balanced"
     assert found["frames"] == 4
     assert dumped(capfd, "--config", "x.toml", "--epsilon", "0.01").keys().isdisjoint({"blur"})
@@ -79,18 +127,18 @@ def test_what_decides(capfd):
 def test_the_papers_threshold_is_a_setting(capfd, monkeypatch):
     """Of the preset, the command line, TOML and recipes, through to `clmorph.morph`."""
     assert dumped(capfd, "--preset", "paper")["log_threshold"] == -13
-    assert "log_threshold" not in dumped(capfd)
+    assert dumped(capfd)["log_threshold"] == "relative"
     assert dumped(capfd, "--log-threshold", "-11.5")["log_threshold"] == -11.5
     Path("x.toml").write_text('preset = "paper"\nlog-threshold = -12\n')
     assert dumped(capfd, "--config", "x.toml")["log_threshold"] == -12
     seen = []
-    make = clmorph.morph
+    make = Problem.morph
 
-    def spy(*arguments, **options):
-        seen.append(options.get("log_threshold"))
-        return make(*arguments, **options)
+    def spy(problem, *more):
+        seen.append(problem.options.log_threshold)
+        return make(problem, *more)
 
-    monkeypatch.setattr("clmorph.cli.morph.make_morph", spy)
+    monkeypatch.setattr(Problem, "morph", spy)
     few = ["a.png", "b.png", "--frames", "2", "--preset", "paper"]
     assert main(["morph", *few, "-o", "first.gif"]) == 0
     assert main(["morph", "--config", "first.gif", "-o", "again.gif"]) == 0
@@ -107,7 +155,7 @@ def test_draws_and_means_are_of_the_whole_plan():
     assert layered([preset, {"barycentric": True}]) == {"barycentric": True}
     assert layered([preset, {"barycentric": False}]) == {"barycentric": False, **preset}
     assert layered([{"sample": 3}, preset]) == preset
-    off = {"log_threshold": "relative"}
+    off = {"log_threshold": None}
     assert layered([{"sample": 3}, off]) == {"sample": 3, **off}
 
 
@@ -121,7 +169,7 @@ def test_a_threshold_that_drops_much_is_noted(capfd, rng):
     assert "note: log_threshold=-7 drops" in err
     (noted,) = json.loads(out)["notes"]
     assert "'relative'" in noted
-    assert "max_memory" not in json.loads(out)["options"]  # no memory gave way
+    assert json.loads(out)["options"]["max_memory"] == "none"  # no memory gave way
 
 
 def test_a_dump_is_a_file_of_settings(capfd):
@@ -322,13 +370,13 @@ def test_a_picture_that_is_gone_is_said(capfd):
 
 def test_mistakes_in_files(capfd):
     cases = {
-        "colour_weight = 3": "unknown setting 'colour_weight'; did you mean 'color_weight'?",
+        "colour_weight = 3": "unknown option 'colour_weight'; did you mean 'color_weight'?",
         "blur = ": "not TOML",
         'blur = "soft"': "blur = 'soft': expected a finite number",
         'splatting = "big"': "--splatting",
         "images = 3": "expected a list",
         'preset = "lovely"': "--preset",
-        'gamma = 1\nsplatting = "local"': "--gamma belongs",
+        'gamma = 1\nsplatting = "local"': "--gamma",
         "blur = 0.05\nepsilon = 0.0025": "contradict|both|--epsilon",
     }
     for text, words in cases.items():
@@ -346,9 +394,37 @@ def test_mistakes_in_files(capfd):
     assert not Path("o.gif").exists()
 
 
-def test_a_file_saved_from_python_holds_no_settings(capfd, rng):
-    clmorph.morph(*rng.random((2, 5, 5, 3)), 2).save("p.gif")
-    assert "saved from Python" in told(capfd, "--config", "p.gif", "-o", "o.gif")
+def test_one_recipe_for_python_and_the_command_line(capfd, rng):
+    """What Python saved, the command line repeats, and the reverse: the same bytes."""
+    given = {"n_frames": 3, "blur": 0.06, "reach": None, "fps": 12.0, "backend": "numpy"}
+    result = clmorph.morph(*(clmorph.read_image(f"{name}.png") for name in "ab"), **given)
+    result.save("p.npz")
+    result.save("p.gif", loop="ping-pong")
+    arguments = ["a.png", "b.png", "--backend", "numpy"]
+    assert main(["morph", *arguments, "--config", "p.npz", "-o", "q.npz"]) == 0
+    for one, other in zip(clmorph.load("p.npz").frames, clmorph.load("q.npz").frames, strict=True):
+        assert np.array_equal(one, other)
+    assert main(["morph", *arguments, "--config", "p.gif", "-o", "q.gif"]) == 0
+    assert load_options("p.gif") == load_options("q.gif")
+    assert load_options("q.gif")["loop"] == "ping-pong"
+    again = clmorph.morph(
+        *(clmorph.read_image(f"{name}.png") for name in "ab"), backend="numpy",
+        **load_options("q.gif"),
+    )  # fmt: skip
+    assert np.array_equal(again.frame(0.5), result.frame(0.5))
+
+
+def test_python_and_the_command_line_have_the_same_defaults():
+    few = ["--frames", "3", "--backend", "numpy"]
+    assert main(["morph", "a.png", "b.png", "-o", "line.npz", *few]) == 0
+    images = [clmorph.read_image(f"{name}.png") for name in "ab"]
+    result = clmorph.morph(*images, n_frames=3, backend="numpy")
+    for one, other in zip(result.frames, clmorph.load("line.npz").frames, strict=True):
+        assert np.array_equal(one, other)
+    with pytest.raises(InputError, match="different options"):
+        clmorph.save([result, clmorph.morph(*images[::-1], n_frames=3, blur=0.2,
+                                            backend="numpy")], "two.gif")  # fmt: skip
+        load_options("two.gif")
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))
@@ -380,13 +456,12 @@ def test_crossfade_is_one(capfd):
     assert np.abs(middle - (start + 255) / 2).max() < 3
 
 
-NUMERIC = {
-    parameter.name: parameter
-    for parameter in morph.params
-    if parameter.name not in NOT_SETTINGS
-    and (parameter.type in (click.INT, click.FLOAT) or "number" in parameter.type.name
-         or parameter.type.name == "GB")
-}  # fmt: skip
+NUMERIC = [
+    outside_name(name, known)
+    for name, known in specifications(MorphOptions).items()
+    if "number" in known.kind.metavar or "integer" in known.kind.metavar
+]
+NUMERIC.append("max_pixels")
 #: Values as TOML and as JSON write them.
 NO_NUMBERS = [
     ("inf", "Infinity"), ("-inf", "-Infinity"), ("nan", "NaN"), ("9" * 400, "9" * 400),

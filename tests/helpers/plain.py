@@ -17,10 +17,8 @@ OPTIONS = MorphOptions(
 )  # fmt: skip
 
 
-def morph(image_a, image_b, n_frames=30, blur=None, reach=None, *, backend="auto", **given) -> Any:
-    for name, value in (("n_frames", n_frames), ("blur", blur), ("reach", reach)):
-        if value is not None:
-            given.setdefault(name, value)
+def morph(image_a, image_b, *numbers, backend="auto", **given) -> Any:
+    given |= dict(zip(("n_frames", "blur", "reach"), numbers, strict=False))
     own = {name: given.pop(name) for name in ("weights", "color_metric", "progress")
            if name in given}  # fmt: skip
     return clmorph.morph(image_a, image_b, OPTIONS.replace(**given), backend=backend, **own)

@@ -13,7 +13,7 @@ from clmorph import InputError, PruningWarning, fit
 from clmorph.frames.filling import HOLE_COVERAGE
 from clmorph.frames.render import uniform_density
 from clmorph.images.pixels import as_rgb
-from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.options import PAPER
 
 
 @pytest.fixture(scope="session")
@@ -76,8 +76,7 @@ def test_the_papers_preset_keeps_the_pairs_of_the_dense_rule(device, size):
     """All of them and no others, with uniform weights 1 / N."""
     images = [fit(as_rgb(skimage.data.astronaut()), size)]
     images.append(fit(as_rgb(skimage.data.chelsea()[:, 75:375]), size))
-    options = {name: value for name, value in PRESETS["paper"].items() if name != "size"}
-    got = morph(*images, 2, backend=device, **options)
+    got = clmorph.morph(*images, n_frames=2, backend=device, preset="paper")
     assert np.all(got.source.weights == 1 / size**2)
     want = reference.transport_plan(got.source, got.target, got.potentials, log_threshold=-13.0)
     kept = np.zeros(want.shape, bool)
@@ -85,7 +84,9 @@ def test_the_papers_preset_keeps_the_pairs_of_the_dense_rule(device, size):
     assert np.array_equal(kept, want > 0)
     whole = reference.transport_plan(got.source, got.target, got.potentials)
     assert np.array_equal(kept, whole > np.exp(-13.0))
-    relative = morph(*images, 2, backend=device, **options | {"log_threshold": None})
+    relative = clmorph.morph(
+        *images, n_frames=2, backend=device, preset="paper", log_threshold=None
+    )
     assert len(relative.plan) > 1.2 * len(got.plan)
 
 
@@ -192,20 +193,27 @@ def test_constant_and_equal_images(device):
 def test_public_signatures_are_mirrored():
     for name in ("sinkhorn", "transport_plan", "morph"):
         ours = inspect.signature(getattr(clmorph, name)).parameters
-        theirs = inspect.signature(getattr(reference, name)).parameters
+        theirs = inspect.signature(getattr(clmorph.reference, name)).parameters
         for parameter, value in theirs.items():
             assert parameter in ours
-            assert value.default == ours[parameter].default
+            # The reference's morph is the paper's.
+            usual = ours[parameter].default
+            assert value.default == (getattr(PAPER, parameter, usual) if name == "morph" else usual)
             assert value.kind == ours[parameter].kind
-        # What the reference lacks is about where and how the work is done.
-        beyond = set(ours) - set(theirs)
-        assert beyond <= {
-            "backend", "progress", "relative", "log_threshold", "splatting", "method", "scaling",
-            "precision", "start", "relative_to", "max_bytes", "multiscale", "truncation", "verify",
-            "barycentric", "sample", "seed", "sigma", "endpoints", "mass", "weights",
-            "color_space", "color_metric", "path_space", "ease",
-            "solve_size", "max_memory", "max_particles",
-        }  # fmt: skip
+    # What the reference lacks is about where and how the work is done.
+    assert set(inspect.signature(clmorph.sinkhorn).parameters) - set(
+        inspect.signature(clmorph.reference.sinkhorn).parameters
+    ) == {
+        "backend",
+        "progress",
+        "method",
+        "scaling",
+        "precision",
+        "start",
+        "multiscale",
+        "truncation",
+        "verify",
+    }
 
 
 @pytest.mark.parametrize(
