@@ -32,6 +32,13 @@ def get_backend(backend: Backend = "auto") -> Operations:
     DeviceError
         If there is no such device or it does not work, or this process was forked from one
         that has used OpenCL.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> operations = clmorph.get_backend("numpy")
+    >>> clmorph.get_backend(operations) is operations
+    True
     """
     if not isinstance(backend, str):
         if hasattr(backend, "softmin") and not isinstance(backend, type):

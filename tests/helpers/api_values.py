@@ -71,7 +71,9 @@ def public_functions() -> dict[str, Callable[..., Any]]:
         ]
         for name in names:
             value = getattr(module, name)
-            if isinstance(value, type):
+            if value is clmorph.MorphOptions:  # its other methods are for the stages
+                found |= {f"{name}.{each}": getattr(value, each) for each in ("replace", "as_dict")}
+            elif isinstance(value, type):
                 made_here = name != "NumPyOperations" and not issubclass(value, Exception)
                 found |= _methods(value) if made_here else {}
             elif inspect.isfunction(value):
@@ -115,7 +117,9 @@ def examples() -> dict[str, Any]:
         "plan": clmorph.transport_plan(source, target, potentials, backend="numpy"),
         "morph": morph,
         "sums": morph.sums(0.5),
-        "channels": clmorph.analysis.channel_baseline.channel_morph(a, b, 2, backend="numpy"),
+        "channels": clmorph.analysis.channel_baseline.channel_morph(
+            a, b, n_frames=2, backend="numpy"
+        ),
         "reference": reference,
         "divergence": divergence,
         "inspection": clmorph.inspect(a, b, n_frames=2, backend="numpy"),
@@ -137,18 +141,24 @@ def cases() -> dict[str, dict[str, Any]]:
     images = {"image_a": some["a"], "image_b": some["b"]}
     measures = {"source": some["source"], "target": some["target"]}
     planned = measures | {"potentials": some["potentials"], "backend": "numpy"}
-    shared = {"solve_size": None, "max_particles": None, "backend": "numpy", "progress": Idle()}
+    shared = {"size": None, "solve_size": None, "max_particles": None, "max_memory": None,
+              "log_threshold": None, "options": None, "preset": None, "backend": "numpy",
+              "progress": Idle()}  # fmt: skip
+    playback = {"fps": 20.0, "duration": None, "hold": 0.65, "loop": "loop", "reverse": False,
+                "canvas": "dynamic", "scaling": "auto", "background": None,
+                "lossless": False}  # fmt: skip
     of_morph = {"morph": some["morph"]}
     given: dict[str, dict[str, Any]] = {
-        "morph": images | STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | {
+        "morph": images | STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | playback | {
             "n_frames": 2, "splatting": "adaptive", "sigma": None, "endpoints": "exact",
             "unmatched": "fade", "path_space": "srgb", "barycentric": False, "sample": None,
-            "seed": 0, "ease": "linear", "max_memory": None, "log_threshold": None,
+            "seed": 0, "ease": "linear",
         },
         "inspect": images | STRENGTHS | SOLVER | LIFTING | shared | {
-            "n_frames": 2, "divergence": True, "max_bytes": 1e9, "max_memory": None,
-            "log_threshold": None,
+            "n_frames": 2, "divergence": True, "max_bytes": 1e9,
         },
+        "MorphOptions.replace": {"self": clmorph.MorphOptions()} | STRENGTHS | SOLVER,
+        "MorphOptions.as_dict": {"self": clmorph.MorphOptions()},
         "sinkhorn": measures | STRENGTHS | SOLVER | {
             "backend": "numpy", "method": "certified", "scaling": 0.9, "precision": "auto",
             "start": None, "progress": Idle(), "multiscale": "auto", "truncation": "auto",
@@ -168,12 +178,12 @@ def cases() -> dict[str, dict[str, Any]]:
         "fit": {"image": some["a"], "size": 2},
         "read_image": {"path": "a.png", "max_pixels": 1000},
         "load": {"path": "a.npz", "max_bytes": 1e9},
+        "load_options": {"path": "a.npz"},
         "get_backend": {"backend": "numpy"},
         "save": {
-            "morphs": some["morph"], "path": "out.png", "format": None, "fps": 20.0, "hold": 0.65,
-            "loop": "loop", "reverse": False, "canvas": "dynamic", "scaling": "auto",
-            "background": None, "lossless": False, "parameters": None, "progress": Idle(),
-        },
+            "morphs": some["morph"], "path": "out.png", "format": None, "parameters": None,
+            "progress": Idle(),
+        } | playback,
         "Morph.frame": {"self": some["morph"], "t": 0.5},
         "Morph.coverage": {"self": some["morph"], "t": 0.5},
         "Morph.canvas": {"self": some["morph"], "t": 0.5},
@@ -200,8 +210,8 @@ def cases() -> dict[str, dict[str, Any]]:
         "quality.hole_fraction": {"coverage": np.ones((3, 3))},
         "quality.sharpness": {"frame": some["a"]},
         "quality.step_sizes": {"frames": [some["a"], some["b"]]},
-        "baseline.channel_morph": images | SOLVER | WIDTHS | {
-            "blur": 0.05, "reach": 0.3, "n_frames": 2, "backend": "numpy", "extent": "true",
+        "baseline.channel_morph": images | STRENGTHS | SOLVER | WIDTHS | {
+            "n_frames": 2, "backend": "numpy", "extent": "true",
         },
         "ChannelMorph.frame": {"self": some["channels"], "t": 0.5},
         "ChannelMorph.iter_frames": {"self": some["channels"]},
