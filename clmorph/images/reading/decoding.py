@@ -191,7 +191,7 @@ def _split(picture: Any) -> tuple[Any, AnyArray | None]:
 
 
 def _orientation(info: dict[Any, Any]) -> int:
-    """Return how a picture lies, as its Exif tells, or its XMP."""
+    """Return the orientation of a picture from its Exif, or else from its XMP."""
     exif = info.get("exif")
     raw = info.get("Raw profile type exif")
     if not exif and isinstance(raw, str):  # older versions of ImageMagick
