@@ -33,6 +33,8 @@ from clmorph.pipeline.presets import PRESETS
 
 OPTIONS = {"blur": 0.05, "reach": 0.3, "color_weight": 0.5}
 PHOTO = {"blur": 0.03, "reach": 0.3, "color_weight": 0.5}
+#: Every pair of the plan between the pixels themselves is one particle.
+WHOLE = {"solve_size": None, "max_particles": None}
 
 
 def _picture(shape, phase=0.0, channels=3):
@@ -364,8 +366,8 @@ class TestMemory:
         tracemalloc.start()
         try:
             result = clmorph.morph(
-                first, second, 5, blur, 0.3, 0.5, "auto", "auto", backend=device,
-                splatting="local", **way,
+                first, second, n_frames=5, blur=blur, reach=0.3, color_weight=0.5,
+                path_space="srgb", backend=device, **WHOLE, **way,
             )  # fmt: skip
             for t in (0.0, 0.3, 0.5):
                 result.frame(t)
@@ -385,7 +387,9 @@ class TestMemory:
         first, second = _photos(32)
         tracemalloc.start()
         try:
-            result = clmorph.morph(first, second, 5, 0.03, 0.3, 0.5, backend="numpy")
+            result = clmorph.morph(
+                first, second, n_frames=5, splatting="adaptive", backend="numpy", **PHOTO, **WHOLE
+            )
             result.frame(0.5)
             _, host = tracemalloc.get_traced_memory()
         finally:
@@ -440,8 +444,8 @@ class TestTime:
     @pytest.mark.parametrize(("side", "blur"), [(32, 0.03), (64, 0.015), (64, 0.03)])
     def test_of_frames_is_about_what_they_take(self, device, side, blur):
         result = clmorph.morph(
-            *_photos(side), 12, blur, 0.3, 0.5, "auto", "auto", backend=device,
-            splatting="local", path_space="oklab",
+            *_photos(side), n_frames=12, blur=blur, reach=0.3, color_weight=0.5, backend=device,
+            **WHOLE,
         )  # fmt: skip
         ratios = []
         for _ in range(4):  # runtimes' threads also wait in earnest
@@ -607,7 +611,7 @@ class TestWhatAMorphWouldDraw:
     def _check(self, found, images, **options):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MemoryWarning)
-            result = clmorph.morph(*images, 3, backend="numpy", **options)
+            result = clmorph.morph(*images, n_frames=3, backend="numpy", **options)
         assert found.moving == len(result.plan)
         assert found.seconds.frames > 0
         _is_json(found)
@@ -659,7 +663,7 @@ class TestWhatAMorphWouldDraw:
             found = inspect(*images, backend=device, divergence=False, **options)
         assert caught[0].filename == __file__
         with pytest.warns(MemoryWarning):
-            result = clmorph.morph(*images, 3, backend=device, **options)
+            result = clmorph.morph(*images, n_frames=3, backend=device, **options)
         assert found.moving == len(result.plan) < found.pairs
         assert max(found.memory.ram, found.memory.device) <= options["max_memory"]
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import skimage.data
+from plain import morph
 
-from clmorph import InputError, fit, morph
+from clmorph import InputError, fit
 from clmorph.analysis.metrics import hole_fraction, path_divergence
 from clmorph.images.detail import auto_sigma, intrinsic_spacing
 from clmorph.images.pixels import as_rgb
@@ -69,7 +70,8 @@ def test_optimal_widths_are_nearest_to_the_particles(device, pair):
 
 def test_local_widths_close_holes_without_blur(device, pair):
     """Of a few scattered particles, torn places are filled, and crowded ones stay as sharp."""
-    few = {"n_frames": 2, "sample": 1, "unmatched": "drop", "endpoints": "paper"}
+    few = {"n_frames": 2, "sample": 1, "unmatched": "drop", "endpoints": "paper", "blur": 0.05,
+           "color_weight": 2.0}  # fmt: skip
     pair = [pair[0], np.kron(pair[1], np.ones((2, 2, 1)))]
     none = morph(*pair, splatting="none", backend=device, **few)
     local = morph(*pair, splatting="local", sigma_start=0.5, sigma_end=0.5, backend=device, **few)

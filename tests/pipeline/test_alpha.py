@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from PIL import Image
+from plain import lift, morph
 
-from clmorph import fit, lift, morph, read_image
+from clmorph import fit, read_image
 from clmorph.images.pixels import to_bytes
 
 
@@ -38,7 +39,10 @@ def test_frames_have_opacity(device, discs, splatting, mass):
 
 def test_a_moving_disc_stays_opaque_and_of_its_size(device, discs):
     """Mass moves as a whole: halfway there is one disc between both, not two ghosts."""
-    result = morph(*discs, n_frames=3, reach=None, blur=0.03, splatting="local", backend=device)
+    result = morph(
+        *discs, n_frames=3, reach=None, blur=0.03, splatting="local", path_space="srgb",
+        backend=device,
+    )  # fmt: skip
     alpha = result.frames[1][..., 3]
     areas = [image[..., 3].sum() for image in discs]
     assert 0.9 * min(areas) < alpha.sum() < 1.25 * max(areas)
