@@ -1,8 +1,9 @@
-"""Arrays as callers give them, made arrays of ours in one way everywhere.
+"""Conversion of what callers give to arrays of numbers, in one way everywhere.
 
-Everything that NumPy makes an array of is taken: lists, arrays of any order and byte order,
-read-only ones, data frames, tensors on the host. What NumPy would convert by losing something is
-refused, with a word of what to do: masked entries, imaginary parts, texts, sparse matrices.
+Everything from which NumPy makes an array is accepted: lists, arrays of any order and byte order,
+read-only arrays, data frames, tensors on the host. Values that NumPy could only convert by losing
+something raise an error that says what to do: masked entries, imaginary parts, texts, sparse
+matrices.
 """
 
 from typing import Any
@@ -24,10 +25,10 @@ def as_array(name: str, value: Any, expected: str = "an array of numbers") -> An
     Parameters
     ----------
     name : str
-        What messages call it.
+        The name of the value in error messages.
     value : array_like
     expected : str
-        What messages say was expected.
+        The words for what was expected in error messages.
 
     Returns
     -------

@@ -71,7 +71,7 @@ def make_clusters(measure: AnyMeasure, side: float) -> Clusters:
 
 
 def _means(labels: NDArray[np.intp], count: int, values: Array, weights: Array) -> Array:
-    """Means of (N, k) values over clusters, by mass; plain ones where there is none."""
+    """Return means of (N, k) values over clusters, weighted by mass where a cluster has some."""
     masses = np.bincount(labels, weights, count)
     share = np.divide(weights, masses[labels], out=np.zeros(len(labels)), where=weights > 0)
     empty = masses <= 0

@@ -196,7 +196,7 @@ def as_image_measure(name: str, value: Any, why: str, instead: str = "") -> Meas
     Raises
     ------
     InputError
-        If it is none.
+        If it is no lifted image.
     """
     if not isinstance(value, Measure):
         raise InputError(

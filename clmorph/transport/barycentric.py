@@ -78,7 +78,7 @@ def check_barycentric(name: str, value: Any, sizes: tuple[int, int]) -> Barycent
     Raises
     ------
     InputError
-        If `value` is none, or of other sizes, or not finite.
+        If `value` is no Barycentric, or has other sizes, or is not finite.
     """
     if not isinstance(value, Barycentric):
         raise InputError(

@@ -23,7 +23,7 @@ from clmorph._shared.typing import Array
 
 #: Largest exponent of an exponential: potentials far from a solution then overflow nowhere.
 MAX_EXPONENT = 300.0
-#: From this exponent on float64 cannot tell e^x from e^x - 1.
+#: From this exponent on e^x and e^x - 1 are the same float64.
 FAR = 50.0
 #: Relative errors in float64: of a few operations, and of NumPy's pairwise sum of 2^24 terms.
 STEPS_ERROR, SUM_ERROR = 2.0**-50, 2.0**-46

@@ -17,6 +17,11 @@ from clmorph._shared.validation import check_progress, shown
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
+from clmorph.transport._solver.checks import (
+    check_problem,
+    check_solver_options,
+    choose_truncation,
+)
 from clmorph.transport._solver.iteration import REPEATED
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS
@@ -25,13 +30,7 @@ from clmorph.transport.certificate import SUM_ERROR
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.regularization import Regularization, regularization
-from clmorph.transport.sinkhorn import (
-    check_problem,
-    check_solver_options,
-    choose_truncation,
-    sinkhorn,
-    warn_unless_converged,
-)
+from clmorph.transport.sinkhorn import sinkhorn, warn_unless_converged
 
 
 @dataclass(frozen=True, repr=False, eq=False)

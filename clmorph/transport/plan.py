@@ -214,7 +214,7 @@ def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
     Raises
     ------
     InputError
-        If it is none, or of other sizes, or its parts do not belong together.
+        If it is no plan, or has other sizes, or its arrays do not belong together.
     """
     if not isinstance(value, Plan):
         raise InputError(

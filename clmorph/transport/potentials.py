@@ -169,7 +169,7 @@ class Potentials:
 
 
 def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potentials:
-    """Return potentials that are usable for measures of so many points.
+    """Return potentials after checking that they are usable for measures of these sizes.
 
     Parameters
     ----------

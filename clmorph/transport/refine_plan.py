@@ -60,7 +60,7 @@ def refined(
 
 
 def _places(source: PixelBlocks, target: PixelBlocks) -> list[tuple[int, int]]:
-    """Places in the finer of two blocks: row and column."""
+    """Return the places, row and column, inside the larger of the blocks of both images."""
     side = max(source.side, target.side)
     return [(row, column) for row in range(side) for column in range(side)]
 
@@ -72,7 +72,7 @@ def _pixels(
     j: IntArray,
     place: tuple[int, int],
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Return pairs that have this place, and their pixels there, in source and target."""
+    """Return the pairs of blocks that have a place, and their pixels there in source and target."""
     finest = max(source.side, target.side)
     there = np.ones((2, len(i)), bool)
     found = []
@@ -84,7 +84,7 @@ def _pixels(
             inside = np.minimum(blocks.side, length - index * blocks.side)
             wanted = offset * blocks.side // finest
             there[own] &= wanted < inside
-            # A block that is cut off by the border gives what it has again.
+            # A block that the border cuts off repeats its pixels.
             pixel.append(index * blocks.side + wanted % inside)
         found.append(pixel[0] * width + pixel[1])
     pairs = np.flatnonzero(there.any(axis=0))
@@ -121,7 +121,7 @@ def drawn(draws: Draws, source: PixelBlocks, target: PixelBlocks) -> Plan:
 def _to_pixels(
     drawn: NDArray[np.int32], masses: Array, own: PixelBlocks, other: PixelBlocks
 ) -> tuple[IntArray, IntArray, Array]:
-    """Return draws of one side's blocks as pairs of pixels: own, others', and their mass."""
+    """Return draws of the blocks of one side as pairs of pixels: own, other, and their mass."""
     n, count = drawn.shape
     along = z_order(*np.divmod(np.arange(len(other.coarse)), other.coarse.shape[1]))
     order = np.argsort(along[drawn], axis=1, kind="stable")
@@ -137,7 +137,7 @@ def _to_pixels(
 
 
 def z_order(row: IntArray, column: IntArray) -> IntArray:
-    """Return the place of grid points along a Z-curve (Morton 1966): their bits, interleaved."""
+    """Return the position of grid points along a Z-curve (Morton 1966), by interleaved bits."""
     code = np.zeros_like(row)
     for bit in range(int(max(row.max(initial=0), column.max(initial=0))).bit_length()):
         code |= (column >> bit & 1) << 2 * bit | (row >> bit & 1) << 2 * bit + 1
@@ -147,7 +147,7 @@ def z_order(row: IntArray, column: IntArray) -> IntArray:
 def _in_turn(
     blocks: PixelBlocks, owner: IntArray, rank: IntArray, draws: int, finest: int
 ) -> tuple[IntArray, IntArray]:
-    """Return the pixel of each draw and its place in the finest of blocks, by row and column."""
+    """Return the pixel of each draw, and its place, row and column, in the largest of blocks."""
     places = np.divmod(np.arange(len(blocks.fine)), blocks.fine.shape[1])
     order = np.lexsort((z_order(*(axis % blocks.side for axis in places)), blocks.owners))
     owners = blocks.owners[order]
@@ -159,7 +159,7 @@ def _in_turn(
     n = count[owner]
     level = ((rank % n) + (rank // n + 0.5) / -(-draws // n)) / n
     found = np.minimum(np.searchsorted(ends, owner + level), np.cumsum(count)[owner] - 1)
-    # What is left of the level chooses among the places that one pixel has in finer blocks.
+    # The rest of the level chooses among the places that one pixel covers in larger blocks.
     inner = np.clip((owner + level - ends[found]) / np.maximum(share[found], 1e-12) + 1, 0, 1)
     pixels = order[found]
     row, column = np.divmod(pixels, blocks.fine.shape[1])
@@ -175,13 +175,13 @@ def _in_turn(
 
 
 def _before(share: Array, owners: IntArray) -> Array:
-    """Sum of the shares of all blocks before each pixel's."""
+    """Return, for each pixel, the sum of the shares of all blocks before its own."""
     totals = np.cumsum(np.bincount(owners, share))
     return np.concatenate(([0.0], totals))[owners]
 
 
 def _at_place(blocks: PixelBlocks, owner: IntArray, place: IntArray, finest: int) -> IntArray:
-    """Return the pixel of each block at a place; a block that is cut off has what it has again."""
+    """Return the pixel of each block at a place; a block cut off by the border repeats its own."""
     found = []
     indices = np.divmod(owner, blocks.coarse.shape[1])
     for index, length, offset in zip(indices, blocks.fine.shape, place, strict=True):
@@ -205,7 +205,7 @@ def _as_plan(
     )
     rows, columns, mass = _with_all_pixels(rows, columns, mass, source, row_mass)
     columns, rows, mass = _with_all_pixels(columns, rows, mass, target, column_mass)
-    matrix = coo_array((mass, (rows, columns)), shape=shape).tocsr()  # sums what is twice there
+    matrix = coo_array((mass, (rows, columns)), shape=shape).tocsr()  # adds up repeated pairs
     matrix.sort_indices()
     matrix.eliminate_zeros()
     return Plan(
@@ -221,10 +221,10 @@ def _with_all_pixels(
     blocks: PixelBlocks,
     wanted: Array,
 ) -> tuple[IntArray, IntArray, Array]:
-    """Let pixels that move without a pair of their own share their block's heaviest one.
+    """Let pixels that should move but have no pair share the heaviest pair of their block.
 
-    Those are light beside others of their block, or have none at their place in the blocks that
-    theirs moves to. Without a pair they would stay behind.
+    Such pixels are light beside others of their block, or have no partner at their place in the
+    blocks to which theirs moves. Without a pair they would stay behind.
     """
     missed = np.flatnonzero((wanted > 0) & (np.bincount(own, mass, len(wanted)) == 0))
     if not len(missed):
@@ -233,7 +233,7 @@ def _with_all_pixels(
     near = np.flatnonzero(np.isin(owners[own], owners[missed]) & (mass > 0))
     order = near[np.lexsort((mass[near], owners[own[near]]))]
     heaviest = np.full(len(blocks.coarse), -1)
-    heaviest[owners[own[order]]] = order  # the last of each block stays
+    heaviest[owners[own[order]]] = order  # the last one of each block, the heaviest, is kept
     missed = missed[heaviest[owners[missed]] >= 0]
     pairs = heaviest[owners[missed]]
     mass = mass / (1 + np.bincount(pairs, minlength=len(mass)))
@@ -245,7 +245,7 @@ def _with_all_pixels(
 
 
 def _refined_means(plan: Barycentric, source: PixelBlocks, target: PixelBlocks) -> Barycentric:
-    """Move each pixel as the blocks around it move, in between by linear interpolation."""
+    """Move each pixel as the blocks around it move, by linear interpolation between them."""
     fine, coarse, owners = source.fine, source.coarse, source.owners
 
     def between(values: Array) -> Array:

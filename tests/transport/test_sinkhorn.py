@@ -1,5 +1,7 @@
 """The solver on every device and on NumPy: closed forms, the reference, nasty measures."""
 
+import inspect
+
 import numpy as np
 import plain
 import pytest
@@ -260,3 +262,21 @@ def test_masses_that_differ_at_a_large_reach(any_backend):
     source, target = measure(point, [1.0]), measure(point, [5.0])
     potentials = sinkhorn(source, target, 0.05, 1e3, backend=any_backend)
     assert dense_plan(source, target, potentials).sum() == pytest.approx(5**0.5, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        clmorph.barycentric_plan, clmorph.displacement_statistics, clmorph.fit, clmorph.lift,
+        clmorph.read_image, clmorph.reference.cost_matrix, clmorph.reference.render,
+        clmorph.reference.sinkhorn, clmorph.reference.transport_plan, clmorph.sample_plan,
+        clmorph.sinkhorn, clmorph.sinkhorn_divergence, clmorph.transport_plan,
+    ],
+    ids=lambda function: function.__name__,
+)  # fmt: skip
+def test_help_shows_the_names_of_types(function):
+    """Signatures name `Array` or `Backend` in place of the unions that these stand for."""
+    signature = str(inspect.signature(function))
+    assert len(signature) < 900
+    assert "[" not in signature.replace("tuple[", "").replace("PathLike[", "")
+    assert "numpy" not in signature

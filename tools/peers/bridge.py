@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 import clmorph
 from clmorph.backends.interface import MAX_DIMENSION
-from clmorph.transport.sinkhorn import MAX_SPREAD
+from clmorph.transport._solver.checks import MAX_SPREAD
 from peers.outcomes import DECLINED
 
 Array = NDArray[np.float64]

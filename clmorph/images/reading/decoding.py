@@ -10,7 +10,7 @@ from typing import IO, Any
 import numpy as np
 
 from clmorph._shared.typing import AnyArray
-from clmorph.images.reading import tags, tiff
+from clmorph.images.reading import tags, tiff, tiff_layout
 from clmorph.images.reading.deep import (
     GRAY_16,
     deep_samples,
@@ -49,7 +49,7 @@ def decode(file: Path, max_pixels: int) -> Decoded:
         Of any kind, if it is damaged: whatever its decoder raises.
     """
     with Reader(file) as stream:
-        if stream.read(4) in tiff.SIGNATURES:
+        if stream.read(4) in tiff_layout.SIGNATURES:
             return _decode_tiff(file, stream, max_pixels)
         picture = open_picture(file, stream, max_pixels)
         with picture:
@@ -61,11 +61,11 @@ def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
     from PIL.TiffImagePlugin import TiffImageFile
 
     name = str(file)
-    layout, page, more = tiff.open_page(stream)
+    layout, page, more = tiff_layout.open_page(stream)
     check_size(file, (layout.width, layout.height), max_pixels)
-    tiff.check_layout(name, layout, max_pixels)
+    tiff_layout.check_layout(name, layout, max_pixels)
     notes = ["several pages: its first is taken"] if more else []
-    if tiff.by_tifffile(layout):
+    if tiff_layout.by_tifffile(layout):
         samples, turned = tiff.read_samples(file, page, layout), layout.orientation
     else:
         stream.seek(0)
@@ -73,7 +73,7 @@ def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
             opened = TiffImageFile(stream, str(file))
             opened.seek(page)
         except SyntaxError as error:
-            raise tiff.not_read(name, layout) from error
+            raise tiff_layout.not_read(name, layout) from error
         with opened as picture:
             if picture.size not in ((layout.width, layout.height), (layout.height, layout.width)):
                 raise ValueError("its tags contradict each other")
@@ -85,14 +85,16 @@ def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
     return _finished(colors, alpha, layout.profile, turned, notes)
 
 
-def _compressed_samples(file: Path, picture: Any, page: int, layout: tiff.Layout) -> AnyArray:
+def _compressed_samples(
+    file: Path, picture: Any, page: int, layout: tiff_layout.Layout
+) -> AnyArray:
     """Decode a TIFF of more than 8 bits by Pillow: (H, W, samples) array."""
     samples: AnyArray | None = deep_samples(picture, file, page)
     if samples is None and picture.mode in (*GRAY_16, "F"):
         samples = np.asarray(picture)
         samples = samples / 4095.0 if layout.bits == 12 else samples
     if samples is None:
-        raise tiff.not_read(str(file), layout)
+        raise tiff_layout.not_read(str(file), layout)
     return samples.reshape(*samples.shape[:2], -1)
 
 
@@ -189,7 +191,7 @@ def _split(picture: Any) -> tuple[Any, AnyArray | None]:
 
 
 def _orientation(info: dict[Any, Any]) -> int:
-    """Return how a picture lies, as its Exif tells, or its XMP."""
+    """Return the orientation of a picture from its Exif, or else from its XMP."""
     exif = info.get("exif")
     raw = info.get("Raw profile type exif")
     if not exif and isinstance(raw, str):  # older versions of ImageMagick

@@ -19,7 +19,7 @@ _DEEP = re.compile(r"(RGBX?|RGBA|RGBa|CMYK);16([BLN])")
 def deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] | None:
     """Decode 16 bits a sample, of which Pillow would keep 8; None if it would not.
 
-    The letter of the byte order tells Pillow which byte of each sample to keep. Decoding a second
+    The letter of the byte order decides which byte of each sample Pillow keeps. Decoding a second
     time with the other letter yields the other byte.
 
     Parameters
@@ -63,7 +63,7 @@ def tiles_of(picture: Any) -> Any:
 
 
 def raw_mode(tile: Any) -> str:
-    """Return how a part of a file is stored, as Pillow tells its decoder."""
+    """Return the raw mode, which describes to the decoder how a part of a file is stored."""
     args = tile[3][0] if isinstance(tile[3], tuple) and tile[3] else tile[3]
     return args if isinstance(args, str) else ""
 

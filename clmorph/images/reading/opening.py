@@ -19,7 +19,7 @@ FORMATS = (
     "PNG", "JPEG", "WEBP", "GIF", "TIFF", "AVIF", "JPEG2000", "ICO", "BMP", "QOI", "PSD", "DDS",
     "SGI", "PPM", "DIB", "PCX",
 )  # fmt: skip
-#: A format without a signature: only names tell.
+#: A format without a signature, which only the name of a file shows.
 TGA_ENDINGS = (".tga", ".icb", ".vda", ".vst")
 #: Characters that what a library says may take in a message.
 REASON_LENGTH = 120
@@ -52,7 +52,7 @@ class Reader(io.BufferedReader):
         self.seek(0)
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Return up to so many bytes, all that are left by default."""
+        """Return at most the given number of bytes; all bytes that are left by default."""
         left = max(0, self._end - self.tell())
         return super().read(left if size is None or size < 0 else min(size, left))
 
@@ -86,11 +86,11 @@ def open_picture(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
             elif accepted:
                 return _opened(name, file, stream, max_pixels)
     kind = _unread_kind(start)
-    told = (
+    found = (
         f"{file} is {kind}, which is not read" if kind else f"{file} is not an image that is read"
     )
     expected = fault or "expected a PNG, JPEG or similar"
-    raise FileError(f"{told}; {expected}; convert it to PNG")
+    raise FileError(f"{found}; {expected}; convert it to PNG")
 
 
 def _opened(name: str, file: Path, stream: IO[bytes], max_pixels: int) -> Any:

@@ -158,5 +158,5 @@ def from_gamma(
     largest = np.iinfo(pixels.dtype).max
     light = (np.arange(largest + 1) / largest) ** (1 / gamma)
     stored = encode(light)
-    # 8 bits of light are too few for the shadows of sRGB to be told apart once more.
+    # 8 bits of light are too few to keep the shadows of sRGB apart, so 16 bits are returned.
     return np.round(stored * 65535).astype(np.uint16)[pixels], note

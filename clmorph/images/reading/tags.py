@@ -187,7 +187,7 @@ def first_full_page(stream: IO[bytes]) -> tuple[Directory, int, bool]:
 
 
 def exif_orientation(exif: bytes) -> int | None:
-    """Return how a picture lies, as Exif tells: 1 to 8, or None if it does not tell."""
+    """Return the orientation in Exif data, 1 to 8, or None if they have none."""
     exif = exif.removeprefix(b"Exif\0\0")
     try:
         directory = read_directory(BytesIO(exif))
@@ -200,6 +200,6 @@ def exif_orientation(exif: bytes) -> int | None:
 
 
 def xmp_orientation(xmp: bytes) -> int:
-    """Return how a picture lies, as XMP tells: 1 to 8, 1 if it does not."""
+    """Return the orientation in XMP data, 1 to 8; 1 if they have none."""
     found = _XMP_ORIENTATION.search(xmp)
     return int(found[1]) if found else 1

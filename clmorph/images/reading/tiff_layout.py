@@ -1,0 +1,193 @@
+"""TIFF: how one picture of a file is stored, as its tags say, and whether it can be read."""
+
+from typing import IO, NamedTuple
+
+import numpy as np
+
+from clmorph.errors import FileError
+from clmorph.images.reading import tags
+from clmorph.images.reading.tags import Directory
+
+#: First bytes of a TIFF or BigTIFF, in either byte order.
+SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+#: Values of PhotometricInterpretation.
+WHITE_IS_ZERO, BLACK_IS_ZERO, RGB, CMYK, YCBCR = 0, 1, 2, 5, 6
+#: Number of samples of a pixel that are colors.
+COLOR_SAMPLES = {WHITE_IS_ZERO: 1, BLACK_IS_ZERO: 1, RGB: 3, CMYK: 4}
+#: Values of Compression.
+UNCOMPRESSED, DEFLATE = 1, (8, 32946)
+#: Values of ExtraSamples: opacity by which colors are multiplied, and by which they are not.
+ASSOCIATED, UNASSOCIATED = 1, 2
+#: Largest number of pieces (strips or tiles) of one picture.
+MAX_PIECES = 1 << 16
+#: Pixels that pieces may have outside the picture; a small picture can lie in one large tile.
+_PADDING = 1 << 22
+#: Bytes of the largest pixel that is read: four samples of 64 bits, and an extra one.
+_MAX_BYTES = 40
+
+
+class Layout(NamedTuple):
+    """How one picture of a TIFF is stored.
+
+    Attributes
+    ----------
+    width, height : int
+    bits : int
+        Bits of each sample.
+    kind : str
+        Kind of the samples: "u", "i" or "f".
+    samples : int
+    photometric, compression, orientation, predictor : int
+        Values of these tags in the file.
+    planar, subsampled : bool
+        Whether samples of one kind lie together, and whether color has fewer samples than light.
+    extra : tuple of int
+        Meaning of each sample after the colors, as in ExtraSamples.
+    piece : tuple of int
+        Width and height of a strip or tile.
+    profile : bytes, optional
+    """
+
+    width: int
+    height: int
+    bits: int
+    kind: str
+    samples: int
+    photometric: int
+    compression: int
+    orientation: int
+    planar: bool
+    extra: tuple[int, ...]
+    piece: tuple[int, int]
+    subsampled: bool
+    predictor: int
+    profile: bytes | None
+
+    @property
+    def dtype(self) -> np.dtype:
+        """The dtype of the samples, if NumPy has it."""
+        return np.dtype(f"{self.kind}{self.bits // 8}")
+
+
+def read_layout(directory: Directory) -> Layout:
+    """Return how a picture is stored.
+
+    Raises
+    ------
+    ValueError
+        If its tags do not say so, or contradict each other.
+    """
+    width, height = directory.number(tags.WIDTH, 0), directory.number(tags.HEIGHT, 0)
+    if width < 1 or height < 1:
+        raise ValueError("its tags give no size")
+    compression = directory.number(tags.COMPRESSION, UNCOMPRESSED)
+    samples = directory.number(tags.SAMPLES, 3 if compression in (6, 7) else 1)
+    bits = directory.numbers(tags.BITS) or (1,)
+    formats = directory.numbers(tags.SAMPLE_FORMAT) or (1,)
+    if len(set(bits)) > 1 or len(set(formats)) > 1:
+        raise ValueError("its samples are not all of one kind")
+    kind = {1: "u", 2: "i", 3: "f", 4: "u"}.get(formats[0])
+    if kind is None or not 1 <= bits[0] <= 64 or samples < 1:
+        raise ValueError("its samples are not of a kind that is read")
+    photometric = directory.number(tags.PHOTOMETRIC, RGB if samples > 2 else BLACK_IS_ZERO)
+    extra = directory.numbers(tags.EXTRA_SAMPLES)
+    if not extra and samples == COLOR_SAMPLES.get(photometric, samples) + 1:
+        extra = (UNASSOCIATED,)
+    tiled = tags.TILE_WIDTH in directory.tags
+    piece = (
+        (directory.number(tags.TILE_WIDTH, 0), directory.number(tags.TILE_HEIGHT, 0))
+        if tiled
+        else (width, max(1, min(directory.number(tags.ROWS_PER_STRIP, height), height)))
+    )
+    if min(piece) < 1:
+        raise ValueError("its tiles have no size")
+    profile = directory.tags.get(tags.ICC_PROFILE)
+    return Layout(
+        width, height, bits[0], kind, samples, photometric, compression,
+        directory.number(tags.ORIENTATION, tags.xmp_orientation(directory.octets(tags.XMP))),
+        directory.number(tags.PLANAR, 1) == 2,
+        extra, piece, directory.numbers(tags.SUBSAMPLING)[:2] != (1, 1),
+        directory.number(tags.PREDICTOR, 1),
+        profile if isinstance(profile, bytes) else None,
+    )  # fmt: skip
+
+
+def check_layout(file: str, layout: Layout, max_pixels: int) -> None:
+    """Refuse a picture that would be misread, or whose pieces are larger than it.
+
+    Parameters
+    ----------
+    file : str
+        Its name in error messages.
+    layout : Layout
+    max_pixels : int
+
+    Raises
+    ------
+    FileError
+        If it is not read.
+    """
+    across, down = -(-layout.width // layout.piece[0]), -(-layout.height // layout.piece[1])
+    pieces = across * down * (layout.samples if layout.planar else 1)
+    padded = across * down * layout.piece[0] * layout.piece[1]
+    most = max(2 * max_pixels, _PADDING)
+    if pieces > MAX_PIECES or padded > most:
+        raise FileError(
+            f"{file} is stored in {pieces} piece{'s' * (pieces != 1)} of {layout.piece[0]} x "
+            f"{layout.piece[1]} pixels: expected at most {MAX_PIECES} pieces and {most} pixels, "
+            "those around the picture included; save it anew, in strips"
+        )
+    if layout.bits * layout.samples > 8 * _MAX_BYTES:
+        raise FileError(
+            f"{file} has {layout.samples} samples of {layout.bits} bits a pixel: expected gray, "
+            "RGB or CMYK, with opacity or without; save it as one of these"
+        )
+    if layout.kind == "i":
+        raise FileError(
+            f"{file} has signed samples: expected unsigned ones, or floats in [0, 1]; convert it"
+        )
+    if layout.photometric == YCBCR and layout.compression == UNCOMPRESSED and layout.subsampled:
+        raise FileError(
+            f"{file} holds uncompressed YCbCr with fewer samples of color than of light, which is "
+            "not read; save it as RGB"
+        )
+
+
+def by_tifffile(layout: Layout) -> bool:
+    """Return whether tifffile decodes such a picture."""
+    return (
+        layout.compression in (UNCOMPRESSED, *DEFLATE)
+        and layout.photometric in COLOR_SAMPLES
+        and layout.predictor in (1, 2)  # 3, for floats, takes imagecodecs
+        and layout.bits in ((16, 32, 64) if layout.kind == "f" else (8, 16, 32, 64))
+    )
+
+
+def not_read(file: str, layout: Layout) -> FileError:
+    """Return the error of a picture whose samples are of a kind that is not read."""
+    return FileError(
+        f"{file} stores its colors in a way that is not read (photometric {layout.photometric}, "
+        f"compression {layout.compression}, {layout.samples} samples of {layout.bits} bits); "
+        "save it as RGB of 8 or 16 bits, uncompressed or with Deflate"
+    )
+
+
+def open_page(stream: IO[bytes]) -> tuple[Layout, int, bool]:
+    """Find the picture of a TIFF that is to be read; `check_layout` says whether it can be.
+
+    Returns
+    -------
+    Layout
+        How the picture is stored.
+    int
+        Its page, from 0.
+    bool
+        Whether another full picture follows.
+
+    Raises
+    ------
+    ValueError
+        If it is damaged.
+    """
+    directory, page, more = tags.first_full_page(stream)
+    return read_layout(directory), page, more

@@ -1,0 +1,106 @@
+"""Checks before a problem is solved: its options, and whether it has a solution."""
+
+from typing import Any
+
+import numpy as np
+
+from clmorph._shared.validation import check_choice, check_integer, check_number, shown
+from clmorph.backends.interface import Operations
+from clmorph.errors import DeviceError, InputError
+from clmorph.measures.points import AnyMeasure
+from clmorph.transport._solver.problem import largest_cost
+from clmorph.transport.options import METHODS, PRECISIONS, AlgorithmOptions, SolverOptions
+from clmorph.transport.regularization import Regularization
+
+#: Values of `multiscale` beside True and False.
+MULTISCALE = ("auto",)
+#: Relative difference of masses up to which balanced transport is feasible.
+MASS_TOLERANCE = 1e-6
+#: Largest cost and largest rho, in units of epsilon: potentials are of their size, and beyond
+#: this float64 itself leaves no digits for epsilon.
+MAX_SPREAD = 1e12
+
+
+def check_solver_options(
+    tol: Any = SolverOptions.tol,
+    max_iter: Any = SolverOptions.max_iter,
+    method: Any = "certified",
+    scaling: Any = AlgorithmOptions.scaling,
+    precision: Any = "auto",
+    multiscale: Any = "auto",
+) -> tuple[float, int, float]:
+    """Check options of `sinkhorn` without doing any of its work.
+
+    Returns
+    -------
+    tol, max_iter, scaling : float, int, float
+
+    Raises
+    ------
+    InputError
+        If one cannot be used.
+    """
+    check_choice("method", method, METHODS)
+    check_choice("precision", precision, PRECISIONS)
+    if not isinstance(multiscale, bool | np.bool_):
+        check_choice("multiscale", multiscale, MULTISCALE)
+    return (
+        check_number("tol", tol, 0.0, 1e3, open_low=True),
+        check_integer("max_iter", max_iter, 1, 10**9),
+        check_number("scaling", scaling, 0.01, 0.999),
+    )
+
+
+def choose_truncation(truncation: Any, tol: float, many: bool) -> float | None:
+    """Return the truncation in nats, see `sinkhorn`; None leaves out nothing."""
+    if isinstance(truncation, str) and truncation == "auto":
+        return 0.1 * tol if many else None
+    if truncation is None:
+        return None
+    limit = check_number("truncation", truncation, 1e-9, 0.1)
+    if limit >= tol:
+        raise InputError(
+            f"truncation={shown(truncation)}: it is part of the residual, so expected less than "
+            f"tol={tol:g}; lower it (a tenth of tol is usual) or raise tol"
+        )
+    return limit
+
+
+def check_problem(
+    source: AnyMeasure,
+    target: AnyMeasure,
+    given: Regularization,
+    operations: Operations,
+    precision: str,
+) -> None:
+    """Check that a problem has a solution, and that a backend can compute it.
+
+    Raises
+    ------
+    InputError, DeviceError
+        If not.
+    """
+    balanced = all(np.isinf(rho) for rho in given.rho)
+    if balanced and abs(source.mass - target.mass) > MASS_TOLERANCE * source.mass:
+        raise InputError(
+            f"the masses {source.mass:g} and {target.mass:g} differ, so balanced transport is "
+            "impossible: give a reach, or scale the weights to one mass"
+        )
+    largest = largest_cost(source.points, target.points)
+    if largest > MAX_SPREAD * given.epsilon:
+        enough = 1.1 * np.sqrt(largest / MAX_SPREAD)  # still enough when rounded
+        raise InputError(
+            f"blur={given.blur:g} is too small for points up to {np.sqrt(2 * largest):.3g} apart: "
+            f"expected at least {enough:.2g}; raise it, or scale the points"
+        )
+    for rho in given.rho:
+        if np.isfinite(rho) and rho > MAX_SPREAD * given.epsilon:
+            raise InputError(
+                f"reach={rho**0.5:g} is too large for blur={given.blur:g}: expected at most "
+                f"{np.sqrt(MAX_SPREAD) * given.blur:g}, or None (balanced) for equal masses"
+            )
+    if precision == "float64" and not operations.has_float64:
+        raise DeviceError(
+            f"precision='float64': {operations.description} has no double precision; use "
+            "'auto' (pairs of float32 where needed), another device, or the backend 'numpy'"
+        )
