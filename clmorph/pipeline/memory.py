@@ -115,8 +115,8 @@ def estimate(
     ----------
     source_shape, target_shape : (height, width)
     pairs : float, optional
-        Kept pairs of the plan, counted or predicted (`clmorph.pipeline.pair_count`). None: of the transport
-        alone, as if nothing came after the potentials.
+        Kept pairs of the plan, counted or predicted (`clmorph.pipeline.pair_count`). None: the
+        transport alone, as if nothing came after the potentials.
     sample : int, optional
         Draws a pixel in place of kept pairs, see `clmorph.sample_plan`; `pairs` may then be None.
     barycentric : bool
