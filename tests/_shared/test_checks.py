@@ -1,6 +1,7 @@
 """Numbers are taken exactly as they are, or refused in one short line."""
 
 import numpy as np
+import plain
 import pytest
 
 import clmorph
@@ -62,7 +63,7 @@ def test_choices_are_shown_in_one_line():
 )  # fmt: skip
 def test_options_of_the_library(name, value):
     with pytest.raises(clmorph.InputError, match=name.split("_")[0]) as caught:
-        clmorph.morph(SMALL, SMALL, backend="numpy", **{name: value})
+        plain.morph(SMALL, SMALL, backend="numpy", **{name: value})
     assert len(str(caught.value)) < 300
 
 
@@ -72,11 +73,11 @@ def test_options_of_the_library(name, value):
     [
         lambda value: clmorph.fit(SMALL, value),
         lambda value: clmorph.read_image("a.png", max_pixels=value),
-        lambda value: clmorph.lift(SMALL, value),
-        lambda value: clmorph.inspect(SMALL, SMALL, n_frames=value, backend="numpy"),
-        lambda value: clmorph.inspect(SMALL, SMALL, max_bytes=value, backend="numpy"),
-        lambda value: clmorph.inspect(SMALL, SMALL, max_memory=value, backend="numpy"),
-        lambda value: clmorph.morph(SMALL, SMALL, reach=(value, 1), backend="numpy"),
+        lambda value: plain.lift(SMALL, value),
+        lambda value: plain.inspect(SMALL, SMALL, n_frames=value, backend="numpy"),
+        lambda value: plain.inspect(SMALL, SMALL, max_bytes=value, backend="numpy"),
+        lambda value: plain.inspect(SMALL, SMALL, max_memory=value, backend="numpy"),
+        lambda value: plain.morph(SMALL, SMALL, reach=(value, 1), backend="numpy"),
     ],
 )
 def test_functions_of_the_library(call, value):
@@ -94,7 +95,7 @@ def test_a_shape_that_is_none():
 
     assert as_float(Odd()) is None
     with pytest.raises(InputError, match="blur="):
-        clmorph.morph(np.zeros((4, 4, 3)), np.zeros((4, 4, 3)), 2, blur=Odd(), backend="numpy")
+        plain.morph(np.zeros((4, 4, 3)), np.zeros((4, 4, 3)), 2, blur=Odd(), backend="numpy")
 
 
 def test_containers_are_shown_in_part():

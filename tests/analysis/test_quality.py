@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from plain import morph, sinkhorn_divergence
 
-from clmorph import InputError, morph, sinkhorn_divergence
+from clmorph import InputError
 from clmorph.analysis.metrics import (
     frame_measure,
     hole_fraction,

@@ -5,8 +5,9 @@ from importlib import resources
 import numpy as np
 import pytest
 import skimage.data
+from plain import morph
 
-from clmorph import fit, morph, read_image
+from clmorph import fit, read_image
 from clmorph.analysis.metrics import step_sizes
 from clmorph.frames.endpoints import share
 from clmorph.images.pixels import as_rgb

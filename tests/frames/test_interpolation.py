@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from plain import lift, sinkhorn
 
-from clmorph import InputError, lift, particles, sinkhorn, transport_plan
+from clmorph import InputError, particles, transport_plan
 
 
 @pytest.fixture(scope="module", params=[0.05, 0.3, 1.0, None])

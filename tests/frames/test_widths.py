@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import skimage.data
+from plain import morph
 
-from clmorph import InputError, fit, morph
+from clmorph import InputError, fit
 from clmorph.analysis.metrics import hole_fraction, path_divergence
 from clmorph.images.detail import auto_sigma, intrinsic_spacing
 from clmorph.images.pixels import as_rgb

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from plain import lift
 
-from clmorph import InputError, lift
+from clmorph import InputError
 from clmorph.images.color import COLOR_SPACES, to_space
 from clmorph.measures.lift import pixel_positions
 

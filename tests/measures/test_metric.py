@@ -1,10 +1,11 @@
 """Metrics of color, constant and by source pixel, against the dense cost."""
 
 import numpy as np
+import plain
 import pytest
+from plain import lift, reference, sinkhorn
 
-import clmorph
-from clmorph import InputError, lift, reference, sinkhorn, transport_plan
+from clmorph import InputError, transport_plan
 from clmorph.measures.points import as_pair
 
 
@@ -41,13 +42,13 @@ def test_plan_agrees_with_the_reference(device, rng, metrics, kind):
 def test_a_map_of_equal_metrics_is_a_constant_one(rng):
     """And weighing color by pixel is the simplest map."""
     images = rng.random((9, 7, 3)), rng.random((6, 8, 3))
-    whole = clmorph.morph(*images, n_frames=2, color_weight=1.4, backend="numpy", tol=1e-6)
+    whole = plain.morph(*images, n_frames=2, color_weight=1.4, backend="numpy", tol=1e-6)
     for metric in (
         1.96 * np.eye(3),
         np.full((9, 7), 1.96),
         np.tile(1.96 * np.eye(3), (9, 7, 1, 1)),
     ):
-        other = clmorph.morph(
+        other = plain.morph(
             *images, n_frames=2, color_weight=1.0, color_metric=metric, backend="numpy", tol=1e-6
         )
         assert np.allclose(whole.potentials.f, other.potentials.f, atol=1e-7)
@@ -57,7 +58,7 @@ def test_a_map_of_equal_metrics_is_a_constant_one(rng):
 def test_barycentric_and_samples_with_a_map(device, rng, metrics):
     images = rng.random((9, 7, 3)), rng.random((6, 8, 3))
     for options in ({"barycentric": True}, {"sample": 4}):
-        result = clmorph.morph(
+        result = plain.morph(
             *images, n_frames=3, color_weight=1.0, color_metric=metrics, backend=device, **options
         )
         assert np.all(np.isfinite(result.frame(0.5)))
@@ -67,7 +68,7 @@ def test_where_a_map_has_no_meaning(rng, metrics):
     source = lift(rng.random((9, 7, 3)), color_metric=metrics)
     target = lift(rng.random((6, 8, 3)))
     with pytest.raises(InputError, match="divergence"):
-        clmorph.sinkhorn_divergence(source, target, backend="numpy")
+        plain.sinkhorn_divergence(source, target, backend="numpy")
     with pytest.raises(InputError, match="source alone"):
         sinkhorn(target, source, backend="numpy")
     with pytest.raises(InputError, match="source alone"):
@@ -90,12 +91,12 @@ def test_metrics_of_any_size(device, rng, size):
 
 def test_maps_of_one_pixel_and_metrics_that_hide_color(device, rng):
     image = rng.random((5, 5, 3))
-    clmorph.morph(image[:1, :1], image, n_frames=2, color_metric=[[2.0]], backend=device)
+    plain.morph(image[:1, :1], image, n_frames=2, color_metric=[[2.0]], backend=device)
     for metric in (np.zeros((3, 3)), np.diag([1.0, 1.0, 0.0])):
         with pytest.raises(InputError, match="no mean color"):
-            clmorph.morph(image, image, barycentric=True, color_metric=metric, backend=device)
+            plain.morph(image, image, barycentric=True, color_metric=metric, backend=device)
     tilted = np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.5, 1.0]])
-    result = clmorph.morph(
+    result = plain.morph(
         image, image, barycentric=True, color_metric=tilted, color_space="lab", blur=0.02,
         n_frames=2, endpoints="paper", splatting="none", backend=device,
     )  # fmt: skip

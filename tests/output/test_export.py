@@ -13,6 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import plain
 import pytest
 from PIL import Image
 from programs import program
@@ -41,14 +42,14 @@ def morph():
     from skimage import data
 
     pair = [clmorph.fit(image[:384, :512] / 255, 32) for image in (data.astronaut(), data.coffee())]
-    return clmorph.morph(*pair, 12, splatting="local", sigma_start="auto", sigma_end="auto")
+    return plain.morph(*pair, 12, splatting="local", sigma_start="auto", sigma_end="auto")
 
 
 @pytest.fixture(scope="module")
 def growing():
     """A canvas that grows from 6 x 8 to 12 x 16."""
     rng = np.random.default_rng(3)
-    return clmorph.morph(rng.random((6, 8, 3)), rng.random((12, 16, 3)), 5)
+    return plain.morph(rng.random((6, 8, 3)), rng.random((12, 16, 3)), 5)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +58,7 @@ def clear():
     rng = np.random.default_rng(4)
     images = rng.random((2, 10, 10, 4))
     images[..., 3] = images[..., 3] > 0.4
-    return clmorph.morph(*images, 4)
+    return plain.morph(*images, 4)
 
 
 def stills(file):
@@ -198,7 +199,7 @@ def test_videos_have_true_colors(tmp_path, name):
 
 def test_odd_sizes_in_videos_are_made_even(tmp_path):
     rng = np.random.default_rng(0)
-    odd = clmorph.morph(rng.random((7, 9, 3)), rng.random((9, 5, 3)), 3)
+    odd = plain.morph(rng.random((7, 9, 3)), rng.random((9, 5, 3)), 3)
     save(odd, tmp_path / "out.mp4", canvas="source")
     told = probe(tmp_path / "out.mp4")
     assert (told["width"], told["height"]) == (10, 8)
@@ -288,7 +289,7 @@ def test_npz_loads_again(tmp_path, morph, growing):
 
 def test_npz_of_mean_destinations_and_of_chains(tmp_path, rng):
     images = rng.random((3, 6, 6, 3))
-    chain = [clmorph.morph(*pair, 3, barycentric=True) for pair in (images[:2], images[1:])]
+    chain = [plain.morph(*pair, 3, barycentric=True) for pair in (images[:2], images[1:])]
     save(chain, tmp_path / "out.npz")
     loaded = clmorph.load(tmp_path / "out.npz")
     assert loaded.times.tolist() == [0, 0.5, 1, 1.5, 2]
@@ -327,7 +328,7 @@ def test_pixel_art_is_not_dithered_and_keeps_its_pixels(tmp_path):
     rng = np.random.default_rng(5)
     colors = rng.random((5, 3))
     sprites = colors[rng.integers(0, 5, (2, 12, 12))]
-    art = clmorph.morph(*sprites, 4, splatting="none", blur=0.01)
+    art = plain.morph(*sprites, 4, splatting="none", blur=0.01)
     assert art.pixelated
     save(art, tmp_path / "out.gif")
     frames, _ = stills(tmp_path / "out.gif")
@@ -348,7 +349,7 @@ def test_a_chain_of_sprites_of_many_colors_is_exact(tmp_path, depth):
         sprites[..., 3] = rng.random((3, 20, 20)) > 0.2
         hidden = sprites[..., 3] == 0
         sprites[hidden, :3] = rng.random((hidden.sum(), 3))
-    chain = [clmorph.morph(*pair, 4, splatting="none") for pair in (sprites[:2], sprites[1:])]
+    chain = [plain.morph(*pair, 4, splatting="none") for pair in (sprites[:2], sprites[1:])]
     save(chain, tmp_path / "out.gif", canvas="source", scaling="nearest")
     frames, _ = stills(tmp_path / "out.gif")
     for frame, sprite in zip(frames[::3], sprites, strict=True):
@@ -390,7 +391,7 @@ def test_bars_beside_pixel_art_have_the_backgrounds_color(tmp_path):
 
 def test_a_gif_of_few_colors_is_exact(tmp_path):
     ramp = np.linspace(0, 1, 12).reshape(3, 4, 1) * np.ones(3)
-    save(clmorph.morph(ramp, ramp, 2), tmp_path / "out.gif", canvas="source")
+    save(plain.morph(ramp, ramp, 2), tmp_path / "out.gif", canvas="source")
     for frame in stills(tmp_path / "out.gif")[0]:
         assert np.array_equal(frame[..., :3], to_bytes(ramp))
 
@@ -409,7 +410,7 @@ def test_a_gif_rounds_opacity(tmp_path, clear):
 def test_shapes_are_kept_on_a_common_canvas(tmp_path):
     """A wide frame among tall ones gets bars, and is not stretched."""
     pair = np.ones((4, 16, 3)), np.ones((16, 4, 3))
-    save(clmorph.morph(*pair, 2, extent="unit"), tmp_path / "out.gif")
+    save(plain.morph(*pair, 2, extent="unit"), tmp_path / "out.gif")
     wide = stills(tmp_path / "out.gif")[0][0][..., :3]
     assert wide.shape == (384, 384, 3)
     assert wide[192].min() > 250
@@ -540,7 +541,7 @@ def test_reverse_and_chains(tmp_path, growing):
         assert np.array_equal(np.asarray(first), wanted(growing)[-1])
     rng = np.random.default_rng(3)
     images = rng.random((6, 8, 3)), rng.random((12, 16, 3)), rng.random((5, 5, 3))
-    chain = [clmorph.morph(*pair, 4) for pair in (images[:2], images[1:])]
+    chain = [plain.morph(*pair, 4) for pair in (images[:2], images[1:])]
     save(chain, tmp_path / "tour")
     files = sorted((tmp_path / "tour").iterdir())
     assert len(files) == 7
@@ -629,7 +630,7 @@ def partly_clear(request):
     alpha = np.ones((8, 8))
     alpha[2:6, 2:6] = 0
     images[request.param] = np.dstack((images[request.param], alpha))
-    chain = [clmorph.morph(*pair, 4, splatting="none") for pair in pairwise(images)]
+    chain = [plain.morph(*pair, 4, splatting="none") for pair in pairwise(images)]
     depths = {frame.shape[2] for morph in chain for frame in morph.frames}
     assert depths == ({4} if request.param == 1 else {3, 4})
     return chain, images
@@ -713,7 +714,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, na
 def test_frames_are_not_held(tmp_path, monkeypatch, name):
     """They are rendered one by one, wait on disk, and are read again one by one."""
     rng = np.random.default_rng(6)
-    result = clmorph.morph(*rng.random((2, 8, 8, 3)), 20)
+    result = plain.morph(*rng.random((2, 8, 8, 3)), 20)
     alive, most = [0], []
 
     def gone():
@@ -987,7 +988,7 @@ def test_archives_that_are_not_there(tmp_path, rng):
         clmorph.load(tmp_path / "gone.npz")
     with pytest.raises(InputError, match=r"cannot be read \("):
         clmorph.load(tmp_path)
-    morph = clmorph.morph(*rng.random((2, 5, 6, 3)), 3, backend="numpy")
+    morph = plain.morph(*rng.random((2, 5, 6, 3)), 3, backend="numpy")
     save(morph, tmp_path / "x.npz")
     with pytest.raises(InputError, match=r"take [\d.]+ (kB|bytes), expected at most 900 bytes; if"):
         clmorph.load(tmp_path / "x.npz", max_bytes=900)

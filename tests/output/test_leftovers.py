@@ -15,6 +15,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
+import plain
 import pytest
 from PIL import Image
 
@@ -43,7 +44,7 @@ def pictures(tmp_path, monkeypatch, rng):
 
 @pytest.fixture
 def morph(rng):
-    return clmorph.morph(*rng.random((2, 5, 6, 3)), 3, backend="numpy")
+    return plain.morph(*rng.random((2, 5, 6, 3)), 3, backend="numpy")
 
 
 def run(*arguments):

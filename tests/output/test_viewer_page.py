@@ -8,9 +8,9 @@ import time
 import numpy as np
 import pytest
 from PIL import Image
+from plain import morph
 from programs import program
 
-from clmorph import morph
 from clmorph._shared.printable import printable
 from clmorph.images.pixels import to_bytes
 from clmorph.output.html import Curve, Field, Scene, page, repr_html, scene_of

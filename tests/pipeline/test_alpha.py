@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from PIL import Image
+from plain import lift, morph
 
-from clmorph import fit, lift, morph, read_image
+from clmorph import fit, read_image
 from clmorph.images.pixels import to_bytes
 
 

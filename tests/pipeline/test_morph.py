@@ -3,11 +3,13 @@
 import inspect
 
 import numpy as np
+import plain
 import pytest
 import skimage.data
+from plain import morph, reference
 
 import clmorph
-from clmorph import InputError, PruningWarning, fit, morph, reference
+from clmorph import InputError, PruningWarning, fit
 from clmorph.frames.filling import HOLE_COVERAGE
 from clmorph.frames.render import uniform_density
 from clmorph.images.pixels import as_rgb
@@ -100,7 +102,7 @@ def test_an_absolute_threshold_at_many_pixels(device, rng):
         morph(*large, log_threshold=-13.0, **few)
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="can exceed it"):
-        clmorph.inspect(*large, log_threshold=-13.0, backend=device)
+        plain.inspect(*large, log_threshold=-13.0, backend=device)
     # Transport between cells of pixels is small again.
     assert len(morph(*small, log_threshold=-7.0, solve_size=8, blur=0.1, **few).plan) > 100
 

@@ -3,8 +3,9 @@
 import numpy as np
 import ot
 import pytest
+from plain import reference
 
-from clmorph import InputError, reference
+from clmorph import InputError
 
 
 @pytest.mark.parametrize("reach", [0.2, 0.5])

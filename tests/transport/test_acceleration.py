@@ -3,10 +3,11 @@
 import warnings
 
 import numpy as np
+import plain
 import pytest
+from plain import reference, sinkhorn
 
 import clmorph
-from clmorph import reference, sinkhorn
 from clmorph.transport._solver.anderson import Anderson
 
 
@@ -85,7 +86,7 @@ def test_iterations_on_pictures(device, blur, reach, limit):
     y, x = np.mgrid[:48, :48] / 48
     one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
     two = np.stack([(x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.1, y, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
-    got = sinkhorn(clmorph.lift(one), clmorph.lift(two), blur, reach, backend=device)
+    got = sinkhorn(plain.lift(one), plain.lift(two), blur, reach, backend=device)
     assert got.converged
     assert got.n_iter <= limit
 

@@ -3,10 +3,11 @@
 import warnings
 
 import numpy as np
+import plain
 import pytest
+from plain import reference, sinkhorn
 
 import clmorph
-from clmorph import reference, sinkhorn
 from clmorph.measures.cluster import make_clusters
 from clmorph.measures.points import WeightedPoints
 from clmorph.transport._solver import coarse_grid, multiscale
@@ -19,7 +20,7 @@ def pictures(side, noise=0.0, color_weight=1.0):
     y, x = np.mgrid[:side, :side] / side
     one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
     two = np.stack([(x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.1, y, 0.5 + 0.5 * np.cos(9 * x)], axis=-1)
-    return [clmorph.lift(np.clip(image + noise * rng.normal(size=(side, side, 3)), 0, 1),
+    return [plain.lift(np.clip(image + noise * rng.normal(size=(side, side, 3)), 0, 1),
                          color_weight)
             for image in (one, two)]  # fmt: skip
 
@@ -304,8 +305,8 @@ def test_costs_with_offsets(device, rng):
     """A color metric for each pixel: eleven coordinates and offsets."""
     image = rng.random((24, 24, 3))
     metric = np.eye(3) + 0.1 * np.abs(rng.normal(size=(24, 24, 1, 1)))
-    source = clmorph.lift(image, 0.5, color_metric=metric)
-    target = clmorph.lift(rng.random((24, 24, 3)), 0.5)
+    source = plain.lift(image, 0.5, color_metric=metric)
+    target = plain.lift(rng.random((24, 24, 3)), 0.5)
     got = sinkhorn(source, target, 0.1, 0.3, 1e-4, backend=device, multiscale=True)
     want = sinkhorn(source, target, 0.1, 0.3, 1e-5, backend=device)
     assert got.converged
@@ -314,7 +315,7 @@ def test_costs_with_offsets(device, rng):
 
 @pytest.mark.parametrize("value", ["yes", 2, None])
 def test_wrong_options(value):
-    one = clmorph.lift(np.zeros((2, 2)))
+    one = plain.lift(np.zeros((2, 2)))
     with pytest.raises(clmorph.InputError, match="multiscale"):
         sinkhorn(one, one, backend="numpy", multiscale=value)
 

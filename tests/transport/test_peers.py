@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import ot
 import pytest
+from plain import reference, sinkhorn
 
 import clmorph
-from clmorph import reference, sinkhorn
 from clmorph.reference.transport import cost_matrix
 from clmorph.transport._solver import geomloss as geomloss_schedule
 

@@ -2,17 +2,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from plain import lift, reference, sinkhorn
 
-from clmorph import (
-    InputError,
-    WeightedPoints,
-    displacement_statistics,
-    lift,
-    particles,
-    reference,
-    sinkhorn,
-    transport_plan,
-)
+from clmorph import InputError, WeightedPoints, displacement_statistics, particles, transport_plan
 from clmorph.transport.pruning import check_reachable
 
 

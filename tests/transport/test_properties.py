@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain import sinkhorn
 
 import clmorph
-from clmorph import sinkhorn
 
 MANY = settings(max_examples=60, deadline=None, derandomize=True)
 seeds = st.integers(0, 10**6)

@@ -4,10 +4,12 @@ import sys
 import warnings
 
 import numpy as np
+import plain
 import pytest
+from plain import lift
 
 import clmorph
-from clmorph import InputError, MemoryWarning, lift
+from clmorph import InputError, MemoryWarning
 from clmorph.images.pixels import to_bytes
 from clmorph.measures.pixel_blocks import group_pixels, solved_size
 from clmorph.pipeline.memory import estimate
@@ -55,7 +57,7 @@ def test_the_size_that_is_really_solved(shape, size, taken):
 
 def solved(blocks, draws=None, barycentric=False):
     measures = [side.coarse for side in blocks]
-    potentials = clmorph.sinkhorn(*measures, backend="numpy")
+    potentials = plain.sinkhorn(*measures, backend="numpy")
     if barycentric:
         return clmorph.barycentric_plan(*measures, potentials, backend="numpy")
     if draws:
@@ -147,7 +149,7 @@ def test_means_move_as_the_blocks_around(rng):
 @pytest.mark.parametrize("shapes", SHAPES[:2])
 def test_a_morph_has_all_the_pixels(device, rng, shapes, options):
     images = [rng.random((*shape, 3)) for shape in shapes]
-    result = clmorph.morph(*images, 5, solve_size=6, backend=device, splatting="local", **options)
+    result = plain.morph(*images, 5, solve_size=6, backend=device, splatting="local", **options)
     assert len(result.source) == shapes[0][0] * shapes[0][1]
     assert result.plan.row_mass.shape == (len(result.source),)
     for frame, image in ((result.frames[0], images[0]), (result.frames[-1], images[1])):
@@ -158,7 +160,7 @@ def test_a_morph_has_all_the_pixels(device, rng, shapes, options):
 def test_the_same_picture_stays(device, rng):
     """PixelBlocks that stay keep their pixels in place: nothing is blurred by solving low."""
     image = rng.random((16, 16, 3))
-    result = clmorph.morph(
+    result = plain.morph(
         image, image, 3, solve_size=4, blur=0.01, backend=device, splatting="none",
         endpoints="paper",
     )  # fmt: skip
@@ -167,9 +169,9 @@ def test_the_same_picture_stays(device, rng):
 
 def test_solving_at_full_size_changes_nothing(device, rng):
     images = rng.random((2, 8, 8, 3))
-    plain = clmorph.morph(*images, 3, backend=device)
+    whole = plain.morph(*images, 3, backend=device)
     assert np.array_equal(
-        clmorph.morph(*images, 3, solve_size=8, backend=device).frames[1], plain.frames[1]
+        plain.morph(*images, 3, solve_size=8, backend=device).frames[1], whole.frames[1]
     )
 
 
@@ -177,10 +179,10 @@ def test_too_little_memory_is_said(device, rng, monkeypatch):
     images = rng.random((2, 32, 32, 3))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        whole = clmorph.morph(*images, 3, 0.3, backend=device)
+        whole = plain.morph(*images, 3, 0.3, backend=device)
     need = estimate((32, 32), (32, 32), len(whole.plan), backend=device)
     with pytest.warns(MemoryWarning, match="sample=") as told:
-        fewer = clmorph.morph(*images, 3, 0.3, backend=device, max_memory=0.6 * need.ram)
+        fewer = plain.morph(*images, 3, 0.3, backend=device, max_memory=0.6 * need.ram)
     assert f"max_memory={0.6 * need.ram / 1e9:.3g} GB" in str(told[0].message)
     assert told[0].filename == __file__
     assert len(fewer.particles) < len(whole.particles)
@@ -189,29 +191,29 @@ def test_too_little_memory_is_said(device, rng, monkeypatch):
     )  # before anything is solved
     for options in ({}, {"sample": 4096}, {"barycentric": True}):
         with pytest.raises(InputError, match=r"max_memory=0\.0001 GB: expected at least"):
-            clmorph.morph(*images, 3, backend=device, max_memory=1e5, **options)
+            plain.morph(*images, 3, backend=device, max_memory=1e5, **options)
 
 
 def test_as_many_draws_as_there_can_be(rng):
     """At the cap, and above it, with blocks: all pixels have some, or one line says why not."""
     images = rng.random((2, 12, 12, 3))
-    whole = clmorph.morph(*images, 3, solve_size=6, sample=1024, backend="numpy")
+    whole = plain.morph(*images, 3, solve_size=6, sample=1024, backend="numpy")
     assert whole.plan.shape == (144, 144)
     with pytest.raises(InputError, match="sample=1025: expected at most 1024 with blocks of 4"):
-        clmorph.morph(*images, 3, solve_size=6, sample=1025, backend="numpy")
+        plain.morph(*images, 3, solve_size=6, sample=1025, backend="numpy")
 
 
 def test_particles_are_limited(device, rng):
     images = rng.random((2, 16, 16, 3))
-    whole = clmorph.morph(*images, 3, 0.3, backend=device)
+    whole = plain.morph(*images, 3, 0.3, backend=device)
     most = len(whole.plan) // 3
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # it was asked for
-        fewer = clmorph.morph(*images, 3, 0.3, backend=device, max_particles=most)
-        least = clmorph.morph(*images, 3, 0.3, backend=device, max_particles=1)
+        fewer = plain.morph(*images, 3, 0.3, backend=device, max_particles=most)
+        least = plain.morph(*images, 3, 0.3, backend=device, max_particles=1)
     assert most / 4 < len(fewer.plan) <= most  # what is drawn twice is one pair
     assert 256 <= len(least.plan) <= 2 * 256  # each pixel of both has one
-    enough = clmorph.morph(*images, 3, 0.3, backend=device, max_particles=10 * len(whole.plan))
+    enough = plain.morph(*images, 3, 0.3, backend=device, max_particles=10 * len(whole.plan))
     assert len(enough.plan) == len(whole.plan)
 
 
@@ -227,4 +229,4 @@ def test_mistakes(rng):
         ({"solve_size": 4, "color_metric": metric}, "not with a color metric for each pixel"),
     ):
         with pytest.raises(InputError, match=words):
-            clmorph.morph(*images, 3, backend="numpy", **options)
+            plain.morph(*images, 3, backend="numpy", **options)

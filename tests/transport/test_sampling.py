@@ -2,19 +2,10 @@
 
 import numpy as np
 import pytest
+from plain import lift, morph, reference, sinkhorn
 
 import clmorph
-from clmorph import (
-    InputError,
-    barycentric_plan,
-    lift,
-    morph,
-    particles,
-    reference,
-    sample_plan,
-    sinkhorn,
-    transport_plan,
-)
+from clmorph import InputError, barycentric_plan, particles, sample_plan, transport_plan
 
 
 @pytest.fixture(scope="module")

@@ -3,12 +3,13 @@
 import warnings
 
 import numpy as np
+import plain
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain import sinkhorn
 
 import clmorph
-from clmorph import sinkhorn
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.regularization import regularization
@@ -158,7 +159,7 @@ def test_plans_of_truncated_potentials(device, monkeypatch, rng):
     monkeypatch.setattr("clmorph.backends.opencl.kernels.plan_rows.LISTED_FROM", 0)
     y, x = np.mgrid[:40, :40] / 40
     one = np.stack([x, 0.5 + 0.5 * np.sin(7 * y), (x + y > 0.9) * 0.8], axis=-1)
-    source, target = clmorph.lift(one), clmorph.lift(one[::-1] ** 2)
+    source, target = plain.lift(one), plain.lift(one[::-1] ** 2)
     potentials = sinkhorn(source, target, 0.05, 0.3, backend=device, truncation=1e-6)
     whole = clmorph.transport.potentials.replace(potentials, truncation=None)
     plans = [
@@ -185,11 +186,11 @@ def test_plans_of_truncated_potentials(device, monkeypatch, rng):
 
 def test_divergences_of_many_points_are_truncated_and_stay_bounded(device, monkeypatch, rng):
     pair = pair_of("picture", rng, 500, 600)
-    want = clmorph.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
+    want = plain.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
     assert want.cross.truncation is want.source_self.truncation is None
     for module in ("sinkhorn", "divergence", "_solver.multiscale"):
         monkeypatch.setattr(f"clmorph.transport.{module}.MANY_PAIRS", 0)
-    got = clmorph.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
+    got = plain.sinkhorn_divergence(*pair, 0.05, 0.3, 1e-4, backend=device)
     for part in (got.cross, got.source_self, got.target_self):
         assert part.truncation == pytest.approx(1e-5)
         assert part.truncation_error <= part.truncation + 1e-8
@@ -200,6 +201,6 @@ def test_divergences_of_many_points_are_truncated_and_stay_bounded(device, monke
 
 @pytest.mark.parametrize("value", ["much", -1.0, 0.0, 0.5, np.nan, [1e-4], 1e-3, 0.09])
 def test_wrong_options(value):
-    one = clmorph.lift(np.zeros((2, 2)))
+    one = plain.lift(np.zeros((2, 2)))
     with pytest.raises(clmorph.InputError, match="truncation"):
         sinkhorn(one, one, backend="numpy", truncation=value)

@@ -1,0 +1,70 @@
+"""clmorph's functions with settings of their own: tests here do not depend on the defaults.
+
+The settings are the paper's where it has some, with exact ends, and nothing is reduced or drawn at
+random, so that images of a few pixels show what is tested.
+"""
+
+from typing import Any
+
+import clmorph
+from clmorph import reference as dense
+from clmorph.pipeline.options import MorphOptions
+
+STRENGTHS = {"blur": 0.05, "reach": 0.3}
+OPTIONS = MorphOptions(
+    size=None, solve_size=None, max_particles=None, color_weight=2.0, sigma_start=1.2,
+    sigma_end=0.5, splatting="adaptive", path_space="srgb", **STRENGTHS,
+)  # fmt: skip
+
+
+def morph(image_a, image_b, n_frames=30, blur=None, reach=None, *, backend="auto", **given) -> Any:
+    for name, value in (("n_frames", n_frames), ("blur", blur), ("reach", reach)):
+        if value is not None:
+            given.setdefault(name, value)
+    own = {name: given.pop(name) for name in ("weights", "color_metric", "progress")
+           if name in given}  # fmt: skip
+    return clmorph.morph(image_a, image_b, OPTIONS.replace(**given), backend=backend, **own)
+
+
+def inspect(image_a, image_b, **given) -> Any:
+    own = {
+        name: given.pop(name)
+        for name in ("weights", "color_metric", "progress", "backend", "divergence", "max_bytes")
+        if name in given
+    }
+    return clmorph.inspect(image_a, image_b, OPTIONS.replace(**given), **own)
+
+
+def lift(image, color_weight=2.0, **options) -> Any:
+    return clmorph.lift(image, color_weight, **options)
+
+
+def _with_strengths(function: Any) -> Any:
+    def called(source, target, *more, **options) -> Any:
+        names = ("blur", "reach")[len(more) :]
+        for name, other in (("blur", "epsilon"), ("reach", "rho")):
+            if name in names and options.get(other) is None:
+                options.setdefault(name, STRENGTHS[name])
+        return function(source, target, *more, **options)
+
+    return called
+
+
+sinkhorn = _with_strengths(clmorph.sinkhorn)
+sinkhorn_divergence = _with_strengths(clmorph.sinkhorn_divergence)
+
+
+class reference:  # noqa: N801 (stands for the module)
+    """`clmorph.reference`, likewise."""
+
+    sinkhorn = staticmethod(_with_strengths(dense.sinkhorn))
+
+    @staticmethod
+    def morph(image_a, image_b, n_frames=30, **given) -> Any:
+        usual = {"extent": "true", "unmatched": "fade", "log_threshold": None}
+        return dense.morph(image_a, image_b, n_frames=n_frames, **{**usual, **given})
+
+
+for _name in dense.__all__:
+    if not hasattr(reference, _name):
+        setattr(reference, _name, staticmethod(getattr(dense, _name)))
