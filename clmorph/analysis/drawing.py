@@ -1,4 +1,4 @@
-"""How figures look, and the parts that several of them share; drawn with matplotlib."""
+"""The style of figures, and parts that several figures share; drawn with matplotlib."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clmorph.transport.displacement import Displacement
 
-#: Okabe and Ito's colors, told apart by everybody; and two grays.
+#: Colors of Okabe and Ito, which color-blind readers can distinguish; and two grays.
 BLUE, SKY, RED, GREEN, PURPLE, ORANGE = (
     "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#AA4499", "#E69F00",
 )  # fmt: skip
@@ -63,7 +63,7 @@ def pale(image: ArrayLike, share: float = PALE) -> NDArray[np.float64]:
 
 
 def step_of(shape: tuple[int, ...], count: int = ARROWS) -> int:
-    """Return every how many pixels an arrow stands if there are to be at most `count` a side."""
+    """Return the distance of arrows, in pixels, if at most `count` stand along a side."""
     return max(1, -(-max(shape[:2]) // count))
 
 
@@ -92,7 +92,7 @@ def draw_field(
 
     Returns
     -------
-    what a color bar belongs to
+    The artist that a color bar needs.
     """
     show(axes, pale(image))
     step = step_of(moved.length.shape, count)
@@ -113,5 +113,5 @@ def draw_field(
 
 
 def ordinal(number: int) -> str:
-    """Return which pixel of a row it is, in words."""
+    """Return an ordinal number in words."""
     return {1: "single", 2: "second", 3: "third"}.get(number, f"{number}th")

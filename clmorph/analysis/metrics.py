@@ -1,4 +1,4 @@
-"""How good frames are: divergences on the path (paper, 4.3, Table 2), holes, sharpness, steps."""
+"""Measures of frames: divergence on the path (paper, 4.3, Table 2), holes, sharpness, steps."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-#: What frames are compared with: the target image, or the particles themselves.
+#: The measure with which frames are compared: the target image, or the particles.
 REFERENCES = ("target", "particles")
 
 #: The largest value that a coverage or a frame may have: its squares are still numbers.

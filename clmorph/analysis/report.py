@@ -1,4 +1,4 @@
-"""What a look at a transport found, as numbers and as text."""
+"""The results of an inspection, as numbers and as text."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ BYTES_PER_PARTICLE, BYTES_PER_END = 24, 48
 
 
 class Seconds(NamedTuple):
-    """How long stages took, or would take.
+    """Durations of the stages, measured or estimated.
 
     Attributes
     ----------
@@ -38,34 +38,34 @@ class Seconds(NamedTuple):
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Inspection:
-    """What a transport does, and what a morph by it would take.
+    """What a transport does, and how much time and memory a morph by it would take.
 
     Attributes
     ----------
     source, target : Measure
     potentials : Potentials
     plan : Plan or None
-        None if its pairs take more than they may.
+        None if its pairs would take more memory than allowed.
     pairs : int
-        How many pairs the plan keeps, there or not.
+        Number of pairs that the plan keeps, even if it was not built.
     displacement : Displacement
-        Of the kept pairs; without a plan of all of them, in streaming.
+        Displacement by the kept pairs; without a plan, by all pairs, computed in streaming.
     divergence : Divergence or None
-        With an interval that holds it for certain.
+        With an interval that certainly contains it.
     no_divergence : str
-        Why there is none; empty if there is one.
+        The reason why there is no divergence; empty if there is one.
     memory : Memory
-        What a morph would take, estimated.
+        Estimate for a morph.
     seconds : Seconds
     n_frames : int
-        For which they are estimated.
+        Number of frames for which `seconds.frames` is estimated.
     moving : int
-        Particles of a morph that travel: pairs, or draws from them; between pixels, where
-        `source` and `target` are cells of pixels.
+        Number of particles of a morph that travel, between pixels: pairs of the plan, or draws
+        from them.
     shapes : two of (height, width)
-        Of the images that a morph draws.
+        Shapes of the images that a morph draws.
     device : str
-        What measured them.
+        The device that was used.
 
     Examples
     --------

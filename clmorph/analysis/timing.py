@@ -17,7 +17,7 @@ from clmorph.images.color import from_space
 from clmorph.images.detail import auto_sigma
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
-from clmorph.pipeline.memory import part_of
+from clmorph.pipeline.pair_count import part_of
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import sample_plan

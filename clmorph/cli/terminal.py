@@ -1,4 +1,4 @@
-"""What the command line shows while it works, and how long each stage took."""
+"""Progress bars, notes and times of the command line."""
 
 import sys
 import time
@@ -21,9 +21,9 @@ from clmorph._shared.printable import MESSAGE, printable
 
 
 class _StandardError:
-    """Standard error, wherever it is by then; what it does not take is lost.
+    """Standard error, whichever stream it is at that time; a failure to write is ignored.
 
-    No note is worth a morph: a log on a full disk ends no work.
+    A note must not end a morph, for example when a log is on a full disk.
     """
 
     def __getattr__(self, name: str) -> Any:
@@ -43,7 +43,7 @@ class _StandardError:
 NOTES = Console(
     file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True, markup=False, emoji=False
 )
-#: Tables: as wide as they must be where nobody's terminal says otherwise.
+#: Tables; 200 columns wide if the output is no terminal.
 RESULTS = Console(
     highlight=False, width=None if sys.stdout.isatty() else 200, markup=False, emoji=False
 )
@@ -100,11 +100,11 @@ class Stages:
         self._bars.stop()
 
     def marked(self, mark: str) -> Callable[[str, float], None]:
-        """Return what shows stages with a mark behind their names."""
+        """Return a progress function that adds a mark to the names of stages."""
         return lambda stage, share: self(stage + mark, share)
 
     def __call__(self, stage: str, share: float) -> None:
-        """Show that `share` (0 to 1) of a stage is done, and the note that it bears."""
+        """Show that a share (0 to 1) of a stage is done, and the note of the share, if any."""
         now = time.perf_counter()
         if stage not in self._tasks:
             self._tasks[stage] = self._bars.add_task(printable(stage), total=1.0, note="")

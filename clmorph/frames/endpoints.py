@@ -1,12 +1,12 @@
-"""Frames that are the images themselves at both ends, whatever the kernel width.
+"""The correction that makes the first and the last frame the images themselves.
 
-A frame at t = 0 is the source seen through a kernel. What the kernel takes away, source less
-frame, is given back to its pixels: it travels as they do, seen through a narrow kernel, so that
-the first frames are as sharp as the source and their detail moves along; likewise backwards
-from the target. How much that is depends on the width that the kernel has meanwhile. It fades
-with `share`, which is 1 at both ends and 0 halfway, where a frame is Eq. 4 alone. What still
-lacks then at the ends (pixels from which nothing travels if unmatched mass is dropped, or
-rounding) fades at its place.
+A frame at t = 0 is the source, smoothed by a kernel. The difference, source less frame, is the
+detail that the kernel removes. The correction adds this detail to the frames: it travels with the
+pixels, drawn with a narrow kernel, so that the first frames are as sharp as the source; likewise
+backwards from the target. The detail depends on the kernel's width at that time. The correction
+fades with `share`, which is 1 at both ends and 0 halfway, where a frame is Eq. 4 alone. A
+difference that remains at the ends even so (pixels from which nothing travels if unmatched mass
+is dropped, or rounding) fades at its place.
 """
 
 from typing import NamedTuple
@@ -24,23 +24,23 @@ from clmorph.transport.plan import Plan
 
 Array = NDArray[np.float64]
 
-#: Kernel width of what is given back, in distances of pixels: hardly reaches the next.
+#: Kernel width of the correction, in distances of pixels: it hardly reaches the next pixel.
 NARROW = 0.3
 
-#: Factor between widths for which what lacks is worked out.
+#: Factor between the kernel widths for which the correction is computed.
 STEP = 1.25
 
-#: What is smaller everywhere is not seen, and left.
+#: A correction that is smaller everywhere is left out, because nobody sees it.
 NEGLIGIBLE = 1e-4
 
 
 def share(t: float) -> float:
-    """Return how much is given back at time t, of each end's share (1 - t) or t; smooth."""
+    """Return the strength of the correction at time t, from 1 at both ends to 0 halfway."""
     return float(np.cos(np.pi * t) ** 2)
 
 
 class Lacking(NamedTuple):
-    """What a frame at one end lacks, by the kernel's width.
+    """Image less frame at one end, for several kernel widths.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Lacking(NamedTuple):
     missing: Array
 
     def at(self, width: float) -> Array:
-        """Return what lacks at a width: (H, W, 3) array, between those known linearly."""
+        """Return image less frame at a width, by linear interpolation: (H, W, 3) array."""
         place = float(np.interp(width, self.widths, np.arange(len(self.widths))))
         below = int(place)
         above = min(below + 1, len(self.widths) - 1)
@@ -62,7 +62,7 @@ class Lacking(NamedTuple):
 
 
 def ladder(widths: Array) -> Array:
-    """Return few widths, ascending, that span these closely enough to interpolate."""
+    """Return a few ascending widths between which the correction can be interpolated."""
     low, high = float(np.min(widths)), float(np.max(widths))
     if low <= 0 or high <= low:
         return np.array([low])
@@ -70,7 +70,7 @@ def ladder(widths: Array) -> Array:
 
 
 class Details:
-    """What one image's frame lacks, as particles that travel.
+    """Image less frame at one end, as particles that travel with the pixels.
 
     Parameters
     ----------
@@ -133,12 +133,12 @@ class Details:
 
 
 class EndCorrection:
-    """What brings both ends of a morph to its images.
+    """The correction that brings both ends of a morph to its images.
 
     Parameters
     ----------
     details : (source's, target's)
-        Given back along the path; None where nothing lacks.
+        Corrections that travel; None where none is needed.
     """
 
     def __init__(self, details: tuple[Details | None, Details | None]) -> None:

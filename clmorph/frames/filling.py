@@ -1,4 +1,4 @@
-"""Holes and tears of a frame: which pixels hardly any kernel reaches, and how they are filled."""
+"""Holes of a frame: pixels that hardly any kernel reaches, and how wider kernels fill them."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Foreign files are read within bounds: little of a file that claims, or unpacks to, a lot."""
+"""Read files from unknown sources within limits, however large they claim to be."""
 
 import io
 import json
@@ -12,9 +12,9 @@ from typing import Any
 
 #: Characters of the parameters in a file, at most; writers keep to it as well.
 MAX_TEXT = 1 << 20
-#: Bytes that are read of a file that tells its parameters in its head.
+#: Bytes that are read of a file whose metadata stand at its start.
 MAX_HEAD = 4 * MAX_TEXT
-#: What libraries raise for files that are damaged, or something else.
+#: Exceptions that libraries raise for files that are damaged or of another format.
 UNREADABLE = (
     OSError, ValueError, LookupError, TypeError, AttributeError, EOFError, SyntaxError,
     RuntimeError, ArithmeticError, MemoryError, struct.error, tokenize.TokenError,
@@ -67,12 +67,12 @@ class BoundedFile(io.FileIO):
 
 
 def from_text(text: str | bytes) -> Any:
-    """Return what a JSON text says, if it is one that clmorph may have written.
+    """Return the value of a JSON text, within the limits that clmorph keeps when it writes.
 
     Raises
     ------
     ValueError, RecursionError
-        If it is longer than `MAX_TEXT`, is no JSON, tells a key twice, or holds a number that is
+        If it is longer than `MAX_TEXT`, is no JSON, has a key twice, or holds a number that is
         not finite.
     """
     if len(text) > MAX_TEXT:

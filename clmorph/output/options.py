@@ -17,7 +17,7 @@ Scaling = Literal["auto", "nearest", "smooth"]
 SCALINGS = get_args(Scaling)
 
 
-#: Frames a second, unless said otherwise.
+#: Frames a second, by default.
 FPS = 20.0
 
 

@@ -11,7 +11,7 @@ from clmorph._shared.validation import check_choice, check_number
 from clmorph.errors import InputError
 from clmorph.output.options import EASES, FPS, LOOPS, Ease, Loop, PlaybackOptions
 
-#: Frames a second from which a rest that is rounded to whole ones is not seen to be.
+#: Frames a second from which nobody sees that a hold is rounded to whole frames.
 SMOOTH = 30
 
 
@@ -83,7 +83,7 @@ class Motion:
         duration : float
             Seconds, holds included.
         holds : (n,) array of bool
-            Frames that are pictures themselves.
+            Whether a frame is one of the pictures, and so is held.
         hold, loop
             As above.
 
@@ -114,12 +114,12 @@ class Motion:
         return Fraction(self.fps).limit_denominator(1001)
 
     def rate_for(self, seconds: list[float]) -> Fraction:
-        """Return the rate at which pictures that are shown so long are frames, repeated.
+        """Return the frame rate at which each duration is a whole number of frames.
 
         Parameters
         ----------
         seconds : list of float
-            Of each picture, as `played` tells.
+            Durations of the frames, as `played` returns them.
 
         Returns
         -------
@@ -143,7 +143,7 @@ class Motion:
         Parameters
         ----------
         holds : (n,) array of bool
-            Frames that are pictures themselves.
+            Whether a frame is one of the pictures, and so is held.
         """
         even = 1.0 / self.fps
         return [(index, even + self.hold * holds[index]) for index in self.order(len(holds))]
@@ -156,7 +156,7 @@ def motion_of(options: PlaybackOptions, holds: NDArray[np.bool_]) -> Motion:
     ----------
     options : PlaybackOptions
     holds : (n,) array of bool
-        Frames that are pictures themselves.
+        Whether a frame is one of the pictures, and so is held.
 
     Raises
     ------

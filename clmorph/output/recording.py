@@ -1,4 +1,4 @@
-"""A morph, or a chain of them, rendered: what files are made of."""
+"""Rendered frames of a morph or of a chain of morphs, from which files are written."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,26 +22,25 @@ StageProgress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Frames and how they are played.
+    """Rendered frames, and how they are played.
 
     Attributes
     ----------
     frames : sequence of (H, W, 3) or (H, W, 4) arrays
-        uint8, or floats in [0, 1]; each of its own size, in the order in which they are seen
-        first.
-    shapes : list of tuple
-        Theirs.
+        uint8, or floats in [0, 1]; each of its own size, in the order of playback.
+    shapes : list of (H, W, C)
+        The frames' shapes.
     times : (n,) array
-        The morph's time in each, from 0 to the number of morphs; falling if reversed.
+        The time of each frame, from 0 to the number of morphs; falling if reversed.
     holds : (n,) array of bool
-        Frames that are pictures themselves.
+        Whether a frame is one of the pictures, and so is shown longer.
     motion : Motion
     pixelated : bool
         Whether all pictures are pixel art.
     parameters : dict
-        What made them; JSON takes it.
+        The metadata of the files, as `json.dumps` takes them.
     morphs : list of Morph
-        Those of which files tell more than frames; empty if they were not kept.
+        The morphs, for formats that store more than frames; empty if they were not kept.
     """
 
     frames: Sequence[NDArray[Any]]
@@ -96,21 +95,21 @@ def recorded(
     Parameters
     ----------
     morphs : iterable of Morph
-        Each begins with the picture that the one before ends with. Taken one by one, so that
-        they need not be there at once.
+        Each begins with the picture that the one before ends with. They are taken one by one,
+        so that only one is in memory at a time.
     motion : Motion
     reverse : bool
-        From the end to the beginning.
+        Whether frames run from the end to the beginning.
     n_morphs : int
-        How many will come; only to name stages.
+        Number of morphs, by which stages are named.
     exact : bool
         Frames as floats, for files that hold more than 8 bits.
     keep : bool
-        Keep the morphs themselves too, for files that tell of them.
+        Keep the morphs themselves too, for formats that need them.
     pixelated, parameters
         As in `Recording`.
     folder : Path, optional
-        Where the frames are kept meanwhile.
+        Folder of the temporary file that holds the frames.
     progress : callable, optional
 
     Yields

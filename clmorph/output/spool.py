@@ -47,7 +47,7 @@ class Spool(Sequence[NDArray[Any]]):
         """Add an array of the spool's dtype."""
         if array.dtype != self._dtype:
             raise TypeError(f"an array of {array.dtype} in a spool of {self._dtype}")
-        with _told():
+        with _disk_errors():
             offset = self._file.seek(0, 2)
             if isinstance(self._file, io.BytesIO) and offset + array.nbytes > IN_MEMORY:
                 self._file = self._on_disk(self._file)
@@ -78,7 +78,7 @@ class Spool(Sequence[NDArray[Any]]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         offset, shape = self._places[index]
-        with _told():  # what was written may only now reach the disk
+        with _disk_errors():  # what was written may only now reach the disk
             self._file.seek(offset)
             data = self._file.read(int(np.prod(shape)) * self._dtype.itemsize)
         return np.frombuffer(data, self._dtype).reshape(shape)
@@ -97,8 +97,8 @@ class Spool(Sequence[NDArray[Any]]):
 
 
 @contextmanager
-def _told() -> Iterator[None]:
-    """Tell what the disk refuses."""
+def _disk_errors() -> Iterator[None]:
+    """Raise OutputError for an error of the disk."""
     try:
         yield
     except OSError as error:

@@ -9,7 +9,8 @@ from clmorph.backends.interface import Operations
 from clmorph.errors import InputError, MemoryWarning, PruningWarning
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import as_pair
-from clmorph.pipeline.memory import affordable, estimate, predict_pairs
+from clmorph.pipeline.memory import affordable, estimate
+from clmorph.pipeline.pair_count import predict_pairs
 from clmorph.transport.barycentric import Barycentric, barycentric_plan
 from clmorph.transport.options import MAX_DRAWS
 from clmorph.transport.plan import Plan

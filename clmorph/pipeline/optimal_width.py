@@ -1,4 +1,4 @@
-"""Kernel widths chosen by what the paper argues from: nearness to the particles themselves.
+"""Kernel widths whose frames are nearest to the particles, by the Sinkhorn divergence.
 
 The paper judges a kernel by the Sinkhorn divergence of its frames (4.3) and sets its width by
 hand (gamma). Here sigma(t) is the width whose frame, weighted by its kernel mass, has the least
@@ -19,7 +19,7 @@ from clmorph.frames.sequence import check_frame_sequence
 from clmorph.pipeline.result import Morph
 from clmorph.transport.divergence import sinkhorn_divergence
 
-#: What those are told whose morph has none.
+#: The error for a morph without a divergence.
 NO_DIVERGENCE = (
     "sigma='optimal' needs a divergence: one reach for both images, and one color metric for all "
     "pixels"

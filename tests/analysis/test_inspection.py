@@ -28,7 +28,8 @@ from clmorph.errors import (
 )
 from clmorph.frames.particles import particles
 from clmorph.images.pixels import as_rgb
-from clmorph.pipeline.memory import affordable, estimate, predict_pairs
+from clmorph.pipeline.memory import affordable, estimate
+from clmorph.pipeline.pair_count import predict_pairs
 from clmorph.pipeline.presets import PRESETS
 
 OPTIONS = {"blur": 0.05, "reach": 0.3, "color_weight": 0.5}

@@ -76,7 +76,7 @@ def write_frames(
                 if kind not in (b"IDAT", b"IEND"):
                     _write(stream, kind, content)
             _write(stream, b"acTL", struct.pack(">II", count, plays))
-        # One that stays longer than a frame can is drawn again.
+        # A frame that stays longer than the format allows is drawn again.
         for number, delay in enumerate(pieces(duration, LONGEST)):
             place = right - left, bottom - top, left, top
             # Disposal: none. Blending: what is drawn replaces what was there, opacity included.

@@ -22,7 +22,7 @@ from clmorph.output.recording import Recording
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
 
-#: Arrays of either kind of plan, as they are called there: axes and kind of numbers.
+#: Names of the arrays of either kind of plan, each with its number of axes and kind of dtype.
 PLAN_ARRAYS = {
     "indptr": (1, "i"), "indices": (1, "i"), "mass": (1, "f"), "shape": (1, "i"),
     "whole_row_mass": (1, "f"), "whole_column_mass": (1, "f"),
@@ -31,7 +31,7 @@ BARYCENTRIC_ARRAYS = {
     "positions": (2, "f"), "colors": (2, "f"), "covariance": (3, "f"), "row_mass": (1, "f"),
     "column_mass": (1, "f"),
 }  # fmt: skip
-#: What the arrays of an archive may take, in bytes, unless told otherwise.
+#: The most that the arrays of an archive may take by default, in bytes.
 MAX_BYTES = 2 * 2.0**30
 
 
@@ -45,11 +45,11 @@ class Archive:
         sRGB in [0, 1].
     times : (n,) array
     parameters : dict
-        What it was made with.
+        The options that it was made with.
     plans : list of Plan or Barycentric
         One for each morph of a chain.
     potentials : list of (f, g)
-        Likewise; cost units.
+        One pair for each morph of a chain, in units of the cost.
 
     Examples
     --------
@@ -144,8 +144,8 @@ def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Archive:
     ----------
     path : path
     max_bytes : float
-        What its arrays may take in memory, in bytes; by default 2 GiB. 30 frames of 1280 x 720
-        pixels take 0.33 GB.
+        The most that its arrays may take in memory, in bytes; by default 2 GiB. 30 frames of
+        1280 x 720 pixels take 0.33 GB.
 
     Returns
     -------
@@ -208,7 +208,7 @@ def _read(arrays: Arrays) -> Archive:
         raise ValueError("its frames are not those of its times")
     parameters = from_text(arrays.text("parameters"))
     if not isinstance(parameters, dict):
-        raise ValueError("its parameters are none")
+        raise ValueError("its parameters are not a mapping")
     n_morphs = sum(name.startswith("f_") for name in arrays.names)
     plans = [_read_plan(arrays, number) for number in range(n_morphs)]
     potentials = [
@@ -236,7 +236,7 @@ def _read_plan(arrays: Arrays, number: int) -> Plan | Barycentric:
         and bool(np.all((indices >= 0) & (indices < columns)))
     )
     if not sound:
-        raise ValueError("its plan is none")
+        raise ValueError("its plan is not valid")
     parts: dict[str, Any] = found | {"shape": (rows, columns)}
     return Plan(**parts)
 

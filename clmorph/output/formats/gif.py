@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 #: Colors of the palette; one more entry stands for what is transparent.
 COLORS = 255
-#: Entries that colors between the pictures' have at least.
+#: Entries that are kept for colors between the pictures' own.
 LEAST = 16
 #: Opacity from which a pixel is seen.
 OPAQUE = 128
-#: Pixels from which the palette is taken.
+#: Number of pixels from which the palette is computed.
 SAMPLES = 250_000
 #: A frame's duration has 16 bits; this is in hundredths of a second.
 LONGEST = 65_000
@@ -70,19 +70,19 @@ def _write_frames(
     before: Image | None = None
     for picture, units in frames:
         box = changed(before, picture)
-        # What was drawn before must not show through.
+        # The frame before must not show through.
         options: dict[str, Any] = {"transparency": COLORS, "disposal": 2} if clear else {}
         if clear and before is not None:
             box = box_of(np.asarray(picture) != COLORS)
         part = picture.crop(box)
-        # One that stays longer than a frame can is drawn again.
+        # A frame that stays longer than the format allows is drawn again.
         for number, piece in enumerate(pieces(units, LONGEST)):
             if before is None and number == 0:
                 stream.write(_still(part, 10 * piece, options | head)[:-1])
             else:
                 whole = _still(part, 10 * piece, options)
                 block = bytearray(whole[13 + (6 << (whole[10] & 7)) : -1])
-                # Where it is drawn: after the block of 8 bytes that tells the duration, and a mark.
+                # Its place on the canvas stands after the 8 bytes of the duration and a mark.
                 struct.pack_into("<HH", block, 9, *box[:2])
                 stream.write(block)
         before = picture
@@ -97,7 +97,7 @@ def _still(picture: "Image", duration: int, options: dict[str, Any]) -> bytes:
 
 
 def _palette(recording: Recording, framing: Framing) -> "Image":
-    """Return an image whose palette suits all frames, and what stands beside them.
+    """Return an image whose palette suits all frames, and the bars beside them.
 
     Of pixel art the pictures' own colors are kept exactly, if they leave enough entries.
     """

@@ -1,4 +1,4 @@
-"""What files cannot hold, and encoders that fail, told as errors of ours."""
+"""Limits of formats, and failures of encoders, as errors of clmorph."""
 
 import struct
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ def check_sides(size: tuple[int, int], most: int, words: str) -> None:
     most : int
         The longest side that the file can hold.
     words : str
-        What the file is, for people.
+        The format's name, for people.
     """
     if max(size) > most:
         raise InputError(
@@ -29,14 +29,14 @@ def check_sides(size: tuple[int, int], most: int, words: str) -> None:
 
 @contextmanager
 def encoding(words: str, *kinds: type[Exception]) -> Iterator[None]:
-    """Tell what an encoder raises as OutputError; errors of ours and of the disk pass.
+    """Raise OutputError for an encoder's errors; those of clmorph and of the disk pass.
 
     Parameters
     ----------
     words : str
-        What is written, for people.
+        The format's name, for people.
     kinds : exception classes
-        Of the encoder's own, beside those that all of them use.
+        Further exceptions that the encoder raises.
     """
     failures: tuple[type[Exception], ...] = (
         RuntimeError,

@@ -1,7 +1,7 @@
-"""Arrays out of a foreign ``.npz``: each is measured before it is read.
+"""Read arrays of an ``.npz`` from an unknown source: each is measured before it is read.
 
-The directory of the archive and the head of each array tell how large it is. Only plain numbers
-and texts are read, nothing that NumPy would unpickle.
+The size of an array stands in the archive's directory and in the array's header. Only plain
+numbers and texts are read, nothing that NumPy would unpickle.
 """
 
 import math
@@ -63,7 +63,7 @@ class Arrays:
         self._stack.close()
 
     def size(self, name: str) -> int:
-        """Return how many bytes the archive's directory tells that an array takes."""
+        """Return the bytes that an array takes, according to the archive's directory."""
         return self._archive.getinfo(f"{name}.npy").file_size
 
     def read(self, name: str, ndim: int, kinds: str = "f") -> NDArray[Any]:
@@ -109,5 +109,5 @@ class Arrays:
             raise ValueError(f"{name}: an array of another kind than clmorph writes")
         size = math.prod(shape) * dtype.itemsize
         if min(shape, default=0) < 0 or size != entry.file_size - begin:
-            raise ValueError(f"{name}: its size is not the one that it tells")
+            raise ValueError(f"{name}: its size is not the one in its header")
         return shape, dtype, size

@@ -41,7 +41,7 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
 
 
 class _Frames(Sequence[NDArray[np.uint8]]):
-    """A recording's frames as the style wants them, each reported when it is read."""
+    """Frames in a given style; each is reported when it is read."""
 
     def __init__(self, recording: Recording, style: FrameStyle, report: Report) -> None:
         self._film, self._report = recording, report
@@ -60,7 +60,7 @@ class _Frames(Sequence[NDArray[np.uint8]]):
 
 
 def _title(recording: Recording) -> str:
-    """Return the pictures' names, where the recording's parameters tell them."""
+    """Return the pictures' names, if the recording's parameters have them."""
     images = recording.parameters.get("images") or ()
     names = [Path(str(image["file"])).stem for image in images if "file" in image]
     ordered = names[::-1] if recording.times[0] > recording.times[-1] else names

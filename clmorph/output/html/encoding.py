@@ -117,7 +117,7 @@ class Encoder:
 
     @property
     def note(self) -> str | None:
-        """What to say about loss; None if there is none."""
+        """A note for the reader if frames are compressed with loss; None otherwise."""
         lossy = [quality for quality in self.qualities if quality < 100]
         if not lossy:
             return None

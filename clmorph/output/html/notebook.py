@@ -23,7 +23,7 @@ def repr_html(
     """Return a morph for a notebook: an iframe that holds its page and may reach nothing else.
 
     Frames are rendered here, and not kept. Of long or large morphs only some are, evenly
-    chosen, both ends included, and a note in the page says so.
+    chosen, both ends included, and a note in the page reports it.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ def write_page(scene: Scene, file: TextIO, *, max_bytes: float = PAGE_BYTES) -> 
     The page is plain ASCII, loads nothing from anywhere (its own Content-Security-Policy
     forbids that) and keeps frames without loss (WebP, or PNG where Pillow has no WebP). Where
     they would take more than `max_bytes`, all from the first on that is too large for its share
-    are compressed with loss, and a note in the page says so.
+    are compressed with loss, and a note in the page reports it.
 
     Parameters
     ----------

@@ -1,0 +1,135 @@
+"""Predict how many pairs a plan will keep, before it is built."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.validation import check_integer, check_number
+from clmorph.backends.interface import Operations
+from clmorph.backends.select import Backend, get_backend
+from clmorph.measures.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
+from clmorph.transport.options import PruningOptions
+from clmorph.transport.potentials import Potentials
+from clmorph.transport.pruning import check_log_threshold
+
+Array = NDArray[np.float64]
+
+#: Rows, and as many columns, from which the number of kept pairs is predicted.
+SAMPLED_ROWS = 512
+
+
+def predict_pairs(
+    source: MeasureLike,
+    target: MeasureLike,
+    potentials: Potentials,
+    *,
+    relative: float = PruningOptions.relative,
+    log_threshold: float | None = None,
+    rows: int = SAMPLED_ROWS,
+    seed: int = 0,
+    backend: Backend = "auto",
+) -> int:
+    """Predict how many pairs `clmorph.transport_plan` will keep, from a sample, in O(N + M).
+
+    A pair is kept for its row or for its column. What rows keep follows from some rows, what
+    columns keep from some columns, and what both keep from where these meet. With `log_threshold`
+    some rows are enough. Exact if all rows and columns are in the sample.
+
+    Parameters
+    ----------
+    source, target : Measure, WeightedPoints, or (weights, points)
+    potentials : Potentials
+    relative, log_threshold
+        As in `clmorph.transport_plan`.
+    rows : int
+        So many random rows, and so many columns.
+    seed : int
+    backend : str or Operations
+        See `clmorph.get_backend`.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+    """
+    source, target = as_pair(source, target)
+    relative = check_number("relative", relative, 0.0, 1.0, open_low=True)
+    if log_threshold is not None:
+        log_threshold = check_log_threshold(log_threshold)
+    rows = check_integer("rows", rows, 1, 1 << 24)
+    rng = np.random.default_rng(check_integer("seed", seed, 0, 2**63))
+    operations = get_backend(backend)
+    sides = [
+        _Side(operations, measure, potential, rows, rng)
+        for measure, potential in ((source, potentials.f), (target, potentials.g))
+    ]
+    epsilon, precise = potentials.epsilon, potentials.precise
+    if log_threshold is not None:
+        source_side, target_side = sides
+        kept = operations.count_plan_rows(
+            source_side.part, target_side.cloud, source_side.few, target_side.potential, epsilon,
+            np.full(len(source_side.few), log_threshold), np.full(target_side.size, np.inf),
+            precise,
+        )  # fmt: skip
+        return round(source_side.scale * float(kept.sum()))
+    none = [np.full(len(side.chosen), np.inf) for side in sides]
+    thresholds = [
+        operations.row_maxima(own.part, other.cloud, other.potential, epsilon)
+        + own.few / epsilon
+        + own.log_weights
+        + np.log(relative)
+        for own, other in (sides, sides[::-1])
+    ]
+    by_side = [
+        own.scale
+        * operations.count_plan_rows(
+            own.part, other.cloud, own.few, other.potential, epsilon,
+            threshold, np.full(other.size, np.inf), precise,
+        ).sum()
+        for own, other, threshold in zip(sides, sides[::-1], thresholds, strict=True)
+    ]  # fmt: skip
+    both = (thresholds[0], none[1]), (none[0], thresholds[1]), (thresholds[0], thresholds[1])
+    few = sides[0].part, sides[1].part, sides[0].few, sides[1].few, epsilon
+    in_rows, in_columns, either = (
+        int(operations.count_plan_rows(*few, by_row, by_column, precise).sum())
+        for by_row, by_column in both
+    )
+    only_columns = (either - in_rows) / in_columns if in_columns else 1.0
+    return round(by_side[0] + by_side[1] * only_columns)
+
+
+class _Side:
+    """One measure on the device, and some of its points that have mass."""
+
+    def __init__(
+        self,
+        operations: Operations,
+        measure: AnyMeasure,
+        potential: Array,
+        count: int,
+        rng: np.random.Generator,
+    ) -> None:
+        massive = np.flatnonzero(measure.weights > 0)
+        self.chosen = np.sort(rng.choice(massive, min(count, len(massive)), replace=False))
+        self.scale = len(massive) / len(self.chosen)
+        self.size, self.potential, self.few = len(measure), potential, potential[self.chosen]
+        self.cloud = operations.upload(measure.points, measure.weights, measure.offsets)
+        some = part_of(measure, self.chosen)
+        self.part = operations.upload(some.points, some.weights, some.offsets)
+        self.log_weights = np.log(some.weights)
+
+
+def part_of(measure: AnyMeasure, chosen: NDArray[np.intp]) -> WeightedPoints:
+    """Return some points of a measure, with their own masses."""
+    whole = WeightedPoints(measure.points, measure.weights, measure.offsets)
+    return replace(
+        whole,
+        points=whole.points[chosen],
+        weights=whole.weights[chosen],
+        offsets=None if whole.offsets is None else whole.offsets[chosen],
+    )
