@@ -51,7 +51,15 @@ def _print_version(context: click.Context, parameter: click.Parameter, wanted: b
     context.exit()
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]}, epilog=EXIT_CODES)
+#: A line for each preset.
+_PRESETS = "Presets:\n\n" + "\n\n".join(
+    f"{name}: {preset.help}" for name, preset in PRESETS.items()
+)
+
+
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"]}, epilog=f"{_PRESETS}\n\n{EXIT_CODES}"
+)
 @click.option(
     "--version",
     is_flag=True,
@@ -83,17 +91,12 @@ def _settings_callback(context: click.Context, parameter: click.Parameter, path:
     return found
 
 
-def _preset_help() -> str:
-    """Return a line for each preset."""
-    lines = (f"{name}: {preset.help}" for name, preset in PRESETS.items())
-    return "Set of options for a kind of pictures.  [default: photo]  " + "  ".join(lines)
-
-
-@cli.command()
+@cli.command(epilog=_PRESETS)
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
 @options.file_options
 @click.option(
-    "--preset", type=click.Choice(list(PRESETS)), panel="Settings", help=_preset_help(),
+    "--preset", type=click.Choice(list(PRESETS)), panel="Settings",
+    help="Set of options for a kind of pictures; see below.  [default: photo]",
 )  # fmt: skip
 @click.option(
     "--config", type=options.FileName(), is_eager=True, callback=_settings_callback,
@@ -172,7 +175,7 @@ def morph(
         Request(
             images, output, chosen, format=format, recipe=bool(recipe), max_pixels=most,
             config=None if config is None else config.named.file,
-            capped=foreign and "max_memory" not in line,
+            capped=foreign and "max_memory" not in line, asked_blocks="solve_size" in line,
         ),
         device=device, backend=backend, as_json=as_json,
     )  # fmt: skip
@@ -196,7 +199,7 @@ def _counted(images: Sequence[Path]) -> str:
     return f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given"
 
 
-@cli.command()
+@cli.command(epilog=_PRESETS)
 @click.argument("images", metavar="A B", nargs=-1, type=options.FileName())
 @click.option(
     "-o", "--output", type=options.OutputName(), panel="File",
@@ -206,7 +209,8 @@ def _counted(images: Sequence[Path]) -> str:
     "--json", "as_json", is_flag=True, panel="File", help="Print the numbers for programs."
 )
 @click.option(
-    "--preset", type=click.Choice(list(PRESETS)), panel="Transport", help=_preset_help(),
+    "--preset", type=click.Choice(list(PRESETS)), panel="Transport",
+    help="Set of options for a kind of pictures; see below.  [default: photo]",
 )  # fmt: skip
 @options.inspect_options
 @options.max_pixels_option

@@ -31,6 +31,7 @@ from clmorph.errors import (
 )
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.pixels import MAX_PIXELS
+from clmorph.measures.pixel_blocks import solved_size
 from clmorph.output.framing import FrameStyle, enlargement_note
 from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording, recorded
@@ -64,6 +65,8 @@ class Request:
         The file of settings: it is not to be overwritten.
     capped : bool
         Whether `max_memory` is a recipe's, which may lower the device's limit, not raise it.
+    asked_blocks : bool
+        Whether `solve_size` was given in the command line.
     """
 
     images: Sequence[Path]
@@ -74,6 +77,7 @@ class Request:
     max_pixels: int = MAX_PIXELS
     config: Path | None = None
     capped: bool = False
+    asked_blocks: bool = False
 
 
 @dataclass
@@ -150,6 +154,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     if request.capped:
         _cap_memory(run, operations)
     say(run.memory(pictures, operations))
+    _note_solve_size(request, pictures)
 
     def told(folder: Path | None = None) -> dict[str, Any]:
         return recipe(
@@ -190,6 +195,20 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
             summary = _summary(run, film, stages, notes)
     summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
     click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
+
+
+def _note_solve_size(request: Request, pictures: Sequence[NDArray[np.float64]]) -> None:
+    """Note where blocks of pixels are fewer than were asked for."""
+    wanted = request.options.solve_size
+    if wanted is None or not request.asked_blocks:
+        return
+    larger = [picture for picture in pictures if max(picture.shape[:2]) > wanted]
+    taken = {solved_size((picture.shape[0], picture.shape[1]), wanted) for picture in larger}
+    if taken - {wanted}:
+        note(
+            f"--solve-size {wanted}: {' and '.join(map(str, sorted(taken)))} blocks are taken "
+            "along the longer side; a block has 1, 2, 4, ... pixels along a side"
+        )
 
 
 def _cap_memory(run: _Run, operations: Operations) -> None:

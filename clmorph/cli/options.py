@@ -137,8 +137,10 @@ def _one(name: str, known: Option) -> Callable[[Command], Command]:
     is_flag = not known.kind.metavar
     # A joined class can have another default than the stage's own.
     usual = to_outside(known, default(MorphOptions, name))
-    unit = f" {known.unit}" if known.unit and not isinstance(usual, str) else ""
-    shown = "" if is_flag else f"  [default: {_plainly(usual)}{unit}]"
+    number = not isinstance(usual, str)
+    unit = f" {known.unit}" if known.unit and number else ""
+    shown = "" if is_flag or usual == "none" else f"  [default: {_plainly(usual)}{unit}]"
+    shown = f"  [unit: {known.unit}]{shown}" if known.unit and not number else shown
     if is_flag:
         return _option(
             known.panel, f"{line}/--no-{line[2:]}", name, is_flag=True, default=None,

@@ -29,10 +29,11 @@ class PlaybackOptions(Options):
         30, integer(2, 100_000), "Number of frames of each morph, both ends included.", "Motion",
         outside="frames", word="",
     )  # fmt: skip
-    fps: float | None = option(FPS, number(0.1, 240.0), "Frames a second.", "Motion", unit="1/s")
+    fps: float | None = option(FPS, number(0.1, 240.0), "Frames a second.", "Motion")
     duration: float | None = option(
         None, number(0.0, 1e6, open_low=True),
-        "Duration of one round, in place of --fps; the rests count.", "Motion", unit="seconds",
+        "Duration of one round, in place of fps; the time that pictures stay counts.", "Motion",
+        unit="seconds",
     )  # fmt: skip
     hold: float = option(
         0.65, number(0.0, 3600.0),

@@ -71,7 +71,8 @@ class BudgetOptions(Options):
     solve_size: int | None = option(
         128, integer(2, 1 << 16),
         "Solve the transport between square blocks of pixels, at most this number along the "
-        "longer side, and draw with pixels; none: solve between pixels.",
+        "longer side, and draw with pixels. A block has 1, 2, 4, ... pixels along a side, so that "
+        "fewer can be taken. none: solve between pixels.",
         "Transport", unit="blocks",
     )  # fmt: skip
     max_particles: int | None = option(

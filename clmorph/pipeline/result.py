@@ -18,6 +18,7 @@ from clmorph.frames.render import Sums, Widths
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.detail import is_pixel_art
 from clmorph.measures.measure import Measure
+from clmorph.measures.pixel_blocks import solved_size
 from clmorph.output.html import repr_html
 from clmorph.output.save import save
 from clmorph.pipeline.options import MorphOptions
@@ -103,6 +104,16 @@ class Morph(FrameSequence):
             f"<Morph of {w} x {h} into {width} x {height} pixels, {len(self.times)} frames, "
             f"{len(self.particles)} particles, {self.potentials.message}>"
         )
+
+    @property
+    def solved_sizes(self) -> tuple[int, int]:
+        """Blocks along the longer side of source and target between which it was solved.
+
+        Blocks have a power of two of pixels along a side, so there can be fewer than the option
+        `solve_size` allows.
+        """
+        most = self.options.solve_size or max(self.source.shape + self.target.shape)
+        return solved_size(self.source.shape, most), solved_size(self.target.shape, most)
 
     @property
     def parameters(self) -> dict[str, Any]:
