@@ -9,4 +9,4 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 # Modules that were documented and have moved: their old names still work, with a warning.
-__path__.append(str(Path(__file__).parent / "_shared" / "moved"))
+__path__.append(str(Path(__file__).parent / "_moved"))
