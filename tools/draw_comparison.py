@@ -62,10 +62,8 @@ def rows(size: int):
         "Grids: a 16-pixel image fades into a 96-pixel one, one width for all",
         "each width from its own spacing",
         (0.4, 0.6),
-        clmorph.morph(
-            coarse, picture("astronaut", 3 * size), n_frames=2, **{**PLAIN, "endpoints": "paper"}
-        ),
-        clmorph.morph(coarse, picture("astronaut", 3 * size), n_frames=2, **OURS),
+        clmorph.morph(coarse, fine, n_frames=2, **{**PLAIN, "endpoints": "paper"}),
+        clmorph.morph(coarse, fine, n_frames=2, **OURS),
     )
 
 

@@ -22,7 +22,7 @@ AS_PAPER: dict[str, Any] = {
     "preset": "paper", "size": None, "log_threshold": None,
     "blur": BLUR, "reach": REACH, "color_weight": COLOR_WEIGHT, "extent": "unit",
     "unmatched": "drop", "endpoints": "paper", "sigma_start": SIGMA_START,
-    "sigma_end": SIGMA_END, "gamma": GAMMA,
+    "sigma_end": SIGMA_END,
 }  # fmt: skip
 #: The same in words, for captions.
 AS_PAPER_TEXT = (
