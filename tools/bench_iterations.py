@@ -8,6 +8,7 @@ is both updates; the two softmins that certify the result are not counted.
 import argparse
 
 import numpy as np
+from plain import COLOR_WEIGHT
 from skimage import data
 from skimage.transform import resize
 
@@ -63,7 +64,7 @@ def pairs() -> dict[str, tuple[Measure, Measure]]:
         "rocket to coffee": (photos["rocket"], photos["coffee"]),
         "sprites": (cat, apple),
     }
-    return {name: (lift(a), lift(b)) for name, (a, b) in images.items()}
+    return {name: (lift(a, COLOR_WEIGHT), lift(b, COLOR_WEIGHT)) for name, (a, b) in images.items()}
 
 
 def plain_iterations(pair: tuple[Measure, Measure], device: str, blur: float, reach) -> str:

@@ -122,8 +122,9 @@ def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> No
 
     warnings.simplefilter("ignore", clmorph.MemoryWarning)  # the table tells
     result = clmorph.morph(
-        *images, 3, length, REACH, color_weight, backend=operations, splatting="local",
-        sigma_start="auto", sigma_end="auto", progress=mark, max_particles=PARTICLES,
+        *images, n_frames=3, blur=length, reach=REACH, color_weight=color_weight, size=None,
+        solve_size=None, path_space="srgb", backend=operations, progress=mark,
+        max_particles=PARTICLES,
     )  # fmt: skip
     result.frame(0.4)
     frame = time.perf_counter()

@@ -20,6 +20,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from plain import COLOR_WEIGHT
 
 from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.backends.select import get_backend
@@ -44,7 +45,10 @@ def problem(n: int):
 
     side = round(n**0.5)
     images = data.astronaut()[50:450, 50:450], data.chelsea()[:, 75:375]
-    return [lift(resize(image / 255, (side, side), anti_aliasing=True)) for image in images]
+    return [
+        lift(resize(image / 255, (side, side), anti_aliasing=True), COLOR_WEIGHT)
+        for image in images
+    ]
 
 
 # --- peers: each returns a function that solves, and gives f, g (ours: the plan is

@@ -173,7 +173,7 @@ def morphs(devices: Devices, repeats: int) -> None:
 
     crops = chelsea()[:, 85:385], astronaut()[50:450, 50:450]
     images = [clmorph.fit(as_rgb(crop), SIDE) for crop in crops]
-    parameters: dict[str, Any] = {k: v for k, v in PRESETS["paper"].items() if k != "size"}
+    parameters: dict[str, Any] = {**PRESETS["paper"].options, "size": None}
     stages = [f"{stage}, s" for stage in ("transport", "plan", "particles", "frames", "all")]
     title = f"A morph of {SIDE}×{SIDE} photographs, preset paper; goal: {GOAL_SECONDS} s"
     table(title, "device", *stages, "particles", "frames")

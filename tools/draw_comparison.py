@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 from evaluate_splatting import picture
 from PIL import Image, ImageDraw, ImageFont
+from plain import PLAIN
 
 import clmorph
 from clmorph.images.pixels import to_bytes
 
 SIDE, GAP, LABEL = 240, 10, 24
 #: What both sides of a row share beside what they differ in.
-PAPER = {"endpoints": "paper", "unmatched": "drop"}
-OURS = {"splatting": "local", "sigma_start": "auto", "sigma_end": "auto"}
+PAPER = {**PLAIN, "endpoints": "paper", "unmatched": "drop"}
+OURS = {**PLAIN, "splatting": "local", "sigma_start": "auto", "sigma_end": "auto"}
 
 
 def stripes(colors: list[tuple[float, float, float]], size: int) -> np.ndarray:
@@ -32,36 +33,37 @@ def rows(size: int):
         "Holes: sprite to photograph of twice its side, each particle in its nearest pixel",
         "local widths",
         (0.5, 0.8),
-        clmorph.morph(cat, photo[::2, ::2], 2, splatting="none", **PAPER),
-        clmorph.morph(cat, photo[::2, ::2], 2, **OURS),
+        clmorph.morph(cat, photo[::2, ::2], n_frames=2, **{**PAPER, "splatting": "none"}),
+        clmorph.morph(cat, photo[::2, ::2], n_frames=2, **OURS),
     )
     astronaut, coffee = picture("astronaut", 2 * size), picture("coffee", 2 * size)
     yield (
         "Ends, at t = 0 and 0.1: seen through a kernel of 1.2 pixels",
         "given back, travelling along",
         (0.0, 0.1),
-        clmorph.morph(astronaut, coffee, 2, **PAPER),
-        clmorph.morph(astronaut, coffee, 2),
+        clmorph.morph(astronaut, coffee, n_frames=2, **PAPER),
+        clmorph.morph(astronaut, coffee, n_frames=2, **PLAIN),
     )
     warm, cold = (
         [(0.9, 0.1, 0.1), (0.95, 0.75, 0.1), (0.1, 0.3, 0.9), (0.9, 0.1, 0.8)],
         [(0.1, 0.8, 0.2), (0.2, 0.2, 0.9), (0.95, 0.85, 0.1), (0.1, 0.8, 0.3)],
     )
     ends = stripes(warm, size), stripes(cold, size)
+    still = {"reach": None, "color_weight": 0.01}
     yield (
         "Mud: stripes that change color in place, evenly in sRGB",
         "evenly in Oklab",
         (0.35, 0.5),
-        clmorph.morph(*ends, 2, reach=None, color_weight=0.01, path_space="srgb"),
-        clmorph.morph(*ends, 2, reach=None, color_weight=0.01, path_space="oklab"),
+        clmorph.morph(*ends, n_frames=2, **{**PLAIN, **still, "path_space": "srgb"}),
+        clmorph.morph(*ends, n_frames=2, **{**PLAIN, **still, "path_space": "oklab"}),
     )
-    coarse = picture("coffee", size // 2)
+    coarse, fine = picture("coffee", size // 2), picture("astronaut", 3 * size)
     yield (
         "Grids: a 16-pixel image fades into a 96-pixel one, one width for all",
         "each width from its own spacing",
         (0.4, 0.6),
-        clmorph.morph(coarse, picture("astronaut", 3 * size), 2, endpoints="paper"),
-        clmorph.morph(coarse, picture("astronaut", 3 * size), 2, **OURS),
+        clmorph.morph(coarse, fine, n_frames=2, **{**PLAIN, "endpoints": "paper"}),
+        clmorph.morph(coarse, fine, n_frames=2, **OURS),
     )
 
 

@@ -14,6 +14,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
+from plain import PLAIN
 from rich.progress import track
 from skimage import data
 
@@ -69,7 +70,9 @@ def evaluate(pair: tuple[str, str], size: int, backend) -> list[dict]:
     images = [picture(name, size) for name in pair]
     rows = []
     for rule, options in RULES.items():
-        result = clmorph.morph(*images, 3, backend=backend, endpoints="paper", **options)
+        result = clmorph.morph(
+            *images, n_frames=3, backend=backend, **{**PLAIN, "endpoints": "paper", **options}
+        )
         found = {
             name: path_divergence(result, TIMES, max_points=POINTS, **how)
             for name, how in MEASURES.items()

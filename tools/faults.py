@@ -23,7 +23,7 @@ from pathlib import Path
 
 from findings import Findings, digest, pictures
 
-from clmorph.output.save import FOLDERS, FORMATS
+from clmorph.output.save import FORMATS
 
 #: Signals, and the exit codes of runs that they end.
 SIGNALS = {"SIGINT": 130, "SIGTERM": 143, "SIGKILL": -9}
@@ -59,7 +59,7 @@ for backend in (sys.argv[2], "numpy"):
     child = os.fork()
     if not child:
         try:
-            clmorph.morph(picture, picture, 3, backend=backend).frame(0.5)
+            clmorph.morph(picture, picture, n_frames=3, backend=backend).frame(0.5)
             os._exit(0)
         except clmorph.DeviceError as error:
             os._exit(3 if "spawn" in str(error) else 4)
@@ -77,7 +77,8 @@ def work():
     gate.wait()
     try:
         import clmorph
-        frames.append(clmorph.morph(first, second, 3, backend=sys.argv[1]).frame(0.5).tobytes())
+        morph = clmorph.morph(first, second, n_frames=3, backend=sys.argv[1])
+        frames.append(morph.frame(0.5).tobytes())
     except BaseException as error:
         errors.append(repr(error))
 threads = [threading.Thread(target=work) for _ in range(8)]
@@ -191,7 +192,7 @@ class Runs:
         with self.folder() as folder:
             output = self.output(folder, format)
             before = ""
-            if old and format not in FOLDERS:
+            if old and not FORMATS[format].folder:
                 output.write_bytes(OLD)
                 before = digest(output)
             process = self.start(folder, format)
@@ -239,7 +240,7 @@ class Runs:
         self.findings.trial("disk")
         with self.folder() as folder, _small_disk(folder, kilobytes) as before:
             output = self.output(folder, format)
-            if format not in FOLDERS:
+            if not FORMATS[format].folder:
                 output.write_bytes(OLD)
             was = digest(output)
             ended = self.end(self.start(folder, format, before=before), folder, format)

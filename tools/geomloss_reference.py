@@ -22,7 +22,7 @@ FILE = Path(__file__).parents[1] / "tests" / "data" / "geomloss.npz"
 
 def main() -> None:
     source, target = (
-        lift(fit(image, side)) for image, side in zip(demo_images(), (8, 10), strict=True)
+        lift(fit(image, side), 2.0) for image, side in zip(demo_images(), (8, 10), strict=True)
     )
     arrays = {"x": source.points, "y": target.points, "a": source.weights, "b": target.weights}
     tensors = [torch.from_numpy(arrays[name])[None] for name in "axby"]

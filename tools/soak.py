@@ -10,6 +10,7 @@ command that repeats it, and a summary; ends with 1 if there was a finding.
 import argparse
 import ctypes
 import gc
+import inspect
 import multiprocessing
 import os
 import random
@@ -46,7 +47,7 @@ CHOICES: dict[str, list[Any]] = {
     "sample": [None, 3],
 }
 #: What a morph takes of a preset.
-KEYWORDS = tuple(clmorph.pipeline.morph.__annotations__)
+KEYWORDS = tuple(inspect.signature(clmorph.morph).parameters)
 #: Bytes by which this process may grow after every set was worked out once.
 GROWTH = 64 << 20
 #: A set of options: of the morph, its pictures and its file.
@@ -59,7 +60,7 @@ def draw(seed: int, count: int) -> list[Options]:
     sets = []
     for number in range(count):
         name = list(PRESETS)[number % len(PRESETS)]
-        chosen = {key: value for key, value in PRESETS[name].items() if key in KEYWORDS}
+        chosen = {key: value for key, value in PRESETS[name].options.items() if key in KEYWORDS}
         for key in rng.sample(sorted(CHOICES), 3):
             chosen[key] = rng.choice(CHOICES[key])
         sets.append({
@@ -79,7 +80,7 @@ def work(options: Options, device: str) -> str:
     shape = (height, width, 4 if options["alpha"] else 3)
     first, second = rng.random(shape), rng.random(shape)
     try:
-        result = clmorph.morph(first, second, 3, backend=device, **options["morph"])
+        result = clmorph.morph(first, second, n_frames=3, backend=device, **options["morph"])
         with tempfile.TemporaryDirectory(prefix="soak-") as folder:
             format = FORMATS[options["format"]]
             place = Path(folder) / ("out" + (format.endings or ("",))[0])

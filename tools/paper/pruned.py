@@ -1,11 +1,14 @@
 """Section 3.1: what the threshold tau = -13 keeps of the plan, by the size of the images."""
 
 import clmorph
-from clmorph.pipeline.presets import LOG_THRESHOLD, PLAN_RELATIVE
+from clmorph.pipeline.options import PAPER
+from clmorph.transport.options import PruningOptions
 from paper import drawing
 from paper.report import html_table
 from paper.setting import BLUR, COLOR_WEIGHT, REACH, Section, Setting, listed, signed
 
+#: The paper's threshold, and the relative one.
+LOG_THRESHOLD, PLAN_RELATIVE = PAPER.log_threshold, PruningOptions().relative
 #: Sides of the images.
 SIDES, QUICK_SIDES = (16, 24, 32, 48, 64, 96), (12, 16, 20)
 

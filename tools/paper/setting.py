@@ -16,12 +16,13 @@ BLUR, REACH, COLOR_WEIGHT = 0.05, 0.3, 2.0
 SIGMA_START, SIGMA_END, GAMMA = 1.2, 0.5, 0.5
 #: Kernel width of its baseline.
 FIXED_SIGMA = 0.5
-#: How the paper's frames are made, beyond what `clmorph.morph` does by default: Eq. 4 as printed
-#: up to both ends, and nothing drawn for mass that does not travel.
+#: How the paper's frames are made: Eq. 4 as printed up to both ends, and nothing drawn for mass
+#: that does not travel. All pairs are kept that the relative rule keeps.
 AS_PAPER: dict[str, Any] = {
+    "preset": "paper", "size": None, "log_threshold": None,
     "blur": BLUR, "reach": REACH, "color_weight": COLOR_WEIGHT, "extent": "unit",
     "unmatched": "drop", "endpoints": "paper", "sigma_start": SIGMA_START,
-    "sigma_end": SIGMA_END, "gamma": GAMMA,
+    "sigma_end": SIGMA_END,
 }  # fmt: skip
 #: The same in words, for captions.
 AS_PAPER_TEXT = (

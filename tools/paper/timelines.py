@@ -91,8 +91,9 @@ def figure_4(setting: Setting) -> list[Section]:
     for weight in setting.each("Figure 4", weights):
         if weight == 0:
             one: Any = channel_morph(
-                *images, len(TIMES), AS_PAPER["blur"], AS_PAPER["reach"], SIGMA_START, SIGMA_END,
-                GAMMA, setting.operations, extent="unit",
+                *images, n_frames=len(TIMES), blur=AS_PAPER["blur"], reach=AS_PAPER["reach"],
+                sigma_start=SIGMA_START, sigma_end=SIGMA_END, gamma=GAMMA,
+                backend=setting.operations, extent="unit",
             )  # fmt: skip
             cases.append(("λ 0\n(per channel)", one))
         else:

@@ -63,7 +63,7 @@ def curves(setting: Setting) -> Curves:
     """Make one transport, look at it through every rule, and measure every frame."""
     images = setting.pair.as_published(setting.size)
     start = clmorph.morph(
-        *images, len(TIMES), backend=setting.operations, **{**AS_PAPER, "tol": TOL}
+        *images, n_frames=len(TIMES), backend=setting.operations, **{**AS_PAPER, "tol": TOL}
     )
     morphs = {name: replace(start, kernel_width=width) for name, width in _widths(start).items()}
     best = optimal_curve(start, progress=lambda share: setting.report("Optimal σ", share))

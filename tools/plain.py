@@ -1,0 +1,18 @@
+"""The options of tools that name only some: the paper's, with exact ends, and nothing reduced."""
+
+from typing import Any
+
+#: The paper's weight of color.
+COLOR_WEIGHT = 2.0
+PLAIN: dict[str, Any] = {
+    "size": None,
+    "solve_size": None,
+    "max_particles": None,
+    "blur": 0.05,
+    "reach": 0.3,
+    "color_weight": COLOR_WEIGHT,
+    "sigma_start": 1.2,
+    "sigma_end": 0.5,
+    "splatting": "adaptive",
+    "path_space": "srgb",
+}
