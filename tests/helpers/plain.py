@@ -17,9 +17,9 @@ OPTIONS = MorphOptions(
 )  # fmt: skip
 
 
-def morph(image_a, image_b, n_frames=30, blur=None, reach=None, *, backend="auto", **given) -> Any:
+def morph(image_a, image_b, n_frames=30, blur=..., reach=..., *, backend="auto", **given) -> Any:
     for name, value in (("n_frames", n_frames), ("blur", blur), ("reach", reach)):
-        if value is not None:
+        if value is not ...:  # a reach of None is balanced
             given.setdefault(name, value)
     own = {name: given.pop(name) for name in ("weights", "color_metric", "progress")
            if name in given}  # fmt: skip
