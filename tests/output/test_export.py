@@ -279,7 +279,7 @@ def test_npz_loads_again(tmp_path, morph, growing):
         assert (loaded.plan.to_scipy() != one.plan.to_scipy()).nnz == 0
         assert np.array_equal(loaded.plan.whole_row_mass, one.plan.whole_row_mass)
         assert np.array_equal(loaded.potentials[0][0], one.potentials.f)
-        assert loaded.parameters["morphs"][0]["blur"] == 0.05
+        assert loaded.parameters["options"]["blur"] == 0.05
     with np.load(tmp_path / "out.npz") as plain:  # without us
         assert plain["frame_0000"].shape == (6, 8, 3)
     save(morph, tmp_path / "out.npz")
