@@ -95,7 +95,7 @@ def _choose(spec: str | None, every: bool) -> list[Device]:
 def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
     """Tune devices, or forget how they were tuned."""
     from clmorph.backends.opencl.build.tuned_record import forget_tuning
-    from clmorph.backends.opencl.build.tuner import tune
+    from clmorph.backends.opencl.tuner import tune
 
     for device in _choose(spec, every):
         click.echo(f"[{device.index}] {device.name} ({device.platform}, driver {device.driver})")

@@ -51,12 +51,22 @@ class PlaybackOptions(Options):
     )
 
 
+def _is_canvas(value: object) -> bool:
+    """Whether a value of TOML or JSON can be a canvas: a text, or two sides."""
+    return isinstance(value, str) or (
+        isinstance(value, list) and all(type(side) is int for side in value)
+    )
+
+
+_CANVAS = replace(text("dynamic|source|target|WxH", as_canvas), scalar=_is_canvas)
+
+
 @dataclass(frozen=True, init=False)
 class StyleOptions(Options):
     """Options of how frames come into a file."""
 
     canvas: str | tuple[int, int] = option(
-        "dynamic", text("dynamic|source|target|WxH", as_canvas),
+        "dynamic", _CANVAS,
         "Size of the frames: each frame's own where the file can hold that (dynamic), the first "
         "picture's (source), the last one's (target), or a size in pixels such as 640x480.",
         "File", word="",

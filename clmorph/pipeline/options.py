@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
+import numpy as np
+
 from clmorph._shared.options import (
     Options,
     default,
@@ -16,7 +18,7 @@ from clmorph._shared.options import (
     specifications,
     unknown_option,
 )
-from clmorph._shared.validation import check_choice, shown
+from clmorph._shared.validation import as_float, check_choice, shown
 from clmorph.errors import InputError
 from clmorph.frames.options import GAMMA, RenderOptions
 from clmorph.measures.options import LiftOptions
@@ -179,7 +181,7 @@ class MorphOptions(
             values["blur"] = default(type(self), "blur")
         if values["fps"] is None and values["duration"] is None:
             values["fps"] = default(type(self), "fps")
-        if values["splatting"] == "adaptive" and values["gamma"] is None:
+        if _is(values["splatting"], "adaptive") and values["gamma"] is None:
             values["gamma"] = GAMMA
         return values
 
@@ -188,6 +190,9 @@ class MorphOptions(
         found = regularization(self.blur, self.reach, self.epsilon, self.rho)
         if self.rho is None:
             object.__setattr__(self, "reach", found.reach)
+        # Plain numbers, but not another rounding of them.
+        for name in ("epsilon", "rho"):
+            object.__setattr__(self, name, _plain(getattr(self, name)))
         if self.sigma is None:
             return
         if self.splatting not in ("adaptive", "local"):
@@ -270,8 +275,20 @@ def preset_options(name: str | None) -> dict[str, Any]:
     return {name: value for name, value in usual.items() if name in decided} | dict(chosen.options)
 
 
+def _plain(value: Any) -> Any:
+    """Return a checked number, or a pair of them, as floats."""
+    if isinstance(value, list | tuple) or np.ndim(value):
+        return tuple(as_float(part) for part in value)
+    return as_float(value)
+
+
 def _text(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else shown(value)
+
+
+def _is(value: Any, text: str) -> bool:
+    """Whether a value, which can be anything yet, is a text."""
+    return isinstance(value, str) and value == text
 
 
 def _is_off(value: Any, off: tuple[Any, ...]) -> bool:
@@ -282,13 +299,13 @@ def _settle_gamma(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
     """Let gamma stand for adaptive splatting, to which alone it belongs."""
     if layer.get("gamma") is not None:
         splatting = layer.get("splatting", "adaptive")
-        if splatting != "adaptive":
+        if not _is(splatting, "adaptive"):
             raise InputError(
                 f"gamma={_text(layer['gamma'])} belongs to adaptive splatting, not to "
                 f"{shown(splatting)}: leave one of them out"
             )
         settings["splatting"] = "adaptive"
-    elif layer.get("splatting", "adaptive") != "adaptive":
+    elif not _is(layer.get("splatting", "adaptive"), "adaptive"):
         settings["gamma"] = None
 
 

@@ -74,22 +74,22 @@ def regularization(
                 f"reach={shown(reach)} and rho={shown(rho)} are two names of one strength "
                 "(rho = reach^2): give one of them"
             )
-        reach = _each(rho, lambda value: _root("rho", value, check_reach))
+        reach = _each("rho", rho, lambda value: _root("rho", value, check_reach))
     blur = check_blur(SolverOptions.blur if blur is None else blur)
-    lengths = _each(reach, check_reach)
+    lengths = _each("reach", reach, check_reach)
     rhos = tuple(np.inf if length is None else length**2 for length in lengths)
     return Regularization(
         blur, lengths[0] if lengths[0] == lengths[1] else lengths, blur**2, (rhos[0], rhos[1])
     )
 
 
-def _each(value: Any, function: Any) -> tuple[float | None, float | None]:
+def _each(name: str, value: Any, function: Any) -> tuple[float | None, float | None]:
     """Apply a function to both halves of a pair, or twice to one value."""
     if isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.ndim):
         pair: Sequence[Any] = list(value)
         if len(pair) != 2:
             raise InputError(
-                f"reach={shown(value)}: expected one number, or a pair for source and target"
+                f"{name}={shown(value)}: expected one number, or a pair for source and target"
             )
         return function(pair[0]), function(pair[1])
     once = function(value)

@@ -17,10 +17,11 @@ from conftest import TESTED, USABLE
 
 import clmorph
 from clmorph import DeviceError, InputError
+from clmorph.backends.opencl import probe
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
-from clmorph.backends.opencl.devices import probe, process, runtimes, verdicts
+from clmorph.backends.opencl.devices import process, runtimes, verdicts
 from clmorph.backends.opencl.devices.find import choose_device, find_devices
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import PlanSizeError
@@ -193,7 +194,7 @@ def test_no_probe_outlives_its_parent():
     code = (
         "import subprocess, sys, os; r, w = os.pipe();"
         "p = subprocess.Popen([sys.executable, '-c', 'import time;"
-        "from clmorph.backends.opencl.devices.probe import end_with_parent;"
+        "from clmorph.backends.opencl.probe import end_with_parent;"
         "end_with_parent(); print(1, flush=True);"
         "time.sleep(60)'], stdin=r); print(p.pid, flush=True); p.wait()"
     )

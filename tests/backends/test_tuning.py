@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from clmorph.backends.opencl import tuner as tuning
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import tuned_record
-from clmorph.backends.opencl.build import tuner as tuning
 from clmorph.backends.opencl.build.constants import choose_constants, cpu_constants, gpu_constants
 from clmorph.backends.opencl.build.tuned_record import (
     CANDIDATES,
@@ -13,8 +13,8 @@ from clmorph.backends.opencl.build.tuned_record import (
     is_possible,
     tuned_constants,
 )
-from clmorph.backends.opencl.build.tuner import tune
 from clmorph.backends.opencl.devices.cache import load_record, save_record
+from clmorph.backends.opencl.tuner import tune
 from clmorph.cli.main import main
 
 

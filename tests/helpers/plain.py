@@ -63,6 +63,6 @@ class reference:  # noqa: N801 (stands for the module)
         return dense.morph(image_a, image_b, n_frames=n_frames, **{**usual, **given})
 
 
-for _name in dense.__all__:
-    if not hasattr(reference, _name):
-        setattr(reference, _name, staticmethod(getattr(dense, _name)))
+for _name, _value in vars(dense).items():
+    if not _name.startswith("_") and not hasattr(reference, _name):
+        setattr(reference, _name, staticmethod(_value) if callable(_value) else _value)

@@ -104,7 +104,6 @@ def test_two_names_of_a_strength(rng):
     [
         ({"blur": 0.1, "epsilon": 0.01}, "two names of one strength"),
         ({"reach": 0.1, "rho": 0.01}, "two names of one strength"),
-        ({"reach": None, "rho": 0.01}, "two names of one strength"),
         ({"blur": 0.05, "epsilon": 0.0025}, "two names"),
         ({"epsilon": 0}, "epsilon=0"), ({"epsilon": -1.0}, "epsilon=-1"),
         ({"epsilon": np.nan}, "epsilon=nan"), ({"epsilon": "x"}, "epsilon='x'"),

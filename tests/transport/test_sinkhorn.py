@@ -129,7 +129,7 @@ def test_masses_over_ten_orders(any_backend, rng, blur, reach):
 def test_without_convergence_there_is_a_warning(rng):
     source, target = random_pair(rng)
     with pytest.warns(ConvergenceWarning, match="raise max_iter") as caught:
-        potentials = sinkhorn(source, target, 0.02, 1.0, max_iter=3, backend="numpy")
+        potentials = clmorph.sinkhorn(source, target, 0.02, 1.0, max_iter=3, backend="numpy")
     assert not potentials.converged
     assert potentials.n_iter == 3
     assert potentials.residual > 1e-3

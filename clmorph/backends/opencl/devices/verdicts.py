@@ -1,6 +1,6 @@
 """Verdicts on devices: each device is tested in a process of its own, and the result is kept.
 
-A driver may abort or hang its process, so the test (`opencl.devices.probe`) does not run in this
+A driver may abort or hang its process, so the test (`opencl.probe`) does not run in this
 one. A verdict that depends on the device and its driver is kept; one that depends on the moment
 (no time, no memory, killed by hand) is not.
 """
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 PROBE_SECONDS = 60.0
 PROBE_SECONDS_VARIABLE = "CLMORPH_PROBE_SECONDS"
 #: The line that the probe prints before it opens the device.
-LOADED = "clmorph.backends.opencl.devices.probe: loaded"
+LOADED = "clmorph.backends.opencl.probe: loaded"
 #: The folder of verdicts in the cache: one file each.
 _FOLDER = "devices"
 #: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
@@ -153,7 +153,7 @@ def run_probe(index: str, seconds: float | None = None) -> dict[str, Any]:
             "Python interpreter: name one with multiprocessing.set_executable"
         )
     # -P: the current folder may hold another clmorph, such as a source tree.
-    command = [python, "-P", "-W", "ignore", "-m", "clmorph.backends.opencl.devices.probe", index]
+    command = [python, "-P", "-W", "ignore", "-m", "clmorph.backends.opencl.probe", index]
     # The probe ends when its end of this pipe does: with this process, however that ends.
     reading, writing = os.pipe()
     try:

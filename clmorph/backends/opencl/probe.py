@@ -1,4 +1,4 @@
-"""Test the kernels on one device; run as ``python -m clmorph.backends.opencl.devices.probe INDEX``.
+"""Test the kernels on one device; run as ``python -m clmorph.backends.opencl.probe INDEX``.
 
 Prints one line of JSON: usable, reason, pairs_per_second, lasting.
 """
