@@ -56,7 +56,7 @@ def check_place(target: str | PathLike[str]) -> Path:
         raise OutputError(f"{target}: there is no folder {place.parent}; make it first")
     if place.is_file() and not os.access(place, os.W_OK):
         raise OutputError(f"{target} is write-protected; choose another place")
-    with told_as_output(target):
+    with errors_as_output(target):
         # Some folders only seem to be writable.
         with tempfile.TemporaryFile(dir=home_of(place)):
             pass
@@ -172,7 +172,7 @@ def ignores_case(folder: Path) -> bool:
 
 
 @contextmanager
-def told_as_output(target: str | PathLike[str]) -> Iterator[None]:
+def errors_as_output(target: str | PathLike[str]) -> Iterator[None]:
     """Tell an OSError of the block as OutputError, in one line that names the target."""
     try:
         yield
@@ -201,9 +201,9 @@ def atomic_path(target: str | PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        If it cannot be written; so every OSError of the block is told.
+        If it cannot be written; so every OSError of the block becomes one.
     """
-    with atomic_paths([target]) as (made,), told_as_output(target):
+    with atomic_paths([target]) as (made,), errors_as_output(target):
         yield made
 
 
@@ -236,17 +236,17 @@ def atomic_paths(targets: Sequence[str | PathLike[str]]) -> Iterator[list[Path]]
     with ExitStack() as stack:
         made = []
         for target, place in zip(targets, places, strict=True):
-            with told_as_output(target):
+            with errors_as_output(target):
                 folder = stack.enter_context(staging_folder(home_of(place)))
                 made.append(folder / _new_name(place))
         yield list(made)
         for target, place, new in zip(targets, places, made, strict=True):
-            with told_as_output(target):
+            with errors_as_output(target):
                 _keep_rights(place, new)
                 _flush(new)
         with undisturbed(), ExitStack() as undo:
             for target, place, new in zip(targets, places, made, strict=True):
-                with told_as_output(target):
+                with errors_as_output(target):
                     _put(new, place, undo)
             undo.pop_all()
             note_written()

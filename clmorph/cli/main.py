@@ -28,7 +28,7 @@ SHELLS = ("bash", "zsh", "fish")
 #: What the exit codes mean; the help shows them.
 EXIT_CODES = """\
 Exit codes: 0 done; 1 no device is usable (devices) or one is out of tolerance (check);
-2 a mistake in the command line, in a file or in the choice of device, told in one line;
+2 a mistake in the command line, in a file or in the choice of device, reported in one line;
 130 interrupted, 143 terminated (129 at a hangup): either nothing was written or all files
 were, as the last line on standard error says.
 """
@@ -158,9 +158,9 @@ def morph(
     most = MAX_PIXELS if max_pixels is None else max_pixels
     if dump_config:
         own = {"format": format, "recipe": recipe, "max_pixels": most}
-        said = {name: value for name, value in own.items() if value is not None}
+        settings = {name: value for name, value in own.items() if value is not None}
         # TOML is UTF-8, whatever the terminal is.
-        click.echo(files.as_toml(chosen.outside() | said, images).encode("utf-8"), nl=False)
+        click.echo(files.as_toml(chosen.outside() | settings, images).encode("utf-8"), nl=False)
         return
     if len(images) < 2:
         raise InputError(
@@ -188,9 +188,9 @@ def _options(
     line: dict[str, Any],
 ) -> MorphOptions:
     """Join the preset, the file of settings and the command line, which wins."""
-    chosen, told = preset_options(preset), {} if config is None else config.options
+    chosen, file = preset_options(preset), {} if config is None else config.options
     in_line = context.get_parameter_source("preset") is ParameterSource.COMMANDLINE
-    layers = (told, chosen, line) if in_line else (chosen, told, line)
+    layers = (file, chosen, line) if in_line else (chosen, file, line)
     return MorphOptions(**MorphOptions.layered(layers))
 
 
@@ -349,7 +349,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
-    """Run the command line; tell every error in one line."""
+    """Run the command line; report every error in one line."""
     try:
         code = _run(arguments)
         sys.stdout.flush()

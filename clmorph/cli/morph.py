@@ -91,9 +91,9 @@ class _Run:
     particles: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        said = self.options
-        self.style = FrameStyle(said.canvas, said.scaling, said.background, said.lossless)
-        self.motion = motion_of(said, held_frames(len(self.images), said.n_frames))
+        wanted = self.options
+        self.style = FrameStyle(wanted.canvas, wanted.scaling, wanted.background, wanted.lossless)
+        self.motion = motion_of(wanted, held_frames(len(self.images), wanted.n_frames))
         for output in self.outputs:
             output.check_motion(self.motion)
 
@@ -156,7 +156,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     say(run.memory(pictures, operations))
     _note_solve_size(request, pictures)
 
-    def told(folder: Path | None = None) -> dict[str, Any]:
+    def metadata(folder: Path | None = None) -> dict[str, Any]:
         return recipe(
             run.options, images=files.pictures(images, folder), device=operations.description
         )
@@ -173,21 +173,21 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
             reverse=run.options.reverse,
             exact=any(place.format.exact for place in places),
             keep=any(place.format.keep for place in places),
-            pixelated=all(map(is_pixel_art, pictures)), parameters=told(),
+            pixelated=all(map(is_pixel_art, pictures)), parameters=metadata(),
             folder=places[0].folder, progress=stages,
         ) as film:  # fmt: skip
             gave_way = any(isinstance(each, MemoryWarning) for each in notes)
             if gave_way and run.options.max_memory is None:
                 # What gave way would not on a larger device: its limit belongs to the recipe.
                 run.options = run.options.replace(max_memory=default_memory(operations))
-                film = replace(film, parameters=told())
+                film = replace(film, parameters=metadata())
             enlarged = enlargement_note(run.style, film.shapes, film.pixelated, run.options.size)
             if enlarged and any("canvas" in place.format.relevant_options for place in places):
                 note(enlarged)
             texts = {}
             for beside in recipes:
                 folder = beside.resolve().parent
-                texts[beside] = json.dumps(told(folder), indent=2) + "\n"
+                texts[beside] = json.dumps(metadata(folder), indent=2) + "\n"
             write_all(
                 places, film, run.style,
                 lambda place, share: stages(f"write {place.path.name}", share), texts,
@@ -215,9 +215,9 @@ def _cap_memory(run: _Run, operations: Operations) -> None:
     """Let what a recipe says about memory hold only if it is no more than the usual limit."""
     limit = default_memory(operations) or math.inf
     if (run.options.max_memory or 0.0) > limit:
-        told = size_text(run.options.max_memory or 0.0)
+        limit_there = size_text(run.options.max_memory or 0.0)
         run.options = run.options.replace(max_memory=None)
-        note(f"the recipe's limit of {told} is above the device's own, {size_text(limit)}")
+        note(f"the recipe's limit of {limit_there} is above the device's own, {size_text(limit)}")
 
 
 def _beside(output: Path) -> Path:

@@ -1,6 +1,6 @@
 """Options of playback and of the look of files."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from clmorph._shared.options import Options, choice, flag, integer, number, option, text

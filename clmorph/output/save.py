@@ -17,9 +17,9 @@ from clmorph._shared.files import (
     check_apart,
     check_file_place,
     check_place,
+    errors_as_output,
     home_of,
     is_empty,
-    told_as_output,
 )
 from clmorph._shared.options import Options, specifications, unknown_option
 from clmorph._shared.printable import printable
@@ -75,7 +75,7 @@ class Output:
         self.format.check()
         is_folder = self.format.folder
         self.place = check_place(self.path) if is_folder else check_file_place(self.path)
-        with told_as_output(path):
+        with errors_as_output(path):
             empty = self.place.is_dir() and is_empty(self.place)
         if is_folder and self.place.exists() and not empty:
             raise OutputError(
@@ -129,11 +129,11 @@ def write_all(
     check_apart(places)
     with atomic_paths(places) as made:
         for new, (place, text) in zip(made[len(outputs) :], beside.items(), strict=True):
-            with told_as_output(place):
+            with errors_as_output(place):
                 new.write_text(text, "utf-8")
         for output, new in zip(outputs, made, strict=False):
             report_share = partial(report, output) if report else (lambda share: None)
-            with told_as_output(output.path):
+            with errors_as_output(output.path):
                 output.format.write(recording, style or FrameStyle(), new, report_share)
 
 

@@ -20,7 +20,7 @@ from clmorph.transport.potentials import Potentials
 from clmorph.transport.pruning import REMEDY, check_reachable
 from clmorph.transport.refine_plan import drawn, refined
 
-#: Share of a device's memory that a morph may take, unless told otherwise.
+#: Share of a device's memory that a morph may take, unless the user chooses one.
 MEMORY_SHARE = 0.5
 #: Share of a plan's mass from which on a threshold that drops it is warned of.
 MUCH_DROPPED = 0.25
