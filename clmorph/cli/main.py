@@ -1,24 +1,18 @@
 """The command ``clmorph``."""
 
-import os
-import re
-import signal
-import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import rich_click as click
 from click.core import ParameterSource
-from click.exceptions import NoArgsIsHelpError
 
-from clmorph._shared.printable import MESSAGE, printable, reason_of
-from clmorph._shared.signals import Ending, Terminated, farewell, terminable
+from clmorph._shared.signals import terminable
 from clmorph._shared.version import __version__
 from clmorph.cli import config as files
 from clmorph.cli import options
-from clmorph.errors import ClmorphError, FileError, InputError
+from clmorph.cli.reporting import run
+from clmorph.errors import InputError
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.options import MorphOptions, preset_options
 from clmorph.pipeline.presets import PRESETS
@@ -175,7 +169,7 @@ def morph(
         Request(
             images, output, chosen, format=format, recipe=bool(recipe), max_pixels=most,
             config=None if config is None else config.named.file,
-            capped=foreign and "max_memory" not in line, asked_blocks="solve_size" in line,
+            capped=foreign and "max_memory" not in line,
         ),
         device=device, backend=backend, as_json=as_json,
     )  # fmt: skip
@@ -323,89 +317,8 @@ def completion(shell: str) -> None:
     click.echo(kind(cli, {}, "clmorph", "_CLMORPH_COMPLETE").source())
 
 
-def _in_option_names(message: str) -> str:
-    """Name options as they are written on the command line: n_frames=1 becomes --frames 1."""
-    names = {parameter.name: parameter.opts[-1] for parameter in morph.params}
-    names |= options.names_outside()
-    message = message.replace("or None for balanced transport", "or 'balanced'")
-    return re.sub(
-        r"\b(\w+)=",
-        lambda found: f"{names[found[1]]} " if found[1] in names else found[0],
-        message,
-    )
-
-
-def _complain(text: str) -> None:
-    """Print a line on standard error, if that takes any; no number fills a page there."""
-    text = re.sub(r"\d{100,}", lambda found: f"{found[0][:50]}…", text)
-    with suppress(OSError):
-        click.echo(f"clmorph: {printable(text, MESSAGE)}", err=True)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
+    names = {str(parameter.name): parameter.opts[-1] for parameter in morph.params}
     with terminable() as ending:
-        return _main(arguments, ending)
-
-
-def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
-    """Run the command line; report every error in one line."""
-    try:
-        code = _run(arguments)
-        sys.stdout.flush()
-    except click.ClickException as error:
-        message = " ".join(error.format_message().split())
-        _complain(f"error: {message} (clmorph --help shows the usage)")
-        return 2
-    except FileError as error:  # a name is not to be taken for an option
-        _complain(f"error: {error}")
-        return 2
-    except ClmorphError as error:
-        _complain(f"error: {_in_option_names(str(error))}")
-        return 2
-    except UnicodeError as error:
-        _complain(
-            f"error: a name cannot be printed here ({error.reason})"
-            if isinstance(error, UnicodeEncodeError)
-            else f"error: {error}"
-        )
-        return 2
-    except MemoryError:
-        _complain("error: not enough memory; use a smaller --size")
-        return 2
-    except (click.Abort, KeyboardInterrupt):
-        return farewell(ending, signal.SIGINT)
-    except Terminated as error:
-        return farewell(ending, error.number)
-    except OSError as error:
-        # Nobody reads on, or nothing more can be written: keep Python from trying at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if isinstance(error, BrokenPipeError):
-            return 0
-        _complain(f"error: {_reason(error)}")
-        return 2
-    return code if isinstance(code, int) else 0
-
-
-def _reason(error: OSError) -> str:
-    """Return what the system says, in words that can be acted on."""
-    try:
-        Path.cwd()
-    except OSError:
-        return "the current folder is gone; go to another one"
-    name = "" if error.filename is None else f"{error.filename}: "
-    return f"{name}{reason_of(error)}"
-
-
-def _run(arguments: Sequence[str] | None) -> Any:
-    """Run the command; one without arguments shows its help."""
-    try:
-        return cli.main(arguments, prog_name="clmorph", standalone_mode=False)
-    except SystemExit as error:
-        # So click ends where nobody reads on.
-        if isinstance(error.__context__, BrokenPipeError):
-            raise error.__context__ from None
-        raise
-    except NoArgsIsHelpError as error:
-        click.echo(error.ctx.get_help())
-        return 2
+        return run(cli, arguments, names | options.names_outside(), ending)

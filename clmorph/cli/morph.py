@@ -65,8 +65,6 @@ class Request:
         The file of settings: it is not to be overwritten.
     capped : bool
         Whether `max_memory` is a recipe's, which may lower the device's limit, not raise it.
-    asked_blocks : bool
-        Whether `solve_size` was given in the command line.
     """
 
     images: Sequence[Path]
@@ -77,7 +75,6 @@ class Request:
     max_pixels: int = MAX_PIXELS
     config: Path | None = None
     capped: bool = False
-    asked_blocks: bool = False
 
 
 @dataclass
@@ -113,7 +110,20 @@ class _Run:
         ]  # fmt: skip
         known = most or options.sample or options.barycentric
         size = size_text(max(max(need.ram, need.device) for need in needs))
-        return f"memory: {'about' if known else 'at least'} {size}"
+        return f"memory: {'about' if known else 'at least'} {size}{self._blocks(pictures)}"
+
+    def _blocks(self, pictures: Sequence[NDArray[np.float64]]) -> str:
+        """Say between how many blocks of pixels it is solved; nothing if between pixels."""
+        most = self.options.solve_size
+        if most is None:
+            return ""
+        sizes = {max(picture.shape[:2]): picture.shape[:2] for picture in pictures}
+        taken = {solved_size((shape[0], shape[1]), most): longer for longer, shape in sizes.items()}
+        reduced = [blocks for blocks, longer in taken.items() if blocks < longer]
+        if not reduced:
+            return ""
+        numbers = " and ".join(map(str, sorted(reduced)))
+        return f"; solved between {numbers} blocks of pixels along the longer side"
 
     def morphs(
         self, pictures: Sequence[NDArray[np.float64]], operations: Operations, stages: Stages
@@ -154,7 +164,6 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     if request.capped:
         _cap_memory(run, operations)
     say(run.memory(pictures, operations))
-    _note_solve_size(request, pictures)
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:
         return recipe(
@@ -195,20 +204,6 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
             summary = _summary(run, film, stages, notes)
     summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
     click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
-
-
-def _note_solve_size(request: Request, pictures: Sequence[NDArray[np.float64]]) -> None:
-    """Note where blocks of pixels are fewer than were asked for."""
-    wanted = request.options.solve_size
-    if wanted is None or not request.asked_blocks:
-        return
-    larger = [picture for picture in pictures if max(picture.shape[:2]) > wanted]
-    taken = {solved_size((picture.shape[0], picture.shape[1]), wanted) for picture in larger}
-    if taken - {wanted}:
-        note(
-            f"--solve-size {wanted}: {' and '.join(map(str, sorted(taken)))} blocks are taken "
-            "along the longer side; a block has 1, 2, 4, ... pixels along a side"
-        )
 
 
 def _cap_memory(run: _Run, operations: Operations) -> None:

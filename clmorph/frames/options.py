@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from clmorph._shared.options import Options, choice, number, number_or, option
+from clmorph._shared.option_kinds import choice, number, number_or
+from clmorph._shared.options import Options, option
 from clmorph.images.color import ColorSpace
 
 #: How particles become pixels: each particle has a width of its own, by the density around it; all

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from clmorph._shared.options import Options, choice, number, option
+from clmorph._shared.option_kinds import choice, number
+from clmorph._shared.options import Options, option
 from clmorph._shared.validation import check_color_weight
 from clmorph.images.color import ColorSpace
 

@@ -3,7 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
-from clmorph._shared.options import Options, choice, flag, integer, number, option, text
+from clmorph._shared.option_kinds import choice, flag, integer, number, text
+from clmorph._shared.options import Options, option
 from clmorph.output.checks import as_canvas, check_color
 
 #: How the time of the morph runs while frames follow one another evenly.

@@ -9,15 +9,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from clmorph._shared.options import (
-    Options,
-    default,
-    integer,
-    number,
-    option,
-    specifications,
-    unknown_option,
-)
+from clmorph._shared.option_kinds import integer, number
+from clmorph._shared.options import Options, default, option, specifications, unknown_option
 from clmorph._shared.validation import as_float, check_choice, shown
 from clmorph.errors import InputError
 from clmorph.frames.options import GAMMA, RenderOptions

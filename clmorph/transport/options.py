@@ -4,7 +4,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
-from clmorph._shared.options import Options, choice, flag, integer, number, option
+from clmorph._shared.option_kinds import choice, flag, integer, number
+from clmorph._shared.options import Options, option
 
 #: Length scale of creation and destruction of mass: one for both measures, or a pair; None
 #: is balanced.

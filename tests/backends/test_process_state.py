@@ -432,7 +432,7 @@ def test_a_forked_child_is_told_and_can_use_numpy(device):
                 use()
             except DeviceError as error:
                 told += "get_context('spawn')" in str(error)
-        clmorph.morph(picture, picture, 2, backend="numpy").frame(0.5)
+        clmorph.morph(picture, picture, n_frames=2, backend="numpy").frame(0.5)
         os._exit(told)
     for _ in range(600):
         ended, status = os.waitpid(child, os.WNOHANG)

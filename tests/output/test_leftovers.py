@@ -96,7 +96,7 @@ def test_signals_leave_nothing(number, code, word, monkeypatch, capfd):
 
 
 @posix
-@pytest.mark.parametrize("moment", ["make_morph", "read_picture", "recorded"])
+@pytest.mark.parametrize("moment", ["fitted", "read_picture", "recorded"])
 def test_signals_at_other_moments(moment, monkeypatch, capfd):
     def kill(*arguments, **options):
         os.kill(os.getpid(), signal.SIGTERM)
@@ -727,7 +727,7 @@ def test_no_other_folder_is_needed(morph, monkeypatch):
 
 
 def test_an_output_that_is_a_full_folder_is_refused_before_any_work(monkeypatch):
-    monkeypatch.setattr("clmorph.cli.morph.make_morph", None)
+    monkeypatch.setattr("clmorph.pipeline.morph.Problem.morph", None)
     Path("frames").mkdir()
     Path("frames/mine").write_text("kept")
     assert run("-o", "frames") == 2
