@@ -123,7 +123,7 @@ class _Run:
         if not reduced:
             return ""
         numbers = " and ".join(map(str, sorted(reduced)))
-        return f"; solved between {numbers} blocks of pixels along the longer side"
+        return f"; solved at {numbers} blocks of pixels along the longer side"
 
     def morphs(
         self, pictures: Sequence[NDArray[np.float64]], operations: Operations, stages: Stages
