@@ -487,13 +487,14 @@ def test_frames_that_find_no_room_are_told(monkeypatch, capfd):
     resource = pytest.importorskip("resource")
     monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 64)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (300, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (400, before[1]))
     try:
         # The limit is also that of the captured lines.
-        assert run("-o", "x.gif") == 2
+        line = ["morph", "../a.png", "../b.png", "-o", "x.gif", *FEW, "--frames", "9"]
+        assert main(line) == 2
         with Spool(np.uint8, Path()) as spool:
-            spool.append(np.zeros(290, np.uint8))
-            spool.append(np.zeros(290, np.uint8))  # still in Python's buffer
+            spool.append(np.zeros(390, np.uint8))
+            spool.append(np.zeros(390, np.uint8))  # still in Python's buffer
             with pytest.raises(OutputError, match="cannot wait"):
                 spool[0]
     finally:
