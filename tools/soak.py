@@ -30,20 +30,23 @@ from findings import Findings, digest
 
 import clmorph
 from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.frames.options import ENDPOINTS, SPLATTING, UNMATCHED
+from clmorph.images.color import COLOR_SPACES
+from clmorph.output.options import EASES
 from clmorph.output.save import FORMATS
 from clmorph.pipeline.presets import PRESETS
 
 #: Values that options are drawn from, beside those of a preset.
 CHOICES: dict[str, list[Any]] = {
-    "splatting": ["local", "adaptive", "fixed", "none"],
-    "color_space": ["srgb", "linear", "lab", "luv", "oklab"],
-    "path_space": ["srgb", "oklab", "lab"],
-    "endpoints": ["exact", "paper"],
-    "unmatched": ["fade", "drop"],
+    "splatting": list(SPLATTING),
+    "color_space": list(COLOR_SPACES),
+    "path_space": list(COLOR_SPACES),
+    "endpoints": list(ENDPOINTS),
+    "unmatched": list(UNMATCHED),
     "mass": ["uniform", "luminance"],
     "reach": [0.1, 0.3, None],
     "blur": [0.03, 0.08],
-    "ease": ["linear", "smooth"],
+    "ease": list(EASES),
     "sample": [None, 3],
 }
 #: What a morph takes of a preset.

@@ -16,6 +16,7 @@ from clmorph._shared.validation import (
     check_integer,
     check_number,
 )
+from clmorph.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,12 @@ def number_or(word: str, kind: Kind) -> Kind:
     """Return the kind of numbers to which a word is added that stands for itself."""
 
     def check(name: str, value: Any) -> Any:
-        return value if isinstance(value, str) and value == word else kind.check(name, value)
+        if isinstance(value, str) and value == word:
+            return value
+        try:
+            return kind.check(name, value)
+        except InputError as error:
+            raise InputError(f"{error}, or {word!r}") from None
 
     def read(text: str) -> Any:
         return text if text == word else kind.read(text)

@@ -22,6 +22,8 @@ from clmorph._shared.validation import (
 )
 from clmorph.errors import InputError
 
+#: What an error calls the value of an option without one; outside, the option's word.
+WITHOUT = "None"
 #: So many names are listed by an error; more would fill the screen.
 FEW = 16
 
@@ -126,7 +128,11 @@ def check(known: Option, name: str, value: Any) -> Any:
     """
     if value is None and known.word:
         return None
-    return known.kind.check(name, value)
+    try:
+        return known.kind.check(name, value)
+    except InputError as error:
+        more = f", or {WITHOUT}" if known.word and WITHOUT not in str(error) else ""
+        raise InputError(f"{error}{more}") from None
 
 
 def specifications(options: type[Options]) -> dict[str, Option]:
@@ -151,6 +157,11 @@ def outside_name(name: str, known: Option) -> str:
 
 def unknown_option(name: str, known: Mapping[str, Any]) -> str:
     """Return the error for a name that is none."""
+    if name in ("backend", "device"):
+        return (
+            f"unknown option {name!r}; it does not belong to the picture: the command line has "
+            "--device and --backend, and clmorph.morph an argument"
+        )
     near = get_close_matches(name[:99], list(known), 1)
     few = len(known) <= FEW
     expected = f"expected one of {', '.join(known)}" if few else "clmorph morph --help lists them"
@@ -216,7 +227,8 @@ def from_line(known: Option, value: str) -> Any:
 def _expected(known: Option) -> str:
     """Return what an error says about the values that an option takes."""
     words = [known.word, *dict(known.kind.words)]
-    return " or ".join([known.kind.expected, *map(repr, filter(None, words))])
+    several = ["a list of two of these"] if known.kind.pair else []
+    return " or ".join([known.kind.expected, *map(repr, filter(None, words)), *several])
 
 
 def schema(options: type[Options]) -> dict[str, Any]:

@@ -87,8 +87,10 @@ def read_picture(path: Path, max_pixels: int) -> Any:
 
 def note_warning(notes: list[Warning], message: Any, *others: Any, **more: Any) -> None:
     """Print a warning as a note and keep it; the rest stands in for `warnings.showwarning`."""
+    from clmorph.cli.options import in_option_names
+
     notes.append(message)
-    note(message)
+    note(in_option_names(str(message)))
 
 
 def open_backend(device: str | None, backend: str | None) -> Any:

@@ -19,7 +19,8 @@ from clmorph._shared.printable import reason_of
 from clmorph._shared.validation import shown
 from clmorph.cli.common import quiet_libraries
 from clmorph.cli.terminal import note
-from clmorph.errors import InputError
+from clmorph.errors import FileError, InputError
+from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
 from clmorph.pipeline.recipe import IMAGES, PRESET, options_of, read_recipe, read_toml
 
@@ -152,8 +153,12 @@ def read_settings(path: Path) -> Found:
     chosen = options.pop(PRESET, None)
     if chosen is not None and (not isinstance(chosen, str) or chosen not in PRESETS):
         raise InputError(
-            f"{path}: --preset {shown(chosen)}: expected one of {', '.join(map(repr, PRESETS))}"
+            f"{path}: preset = {shown(chosen)}: expected one of {', '.join(map(repr, PRESETS))}"
         )
+    try:
+        MorphOptions(preset=chosen, **options)
+    except InputError as error:
+        raise FileError(f"{path}: {error}") from None
     known = [
         isinstance(entry.get("file") if isinstance(entry, dict) else entry, str)
         for entry in (images if isinstance(images, list) else [None])

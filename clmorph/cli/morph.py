@@ -101,8 +101,7 @@ class _Run:
         needs = [
             estimate(
                 one.shape[:2], other.shape[:2],
-                # No fewer are drawn than one a pixel.
-                most and max(most, one.shape[0] * one.shape[1]),
+                _most_particles(one.shape, other.shape, most),
                 sample=options.sample, barycentric=options.barycentric, backend=operations,
                 alpha=max(one.shape[2], other.shape[2]) == 4,
             )
@@ -204,6 +203,15 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
             summary = _summary(run, film, stages, notes)
     summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
     click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
+
+
+def _most_particles(one: Sequence[int], other: Sequence[int], most: int | None) -> int | None:
+    """Return how many particles a morph has at most: no fewer are drawn than one a pixel."""
+    if most is None:
+        return None
+    pixels = one[0] * one[1], other[0] * other[1]
+    # All pairs, and pixels whose mass is born or dies.
+    return min(max(most, pixels[0]), pixels[0] * pixels[1] + sum(pixels))
 
 
 def _cap_memory(run: _Run, operations: Operations) -> None:

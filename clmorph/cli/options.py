@@ -5,6 +5,7 @@ What an option means, takes and defaults to stands in the option classes alone
 """
 
 import os
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -108,6 +109,34 @@ def names_outside() -> dict[str, str]:
         name: "--" + outside_name(name, known).replace("_", "-")
         for name, known in specifications(MorphOptions).items()
     }
+
+
+def in_option_names(message: str, more: Mapping[str, str] | None = None) -> str:
+    """Return a message with options as the command line writes them.
+
+    ``n_frames=1`` becomes ``--frames 1``, and None the option's word.
+
+    Parameters
+    ----------
+    message : str
+    more : mapping, optional
+        What further arguments are called.
+    """
+    known, names = specifications(MorphOptions), names_outside()
+    first = re.match(r"(\w+)=", message)
+    word = known[first[1]].word if first and first[1] in known else ""
+    for end in (", or None for balanced transport", ", or None"):
+        message = message.replace(end, f", or {word!r}" if word else end)
+
+    def named(found: re.Match[str]) -> str:
+        name, value = found[1], found[2]
+        if name not in names:
+            return f"{more[name]} {value}" if more and name in more else found[0]
+        if value == "True":
+            return names[name]
+        return f"{names[name]} {known[name].word if value == 'None' else value}"
+
+    return re.sub(r"\b(\w+)=(None\b|True\b|)", named, message)
 
 
 def _together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:

@@ -14,17 +14,8 @@ from click.exceptions import NoArgsIsHelpError
 
 from clmorph._shared.printable import MESSAGE, printable, reason_of
 from clmorph._shared.signals import Ending, Terminated, farewell
+from clmorph.cli.options import in_option_names
 from clmorph.errors import ClmorphError, FileError
-
-
-def _in_option_names(message: str, names: Mapping[str, str]) -> str:
-    """Name options as they are written on the command line: n_frames=1 becomes --frames 1."""
-    message = message.replace("or None for balanced transport", "or 'balanced'")
-    return re.sub(
-        r"\b(\w+)=",
-        lambda found: f"{names[found[1]]} " if found[1] in names else found[0],
-        message,
-    )
 
 
 def _complain(text: str) -> None:
@@ -63,7 +54,7 @@ def run(
         _complain(f"error: {error}")
         return 2
     except ClmorphError as error:
-        _complain(f"error: {_in_option_names(str(error), names)}")
+        _complain(f"error: {in_option_names(str(error), names)}")
         return 2
     except UnicodeError as error:
         _complain(

@@ -74,7 +74,9 @@ class KernelWidth:
         path = (1 - t) * self.sigma_start + t * self.sigma_end
         if self.splatting == "local":
             return path
-        return max(self.floor(t, canvas), path + 4 * self.gamma * t * (1 - t))
+        if self.splatting == "adaptive":
+            return max(self.floor(t, canvas), path + 4 * self.gamma * t * (1 - t))
+        raise AssertionError(self.splatting)  # a rule of `SPLATTING` without a width
 
     def widths(self, t: float, canvas: Canvas) -> Widths:
         """Widths at time t, as `clmorph.frames.render.render` takes them."""

@@ -12,6 +12,8 @@ from clmorph.images.color import ColorSpace
 #: last two are the paper's baselines).
 Splatting = Literal["local", "adaptive", "fixed", "none"]
 SPLATTING = get_args(Splatting)
+#: Rules whose width has the bulge gamma; each of them, and "local", takes sigma="optimal".
+BULGING = ("adaptive",)
 #: What the first and the last frame are: the images themselves, or the images seen through the
 #: kernel as in the paper.
 Endpoints = Literal["exact", "paper"]

@@ -7,6 +7,7 @@ same root mean square distance in every space; so a color weight means the same 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Literal, get_args
 
@@ -69,7 +70,7 @@ def to_space(colors: ArrayLike, space: str) -> Array:
     [0.2, 0.5, 0.9]
     """
     check_choice("color space", space, COLOR_SPACES)
-    return _convert(np.asarray(colors, float), space) / _scale(space)
+    return _CONVERSIONS[space][0](np.asarray(colors, float)) / _scale(space)
 
 
 def from_space(coordinates: ArrayLike, space: str) -> Array:
@@ -91,20 +92,7 @@ def from_space(coordinates: ArrayLike, space: str) -> Array:
         If there is no such space.
     """
     check_choice("color space", space, COLOR_SPACES)
-    values = np.asarray(coordinates, float) * _scale(space)
-    if space == "linear":
-        values = encode(values)
-    elif space == "oklab":
-        cones = (values @ np.linalg.inv(_TO_OPPONENTS).T) ** 3
-        values = encode(cones @ np.linalg.inv(_TO_CONES).T)
-    elif space in ("lab", "luv"):
-        from skimage import color
-
-        if space == "lab":
-            values = _without_negative_light(values)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            shape = values.shape
-            values = getattr(color, f"{space}2rgb")(values.reshape(-1, 1, 3)).reshape(shape)
+    values = _CONVERSIONS[space][1](np.asarray(coordinates, float) * _scale(space))
     return np.clip(np.nan_to_num(values), 0.0, 1.0)
 
 
@@ -170,19 +158,43 @@ def square_root(metric: Array) -> Array:
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def _convert(colors: Array, space: str) -> Array:
-    if space == "linear":
-        return _decode(colors)
-    if space == "oklab":
-        return np.cbrt(_decode(colors) @ _TO_CONES.T) @ _TO_OPPONENTS.T
-    if space in ("lab", "luv"):
-        from skimage import color
+def _same(values: Array) -> Array:
+    return values
 
-        # scikit-image divides by zero, harmlessly, at black in Luv.
-        with np.errstate(invalid="ignore", divide="ignore"):
-            values = getattr(color, f"rgb2{space}")(colors.reshape(-1, 1, 3))
-        return np.asarray(values).reshape(colors.shape)
-    return colors
+
+def _to_oklab(colors: Array) -> Array:
+    return np.asarray(np.cbrt(_decode(colors) @ _TO_CONES.T) @ _TO_OPPONENTS.T)
+
+
+def _from_oklab(values: Array) -> Array:
+    cones = (values @ np.linalg.inv(_TO_OPPONENTS).T) ** 3
+    return encode(cones @ np.linalg.inv(_TO_CONES).T)
+
+
+def _by_skimage(name: str, values: Array) -> Array:
+    """Convert by a function of `skimage.color`."""
+    from skimage import color
+
+    # scikit-image divides by zero, harmlessly, at black in Luv.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        converted = getattr(color, name)(values.reshape(-1, 1, 3))
+    return np.asarray(converted).reshape(values.shape)
+
+
+def _to_lab(colors: Array) -> Array:
+    return _by_skimage("rgb2lab", colors)
+
+
+def _from_lab(values: Array) -> Array:
+    return _by_skimage("lab2rgb", _without_negative_light(values))
+
+
+def _to_luv(colors: Array) -> Array:
+    return _by_skimage("rgb2luv", colors)
+
+
+def _from_luv(values: Array) -> Array:
+    return _by_skimage("luv2rgb", values)
 
 
 @cache
@@ -192,7 +204,7 @@ def _scale(space: str) -> float:
         return 1.0
     channel = np.linspace(0.0, 1.0, _SCALE_STEPS)
     cube = np.stack(np.meshgrid(channel, channel, channel), axis=-1).reshape(-1, 3)
-    spread = [np.sum(np.var(values, axis=0)) for values in (_convert(cube, space), cube)]
+    spread = [np.sum(np.var(values, axis=0)) for values in (_CONVERSIONS[space][0](cube), cube)]
     return float(np.sqrt(spread[0] / spread[1]))
 
 
@@ -205,3 +217,14 @@ def encode(light: Array) -> Array:
     """Return sRGB values of linear light."""
     positive = np.maximum(light, 0.0)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * positive ** (1 / 2.4) - 0.055)
+
+
+#: Each space's conversion from sRGB, and back; the scale of `_scale` comes on top.
+_CONVERSIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
+    "srgb": (_same, _same),
+    "linear": (_decode, encode),
+    "lab": (_to_lab, _from_lab),
+    "luv": (_to_luv, _from_luv),
+    "oklab": (_to_oklab, _from_oklab),
+}
+assert set(_CONVERSIONS) == set(COLOR_SPACES)

@@ -123,7 +123,8 @@ def group_pixels(measure: Measure, size: int) -> PixelBlocks:
         return PixelBlocks(measure, measure, 1)
     if measure.has_metric_map:
         raise InputError(
-            "solve_size: not with a color metric for each pixel; leave it out, or give one metric"
+            "solve_size: blocks of pixels need one color metric, but each pixel has its own here; "
+            "give solve_size=None, or one metric"
         )
     owners = _owners(measure.shape, side)
     height, width = (-(-length // side) for length in measure.shape)

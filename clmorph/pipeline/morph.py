@@ -171,12 +171,14 @@ def fitted(
     metric = color_metric is not None and as_array(
         "color_metric", color_metric, "an array (3, 3), (H, W, 3, 3) or (H, W)"
     ).shape != (3, 3)
-    for name, is_map in (("weights", any(each is not None for each in maps)), ("color_metric",
-                         metric)):  # fmt: skip
-        if is_map and any(reduced):
+    for name, index, is_map in (
+        *(("weights", index, each is not None) for index, each in enumerate(maps[:2])),
+        ("color_metric", 0, metric),
+    ):
+        if is_map and reduced[index]:
             raise InputError(
-                f"{name} is a map of pixels, but size={options.size} reduces the images: give "
-                "size=None, or images of that size"
+                f"{name} is a map of the pixels of image_{'ab'[index]}, but size={options.size} "
+                "reduces that image: give size=None, or an image of that size"
             )
     return small
 

@@ -13,7 +13,7 @@ from clmorph._shared.option_kinds import integer, number
 from clmorph._shared.options import Options, default, option, specifications, unknown_option
 from clmorph._shared.validation import as_float, check_choice, shown
 from clmorph.errors import InputError
-from clmorph.frames.options import GAMMA, RenderOptions
+from clmorph.frames.options import BULGING, GAMMA, RenderOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import PlaybackOptions, StyleOptions
 from clmorph.pipeline.presets import PRESETS
@@ -53,6 +53,16 @@ NO_DIVERGENCE = (
 )
 
 
+def _check_memory(value: Any) -> float:
+    number = as_float(value)
+    if number is None or not 1.0 <= number <= 1e18:
+        raise InputError(
+            f"max_memory={shown(value)}: expected bytes in Python, or gigabytes in the command "
+            "line, above 0"
+        )
+    return number
+
+
 @dataclass(frozen=True, init=False)
 class BudgetOptions(Options):
     """Options of what a morph may cost: sizes, particles, memory."""
@@ -77,7 +87,7 @@ class BudgetOptions(Options):
         "Transport",
     )  # fmt: skip
     max_memory: float | None = option(
-        None, number(1.0, 1e18),
+        None, number(1.0, 1e18, check=_check_memory),
         "Memory that the morph may take; if the plan needs more, fewer particles are drawn; "
         "none: half of the device's.",
         "Transport", unit="GB", scale=1e9,
@@ -174,7 +184,7 @@ class MorphOptions(
             values["blur"] = default(type(self), "blur")
         if values["fps"] is None and values["duration"] is None:
             values["fps"] = default(type(self), "fps")
-        if _is(values["splatting"], "adaptive") and values["gamma"] is None:
+        if _bulges(values["splatting"]) and values["gamma"] is None:
             values["gamma"] = GAMMA
         return values
 
@@ -188,7 +198,7 @@ class MorphOptions(
             object.__setattr__(self, name, _plain(getattr(self, name)))
         if self.sigma is None:
             return
-        if self.splatting not in ("adaptive", "local"):
+        if self.splatting not in (*BULGING, "local"):
             raise InputError(
                 f"sigma='optimal' and splatting={self.splatting!r} contradict: expected splatting "
                 "'adaptive' or 'local' with it; widths in pixels are sigma_start and sigma_end"
@@ -209,13 +219,17 @@ class MorphOptions(
         Parameters
         ----------
         **given
-            Options, see `clmorph.morph`.
+            Options, see `clmorph.morph`; no preset, which decides about many.
 
         Raises
         ------
         InputError
             As for `MorphOptions`.
         """
+        if "preset" in given:
+            raise InputError(
+                "preset: these options are chosen already; make others by MorphOptions(preset=...)"
+            )
         return type(self)(**MorphOptions.layered((self.as_dict(), given)))
 
     def chosen(self, names: Iterable[str], given: Mapping[str, Any]) -> Self:
@@ -279,9 +293,9 @@ def _text(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else shown(value)
 
 
-def _is(value: Any, text: str) -> bool:
-    """Whether a value, which can be anything yet, is a text."""
-    return isinstance(value, str) and value == text
+def _bulges(splatting: Any) -> bool:
+    """Whether a value, which can be anything yet, is a rule of widths with gamma."""
+    return isinstance(splatting, str) and splatting in BULGING
 
 
 def _is_off(value: Any, off: tuple[Any, ...]) -> bool:
@@ -292,13 +306,13 @@ def _settle_gamma(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
     """Let gamma stand for adaptive splatting, to which alone it belongs."""
     if layer.get("gamma") is not None:
         splatting = layer.get("splatting", "adaptive")
-        if not _is(splatting, "adaptive"):
+        if not _bulges(splatting):
             raise InputError(
                 f"gamma={_text(layer['gamma'])} belongs to adaptive splatting, not to "
                 f"{shown(splatting)}: leave one of them out"
             )
-        settings["splatting"] = "adaptive"
-    elif not _is(layer.get("splatting", "adaptive"), "adaptive"):
+        settings["splatting"] = splatting
+    elif not _bulges(layer.get("splatting", "adaptive")):
         settings["gamma"] = None
 
 

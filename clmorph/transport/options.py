@@ -99,7 +99,9 @@ class PlanOptions(Options):
     )  # fmt: skip
     sample: int | None = option(
         None, integer(1, MAX_DRAWS),
-        "Draw this number of particles a pixel from the plan at random.", "Transport",
+        "Draw this number of particles a pixel from the plan at random, at least two: one from "
+        "each column, and the others from each row.",
+        "Transport",
     )  # fmt: skip
     seed: int = option(0, integer(0, 2**63), "Seed of the random draws.", "Transport", word="")
 

@@ -25,8 +25,8 @@ ROUNDINGS = 4.0
 FLOAT32 = float(np.finfo(np.float32).eps)
 #: What to do when a threshold keeps nothing, or too little.
 REMEDY = (
-    "lower it, use smaller images, or keep pairs relative to the largest ones (None; in the "
-    "command line 'relative')"
+    "lower it, or keep pairs relative to the largest ones (None; in the command line "
+    "'relative'); the paper's -13 is for images of about 48 pixels"
 )
 
 

@@ -6,6 +6,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.frames.options import BULGING
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
 from clmorph.output.html.scene import Curve, Field, Scene
@@ -218,7 +219,7 @@ def known_parameters(morph: FrameSequence) -> dict[str, Any]:
         "transported_mass": _short(potentials.transported_mass),
         "clmorph": __version__,
     }
-    if width.splatting == "adaptive":
+    if width.splatting in BULGING:
         known["gamma"] = _short(width.gamma)
     if width.curve is not None:
         known["sigma"] = "optimal"
