@@ -66,6 +66,11 @@ def option(default: Any, kind: Kind, help: str, panel: str, **more: Any) -> Any:
     return field(default=default, metadata={"option": Option(kind, help, panel, **more)})
 
 
+def with_default(options: type["Options"], name: str, value: Any) -> Any:
+    """Return a field like that of another class of options, with a default of its own."""
+    return field(default=value, metadata={"option": specifications(options)[name]})
+
+
 @dataclass(frozen=True, init=False)
 class Options:
     """Base of the classes of options: frozen, made by keywords, checked when made.

@@ -253,7 +253,9 @@ class Inspection:
         else:
             low, high = self.divergence.interval
             divergence = f"{self.divergence.value:.5g}, within [{low:.5g}, {high:.5g}]"
-        unit, point = ("px", "pixel") if self.source.shape == self.shapes[0] else ("cells", "cell")
+        unit, point = (
+            ("px", "pixel") if self.source.shape == self.shapes[0] else ("blocks", "block")
+        )
         kept = f"{self.pairs} pairs, {self.pairs / len(self.source):.0f} to a {point}"
         if plan is None:
             built = f"{size_text(self.pair_bytes)}: more than it may take"
@@ -306,7 +308,7 @@ def _measure_text(measure: Measure, drawn: tuple[int, int]) -> str:
     some = "" if seen == len(measure) else f", {seen} of them with mass"
     if measure.shape == drawn:
         return f"{width} x {height} pixels{some}"
-    return f"{drawn[1]} x {drawn[0]} pixels in {width} x {height} cells{some}"
+    return f"{drawn[1]} x {drawn[0]} pixels in {width} x {height} blocks{some}"
 
 
 def _finite(value: Any) -> Any:

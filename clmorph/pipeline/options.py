@@ -10,7 +10,14 @@ from typing import Any, Self
 import numpy as np
 
 from clmorph._shared.option_kinds import integer, number
-from clmorph._shared.options import Options, default, option, specifications, unknown_option
+from clmorph._shared.options import (
+    Options,
+    default,
+    option,
+    specifications,
+    unknown_option,
+    with_default,
+)
 from clmorph._shared.validation import as_float, check_choice, shown
 from clmorph.errors import InputError
 from clmorph.frames.options import BULGING, GAMMA, RenderOptions
@@ -129,12 +136,7 @@ class MorphOptions(
     """
 
     #: A morph lets mass fade by default, unlike `clmorph.sinkhorn`.
-    reach: Reach = option(
-        0.3,
-        SolverOptions.__dataclass_fields__["reach"].metadata["option"].kind,
-        SolverOptions.__dataclass_fields__["reach"].metadata["option"].help,
-        "Transport", unit="image sides", word="balanced", off=(),
-    )  # fmt: skip
+    reach: Reach = with_default(SolverOptions, "reach", 0.3)
 
     def __init__(self, *, preset: str | None = None, **given: Any) -> None:
         super().__init__(**self.layered((preset_options(preset), given)))
