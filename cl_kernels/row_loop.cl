@@ -2,7 +2,7 @@
 // and plan_shares.cl share. It streams over the columns of the log-kernel
 //
 //     e_ij = log2(e) * [ (g_j - C_ij) / epsilon + log b_j ] - (a constant of row i),
-//     C_ij = |X_i - Y_j|^2 / 2,
+//     C_ij = |X_i - Y_j|^2 / 2  (paper, Eq. 1, with the factor 1/2),
 //
 // without an N x M array. Points come sorted into compact tiles of TILE; with p, q the
 // centers of i's and j's tiles, u = X_i - p, v = Y_j - q and k = log2(e) / epsilon,

@@ -1,4 +1,4 @@
-// From particles to the two sums of a Nadaraya-Watson frame,
+// From particles to the two sums of a Nadaraya-Watson frame (paper, 3.3),
 //
 //     numerator(p) = sum_k w_k K(p - p_k) c_k,   denominator(p) = sum_k w_k K(p - p_k),
 //     K(d) = exp(-|d|^2 / (2 sigma^2)) where |d_x|, |d_y| <= radius, else 0,

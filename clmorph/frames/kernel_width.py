@@ -12,7 +12,7 @@ from clmorph.frames.render import Widths
 
 
 def effective_count(weights: NDArray[np.float64]) -> float:
-    """Return Kish's effective number (sum w)^2 / sum w^2 of weighted particles; 1 of none."""
+    """Return Kish's effective number (sum w)^2 / sum w^2 of particles; 1 of none (paper, Eq. 3)."""
     largest = float(weights.max(initial=0.0))
     if largest == 0:
         return 1.0

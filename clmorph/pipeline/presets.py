@@ -29,7 +29,8 @@ class Preset(NamedTuple):
 PRESETS: dict[str, Preset] = {
     "photo": Preset("For any two pictures: sharp ends, no holes, colors that change.", {}),
     "paper": Preset(
-        "The paper's parameters, axes, particles, threshold on the plan, and blurred ends.",
+        "Everything as in the paper: its numbers, axes stretched to a square, pruning threshold, "
+        "and blurred first and last frame; for pictures of about 48 pixels.",
         {
             "size": 48,
             "solve_size": None,
@@ -64,7 +65,7 @@ PRESETS: dict[str, Preset] = {
         {"reach": 0.001, "splatting": "fixed", "sigma_start": 0.3, "extent": "unit"},
     ),
     "balanced": Preset(
-        "Nothing fades: every pixel of one picture becomes one of the other, however far.",
+        "Nothing fades: all mass of one picture moves into the other, however far.",
         {"reach": math.inf},
     ),
 }

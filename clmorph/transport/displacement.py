@@ -163,6 +163,7 @@ def displacement_of(
     scale = np.full(2, float(max(1, max(source.shape) - 1)))
     if source.extent == "unit":
         scale = np.array([width, height], float)
+    # T(x_i) - x_i (paper, section 4)
     field = np.where(moves[:, None], (destinations - source.positions) * scale, 0.0)
     return Displacement(
         field=field.reshape(height, width, 2),

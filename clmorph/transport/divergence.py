@@ -227,6 +227,7 @@ def sinkhorn_divergence(
         )
     extra = 0.5 * given.epsilon * (pair[0].mass - pair[1].mass) ** 2
     duals = [part.dual for part in (cross, *parts)]
+    # S(a, b) (paper, 2.2; math: S)
     value = duals[0] - 0.5 * (duals[1] + duals[2]) + extra
     rounding = SUM_ERROR * (extra + sum(abs(dual) for dual in duals))
     low = value - 0.5 * (parts[0].gap + parts[1].gap) - rounding

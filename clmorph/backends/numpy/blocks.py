@@ -13,7 +13,7 @@ BLOCK_ENTRIES = 1 << 24
 
 
 def costs(x: Float64, y: Float64) -> Float64:
-    """|x_i - y_j|^2 / 2."""
+    """|x_i - y_j|^2 / 2 (paper, Eq. 1, with the factor 1/2)."""
     costs = np.zeros((len(x), len(y)))
     for d in range(x.shape[1]):
         costs += 0.5 * (x[:, d, None] - y[:, d]) ** 2

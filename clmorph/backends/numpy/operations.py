@@ -54,7 +54,7 @@ class NumPyOperations:
         precise: bool = False,
         near: NearPairs | None = None,
     ) -> Float64:
-        """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
+        """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon) (paper, 3.1; math: softmin)."""
         result = np.empty(len(rows.points))
         for block, exponents in exponent_blocks(rows, columns, potential, epsilon, near):
             largest = exponents.max(axis=1)
