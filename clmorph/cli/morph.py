@@ -162,7 +162,9 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     operations = open_backend(device, backend)
     if request.capped:
         _cap_memory(run, operations)
-    say(run.memory(pictures, operations))
+    reduced = any(a.shape != b.shape for a, b in zip(whole, pictures, strict=True))
+    shown = f"; pictures reduced to {run.options.size} pixels (--size)" if reduced else ""
+    say(f"{run.memory(pictures, operations)}{shown}")
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:
         return recipe(
