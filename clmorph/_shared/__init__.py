@@ -1,1 +1,1 @@
-"""What every room uses: validation, atomic files, progress, signals, text in messages."""
+"""Tools that every package uses: validation, atomic files, progress, signals, message texts."""

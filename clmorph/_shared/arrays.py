@@ -1,9 +1,9 @@
-"""Conversion of what callers give to arrays of numbers, in one way everywhere.
+"""Conversion of callers' arguments to arrays of numbers, in one way everywhere.
 
-Everything from which NumPy makes an array is accepted: lists, arrays of any order and byte order,
-read-only arrays, data frames, tensors on the host. Values that NumPy could only convert by losing
-something raise an error that says what to do: masked entries, imaginary parts, texts, sparse
-matrices.
+Every value from which NumPy can make an array is accepted: lists, arrays of any order and byte
+order, read-only arrays, data frames, tensors on the host. Values that NumPy could convert only with
+a loss (masked entries, imaginary parts, texts, sparse matrices) raise an error that names the
+remedy.
 """
 
 from typing import Any
@@ -15,12 +15,12 @@ from clmorph._shared.typing import AnyArray, Array
 from clmorph._shared.validation import as_float
 from clmorph.errors import InputError
 
-#: Kinds of dtypes (see `numpy.dtype.kind`) that are numbers: truth values, integers, floats.
+#: Kinds of dtypes (see `numpy.dtype.kind`) that count as numbers: bool, integers, floats.
 NUMBERS = "biuf"
 
 
 def as_array(name: str, value: Any, expected: str = "an array of numbers") -> AnyArray:
-    """Return a value as an array of numbers, of its own dtype, in this machine's byte order.
+    """Return a value as an array of numbers, with its own dtype, in this machine's byte order.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def as_array(name: str, value: Any, expected: str = "an array of numbers") -> An
         The name of the value in error messages.
     value : array_like
     expected : str
-        The words for what was expected in error messages.
+        The description of the expected value in error messages.
 
     Returns
     -------
@@ -38,7 +38,7 @@ def as_array(name: str, value: Any, expected: str = "an array of numbers") -> An
     Raises
     ------
     InputError
-        If it is no array of real numbers, or any of it is masked.
+        If the value is no array of real numbers, or one of its entries is masked.
     """
     if hasattr(value, "getbands") and getattr(value, "mode", "RGB") not in _PLAIN_MODES:
         raise InputError(
@@ -59,7 +59,7 @@ def as_array(name: str, value: Any, expected: str = "an array of numbers") -> An
     try:
         array = np.asarray(value)
     except Exception as error:
-        # Foreign types raise what they like, such as tensors that live on a device.
+        # Foreign types can raise any exception; tensors in a device's memory do, for example.
         ragged = isinstance(value, list | tuple) and isinstance(error, ValueError)
         reason = "its rows differ in length" if ragged else printable(str(error), 120)
         raise InputError(
@@ -75,18 +75,18 @@ def as_array(name: str, value: Any, expected: str = "an array of numbers") -> An
 def as_floats(name: str, value: Any, expected: str = "an array of numbers") -> Array:
     """Return a value as a new array of float64, in C order; see `as_array`.
 
-    Numbers beyond float64 become infinite.
+    Numbers beyond the range of float64 become infinite.
     """
     with np.errstate(over="ignore"):
         return np.array(as_array(name, value, expected), dtype=np.float64, order="C", subok=False)
 
 
-#: Pillow's modes whose values are luma, or red, green and blue.
+#: Pillow's modes whose values are luma alone, or red, green and blue.
 _PLAIN_MODES = ("1", "L", "RGB", "RGBA", "F", "I;16", "I;16L", "I;16B", "I;16N")
 
 
 def _is_masked(value: Any, depth: int = 0) -> bool:
-    """Whether any entry is masked, of the value itself or of arrays that it is a list of."""
+    """Return whether an entry of the value, or of an array in a list of arrays, is masked."""
     if isinstance(value, np.ma.MaskedArray):
         return bool(np.any(np.ma.getmaskarray(value)))
     if not isinstance(value, list | tuple) or depth > _DEEPEST:
@@ -96,7 +96,7 @@ def _is_masked(value: Any, depth: int = 0) -> bool:
 
 
 _MAY_HOLD_MASKS = (list, tuple, np.ma.MaskedArray)
-#: Dimensions beyond which NumPy has no arrays.
+#: Largest number of dimensions of NumPy's arrays.
 _DEEPEST = 64
 
 

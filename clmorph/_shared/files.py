@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and never in the place of what is read."""
+"""Atomic output: files appear whole or not at all, and never replace an input of the same run."""
 
 import errno
 import os
@@ -15,37 +15,38 @@ from clmorph._shared.signals import note_written, undisturbed
 from clmorph._shared.staging import PREFIX, is_staging, staging_folder
 from clmorph.errors import InputError, OutputError
 
-#: Characters of an ending that a temporary file has too; longer ones are none of ours.
+#: Longest ending, in characters, that a temporary file takes over from its target. clmorph writes
+#: no format with a longer one.
 LONGEST_ENDING = 16
-#: Files from which on all that waits for the disk is written at once.
+#: From this number of files on, `os.sync` writes all pending data before the files are flushed.
 MANY = 16
-#: What file systems say that cannot flush one file.
+#: Error numbers of file systems that cannot flush a single file.
 NO_FLUSH = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EROFS)
 
 
 def check_place(target: str | PathLike[str]) -> Path:
-    """Return where a result can be written, before the work for it begins.
+    """Return the path at which a result can be written, before its computation begins.
 
     Parameters
     ----------
     target : path
-        Of a file or a folder, there already or not.
+        Path of a file or a folder, which may exist already.
 
     Returns
     -------
     Path
-        The same place; behind a symbolic link, what it points to.
+        The resolved path: a symbolic link is replaced by its destination.
 
     Raises
     ------
     OutputError
-        If it is no path, its folder is missing or cannot be written, it is write-protected, or
-        it is neither a file nor a folder (a device, say, or a pipe).
+        If the value is no path, its folder is missing or cannot be written, the target is
+        write-protected, or it is neither a file nor a folder (a device or a pipe, for example).
     """
     if not isinstance(target, str | PathLike) or not str(target):
         raise OutputError(f"{target!r} is not a path; expected one such as 'out.gif'")
     try:
-        # A link stays a link: what it points to is replaced, as by any other writer.
+        # A link stays a link: its destination is replaced, as by any other program.
         place = Path(target).resolve()
         special = place.exists() and not (place.is_file() or place.is_dir())
     except (OSError, RuntimeError, ValueError) as error:
@@ -60,14 +61,14 @@ def check_place(target: str | PathLike[str]) -> Path:
         # Some folders only seem to be writable.
         with tempfile.TemporaryFile(dir=home_of(place)):
             pass
-        # In the temporary folder, the path is longer.
+        # The path in the temporary folder is longer and may exceed the system's limit.
         with suppress(FileNotFoundError):
             (home_of(place) / f"{PREFIX}{8 * '0'}" / _new_name(place)).lstat()
     return place
 
 
 def check_file_place(target: str | PathLike[str]) -> Path:
-    """Return where a file can be written, as `check_place` does; a folder is refused too."""
+    """Return the path at which a file can be written, as `check_place` does; refuse a folder."""
     place = check_place(target)
     if place.is_dir():
         raise OutputError(f"{target} is a folder; choose a file name")
@@ -75,45 +76,46 @@ def check_file_place(target: str | PathLike[str]) -> Path:
 
 
 def home_of(place: Path) -> Path:
-    """Return the folder in which files for a place are made.
+    """Return the folder in which temporary files for a target are made.
 
     Parameters
     ----------
     place : Path
-        Of a file, or of a folder that is new or empty.
+        Path of a file, or of a folder that is new or empty.
 
     Returns
     -------
     Path
-        On the same file system; a folder that is there may be a disk of its own.
+        A folder on the target's file system. An existing target folder is returned itself, because
+        it may be the mount point of another disk.
     """
     return place if place.is_dir() else place.parent
 
 
 def is_empty(folder: Path) -> bool:
-    """Whether nothing is in a folder but temporary folders of ours."""
+    """Return whether a folder holds nothing but temporary folders of clmorph."""
     return all(is_staging(path) for path in folder.iterdir())
 
 
 def check_apart(
     written: Sequence[str | PathLike[str]], read: Sequence[str | PathLike[str]] = ()
 ) -> None:
-    """Check that nothing that is to be written replaces what is read, or one another.
+    """Check that no output replaces an input or another output.
 
-    Links are followed, other names of one file (hard links, capitals where the file system does
-    not tell them apart) are recognized.
+    Links are followed. Different names of one file are recognized: hard links, and names that
+    differ only in case where the file system ignores case.
 
     Parameters
     ----------
     written : sequence of paths
-        All files and folders that a command will write; they need not be there.
+        All files and folders that a command will write; they need not exist.
     read : sequence of paths
-        All that it reads: pictures, settings.
+        All files that the command reads: pictures and settings.
 
     Raises
     ------
     InputError
-        If one would be replaced by, or lie in a folder that is replaced by, another.
+        If an output would replace another of these files, or a folder that contains it.
     """
     outputs = [(Path(path), _resolved(path)) for path in written]
     for number, (name, place) in enumerate(outputs):
@@ -137,12 +139,12 @@ def check_apart(
 def _resolved(path: str | PathLike[str]) -> Path:
     try:
         return Path(path).resolve()
-    except (OSError, RuntimeError, ValueError):  # who opens it says why
+    except (OSError, RuntimeError, ValueError):  # opening the file reports the reason
         return Path(path).absolute()
 
 
 def _same(place: Path, other: Path) -> bool:
-    """Whether two places are one."""
+    """Return whether two paths name the same file or folder."""
     if place == other:
         return True
     with suppress(OSError, ValueError):
@@ -151,7 +153,7 @@ def _same(place: Path, other: Path) -> bool:
 
 
 def _same_names(place: Path, other: Path) -> bool:
-    """Whether two places, at least one of which is not there, would be one."""
+    """Return whether two paths, at least one of which does not exist, would name one file."""
     if place.name.casefold() != other.name.casefold():
         return False
     with suppress(OSError, ValueError):
@@ -161,7 +163,7 @@ def _same_names(place: Path, other: Path) -> bool:
 
 
 def ignores_case(folder: Path) -> bool:
-    """Whether capitals make no difference to the names of files, judged by a folder's own name."""
+    """Return whether the file system ignores case, tested with the folder's own name."""
     for part in (folder, *folder.parents):
         swapped = part.name.swapcase()
         if swapped != part.name:
@@ -173,7 +175,7 @@ def ignores_case(folder: Path) -> bool:
 
 @contextmanager
 def errors_as_output(target: str | PathLike[str]) -> Iterator[None]:
-    """Tell an OSError of the block as OutputError, in one line that names the target."""
+    """Convert an OSError of the block to an OutputError, one line that names the target."""
     try:
         yield
     except OSError as error:
@@ -184,24 +186,25 @@ def errors_as_output(target: str | PathLike[str]) -> Iterator[None]:
 
 @contextmanager
 def atomic_path(target: str | PathLike[str]) -> Iterator[Path]:
-    """Give a path to write to; what is written there then takes the target's place at once.
+    """Yield a temporary path; the file written there replaces the target in one step.
 
     See `atomic_paths`.
 
     Parameters
     ----------
     target : path
-        Of a file, or of a folder that is new or empty.
+        Path of a file, or of a folder that is new or empty.
 
     Yields
     ------
     Path
-        Where the block must leave a file or a folder; other files may lie beside it meanwhile.
+        The path at which the block must create a file or a folder. The block may create other
+        files beside it.
 
     Raises
     ------
     OutputError
-        If it cannot be written; so every OSError of the block becomes one.
+        If the target cannot be written. Every OSError of the block becomes an OutputError.
     """
     with atomic_paths([target]) as (made,), errors_as_output(target):
         yield made
@@ -209,28 +212,29 @@ def atomic_path(target: str | PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def atomic_paths(targets: Sequence[str | PathLike[str]]) -> Iterator[list[Path]]:
-    """Give paths to write to; what is written there then takes the targets' places together.
+    """Yield temporary paths; the files written there replace all targets together.
 
-    Each stands in a temporary folder on the target's disk, has its ending and does not exist yet.
-    If the block raises anything, KeyboardInterrupt included, or one of them cannot take its
-    place, all targets are as they were; in any case nothing is left beside them. What is written
-    is on the disk before it replaces anything. Permissions and, where that is allowed, the owner
-    of a file that is replaced are kept.
+    Each path lies in a temporary folder on the target's disk, has the target's ending and does not
+    exist yet. If the block raises an exception, KeyboardInterrupt included, or if one target
+    cannot be replaced, all targets stay as they were. No temporary file remains in any case. New
+    data are flushed to the disk before they replace a target. A replaced file keeps its
+    permissions and, where the system allows it, its owner.
 
     Parameters
     ----------
     targets : sequence of paths
-        Of files, or of folders that are new or empty; each another.
+        Distinct paths of files, or of folders that are new or empty.
 
     Yields
     ------
     list of Path
-        Where the block must leave files or folders; other files may lie beside them meanwhile.
+        The paths at which the block must create files or folders. The block may create other
+        files beside them.
 
     Raises
     ------
     OutputError
-        If one cannot be written.
+        If a target cannot be written.
     """
     places = [check_place(target) for target in targets]
     with ExitStack() as stack:
@@ -255,17 +259,17 @@ def atomic_paths(targets: Sequence[str | PathLike[str]]) -> Iterator[list[Path]]
 
 
 def _new_name(place: Path) -> str:
-    """Return a temporary file's name; a long one's own may be as long as names can be."""
+    """Return a short name for a temporary file, because the target's name may have full length."""
     return f"new{place.suffix}" if len(place.suffix) <= LONGEST_ENDING else "new"
 
 
 def _put(new: Path, place: Path, undo: ExitStack) -> None:
-    """Move what was made to its place, and note how to take it back."""
+    """Move a new file or folder to its target, and record how to undo the move."""
     if new.is_dir() and place.is_dir():
         _fill(place, new, undo)
     elif new.is_file() and place.is_file():
         old = new.with_name("old")
-        with suppress(OSError):  # where there are no links, there is no way back
+        with suppress(OSError):  # without hard links, the old file cannot be kept
             os.link(place, old)
         new.replace(place)
         if old.exists():
@@ -276,25 +280,25 @@ def _put(new: Path, place: Path, undo: ExitStack) -> None:
 
 
 def _fill(place: Path, made: Path, undo: ExitStack) -> None:
-    """Move files into a folder that is empty: it stays the folder that people stand in."""
+    """Move files into an empty folder; the folder stays the same one for programs that use it."""
     if not is_empty(place):
         raise OSError(errno.ENOTEMPTY, os.strerror(errno.ENOTEMPTY))
     for file in sorted(made.iterdir()):
         there = place / file.name
-        there.touch(exist_ok=False)  # of two runs, the second fails here
+        there.touch(exist_ok=False)  # if two runs write here, the second one fails
         undo.callback(_try, there.unlink)
         file.replace(there)
     _flush_folder(place)
 
 
 def _try(step: Callable[..., object], *arguments: object) -> None:
-    """Take a step back; what cannot be must not hide why."""
+    """Undo one step; a failure to undo must not hide the original error."""
     with suppress(OSError):
         step(*arguments)
 
 
 def _keep_rights(place: Path, new: Path) -> None:
-    """Give a file the permissions, and if possible the owner, of the one that it replaces."""
+    """Copy the permissions and, if possible, the owner of a replaced file to the new file."""
     if not (place.is_file() and new.is_file()):
         return
     old, mine = place.stat(), new.stat()
@@ -305,11 +309,12 @@ def _keep_rights(place: Path, new: Path) -> None:
 
 
 def _flush(made: Path) -> None:
-    """Bring a file, or all files of a folder, onto the disk."""
+    """Flush a file, or all files of a folder, to the disk."""
     files = [path for path in made.rglob("*") if path.is_file()] if made.is_dir() else [made]
     if len(files) >= MANY and hasattr(os, "sync"):
-        # One by one, each file waits for the disk: hundreds of frames for seconds. All at once
-        # they do not; fsync, which alone tells of failures, then finds little left to write.
+        # Files that are flushed one by one each wait for the disk, which takes seconds for
+        # hundreds of frames. One sync of all files is faster. Only fsync reports failures, so it
+        # follows and finds little left to write.
         os.sync()
     for file in files:
         with file.open("r+b") as stream:
@@ -323,7 +328,7 @@ def _flush(made: Path) -> None:
 
 
 def _flush_folder(folder: Path) -> None:
-    """Bring a folder's entries onto the disk, where the system can."""
+    """Flush a folder's entries to the disk, where the system supports it."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

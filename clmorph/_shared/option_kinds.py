@@ -1,7 +1,7 @@
 """Kinds of option values: numbers, whole numbers, choices, flags, texts.
 
-A kind knows how a value is checked, how a text of the command line or a scalar of TOML and JSON
-becomes one, and how JSON Schema describes it.
+A kind defines how a value is checked, how a text of the command line or a scalar of TOML or JSON is
+converted to a value, and how JSON Schema describes the value.
 """
 
 import math
@@ -21,26 +21,27 @@ from clmorph.errors import InputError
 
 @dataclass(frozen=True)
 class Kind:
-    """Which values an option takes.
+    """The values that an option accepts.
 
     Attributes
     ----------
     check : callable
-        Called with a name and a value; returns the value as it is used, or raises InputError.
+        It is called with a name and a value, and returns the converted value or raises InputError.
     expected : str
-        What an error calls such values.
+        The description of such values in error messages.
     metavar : str
-        What the help shows.
+        The placeholder of the value in the help.
     read : callable
-        Turns a text of the command line into a value; raises ValueError.
+        It converts a text of the command line to a value, or raises ValueError.
     schema : mapping
-        As JSON Schema describes such values.
+        The JSON Schema of such values.
     scalar : callable
-        Whether a value of TOML or JSON is of this kind, before it is converted.
+        It returns whether a value of TOML or JSON is of this kind, before the value is converted.
     words : tuple of (text, value)
-        Texts outside that stand for values here, beside the option's own word for None.
+        Texts of the external form (see `_shared.options`) and the values for which they stand,
+        beside the option's own word for None.
     pair : bool
-        Whether two values may be given, for source and target.
+        Whether the option accepts two values, one for the source and one for the target.
     """
 
     check: Callable[[str, Any], Any]
@@ -71,9 +72,9 @@ def number(
     ----------
     low, high : float
     open_low : bool
-        Whether `low` itself is left out.
+        Whether `low` itself is excluded.
     check : callable, optional
-        In place of the check of that range, called with the value.
+        A function of the value that replaces the check of the range.
     """
 
     def checked(name: str, value: Any) -> Any:
@@ -113,7 +114,7 @@ def flag() -> Kind:
     """Return the kind of truth values."""
 
     def read(text: str) -> bool:
-        raise ValueError(text)  # flags stand alone
+        raise ValueError(text)  # a flag takes no text
 
     return Kind(
         check_flag, "true or false", "", read, {"type": "boolean"},
@@ -130,7 +131,7 @@ def text(metavar: str, check: Callable[[Any], Any]) -> Kind:
 
 
 def number_or(word: str, kind: Kind) -> Kind:
-    """Return the kind of numbers to which a word is added that stands for itself."""
+    """Return a kind of numbers that accepts one word in addition; the word is its own value."""
 
     def check(name: str, value: Any) -> Any:
         if isinstance(value, str) and value == word:

@@ -1,12 +1,13 @@
-"""Options: what an option is, said once, and everything that follows from it.
+"""Options: each option is defined once, and all its uses are derived from the definition.
 
-Each stage owns a frozen class of options (a subclass of `Options`); a field made by `option` has
-its type, default, range, unit, help and panel. From these fields come validation here, the options
-of the command line, files of settings, recipes, a JSON schema, the typing and the documentation of
-keywords. No option is described anywhere else.
+Each stage owns a frozen class of options (a subclass of `Options`). A field made by `option` holds
+the option's type, default, range, unit, help and panel. Validation, the options of the command
+line, files of settings, recipes, a JSON schema, the types and the documentation of keywords are
+derived from these fields. No option is described anywhere else.
 
-"Outside" means: on the command line, in TOML and in recipes, where an option can have another
-name (``frames`` for ``n_frames``), another unit (gigabytes for bytes), and a word for None.
+"Outside" means the external form of an option: on the command line, in TOML and in recipes. There
+an option can have another name (``frames`` for ``n_frames``), another unit (gigabytes for bytes),
+and a word for None.
 """
 
 import math
@@ -22,33 +23,33 @@ from clmorph._shared.validation import (
 )
 from clmorph.errors import InputError
 
-#: What an error calls the value of an option without one; outside, the option's word.
+#: The name of None in error messages of Python; outside, the option's word takes its place.
 WITHOUT = "None"
-#: So many names are listed by an error; more would fill the screen.
+#: Largest number of names that an error lists; more would fill the screen.
 FEW = 16
 
 
 @dataclass(frozen=True)
 class Option:
-    """What is known of an option beside its name, type and default.
+    """The definition of an option, apart from its name, type and default.
 
     Attributes
     ----------
     kind : Kind
     help : str
-        One line.
+        The help, one line.
     panel : str
-        Where the help shows it.
+        The heading under which the help shows the option.
     unit : str
-        Of the value, outside.
+        The unit of the value outside.
     outside : str
-        Its name outside; empty if it is the same.
+        The option's name outside; empty if it is the same as in Python.
     word : str
-        Outside, the text that stands for None.
+        The text that stands for None outside.
     scale : float
-        The unit outside in units of the value here.
+        The unit outside, in units of the value in Python.
     off : tuple
-        Values that choose nothing, so that an alternative stays as it is.
+        Values that turn the option off, so that they do not remove its alternative.
     """
 
     kind: Kind
@@ -67,18 +68,18 @@ def option(default: Any, kind: Kind, help: str, panel: str, **more: Any) -> Any:
 
 
 def with_default(options: type["Options"], name: str, value: Any) -> Any:
-    """Return a field like that of another class of options, with a default of its own."""
+    """Return a copy of another class's field with a different default."""
     return field(default=value, metadata={"option": specifications(options)[name]})
 
 
 @dataclass(frozen=True, init=False)
 class Options:
-    """Base of the classes of options: frozen, made by keywords, checked when made.
+    """Base of the classes of options, which are frozen, keyword-only and checked on creation.
 
     Raises
     ------
     InputError
-        If an option is unknown, or its value cannot be used.
+        If an option is unknown, or its value is invalid.
     """
 
     def __init__(self, **given: Any) -> None:
@@ -92,7 +93,7 @@ class Options:
         self.check_together()
 
     def settle(self, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return values with what options imply for one another; `given` are the caller's."""
+        """Return the values after options have set one another; `given` are the caller's."""
         del given
         return values
 
@@ -110,11 +111,11 @@ class Options:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def replace(self, **given: Any) -> Self:
-        """Return these options with others in place of some; errors as for making them."""
+        """Return a copy with some options replaced; it raises the same errors as the class."""
         return type(self)(**{**self.as_dict(), **given})
 
     def outside(self) -> dict[str, Any]:
-        """Return the options as files hold them: sorted, by their names outside."""
+        """Return the options in the form of files: sorted, by their names outside."""
         known = specifications(type(self))
         found = {
             outside_name(name, known[name]): to_outside(known[name], value)
@@ -124,12 +125,12 @@ class Options:
 
 
 def check(known: Option, name: str, value: Any) -> Any:
-    """Return a value as it is used; None passes where an option has a word for it.
+    """Return the checked value; None is valid if the option has a word for it.
 
     Raises
     ------
     InputError
-        If it cannot be used.
+        If the value is invalid.
     """
     if value is None and known.word:
         return None
@@ -141,7 +142,7 @@ def check(known: Option, name: str, value: Any) -> Any:
 
 
 def specifications(options: type[Options]) -> dict[str, Option]:
-    """Return what is known of each option of a class, by its name."""
+    """Return the definition of each option of a class, by its name."""
     return {each.name: each.metadata["option"] for each in _fields(options)}
 
 
@@ -156,12 +157,12 @@ def default(options: type[Options], name: str) -> Any:
 
 
 def outside_name(name: str, known: Option) -> str:
-    """Return what an option is called outside."""
+    """Return the name of an option outside."""
     return known.outside or name
 
 
 def unknown_option(name: str, known: Mapping[str, Any]) -> str:
-    """Return the error for a name that is none."""
+    """Return the error message for a name that belongs to no option."""
     if name in ("backend", "device"):
         return (
             f"unknown option {name!r}; it does not belong to the picture: the command line has "
@@ -175,7 +176,7 @@ def unknown_option(name: str, known: Mapping[str, Any]) -> str:
 
 
 def to_outside(known: Option, value: Any) -> Any:
-    """Return a value as files hold it: numbers, texts, truth values, lists of them."""
+    """Convert a value to the form of files: a number, a text, a truth value, or a list of them."""
     if isinstance(value, tuple | list):
         return [to_outside(known, part) for part in value]
     if value is None:
@@ -188,12 +189,13 @@ def to_outside(known: Option, value: Any) -> Any:
 
 
 def from_outside(known: Option, name: str, value: Any) -> Any:
-    """Return a value of TOML or JSON as it is here.
+    """Convert a value of TOML or JSON to the option's value in Python.
 
     Raises
     ------
     InputError
-        If it is not of the option's kind: nothing is converted in silence, such as 4.7 frames.
+        If the value is not of the option's kind. Wrong kinds, such as 4.7 frames, are never
+        converted silently.
     """
     if isinstance(value, str) and value == known.word:
         return None
@@ -207,12 +209,12 @@ def from_outside(known: Option, name: str, value: Any) -> Any:
 
 
 def from_line(known: Option, value: str) -> Any:
-    """Return a text of the command line as the value that it stands for.
+    """Convert a text of the command line to the option's value.
 
     Raises
     ------
     InputError
-        If it stands for none.
+        If the text stands for no value.
     """
     if known.kind.pair and "," in value:
         return tuple(from_line(known, part) for part in value.split(","))
@@ -230,7 +232,7 @@ def from_line(known: Option, value: str) -> Any:
 
 
 def _expected(known: Option) -> str:
-    """Return what an error says about the values that an option takes."""
+    """Return the description of an option's valid values for error messages."""
     words = [known.word, *dict(known.kind.words)]
     several = ["a list of two of these"] if known.kind.pair else []
     return " or ".join([known.kind.expected, *map(repr, filter(None, words)), *several])

@@ -1,38 +1,38 @@
-"""How long work reports what it has done."""
+"""Progress reports of long computations."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Self, TypeVar
 
 
 class Share(float):
-    """A share of the work done, 0 to 1, with what there is to say about it.
+    """The share of the work that is done, from 0 to 1, with a note about it.
 
-    A plain number to who only wants that.
+    It is a float, so callers that need only the number can ignore the note.
 
     Attributes
     ----------
     note : str
-        Such as the residual that a solver has reached.
+        A remark, such as the residual that a solver has reached.
     """
 
     note: str
 
     def __new__(cls, share: float, note: str = "") -> Self:
-        """Join a number and its note."""
+        """Create a share from a number and its note."""
         self = super().__new__(cls, share)
         self.note = note
         return self
 
 
-#: Called with the name of a stage and the share of it that is done.
+#: A function that is called with the name of a stage and the share of it that is done.
 StageProgress = Callable[[str, float], None]
-#: Called with the share of one piece of work that is done.
+#: A function that is called with the share of one computation that is done.
 Report = Callable[[float], None]
 Item = TypeVar("Item")
 
 
 def tracked(items: Sequence[Item], report: Report) -> Iterator[Item]:
-    """Return the items one by one and report each before the next is asked for."""
+    """Yield the items one by one and report each before the next is requested."""
     for number, item in enumerate(items):
         yield item
         report(Share((number + 1) / len(items), f"{number + 1} of {len(items)}"))

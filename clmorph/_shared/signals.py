@@ -1,8 +1,8 @@
-"""SIGTERM and SIGHUP end the command line as Ctrl-C does: nothing half-written is left.
+"""SIGTERM and SIGHUP end the command line as Ctrl-C does, without half-written files.
 
-Handlers are installed by the command line alone, in the main thread alone, and only in place of
-the system's own: what a caller has set, or ignores (``nohup``), stays. The library never installs
-any; `undisturbed` does nothing there.
+Only the command line installs handlers, only in the main thread, and only in place of the default
+handlers: a handler that a caller has set, or an ignored signal (``nohup``), stays. The library
+never installs handlers, so `undisturbed` has no effect in it.
 """
 
 import _thread
@@ -16,27 +16,28 @@ from functools import partial
 from types import FrameType
 from typing import Any
 
-#: Signals that end a run; SIGHUP is not known everywhere.
+#: Signals that end a run; some systems have no SIGHUP.
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
-#: Seconds for which further signals are ignored, so that they do not interrupt the clearing up.
+#: Seconds for which further signals are ignored, so that they do not interrupt the cleanup.
 PATIENCE = 5.0
-#: Seconds after which a signal is given again that arrived where nothing can be raised.
+#: Seconds after which a signal is raised again if it arrived where no exception can be raised.
 SOON = 0.02
-#: Handlers that may be replaced.
+#: Default handlers, which may be replaced.
 USUAL = (signal.SIG_DFL, signal.default_int_handler)
 
 
 class Terminated(BaseException):
-    """The user (Ctrl-C), the system or another program wants this one to end.
+    """The user (Ctrl-C), the system or another program requests that this process ends.
 
-    Ctrl-C is no KeyboardInterrupt here. Where that one passes through compiled text (as
-    `dataclasses` and other modules run while they are imported), the interpreter takes it for
-    unhandled and ends itself by the signal, not with an exit code; and click prints an empty line.
+    Ctrl-C raises this exception instead of KeyboardInterrupt, for two reasons. If a
+    KeyboardInterrupt passes through code compiled from a text (`dataclasses` and other modules run
+    such code on import), the interpreter treats it as unhandled and ends by the signal instead of
+    an exit code. And click prints an empty line for it.
 
     Attributes
     ----------
     number : int
-        Of the signal; the exit code is 128 more.
+        The number of the signal; the exit code is 128 plus this number.
     """
 
     def __init__(self, number: int) -> None:
@@ -45,12 +46,12 @@ class Terminated(BaseException):
 
 
 class Ending:
-    """What a run knows about its end.
+    """The state of a run with respect to signals that end it.
 
     Attributes
     ----------
     written : bool
-        Whether all of its files have taken their places.
+        Whether all files of the run have replaced their targets.
     """
 
     def __init__(self) -> None:
@@ -60,10 +61,10 @@ class Ending:
         self._last = -PATIENCE
 
     def handle(self, number: int, frame: FrameType | None) -> None:
-        """Raise what ends the run, or remember that something did."""
+        """Raise `Terminated`, or store the signal if it must wait."""
         now = time.monotonic()
         if _current is not self or now - self._last < PATIENCE:
-            return  # at the very end, or while it is cleared up
+            return  # the run is over, or its cleanup is in progress
         self._last = now
         if self._depth:
             self._waiting = number
@@ -71,10 +72,10 @@ class Ending:
             raise Terminated(number)
 
     def unraised(self, usual: Callable[[Any], object], what: Any) -> None:
-        """Stand in for `sys.unraisablehook`: where no exception can be raised, try again soon.
+        """Replace `sys.unraisablehook`: raise the signal again soon if no exception can be raised.
 
-        A signal can arrive while Python calls a destructor or a callback of a weak reference, which
-        would print the exception and go on.
+        A signal can arrive while Python calls a destructor or a callback of a weak reference.
+        Python then only prints the exception and continues.
         """
         if what.exc_type is not Terminated:
             usual(what)
@@ -90,23 +91,23 @@ class Ending:
 
     @contextmanager
     def put_off(self) -> Iterator[None]:
-        """Raise only after the block what arrives meanwhile."""
+        """Delay signals that arrive during the block until the block has ended."""
         self._depth += 1
         try:
             yield
         finally:
             self._depth -= 1
-            # Also where the block fails: else the next one, whatever it is for, would end the run.
+            # A failed block raises it too; otherwise a later, unrelated block would end the run.
             if self._waiting is not None and not self._depth:
                 number, self._waiting = self._waiting, None
                 raise Terminated(number)
 
 
 def farewell(ending: Ending, number: int) -> int:
-    """Say on standard error why the run ends, and return its exit code: 128 and the signal."""
+    """Report on standard error why the run ends; return the exit code, 128 plus the signal."""
     what = "interrupted" if number == signal.SIGINT else "terminated"
     left = "after the files were written" if ending.written else "nothing was written"
-    with suppress(OSError, ValueError):  # whoever hung up does not read on
+    with suppress(OSError, ValueError):  # after a hang-up nobody reads the message
         print(f"clmorph: {what}, {left}", file=sys.stderr, flush=True)
     return 128 + number
 
@@ -116,14 +117,14 @@ _current: Ending | None = None
 
 @contextmanager
 def terminable() -> Iterator[Ending]:
-    """Turn signals that end a program into exceptions while the block runs.
+    """Convert signals that end a program to exceptions while the block runs.
 
-    Inside another such block, and in other threads than the main one, nothing is changed.
+    A nested block and a block outside the main thread change nothing.
 
     Yields
     ------
     Ending
-        The outermost block's.
+        The state of the outermost block.
     """
     global _current
     if _current is not None or threading.current_thread() is not threading.main_thread():
@@ -147,7 +148,7 @@ def terminable() -> Iterator[Ending]:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Let a block finish before a signal ends the run; for a few moments' work only."""
+    """Let a short block finish before a signal ends the run."""
     ending = _current
     if ending is None or threading.current_thread() is not threading.main_thread():
         yield
@@ -157,6 +158,6 @@ def undisturbed() -> Iterator[None]:
 
 
 def note_written() -> None:
-    """Remember that the run's files have taken their places."""
+    """Record that the run's files have replaced their targets."""
     if _current is not None:
         _current.written = True

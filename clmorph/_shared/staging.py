@@ -1,12 +1,12 @@
-"""Hidden folders in which files are made, and what is left of them when a process is killed.
+"""Hidden staging folders for new files, and the removal of those that killed processes left.
 
-A staging folder is called ``.clmorph-`` and eight characters. The process that made it holds a
-lock on the file ``owner`` inside for as long as it lives; the system releases the lock however
-the process ends. The next run that writes to the same place removes folders whose lock is free.
-Of two runs side by side neither removes the other's.
+The name of a staging folder is ``.clmorph-`` and eight characters. The process that made the folder
+holds a lock on the file ``owner`` inside until the process ends; the system releases the lock
+however it ends. The next run that writes to the same place removes the folders whose lock is free.
+Two simultaneous runs do not remove each other's folders.
 
-Where the file system knows no locks, and where another machine made the folder (the file tells
-its name), nothing is removed.
+Nothing is removed if the file system has no locks, or if another machine made the folder (the
+file ``owner`` contains the machine's name).
 """
 
 import errno
@@ -28,25 +28,25 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-#: What the folders are called, and the file inside that is locked.
+#: Prefix of the folders' names, and name of the locked file inside.
 PREFIX, OWNER = ".clmorph-", "owner"
 NAME = re.compile(re.escape(PREFIX) + "[a-z0-9_]{8}")
-#: What a lock's refusal is called where another process holds it.
+#: Error numbers of a lock that another process holds.
 HELD = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK)
-#: Windows locks ranges of bytes and forbids to read them: one that nobody reads.
+#: Offset of the locked byte. Windows forbids reading locked bytes, and nobody reads this one.
 FAR = 1 << 30
-#: How often a folder is made anew, if others clear it away before it is locked.
+#: Number of attempts to make a folder, as other runs can remove it before it is locked.
 TRIES = 100
 
 
 @contextmanager
 def staging_folder(home: Path) -> Iterator[Path]:
-    """Make a folder for the block alone; afterwards it is gone, with all that is inside.
+    """Make a folder for the block, and remove it with its contents afterwards.
 
     Parameters
     ----------
     home : Path
-        The folder in which it is made. What killed processes left there is removed first.
+        The parent folder. Folders that killed processes left there are removed first.
 
     Yields
     ------
@@ -55,7 +55,7 @@ def staging_folder(home: Path) -> Iterator[Path]:
     Raises
     ------
     OSError
-        If it cannot be made.
+        If the folder cannot be made.
     """
     clear_leftovers(home)
     folder = handle = None
@@ -70,12 +70,12 @@ def staging_folder(home: Path) -> Iterator[Path]:
 
 
 def is_staging(path: Path) -> bool:
-    """Whether a path is that of a staging folder, by its name."""
+    """Return whether a path is that of a staging folder, by its name."""
     return NAME.fullmatch(path.name) is not None
 
 
 def clear_leftovers(home: Path) -> None:
-    """Remove the staging folders in a folder whose processes are gone; those that may be."""
+    """Remove the staging folders of ended processes inside a folder, where permissions allow it."""
     try:
         with os.scandir(home) as entries:
             found = [Path(entry.path) for entry in entries if NAME.fullmatch(entry.name)]
@@ -89,8 +89,8 @@ def clear_leftovers(home: Path) -> None:
 def _make(home: Path) -> tuple[Path, int]:
     """Return a new folder and the handle that keeps it locked.
 
-    Between making and locking, another process may take the folder for a leftover. Then it is
-    gone, or the lock is held, and the next one is tried.
+    Before the new folder is locked, another process can take it for a leftover and remove or lock
+    it. Another folder is then made.
     """
     for _ in range(TRIES):
         folder = Path(tempfile.mkdtemp(dir=home, prefix=PREFIX))
@@ -116,7 +116,7 @@ def _make(home: Path) -> tuple[Path, int]:
 
 
 def _clear(folder: Path) -> None:
-    """Remove one leftover; leave everything else alone."""
+    """Remove one leftover folder; leave every other folder alone."""
     known = folder.lstat()
     if not stat.S_ISDIR(known.st_mode):
         return
@@ -126,7 +126,7 @@ def _clear(folder: Path) -> None:
     try:
         handle = os.open(owner, os.O_RDWR | _flags())
     except FileNotFoundError:
-        folder.rmdir()  # killed before it was locked, or nearly gone; fails if it is not empty
+        folder.rmdir()  # not locked yet, or nearly removed; fails if the folder is not empty
         return
     free = False
     try:
@@ -142,21 +142,21 @@ def _clear(folder: Path) -> None:
 
 
 def _remove(folder: Path, handle: int) -> None:
-    """Remove a folder of one's own; the lock last, so that what remains is known for a leftover."""
+    """Remove a locked folder, its lock last, so that an incomplete one is seen as a leftover."""
     with suppress(OSError):
         for path in folder.iterdir():
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
             elif path.name != OWNER:
                 path.unlink(missing_ok=True)
-    os.close(handle)  # some systems remove no file that is open
+    os.close(handle)  # some systems cannot remove open files
     with suppress(OSError):
         (folder / OWNER).unlink(missing_ok=True)
         folder.rmdir()
 
 
 def _flags() -> int:
-    """Neither follow a link nor wait for a pipe's other end."""
+    """Return flags to open a file without following a link or waiting for a pipe's other end."""
     return getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
@@ -168,7 +168,7 @@ def _is_at(handle: int, path: Path) -> bool:
 
 
 def _lock(handle: int) -> bool | None:
-    """Lock a file without waiting; False if another holds it, None if there are no locks."""
+    """Lock a file without waiting; False if another process holds it, None without lock support."""
     try:
         if sys.platform == "win32":
             os.lseek(handle, FAR, os.SEEK_SET)

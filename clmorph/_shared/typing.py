@@ -1,7 +1,7 @@
-"""Types that many modules name, so that signatures stay readable.
+"""Names for common types, which keep signatures readable.
 
-Public modules import `annotations` from ``__future__``: their annotations remain texts, and
-``help`` shows these names in place of the unions they stand for.
+Public modules import `annotations` from ``__future__``. Their annotations therefore remain texts,
+and ``help`` shows these names in place of the unions for which they stand.
 """
 
 from collections.abc import Callable
@@ -20,5 +20,5 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 #: An array of any dtype.
 AnyArray = NDArray[Any]
-#: What receives the share of the work that is done, from 0 to 1.
+#: A function that is called with the share of the work that is done, from 0 to 1.
 Progress = Callable[[float], None]

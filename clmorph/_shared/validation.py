@@ -1,9 +1,8 @@
-"""Validation of options, with messages a user can act on.
+"""Validation of options, with messages that name a remedy.
 
-A number is what `float` makes exactly sense of: Python's and NumPy's integers and floats,
-`Decimal`, `Fraction`, and arrays of no dimension that hold one. Truth values, texts, complex
-numbers, durations, masked elements and arrays with dimensions are not numbers, even where `float`
-would convert them.
+The following count as numbers: Python's and NumPy's integers and floats, `Decimal`, `Fraction`, and
+arrays without dimensions that hold one of these. Truth values, texts, complex numbers, durations,
+masked elements and arrays with dimensions are not numbers, even where `float` would convert them.
 """
 
 import math
@@ -18,7 +17,7 @@ import numpy as np
 from clmorph._shared.printable import printable
 from clmorph.errors import InputError
 
-#: Characters of a value that a message repeats.
+#: Largest number of characters of a value that a message repeats.
 SHOWN_LENGTH = 60
 
 
@@ -60,7 +59,7 @@ def check_integer(name: str, value: Any, low: int, high: int) -> int:
     if number is None:
         raise refused
     try:
-        # An integer of more than 53 bits, such as a seed, would be another number as a float.
+        # Conversion to float would change an integer of more than 53 bits, such as a seed.
         whole = operator.index(value)
     except TypeError:
         if not number.is_integer():
@@ -85,17 +84,17 @@ def check_choice(name: str, value: Any, choices: Sequence[str]) -> str:
 
 
 def check_max_pixels(value: Any) -> int:
-    """Return the most pixels that a file may have."""
+    """Return the checked largest number of pixels of a file."""
     return check_integer("max_pixels", value, 1, 1 << 40)
 
 
 def check_blur(value: Any) -> float:
-    """Return a blur: positive, in the unit of the points (for images: the longer side)."""
+    """Return a checked blur: positive, in the unit of the points (for images: the longer side)."""
     return check_number("blur", value, 1e-6, 1e6)
 
 
 def check_reach(value: Any) -> float | None:
-    """Return a reach: positive, same unit; None or infinity is balanced transport."""
+    """Return a checked reach: positive, in blur's unit; None or infinity is balanced transport."""
     if value is None or as_float(value) == math.inf:
         return None
     try:
@@ -105,22 +104,22 @@ def check_reach(value: Any) -> float | None:
 
 
 def check_color_weight(value: Any) -> float:
-    """Return a color weight: at least 0."""
+    """Return a checked color weight: at least 0."""
     return check_number("color_weight", value, 0.0, 1e3)
 
 
 def check_sigma(name: str, value: Any) -> float:
-    """Return a kernel width in pixels: from a thousandth on."""
+    """Return a checked kernel width: at least a thousandth of a pixel."""
     return check_number(name, value, 1e-3, 1e4)
 
 
 def check_flag(name: str, value: Any) -> bool:
-    """Return a truth value: Python's or NumPy's, nothing that merely counts as true or false.
+    """Return a truth value of Python or NumPy as bool.
 
     Raises
     ------
     InputError
-        If it is something else.
+        If the value has another type, even if Python treats it as true or false.
     """
     if isinstance(value, bool | np.bool_):
         return bool(value)
@@ -140,22 +139,22 @@ def check_callable(name: str, value: Any) -> None:
 
 
 def check_progress(progress: Callable[..., None] | None) -> Callable[..., None]:
-    """Return what is to be called with the share that is done; something idle for None.
+    """Return the progress function, or a function without effect for None.
 
     Raises
     ------
     InputError
-        If it cannot be called.
+        If `progress` cannot be called.
     """
     check_callable("progress", progress)
     return progress or (lambda *told: None)
 
 
 def as_float(value: Any) -> float | None:
-    """Return a number as a float, infinite and NaN included; None if it is no number.
+    """Return a number as a float, infinity and NaN included; None if the value is no number.
 
-    See above for what counts as a number. An integer beyond float64 does not: it would be taken
-    for infinity, which has a meaning of its own for some options.
+    The docstring of this module lists what counts as a number. An integer beyond the range of
+    float64 does not: it would become infinity, which has a meaning of its own for some options.
     """
     if np.ma.is_masked(value) or isinstance(value, bool | str | bytes | bytearray | complex):
         return None
@@ -168,11 +167,11 @@ def as_float(value: Any) -> float | None:
         return None
     try:
         if len(getattr(value, "shape", ())):
-            return None  # a tensor with dimensions, say
+            return None  # a tensor with dimensions, for example
         with np.errstate(over="ignore"):
             return float(value)
     except Exception:
-        # Whatever a foreign type raises says that it is no number.
+        # An exception of a foreign type means that the value is no number.
         return None
 
 
@@ -181,25 +180,25 @@ def _converts(value: Any) -> bool:
 
 
 def is_path(value: Any) -> bool:
-    """Whether a value is a path: a text, or an object that stands for one; not an empty one."""
+    """Return whether a value is a nonempty path: a text or a path object."""
     if not isinstance(value, str | os.PathLike):
         return False
     try:
         path = os.fspath(value)
     except Exception:
-        # Whatever a foreign type raises says that it is no path.
+        # An exception of a foreign type means that the value is no path.
         return False
     return isinstance(path, str) and path != ""
 
 
 def shown(value: Any) -> str:
-    """Return a value as a message repeats it: one short line of printable characters."""
+    """Return a value in the form of messages: one short line of printable characters."""
     if isinstance(value, np.ndarray) and value.ndim:
         return f"an array of shape {value.shape}"
     try:
-        # The reprs of containers out of files can be as large as these, and as deep.
+        # Containers from files can be large and deeply nested, so their repr must be limited.
         text = (reprlib.repr if isinstance(value, list | tuple | dict | set) else repr)(value)
     except Exception:
-        # An integer of more digits than Python writes, or a foreign type's fault.
+        # The integer has more digits than Python writes, or a foreign type's repr has failed.
         text = f"<{type(value).__name__}>"
     return printable(text, SHOWN_LENGTH)
