@@ -1,1 +1,1 @@
-"""Pictures in: pixels, color spaces, the resolution of a picture."""
+"""Input of images: reading, pixels, color spaces, and the resolution of an image."""

@@ -2,7 +2,8 @@
 
 Every space is a map from sRGB in [0, 1] to three coordinates. All coordinates of a space are
 divided by one number. It is chosen so that two colors drawn uniformly from the sRGB cube have the
-same root mean square distance in every space; so a color weight means the same in all of them.
+same root mean square distance in every space. A color weight therefore means the same in all
+spaces.
 """
 
 from __future__ import annotations
@@ -18,12 +19,13 @@ from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_choice
 from clmorph.errors import InputError
 
-#: "srgb": as stored (the paper). "linear": light. "lab", "luv": CIE 1976, D65. "oklab":
-#: Ottosson, "A perceptual color space for image processing" (2020).
+#: "srgb": the stored values (as in the paper). "linear": linear light. "lab", "luv": CIE 1976 with
+#: D65. "oklab": Ottosson, "A perceptual color space for image processing" (2020).
 ColorSpace = Literal["srgb", "linear", "lab", "luv", "oklab"]
 COLOR_SPACES = get_args(ColorSpace)
 
-#: Oklab: linear sRGB to cone responses, and their cube roots to lightness and two opponents.
+#: Matrices of Oklab: from linear sRGB to cone responses, and from the cube roots of these to
+#: lightness and two opponent colors.
 _TO_CONES = np.array(
     [
         [0.4122214708, 0.5363325363, 0.0514459929],
@@ -84,7 +86,7 @@ def from_space(coordinates: ArrayLike, space: str) -> Array:
     Returns
     -------
     (..., 3) array
-        sRGB, clipped to [0, 1]: between two colors a path can leave what a screen shows.
+        sRGB, clipped to [0, 1], because a path between two colors can leave the sRGB gamut.
 
     Raises
     ------
@@ -97,12 +99,13 @@ def from_space(coordinates: ArrayLike, space: str) -> Array:
 
 
 def _without_negative_light(lab: Array) -> Array:
-    """Return colors of CIELAB with as much yellow at most as leaves no negative Z.
+    """Return CIELAB colors with b limited so that Z is not negative.
 
-    scikit-image clips Z too, but warns of it, and a filter of warnings is every thread's.
+    scikit-image clips Z too but warns about it, and a filter of warnings would affect all threads.
     """
     lightness, green_red, blue_yellow = np.moveaxis(lab, -1, 0)
-    # Z grows with (L + 16) / 116 - b / 200; a trace is left, so that rounding is no minus.
+    # Z grows with (L + 16) / 116 - b / 200. The limit is slightly lower, so that
+    # rounding cannot make Z negative.
     most = 200 * ((lightness + 16) / 116 - 1e-9)
     return np.stack([lightness, green_red, np.minimum(blue_yellow, most)], axis=-1)
 
@@ -113,10 +116,11 @@ def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
     Parameters
     ----------
     metric : (3, 3) array, or (H, W, 3, 3), or (H, W)
-        Symmetric and positive semidefinite: one for all pixels or one each; a map of numbers
-        stands for these times the identity. (3, 3) is always one matrix.
+        One symmetric, positive semidefinite matrix for all pixels, or one for each pixel. A map
+        (H, W) of numbers stands for these times the identity. The shape (3, 3) is always one
+        matrix.
     shape : (H, W)
-        Of the image.
+        Shape of the image.
 
     Returns
     -------
@@ -125,7 +129,7 @@ def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
     Raises
     ------
     InputError
-        If it is no metric.
+        If the argument is no metric.
     """
     values = as_floats("color_metric", metric, "an array (3, 3), (H, W, 3, 3) or (H, W)")
     constant = values.shape == (3, 3)
@@ -199,7 +203,7 @@ def _from_luv(values: Array) -> Array:
 
 @cache
 def _scale(space: str) -> float:
-    """Size of a space against sRGB: the ratio of their root mean square distances."""
+    """Return the ratio of the root mean square distances in a space and in sRGB."""
     if space == "srgb":
         return 1.0
     channel = np.linspace(0.0, 1.0, _SCALE_STEPS)
@@ -209,17 +213,17 @@ def _scale(space: str) -> float:
 
 
 def _decode(srgb: Array) -> Array:
-    """Linear light of sRGB values (IEC 61966-2-1)."""
+    """Return the linear light of sRGB values (IEC 61966-2-1)."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0) + 0.055) / 1.055) ** 2.4)
 
 
 def encode(light: Array) -> Array:
-    """Return sRGB values of linear light."""
+    """Return the sRGB values of linear light (IEC 61966-2-1)."""
     positive = np.maximum(light, 0.0)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * positive ** (1 / 2.4) - 0.055)
 
 
-#: Each space's conversion from sRGB, and back; the scale of `_scale` comes on top.
+#: Each space's conversion from sRGB and back, before the division by `_scale`.
 _CONVERSIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "srgb": (_same, _same),
     "linear": (_decode, encode),

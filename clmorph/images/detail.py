@@ -6,21 +6,21 @@ import numpy as np
 
 from clmorph._shared.typing import Array
 
-#: Share of its edges' energy that an enlarged sprite has on the grid of its blocks.
+#: Least share of the edges' energy that lies on the grid of blocks in an enlarged sprite.
 BLOCK_SHARE = 0.9
-#: Effective number of lines of edges that a grid of blocks has at least.
+#: Least effective number of lines of edges in a grid of blocks.
 FEWEST_LINES = 4.0
-#: Most colors, and most pixels along a side, of a sprite that is not enlarged.
+#: Largest number of colors, and of pixels along a side, of a sprite that is not enlarged.
 SPRITE_COLORS = 64
 SPRITE_SIDE = 256
-#: Range of luma below which an image has no detail: less than a step of 8 bits.
+#: Range of luma below which an image has no detail; it is less than a step of 8 bits.
 FAINTEST = 1e-3
-#: Share of an image's edges' energy up to the frequency that counts as its highest.
+#: Share of the edges' energy that lies below an image's highest frequency, by definition.
 BAND_SHARE = 0.99
 
 
 def intrinsic_spacing(image: Array) -> float:
-    """Return the side, in pixels, of the smallest detail an image really has (at least 1).
+    """Return the side, in pixels, of the smallest detail of an image (at least 1).
 
     Parameters
     ----------
@@ -29,14 +29,14 @@ def intrinsic_spacing(image: Array) -> float:
     Returns
     -------
     float
-        For an enlarged sprite the side of its blocks, even if compression has left traces; for
-        another image half the shortest period in its spectrum.
+        The side of the blocks of an enlarged sprite, even if compression has left artifacts; half
+        the shortest period in the spectrum of any other image.
     """
     return max(1.0, float(_block_side(image)), _half_period(image))
 
 
 def auto_sigma(image: Array) -> float:
-    """Return the kernel width, in pixels, that suits an image: half of its smallest detail.
+    """Return the kernel width for an image, in pixels: half of its smallest detail.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ def auto_sigma(image: Array) -> float:
 
 
 def is_pixel_art(image: Array) -> bool:
-    """Return whether an image is a sprite: of few colors, or of blocks.
+    """Return whether an image is a sprite: it is small with few colors, or it consists of blocks.
 
     Parameters
     ----------
     image : (H, W, 3) or (H, W, 4) array
-        Opacity, and colors that are not seen, do not count.
+        Opacity and the colors of invisible pixels are ignored.
     """
     if image.shape[2] == 4:
         image = np.where(image[..., 3:] > 0, image[..., :3], 0.0)
@@ -71,13 +71,13 @@ def is_pixel_art(image: Array) -> bool:
 
 
 def _block_side(image: Array) -> int:
-    """Largest k for which nearly all edges lie on one grid of k x k blocks, else 1."""
+    """Return the largest k for which nearly all edges lie on one grid of k x k blocks, else 1."""
     edges = [np.sum(np.diff(image, axis=axis) ** 2, axis=(1 - axis, 2)) for axis in (0, 1)]
     total = sum(float(along.sum()) for along in edges)
-    # A few lines lie on many grids.
+    # An image with only a few lines fits many grids.
     if total == 0 or total**2 < FEWEST_LINES * sum(float(np.sum(along**2)) for along in edges):
         return 1
-    # With fewer than 8 blocks along a side any few edges would do.
+    # A grid of fewer than 8 blocks along a side would fit too many images by chance.
     for side in range(min(image.shape[:2]) // 8, 1, -1):
         on_grid = sum(max(along[phase::side].sum() for phase in range(side)) for along in edges)
         if on_grid >= BLOCK_SHARE * total:
@@ -86,11 +86,11 @@ def _block_side(image: Array) -> int:
 
 
 def _half_period(image: Array) -> float:
-    """Half the period, in pixels, up to which the spectrum holds nearly all edges."""
+    """Return half the period, in pixels, of the frequency below which nearly all edges lie."""
     height, width = image.shape[:2]
     if min(height, width) < 8:
         return 1.0
-    # The window keeps the jump from one border to the opposite one out of it.
+    # The window removes the jump between opposite borders from the spectrum.
     window = np.hanning(height)[:, None] * np.hanning(width)
     gray = image[..., :3].mean(axis=2)
     if np.ptp(gray) < FAINTEST:

@@ -1,4 +1,4 @@
-"""Images as arrays of sRGB values in [0, 1], with opacity if parts are transparent."""
+"""Images as arrays of sRGB values in [0, 1], with opacity if some pixels are transparent."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from clmorph._shared.typing import AnyArray, Array, ArrayLike
 from clmorph._shared.validation import check_integer, check_max_pixels, is_path, shown
 from clmorph.errors import FileError, ImageWarning, InputError
 
-#: Largest number of pixels of a file that is decoded, unless the caller allows more.
+#: Largest number of pixels of a file that is decoded, unless the caller sets another limit.
 MAX_PIXELS = 64_000_000
 
 
@@ -34,13 +34,13 @@ def as_pixels(image: ArrayLike, name: str = "image", *, max_pixels: int | None =
     Returns
     -------
     (H, W, 3) or (H, W, 4) float64 array
-        sRGB in [0, 1]. If any pixel is not opaque there is a fourth channel, opacity, by which
-        colors are not multiplied.
+        sRGB in [0, 1]. If any pixel is not opaque there is a fourth channel, opacity. Colors are
+        not multiplied by it.
 
     Raises
     ------
     InputError
-        If the shape, dtype or values are not those of an image.
+        If an image cannot have the shape, dtype or values of the array.
 
     Examples
     --------
@@ -69,7 +69,7 @@ def as_pixels(image: ArrayLike, name: str = "image", *, max_pixels: int | None =
     elif array.dtype.kind == "u" and array.dtype.itemsize <= 2:  # in any byte order
         pixels = array / float(np.iinfo(array.dtype).max)
     elif np.issubdtype(array.dtype, np.floating):
-        with np.errstate(over="ignore"):  # of numbers beyond float64, which are refused below
+        with np.errstate(over="ignore"):  # numbers beyond the range of float64 are refused below
             pixels = _checked_floats(array.astype(float), name)
     else:
         raise InputError(
@@ -81,7 +81,7 @@ def as_pixels(image: ArrayLike, name: str = "image", *, max_pixels: int | None =
 
 
 def _checked_floats(pixels: Array, name: str) -> Array:
-    """Return floats, clipped in place to [0, 1], if that changes them by rounding alone."""
+    """Clip floats in place to [0, 1]; refuse values that differ from it by more than rounding."""
     if not np.all(np.isfinite(pixels)):
         raise InputError(f"{name} holds NaN or infinity: expected finite values in [0, 1]")
     low, high = float(pixels.min()), float(pixels.max())
@@ -94,16 +94,16 @@ def _checked_floats(pixels: Array, name: str) -> Array:
 
 
 def as_rgb(image: ArrayLike, name: str = "image") -> Array:
-    """Return an image as (H, W, 3) float64 in [0, 1], transparent parts laid on white.
+    """Return an image as (H, W, 3) float64 in [0, 1], composited on white where transparent.
 
-    Parameters and errors as `as_pixels`.
+    Parameters and errors are those of `as_pixels`.
     """
     colors, alpha = split_alpha(as_pixels(image, name))
     return colors if alpha is None else colors * alpha[..., None] + (1.0 - alpha[..., None])
 
 
 def to_bytes(frame: AnyArray) -> NDArray[np.uint8]:
-    """Round a frame in [0, 1] to 8 bits; one that is, is returned as it is."""
+    """Round a frame in [0, 1] to 8 bits; a frame of 8 bits is returned unchanged."""
     if frame.dtype == np.uint8:
         return frame
     return np.round(np.clip(frame, 0.0, 1.0) * 255.0).astype(np.uint8)
@@ -112,14 +112,14 @@ def to_bytes(frame: AnyArray) -> NDArray[np.uint8]:
 def split_alpha(
     pixels: Array,
 ) -> tuple[Array, Array | None]:
-    """Return (H, W, 3) colors and (H, W) opacity, None if all is opaque."""
+    """Return (H, W, 3) colors, and (H, W) opacity or None if all pixels are opaque."""
     if pixels.shape[2] == 3:
         return pixels, None
     return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3]
 
 
 def block_size(image: Array) -> int:
-    """Return k if an image is made of k x k blocks of one color each, as enlarged sprites are.
+    """Return k if an image consists of k x k blocks of one color each, as enlarged sprites do.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def block_size(image: Array) -> int:
     Returns
     -------
     int
-        The largest such k; 1 for anything else, images of a single color included.
+        The largest such k; 1 for all other images, and for images of a single color.
     """
     sides = list(image.shape[:2])
     for axis in (0, 1):
@@ -151,8 +151,9 @@ def fit(image: ArrayLike, size: int) -> Array:
     -------
     (H', W', 3) or (H', W', 4) float64 array
         sRGB in [0, 1], with a fourth channel (opacity) if parts are transparent. The aspect ratio
-        is kept. Averages are anti-aliased. A sprite that is made of blocks of k x k pixels of one
-        color keeps such blocks, with the largest whole number of pixels along a block that fits.
+        is kept. Downscaling averages pixels, so the result is anti-aliased. A sprite that consists
+        of blocks of k x k pixels of one color keeps such blocks, with the largest whole number of
+        pixels along a block that fits.
 
     Raises
     ------
@@ -182,7 +183,7 @@ def fit(image: ArrayLike, size: int) -> Array:
     colors, alpha = split_alpha(pixels)
     if alpha is None:
         return np.clip(np.asarray(resize(pixels, (*shape, 3), order=1, anti_aliasing=True)), 0, 1)
-    # What cannot be seen must not bleed into what can: averages are weighted by opacity.
+    # Averages are weighted by opacity, so that invisible colors do not affect visible ones.
     seen = np.dstack((colors * alpha[..., None], alpha))
     seen = np.clip(np.asarray(resize(seen, (*shape, 4), order=1, anti_aliasing=True)), 0, 1)
     opacity = seen[..., 3:]
@@ -191,7 +192,7 @@ def fit(image: ArrayLike, size: int) -> Array:
 
 
 def resized(image: Array, shape: tuple[int, int]) -> Array:
-    """Return an image (H, W, C) at another size (height, width), interpolated linearly."""
+    """Return an image (H, W, C) at another size (height, width), by linear interpolation."""
     if image.shape[:2] == shape:
         return image
     from skimage.transform import resize
@@ -207,23 +208,23 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     path : path
         PNG, JPEG, WebP, AVIF, GIF, TIFF, BMP, JPEG 2000 or another format of
         `clmorph.images.reading.opening.FORMATS`. Of an animation, or of several pages, the first
-        picture is read. The picture is turned as its Exif says. PNG and TIFF keep 16 bits, and
-        TIFF keeps floats.
+        picture is read. The picture is rotated by the orientation in its Exif data. PNG and TIFF
+        keep 16 bits, and TIFF keeps floats.
     max_pixels : int
         Largest number of pixels; a larger image raises an error before it is decoded.
 
     Returns
     -------
     (H, W, 3) float64 array, or (H, W, 4) if parts are transparent
-        sRGB in [0, 1], and opacity. A color profile converts the colors, and so does the gamma of a
-        PNG; other colors are taken as sRGB.
+        sRGB in [0, 1], and opacity. The colors are converted by the file's color profile or by the
+        gamma of a PNG; without either they are taken as sRGB.
 
     Raises
     ------
     InputError
         If an argument is no path, or no number of pixels.
     FileError
-        An InputError: if the file is missing, unreadable, too large or not an image.
+        If the file is missing, unreadable, too large or not an image. It is an InputError.
 
     Warns
     -----
@@ -266,7 +267,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     except MemoryError as error:
         raise FileError(f"{name} does not fit into memory; reduce it first") from error
     except Exception as error:
-        # Decoders raise errors of any kind for damaged files, and only decoders run here.
+        # Only decoders run in this block, and they raise errors of any kind for damaged files.
         raise FileError(
             f"{name} cannot be decoded ({reason_of(error, REASON_LENGTH)}); is it complete?"
         ) from error

@@ -1,1 +1,1 @@
-"""Image files to arrays, in bounded time and memory."""
+"""Conversion of image files to arrays, in bounded time and memory."""

@@ -1,7 +1,7 @@
-"""Decode image files: bytes from anywhere to arrays of sRGB, in bounded time and memory.
+"""Decode image files from untrusted sources to arrays of sRGB, in bounded time and memory.
 
-Whatever a file holds, nothing that the process shares is changed. Metadata are read by
-`reading.tags`, which does not warn, sizes are checked by `clmorph.images.reading.opening`.
+No file changes the global state of the process. `reading.tags` reads metadata without warnings,
+and `clmorph.images.reading.opening` checks sizes.
 """
 
 from pathlib import Path
@@ -32,21 +32,21 @@ def decode(file: Path, max_pixels: int) -> Decoded:
     ----------
     file : Path
     max_pixels : int
-        A larger image is refused before it is decoded.
+        Largest number of pixels; a larger image is refused before it is decoded.
 
     Returns
     -------
     (H, W), (H, W, 3) or (H, W, 4) array
-        sRGB as `clmorph.images.pixels.as_pixels` takes it; floats are not checked.
+        sRGB in a form that `clmorph.images.pixels.as_pixels` accepts; floats are not checked.
     list of str
-        What is to be noted, as it would follow the name of the file and "has".
+        Notes about the file, each of which continues the sentence "<name of the file> has".
 
     Raises
     ------
     FileError
-        If it is missing, too large, or of a kind that is not read.
+        If the file is missing, too large, or of a kind that is not read.
     Exception
-        Of any kind, if it is damaged: whatever its decoder raises.
+        Any exception of the decoder, if the file is damaged.
     """
     with Reader(file) as stream:
         if stream.read(4) in tiff_layout.SIGNATURES:
@@ -99,7 +99,7 @@ def _compressed_samples(
 
 
 def _rest_to_turn(picture: Any) -> int:
-    """Return the orientation of a TIFF that Pillow has decoded: newer versions turn it."""
+    """Return the remaining orientation of a TIFF, which newer versions of Pillow rotate."""
     turned = picture.getexif().get(tags.ORIENTATION, 1)
     return turned if turned in range(1, 9) else 1
 
@@ -107,7 +107,7 @@ def _rest_to_turn(picture: Any) -> int:
 def _decode_picture(
     file: Path, picture: Any, profile: bytes | None = None, notes: list[str] | None = None
 ) -> Decoded:
-    """Decode what Pillow has opened."""
+    """Decode an image that Pillow has opened."""
     notes = list(notes or [])
     kind = picture.format
     shown = picture.tile[0][1] if kind == "GIF" and picture.tile else None
@@ -120,7 +120,7 @@ def _decode_picture(
             notes.append("more than 8 bits a sample: they are reduced to 8")
         colors, alpha = _split(picture)
     if shown is not None and shown != (0, 0, *picture.size):
-        # Around the first picture of an animation there is nothing yet.
+        # The area around the first picture of an animation is transparent.
         inside = np.zeros(picture.size[::-1], np.uint8)
         inside[shown[1] : shown[3], shown[0] : shown[2]] = 255
         alpha = inside if alpha is None else np.minimum(alpha, inside)
@@ -137,26 +137,26 @@ def _decode_picture(
 
 
 def _in_icon(file: Path) -> bool:
-    """Return whether a PNG is only a part of its file, which cannot be opened again as one."""
+    """Return whether a PNG is part of an icon file, which cannot be opened again as a PNG."""
     with Reader(file) as stream:
         return stream.read(4) == b"\0\0\1\0"
 
 
-#: Of Pillow's formats, those that show one picture after the other.
+#: Pillow's formats that can hold an animation.
 _ANIMATED = ("GIF", "PNG", "WEBP", "AVIF")
 
 
 def _is_animated(picture: Any) -> bool:
     try:
         return picture.format in _ANIMATED and bool(getattr(picture, "is_animated", False))
-    except Exception:  # a damaged second picture, which is not asked for
+    except Exception:  # a damaged second picture, which is not needed
         return False
 
 
 def _split(picture: Any) -> tuple[Any, AnyArray | None]:
-    """Return colors, and opacity if there is any, of a Pillow image.
+    """Return the colors of a Pillow image, and its opacity or None.
 
-    Colors are an image of mode L, RGB, CMYK or LAB, or an array of 16-bit or float gray.
+    The colors are an image of mode L, RGB, CMYK or LAB, or an array of 16-bit or float gray.
     """
     tile = next(map(raw_mode, tiles_of(picture)), "")
     picture.load()
@@ -176,7 +176,7 @@ def _split(picture: Any) -> tuple[Any, AnyArray | None]:
         gray = picture.convert("L")
         if not isinstance(transparent, int):
             return gray, None
-        # PNG counts in the levels that are stored, Pillow in 256.
+        # PNG states the transparent color in stored levels; Pillow's pixels have 256 levels.
         transparent *= {"L;2": 85, "L;4": 17}.get(tile, 1)
         return gray, (np.asarray(gray) != transparent) * np.uint8(255)
     if picture.mode == "RGB" and isinstance(transparent, tuple):
@@ -191,16 +191,16 @@ def _split(picture: Any) -> tuple[Any, AnyArray | None]:
 
 
 def _orientation(info: dict[Any, Any]) -> int:
-    """Return the orientation of a picture from its Exif, or else from its XMP."""
+    """Return the orientation of a picture from its Exif data, or else from its XMP data."""
     exif = info.get("exif")
     raw = info.get("Raw profile type exif")
     if not exif and isinstance(raw, str):  # older versions of ImageMagick
         try:
             exif = bytes.fromhex("".join(raw.split("\n")[3:]))
-        except ValueError:  # damaged, which the picture need not be
+        except ValueError:  # damaged metadata; the pixels can still be valid
             exif = None
     turned = tags.exif_orientation(exif) if isinstance(exif, bytes) else None
-    # Programs that turn a picture write so in Exif, and often forget the copy in XMP.
+    # Programs that rotate a picture update Exif and often leave the copy in XMP unchanged.
     if turned is not None:
         return turned
     xmp = info.get("xmp") or info.get("XML:com.adobe.xmp") or b""
@@ -210,16 +210,17 @@ def _orientation(info: dict[Any, Any]) -> int:
 def _finished(
     colors: Any, alpha: AnyArray | None, profile: bytes | None, turned: int, notes: list[str]
 ) -> Decoded:
-    """Return sRGB with opacity, as it is looked at.
+    """Return sRGB with opacity, in the orientation in which the picture is viewed.
 
     Parameters
     ----------
     colors : PIL.Image.Image or array
-        Of mode L, RGB, CMYK or LAB; (H, W), (H, W, 3) or (H, W, 4), the last being CMYK.
+        An image of mode L, RGB, CMYK or LAB, or an array (H, W), (H, W, 3) or, for CMYK, (H, W, 4).
     alpha : (H, W) array, optional
     profile : bytes, optional
+        ICC profile.
     turned : int
-        As Exif counts.
+        Orientation by Exif's numbers, 1 to 8.
     notes : list of str
     """
     profile = None if profile and is_srgb(profile) else profile
@@ -244,7 +245,7 @@ def _finished(
 
 
 def _in_range(colors: AnyArray) -> bool:
-    """Return whether floats are in [0, 1]; others are refused later."""
+    """Return whether floats are in [0, 1]; `as_pixels` later refuses floats that are not."""
     return colors.dtype.kind == "u" or bool(np.all((colors >= 0) & (colors <= 1)))
 
 
@@ -263,8 +264,8 @@ def _as_picture(colors: AnyArray) -> Any:
 
 
 def _turned(pixels: AnyArray, orientation: int) -> AnyArray:
-    """Return pixels as they are looked at, by Exif's number of how they lie."""
-    if orientation in (5, 6, 7, 8):  # rows are columns
+    """Return pixels in the orientation in which they are viewed, by Exif's orientation number."""
+    if orientation in (5, 6, 7, 8):  # rows and columns are swapped
         pixels = np.swapaxes(pixels, 0, 1)
     if orientation in (3, 4, 7, 8):
         pixels = pixels[::-1]

@@ -1,4 +1,4 @@
-"""16 bits a sample out of Pillow, which keeps the upper 8 of them in colors."""
+"""Reading of 16 bits a sample by Pillow, which itself keeps only the upper 8 bits of colors."""
 
 import re
 import sys
@@ -12,12 +12,13 @@ from clmorph.images.reading.opening import Reader
 
 #: Modes of Pillow that hold 16 bits of gray.
 GRAY_16 = ("I;16", "I;16B", "I;16L", "I;16N")
-#: 16 bits of each sample, of which Pillow keeps the upper 8: most significant first, or last.
+#: Raw modes of 16 bits a sample of which Pillow keeps the upper 8, with the letter of the byte
+#: order at the end.
 _DEEP = re.compile(r"(RGBX?|RGBA|RGBa|CMYK);16([BLN])")
 
 
 def deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] | None:
-    """Decode 16 bits a sample, of which Pillow would keep 8; None if it would not.
+    """Decode 16 bits a sample where Pillow would keep 8; return None where this does not apply.
 
     The letter of the byte order decides which byte of each sample Pillow keeps. Decoding a second
     time with the other letter yields the other byte.
@@ -25,18 +26,18 @@ def deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] 
     Parameters
     ----------
     picture : PIL.ImageFile.ImageFile
-        Not decoded yet.
+        The picture, not decoded yet.
     file : Path
-        To be opened once more.
+        Its file, which is opened a second time.
     page : int
-        Which of its pictures it is.
+        Number of the picture in the file.
 
     Returns
     -------
     (H, W, 2 to 4) array or None
     """
     tiles = [raw_mode(tile) for tile in tiles_of(picture)]
-    if tiles == ["LA;16B"]:  # four bytes a pixel, as RGBA has
+    if tiles == ["LA;16B"]:  # four bytes a pixel, as in RGBA
         picture.tile = [_with_raw_mode(tile, "RGBA") for tile in picture.tile]
         bytes_ = np.asarray(picture).astype(np.uint16)
         return np.asarray(bytes_[..., ::2] << 8 | bytes_[..., 1::2], np.uint16)
@@ -48,7 +49,7 @@ def deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] 
         again.seek(page)
         halves = []
         for opened, letter in ((picture, upper), (again, "L" if upper == "B" else "B")):
-            # RGBa would be divided by its opacity, half by half.
+            # Pillow would divide RGBa by its opacity, each byte separately.
             opened.tile = [
                 _with_raw_mode(tile, f"{raw_mode(tile)[:-1].upper()}{letter}")
                 for tile in opened.tile
@@ -58,25 +59,25 @@ def deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] 
 
 
 def tiles_of(picture: Any) -> Any:
-    """Return the parts of a file that are to be decoded; none of what Pillow has decoded."""
+    """Return the tiles of a file that Pillow has not decoded yet."""
     return getattr(picture, "tile", ())
 
 
 def raw_mode(tile: Any) -> str:
-    """Return the raw mode, which describes to the decoder how a part of a file is stored."""
+    """Return the raw mode of a tile, which tells the decoder how the tile is stored."""
     args = tile[3][0] if isinstance(tile[3], tuple) and tile[3] else tile[3]
     return args if isinstance(args, str) else ""
 
 
 def _with_raw_mode(tile: Any, mode: str) -> Any:
-    """Return a part of a file, stored in another way."""
+    """Return a tile with another raw mode."""
     args = (mode, *tile[3][1:]) if isinstance(tile[3], tuple) else mode
     changed = (*tile[:3], args)
     return tile._make(changed) if hasattr(tile, "_make") else changed
 
 
 def is_reduced(picture: Any) -> bool:
-    """Return whether Pillow keeps 8 bits of more."""
+    """Return whether Pillow keeps only 8 bits of samples that have more."""
     for tile in tiles_of(picture):
         most = tile[3][-1] if tile[0] == "ppm" else 0
         if ";16" in raw_mode(tile) or tile[0] == "SGI16" or (isinstance(most, int) and most > 255):
@@ -87,7 +88,7 @@ def is_reduced(picture: Any) -> bool:
 def of_deep_png(
     samples: NDArray[np.uint16], transparent: Any
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16] | None]:
-    """Return the colors and the opacity of a PNG of 16 bits, not gray alone."""
+    """Return the colors and the opacity of a PNG of 16 bits that is not gray without opacity."""
     if samples.shape[2] == 2:
         return samples[..., 0], samples[..., 1]
     if samples.shape[2] == 4:

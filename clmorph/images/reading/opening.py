@@ -1,7 +1,7 @@
-"""Open image files by Pillow, to the point where the size is known and nothing is decoded.
+"""Open image files by Pillow without decoding them, so that the size is known.
 
-Nothing global is changed, not for a moment: plugins are opened by themselves, without the check
-of size in `PIL.Image.open` that depends on a variable of the module; the size is checked here.
+No global state is changed. Pillow's plugins are called directly instead of `PIL.Image.open`, whose
+check of the size depends on a global variable. The size is checked here instead.
 """
 
 import io
@@ -13,18 +13,19 @@ from typing import IO, Any
 from clmorph._shared.printable import printable
 from clmorph.errors import FileError
 
-#: Formats of Pillow that are read, the unmistakable ones first. Left out are those that run other
-#: programs (EPS, WMF), that decode nothing (stubs), or that hold other pictures (ICNS).
+#: Formats of Pillow that are read, those with unambiguous signatures first. Not read are formats
+#: that run other programs (EPS, WMF), that have no decoder (stubs), or that contain images of
+#: other formats (ICNS).
 FORMATS = (
     "PNG", "JPEG", "WEBP", "GIF", "TIFF", "AVIF", "JPEG2000", "ICO", "BMP", "QOI", "PSD", "DDS",
     "SGI", "PPM", "DIB", "PCX",
 )  # fmt: skip
-#: A format without a signature, which only the name of a file shows.
+#: Endings of TGA, which has no signature and is recognized by the name of the file.
 TGA_ENDINGS = (".tga", ".icb", ".vda", ".vst")
-#: Characters that what a library says may take in a message.
+#: Largest number of characters of a library's error in a message.
 REASON_LENGTH = 120
-#: Kinds of files that are not read, but named in the message: where their signature begins, and
-#: their signatures.
+#: Kinds of files that are not read but named in the error message, with the offset of their
+#: signatures and the signatures.
 _UNREAD = (
     ("a HEIC picture", 4, (b"ftyphei", b"ftyphev", b"ftypmif1", b"ftypmsf1")),
     ("a JPEG XL picture", 0, (b"\xff\x0a", b"\0\0\0\x0cJXL ")),
@@ -35,16 +36,17 @@ _UNREAD = (
     ("an OpenEXR picture", 0, (b"v/1\x01",)),
     ("a Radiance picture", 0, (b"#?RADIANCE", b"#?RGBE")),
 )
-#: Scans of a progressive JPEG, each of which is work for all its pixels; encoders write about ten.
+#: Largest number of scans of a progressive JPEG. Each scan processes all pixels; encoders write
+#: about ten.
 MAX_SCANS = 64
-#: As many are read of any picture that is not too large.
+#: Number of scans that are accepted for any picture within the limit of pixels.
 _ORDINARY_SCANS = 16
-#: Pixels of all scans together, however few pixels are allowed.
+#: Number of pixels in all scans together that is always accepted.
 MAX_SCANNED = 1 << 30
 
 
 class Reader(io.BufferedReader):
-    """A file that is never asked for more than it has: decoders ask for what its sizes say."""
+    """A file whose reads are limited to its length, as decoders trust sizes in damaged headers."""
 
     def __init__(self, file: Path) -> None:
         super().__init__(io.FileIO(file))
@@ -70,18 +72,18 @@ def check_size(file: Path, size: tuple[int, int], max_pixels: int) -> None:
 
 
 def open_picture(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
-    """Return a Pillow image that is not decoded yet, its size checked."""
+    """Return a Pillow image that is not decoded yet, after a check of its size."""
     from PIL import Image
 
     stream.seek(0)
     start = stream.read(64)
     fault = ""
-    # Most files are of the few kinds that are loaded first; all take a while.
+    # Most files have one of the few formats that `preinit` loads; loading all formats is slow.
     for load in (Image.preinit, Image.init):
         load()
         for name in FORMATS + (("TGA",) if file.suffix.lower() in TGA_ENDINGS else ()):
             accepted = _accepts(name, start, unsigned=True)
-            if isinstance(accepted, str):  # this build of Pillow lacks it
+            if isinstance(accepted, str):  # this build of Pillow lacks the codec
                 fault = printable(accepted, REASON_LENGTH)
             elif accepted:
                 return _opened(name, file, stream, max_pixels)
@@ -94,7 +96,7 @@ def open_picture(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
 
 
 def _opened(name: str, file: Path, stream: IO[bytes], max_pixels: int) -> Any:
-    """Open a file of a kind."""
+    """Open a file by the plugin of a format."""
     from PIL import Image
 
     stream.seek(0)
@@ -109,20 +111,20 @@ def _opened(name: str, file: Path, stream: IO[bytes], max_pixels: int) -> Any:
 
 
 def _accepts(name: str, start: bytes, unsigned: bool = False) -> bool | str:
-    """Return what a plugin says to the first bytes of a file.
+    """Return a plugin's answer to the first bytes of a file.
 
     Parameters
     ----------
     name : str
-        What Pillow calls it; one that is not there accepts nothing.
+        Pillow's name of the format. A format without a plugin accepts no file.
     start : bytes
-        Too few can be a fault of the plugin's.
+        The first bytes of the file; too few of them can make a plugin fail.
     unsigned : bool
-        What is returned for a format without a signature.
+        The result for a format without a signature.
     """
     from PIL import Image
 
-    if name == "AVIF" and b"avi" not in start:  # HEIC is of the same family
+    if name == "AVIF" and b"avi" not in start:  # HEIC uses the same container
         return False
     factory, accept = Image.OPEN.get(name, (None, None))
     if factory is None or accept is None:
@@ -147,7 +149,7 @@ def _unread_kind(start: bytes) -> str:
 
 
 def _open_icon(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
-    """Open the largest picture of an icon, its size checked: Pillow decodes it at once."""
+    """Check the size of an icon's largest picture, then open it; Pillow decodes it immediately."""
     from PIL.IcoImagePlugin import IcoFile
 
     icon = IcoFile(stream)
@@ -158,14 +160,14 @@ def _open_icon(file: Path, stream: IO[bytes], max_pixels: int) -> Any:
     start = stream.read(24)
     if start.startswith(b"\x89PNG"):
         check_size(file, struct.unpack(">II", start[16:24]), max_pixels)
-    else:  # a bitmap, its mask below it
+    else:  # a bitmap with its mask below it
         width, height = struct.unpack("<ii", start[4:12])
         check_size(file, (width, abs(height) // 2), max_pixels)
     return icon.frame(0)
 
 
 def _check_scans(file: Path, stream: IO[bytes], size: tuple[int, int], max_pixels: int) -> None:
-    """Raise FileError if a JPEG has more scans than encoders write, or than can be waited for."""
+    """Raise FileError if a JPEG has more scans than encoders write, or would take too long."""
     place = stream.tell()
     stream.seek(0)
     scans = sum(marker == 0xDA for marker in _markers(stream))

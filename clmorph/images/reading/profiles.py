@@ -1,4 +1,4 @@
-"""Colors of a file, whatever they are stored as, to sRGB."""
+"""Conversion of a file's colors to sRGB, by its color profile or gamma."""
 
 from io import BytesIO
 from typing import Any
@@ -10,16 +10,16 @@ from clmorph._shared.printable import printable
 from clmorph._shared.typing import AnyArray
 from clmorph.images.color import encode
 
-#: What ICC calls the colors of a profile, and which of Pillow's modes hold such.
+#: Color spaces of ICC profiles, and Pillow's modes for them.
 _SPACES = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab": "LAB"}
-#: Of Little CMS; Pillow names them by other names in each version.
+#: Flags of Little CMS, whose names differ between versions of Pillow.
 _BLACK_POINT_COMPENSATION, _NO_TABLES = 0x2000, 0x0100
-#: PNG's exponent of sRGB, and its primaries: white, red, green, blue.
+#: The gamma and the chromaticities (white, red, green, blue) by which PNG describes sRGB.
 _SRGB_GAMMA = 0.45455
-#: Relative difference up to which a gamma is taken for sRGB's, as libpng does: encoders write 0.45,
-#: 1 / 2.2 or 1 / 2.3 and mean sRGB.
+#: Relative difference up to which a gamma counts as sRGB's, as in libpng: encoders write 0.45,
+#: 1 / 2.2 or 1 / 2.3 for sRGB.
 _GAMMA_TOLERANCE = 0.05
-#: Levels of 255 by which sRGB profiles of different makers differ.
+#: Largest difference between sRGB profiles of different makers, in levels of 255.
 _PROFILE_TOLERANCE = 2
 _SRGB_CHROMATICITY = (0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
 
@@ -30,16 +30,16 @@ def to_srgb(picture: Any, profile: bytes | None) -> tuple[NDArray[np.uint8], str
     Parameters
     ----------
     picture : PIL.Image.Image
-        Of mode L, RGB, CMYK or LAB.
+        An image of mode L, RGB, CMYK or LAB.
     profile : bytes, optional
-        ICC; without one, RGB and gray are sRGB and CMYK is plain ink on white.
+        ICC profile. Without one, RGB and gray count as sRGB and CMYK as ideal inks on white.
 
     Returns
     -------
     (H, W) or (H, W, 3) array
         sRGB.
     str
-        What is to be noted, "" if nothing.
+        A note for the user, or "".
     """
     from PIL import ImageCms
 
@@ -74,7 +74,7 @@ def _converted(picture: Any, source: Any) -> NDArray[np.uint8]:
     target = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB"))
     flags: Any = _BLACK_POINT_COMPENSATION
     levels = None
-    if picture.mode == "L":  # few enough to be converted exactly, which takes a while
+    if picture.mode == "L":  # 256 levels are few enough for the exact but slow conversion
         levels = Image.fromarray(np.arange(256, dtype=np.uint8)[None])
         flags |= _NO_TABLES
     made = ImageCms.profileToProfile(
@@ -85,7 +85,7 @@ def _converted(picture: Any, source: Any) -> NDArray[np.uint8]:
 
 
 def _name(profile: bytes) -> str:
-    """Return what a profile calls itself, quoted."""
+    """Return the description in a profile, quoted."""
     from PIL import ImageCms
 
     try:
@@ -96,7 +96,7 @@ def _name(profile: bytes) -> str:
 
 
 def is_srgb(profile: bytes) -> bool:
-    """Return whether a profile is sRGB's, by what it does: names are given to others too."""
+    """Return whether a profile converts as sRGB does; its name is not reliable."""
     from PIL import Image
 
     try:
@@ -115,7 +115,7 @@ def is_srgb(profile: bytes) -> bool:
 
 
 def _source(profile: bytes) -> tuple[Any, str]:
-    """Return a profile that is opened, and which of Pillow's modes it is for, "" if for none."""
+    """Return the opened profile, and the mode of Pillow to which it applies, or ""."""
     from PIL import ImageCms
 
     source = ImageCms.ImageCmsProfile(BytesIO(profile))
@@ -123,7 +123,7 @@ def _source(profile: bytes) -> tuple[Any, str]:
 
 
 def _faults() -> tuple[type[Exception], ...]:
-    """Return what Pillow raises if it cannot use a profile."""
+    """Return the exceptions that Pillow raises if it cannot use a profile."""
     from PIL import ImageCms
 
     return ImageCms.PyCMSError, ImportError, OSError, ValueError, TypeError
@@ -132,23 +132,23 @@ def _faults() -> tuple[type[Exception], ...]:
 def from_gamma(
     pixels: AnyArray, gamma: float | None, chromaticity: tuple[float, ...] | None
 ) -> tuple[AnyArray, str]:
-    """Convert the colors of a PNG whose chunk gAMA says how they are stored.
+    """Convert the colors of a PNG by its chunks gAMA and cHRM to sRGB.
 
     Parameters
     ----------
     pixels : (H, W) or (H, W, 3) array
         uint8 or uint16.
     gamma : float, optional
-        A value is light to the power of this.
+        The chunk gAMA: a stored value is light to the power of gamma.
     chromaticity : 8 floats, optional
         The chunk cHRM: x and y of white, red, green and blue.
 
     Returns
     -------
     array
-        sRGB; the same if there is nothing to do.
+        sRGB; the same array if no conversion is needed.
     str
-        What is to be noted, "" if nothing.
+        A note for the user, or "".
     """
     note = ""
     if chromaticity and not np.allclose(chromaticity, _SRGB_CHROMATICITY, atol=0.005):
@@ -158,5 +158,5 @@ def from_gamma(
     largest = np.iinfo(pixels.dtype).max
     light = (np.arange(largest + 1) / largest) ** (1 / gamma)
     stored = encode(light)
-    # 8 bits of light are too few to keep the shadows of sRGB apart, so 16 bits are returned.
+    # Shadows of sRGB need more than 8 bits after conversion from linear light, so 16 are returned.
     return np.round(stored * 65535).astype(np.uint16)[pixels], note

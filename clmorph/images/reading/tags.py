@@ -1,8 +1,8 @@
-"""Tags of a TIFF directory, which is also how Exif is written: read with every number checked.
+"""Read the tags of a TIFF directory, the format of Exif data too, and check every number.
 
-Pillow and tifffile read tags too, but warn or log about odd ones, each in its own way, and have
-to be asked for the pixels first. Here a directory is only looked at, and none of its numbers
-makes more work than the bytes that are there.
+Pillow and tifffile read tags too, but they warn or log about unusual ones, each in its own way,
+and only after they have opened the image. This module only reads the directory, and no number in
+it causes more work than the bytes of the file justify.
 """
 
 import re
@@ -10,23 +10,23 @@ import struct
 from io import BytesIO
 from typing import IO, NamedTuple
 
-#: Bytes and `struct` letters of the types of values; "" is read as bytes.
+#: Size in bytes and `struct` letter of each type of value; "" marks types that are read as bytes.
 _TYPES = {
     1: (1, "B"), 2: (1, ""), 3: (2, "H"), 4: (4, "I"), 5: (8, ""), 6: (1, "b"), 7: (1, ""),
     8: (2, "h"), 9: (4, "i"), 10: (8, ""), 11: (4, "f"), 12: (8, "d"), 13: (4, "I"),
     16: (8, "Q"), 17: (8, "q"), 18: (8, "Q"),
 }  # fmt: skip
-#: Directories that are followed; the pixels of hardly any file are further back.
+#: Largest number of directories that are read; hardly any file has its main image further back.
 MAX_DIRECTORIES = 16
 
-#: Numbers of a tag that are read; more are taken for damage.
+#: Largest number of values of a tag; a tag with more counts as damaged.
 MAX_VALUES = 1 << 18
 
 NEW_SUBFILE_TYPE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
 STRIP_OFFSETS, ORIENTATION, SAMPLES, ROWS_PER_STRIP, PLANAR = 273, 274, 277, 278, 284
 PREDICTOR, TILE_WIDTH, TILE_HEIGHT, TILE_OFFSETS = 317, 322, 323, 324
 EXTRA_SAMPLES, SAMPLE_FORMAT, SUBSAMPLING, XMP, ICC_PROFILE = 338, 339, 530, 700, 34675
-#: All that is looked at: a hostile directory has 65,536 tags that each name the whole file.
+#: Tags that are read. A hostile directory can have 65,536 tags that each refer to the whole file.
 _WANTED = frozenset(
     (NEW_SUBFILE_TYPE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, STRIP_OFFSETS, ORIENTATION,
      SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, TILE_WIDTH, TILE_HEIGHT, TILE_OFFSETS,
@@ -39,18 +39,18 @@ Values = tuple[int | float, ...] | bytes
 
 
 class Directory(NamedTuple):
-    """Tags of one picture.
+    """The tags of one picture.
 
     Attributes
     ----------
     order : str
-        "<" or ">".
+        Byte order, "<" (little-endian) or ">" (big-endian).
     big : bool
-        Whether it is a BigTIFF's.
+        Whether the file is a BigTIFF.
     tags : dict
-        Tuples of numbers, or bytes, of the tags named above; what cannot be read is left out.
+        Values of the tags in `_WANTED`: tuples of numbers, or bytes. Unreadable tags are omitted.
     next : int
-        Where the next directory begins, 0 if there is none.
+        Offset of the next directory, 0 if there is none.
     """
 
     order: str
@@ -59,19 +59,19 @@ class Directory(NamedTuple):
     next: int
 
     def number(self, tag: int, default: int) -> int:
-        """Return a tag's first number."""
+        """Return a tag's first number, or the default if the tag is missing."""
         values = self.tags.get(tag, ())
         return int(values[0]) if isinstance(values, tuple) and values else default
 
     def octets(self, tag: int) -> bytes:
-        """Return a tag's bytes, of either type that holds such; none if it is not there."""
+        """Return a tag's bytes, from either type of value; b"" if the tag is missing."""
         values = self.tags.get(tag, b"")
         if isinstance(values, bytes):
             return values
         return bytes(int(value) for value in values if 0 <= value < 256)
 
     def numbers(self, tag: int) -> tuple[int, ...]:
-        """Return a tag's numbers, none if it is not there."""
+        """Return a tag's numbers; an empty tuple if the tag is missing."""
         values = self.tags.get(tag, ())
         return tuple(map(int, values)) if isinstance(values, tuple) else ()
 
@@ -82,14 +82,14 @@ def read_directory(stream: IO[bytes], place: int = 0) -> Directory:
     Parameters
     ----------
     stream : binary file
-        That begins with the header.
+        A file that begins with the header of a TIFF.
     place : int
-        Where the directory begins; 0 for the first.
+        Offset of the directory; 0 for the first one.
 
     Raises
     ------
     ValueError
-        If there is none.
+        If there is no directory.
     """
     size = stream.seek(0, 2)
     stream.seek(0)
@@ -112,7 +112,7 @@ def read_directory(stream: IO[bytes], place: int = 0) -> Directory:
         raise ValueError("its directory is cut off")
     count = struct.unpack(order + ("Q" if big else "H"), counted)[0]
     step = 4 + 2 * width
-    # No directory has more tags than there are numbers for tags.
+    # A valid directory has at most 65,536 tags, because a tag's number has 16 bits.
     rows = stream.read(min(count, 1 << 16) * step)
     after = stream.read(width)
     tags: dict[int, Values] = {}
@@ -130,7 +130,7 @@ def read_directory(stream: IO[bytes], place: int = 0) -> Directory:
 def _values(
     stream: IO[bytes], size: int, order: str, kind: int, row: bytes, width: int
 ) -> Values | None:
-    """Return the values of a row, None if they are not in the file."""
+    """Return the values of a directory entry, or None if they are not in the file."""
     each, letter = _TYPES.get(kind, (0, ""))
     offset = order + ("Q" if width == 8 else "I")
     (count,) = struct.unpack_from(offset, row)
@@ -150,7 +150,7 @@ def _values(
 
 
 def first_full_page(stream: IO[bytes]) -> tuple[Directory, int, bool]:
-    """Return the first picture of a TIFF that is no reduced copy of another.
+    """Return the first picture of a TIFF that is neither a reduced copy nor a mask of another.
 
     Parameters
     ----------
@@ -160,20 +160,20 @@ def first_full_page(stream: IO[bytes]) -> tuple[Directory, int, bool]:
     -------
     Directory
     int
-        Which one of the file's it is, from 0.
+        Number of the directory in the file, from 0.
     bool
-        Whether another full picture follows among the `MAX_DIRECTORIES` first.
+        Whether another full picture follows among the first `MAX_DIRECTORIES`.
 
     Raises
     ------
     ValueError
-        If there is none.
+        If the file has no such picture.
     """
     found: list[tuple[Directory, int]] = []
     first = read_directory(stream)
     directory, seen = first, {0}
     for index in range(MAX_DIRECTORIES):
-        # Bit 0: a reduced copy; bit 2: where a picture is transparent.
+        # Bit 0 marks a reduced copy, bit 2 a transparency mask.
         if not directory.number(NEW_SUBFILE_TYPE, 0) & 0b101:
             found.append((directory, index))
         if len(found) == 2 or not directory.next or directory.next in seen:
@@ -187,7 +187,7 @@ def first_full_page(stream: IO[bytes]) -> tuple[Directory, int, bool]:
 
 
 def exif_orientation(exif: bytes) -> int | None:
-    """Return the orientation in Exif data, 1 to 8, or None if they have none."""
+    """Return the orientation in Exif data, 1 to 8, or None if there is none."""
     exif = exif.removeprefix(b"Exif\0\0")
     try:
         directory = read_directory(BytesIO(exif))
@@ -200,6 +200,6 @@ def exif_orientation(exif: bytes) -> int | None:
 
 
 def xmp_orientation(xmp: bytes) -> int:
-    """Return the orientation in XMP data, 1 to 8; 1 if they have none."""
+    """Return the orientation in XMP data, 1 to 8; 1 if there is none."""
     found = _XMP_ORIENTATION.search(xmp)
     return int(found[1]) if found else 1

@@ -1,4 +1,4 @@
-"""TIFF: samples of many kinds, and their conversion to colors.
+"""Read the samples of TIFF files and convert them to colors.
 
 Pillow decodes samples of up to 8 bits, and compressed ones of 16; tifffile decodes the others,
 uncompressed or deflated. For both, the tags (`tiff_layout`) decide here what the samples mean.
@@ -25,9 +25,9 @@ from clmorph.images.reading.tiff_layout import (
     not_read,
 )
 
-#: Largest number of bytes that one byte of Deflate can become.
+#: Largest number of bytes to which one byte of Deflate data can expand.
 _DEFLATE_RATIO = 1032
-#: Number of bytes that any piece may become, whatever its size.
+#: Decompressed size in bytes that is accepted for any strip or tile.
 _HARMLESS = 32 << 20
 
 
@@ -49,9 +49,9 @@ def read_samples(file: Path, page: int, layout: Layout) -> AnyArray:
     Raises
     ------
     FileError
-        If the file leaves out parts on purpose.
+        If the file intentionally omits strips or tiles.
     Exception
-        Of any kind, if the file is damaged.
+        Any exception of tifffile, if the file is damaged.
     """
     from tifffile import TiffFile
 
@@ -71,12 +71,12 @@ def read_samples(file: Path, page: int, layout: Layout) -> AnyArray:
 
 
 def _check_pieces(file: Path, stream: Any, page: Any, layout: Layout) -> None:
-    """Raise an error if a strip or a tile is not all there, or inflates to more than it is."""
+    """Raise an error if a strip or tile is incomplete, or decompresses to more than its size."""
     if len(page.dataoffsets) > MAX_PIECES:
         raise ValueError("it has too many strips or tiles")
     if len(page.dataoffsets) != len(page.databytecounts):
         raise ValueError("its tags contradict each other")
-    # Strips of planar files are of one sample each; a limit has not to be exact.
+    # Strips of planar files hold one sample each; for them the limit is larger than necessary.
     most = layout.piece[0] * layout.piece[1] * layout.samples * layout.dtype.itemsize
     for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
         if count == 0 and offset == 0:
@@ -86,7 +86,7 @@ def _check_pieces(file: Path, stream: Any, page: Any, layout: Layout) -> None:
             )
         if count < 1 or offset + count > stream.size:
             raise ValueError("a part of it is missing")
-        # Few bytes cannot make many: only large pieces are worth being inflated twice.
+        # Only strips and tiles that could expand too far are decompressed twice.
         if layout.compression in DEFLATE and count * _DEFLATE_RATIO > max(most, _HARMLESS):
             stream.seek(offset)
             data = stream.read(count)
@@ -100,25 +100,25 @@ def interpret(file: str, samples: AnyArray, layout: Layout) -> tuple[AnyArray, A
     Parameters
     ----------
     file : str
-        Its name in error messages.
+        Name of the file in error messages.
     samples : (H, W, samples) array
     layout : Layout
 
     Returns
     -------
     (H, W), (H, W, 3) or (H, W, 4) array
-        Gray, RGB or CMYK. Larger numbers are more light; for CMYK they are more ink.
+        Gray, RGB or CMYK. Larger numbers mean more light or, for CMYK, more ink.
     (H, W) array or None
         Opacity.
 
     Raises
     ------
     FileError
-        If they are not read as colors.
+        If samples of this kind are not supported.
     """
     if samples.dtype.kind == "u" and samples.dtype.itemsize > 2:
         samples = samples / float(np.iinfo(samples.dtype).max)
-    elif samples.dtype == np.float16:  # too short to be subtracted from 1
+    elif samples.dtype == np.float16:  # too imprecise to be subtracted from 1
         samples = samples.astype(np.float32)
     count = COLOR_SAMPLES.get(layout.photometric, 0)
     if not count or samples.shape[2] < count:
@@ -142,10 +142,10 @@ def interpret(file: str, samples: AnyArray, layout: Layout) -> tuple[AnyArray, A
 
 
 def _divided(colors: AnyArray, alpha: AnyArray, largest: float) -> Array:
-    """Return colors that were multiplied by opacity, in [0, 1]; nothing seen is black."""
+    """Divide premultiplied colors by opacity, in [0, 1]; fully transparent pixels become black."""
     opacity = alpha[..., None].astype(float)
     divided = np.divide(colors, opacity, out=np.zeros(colors.shape), where=opacity > 0)
-    # Rounding leaves some a little larger than their opacity.
+    # Rounding can make a premultiplied color slightly larger than its opacity.
     return np.asarray(np.minimum(divided, 1.0))
 
 

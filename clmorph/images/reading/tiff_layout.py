@@ -1,4 +1,4 @@
-"""TIFF: how one picture of a file is stored, as its tags say, and whether it can be read."""
+"""The storage layout of a picture in a TIFF file, from its tags, and whether it is supported."""
 
 from typing import IO, NamedTuple
 
@@ -16,18 +16,18 @@ WHITE_IS_ZERO, BLACK_IS_ZERO, RGB, CMYK, YCBCR = 0, 1, 2, 5, 6
 COLOR_SAMPLES = {WHITE_IS_ZERO: 1, BLACK_IS_ZERO: 1, RGB: 3, CMYK: 4}
 #: Values of Compression.
 UNCOMPRESSED, DEFLATE = 1, (8, 32946)
-#: Values of ExtraSamples: opacity by which colors are multiplied, and by which they are not.
+#: Values of ExtraSamples: opacity with premultiplied colors, and with unmultiplied colors.
 ASSOCIATED, UNASSOCIATED = 1, 2
 #: Largest number of pieces (strips or tiles) of one picture.
 MAX_PIECES = 1 << 16
-#: Pixels that pieces may have outside the picture; a small picture can lie in one large tile.
+#: Largest number of pixels of pieces outside the picture; a small picture can lie in a large tile.
 _PADDING = 1 << 22
-#: Bytes of the largest pixel that is read: four samples of 64 bits, and an extra one.
+#: Largest number of bytes of a pixel: four samples of 64 bits, and an extra one.
 _MAX_BYTES = 40
 
 
 class Layout(NamedTuple):
-    """How one picture of a TIFF is stored.
+    """The storage layout of one picture of a TIFF.
 
     Attributes
     ----------
@@ -40,9 +40,9 @@ class Layout(NamedTuple):
     photometric, compression, orientation, predictor : int
         Values of these tags in the file.
     planar, subsampled : bool
-        Whether samples of one kind lie together, and whether color has fewer samples than light.
+        Whether each channel is stored separately, and whether chroma has fewer samples than luma.
     extra : tuple of int
-        Meaning of each sample after the colors, as in ExtraSamples.
+        Meaning of each sample after the colors, by the values of ExtraSamples.
     piece : tuple of int
         Width and height of a strip or tile.
     profile : bytes, optional
@@ -70,12 +70,12 @@ class Layout(NamedTuple):
 
 
 def read_layout(directory: Directory) -> Layout:
-    """Return how a picture is stored.
+    """Return the storage layout of a picture.
 
     Raises
     ------
     ValueError
-        If its tags do not say so, or contradict each other.
+        If its tags are incomplete or contradict each other.
     """
     width, height = directory.number(tags.WIDTH, 0), directory.number(tags.HEIGHT, 0)
     if width < 1 or height < 1:
@@ -113,19 +113,20 @@ def read_layout(directory: Directory) -> Layout:
 
 
 def check_layout(file: str, layout: Layout, max_pixels: int) -> None:
-    """Refuse a picture that would be misread, or whose pieces are larger than it.
+    """Refuse a picture that would be misread, or whose pieces exceed it by too much.
 
     Parameters
     ----------
     file : str
-        Its name in error messages.
+        Name of the file in error messages.
     layout : Layout
     max_pixels : int
+        Largest number of pixels.
 
     Raises
     ------
     FileError
-        If it is not read.
+        If the picture is refused.
     """
     across, down = -(-layout.width // layout.piece[0]), -(-layout.height // layout.piece[1])
     pieces = across * down * (layout.samples if layout.planar else 1)
@@ -158,7 +159,7 @@ def by_tifffile(layout: Layout) -> bool:
     return (
         layout.compression in (UNCOMPRESSED, *DEFLATE)
         and layout.photometric in COLOR_SAMPLES
-        and layout.predictor in (1, 2)  # 3, for floats, takes imagecodecs
+        and layout.predictor in (1, 2)  # 3, for floats, requires imagecodecs
         and layout.bits in ((16, 32, 64) if layout.kind == "f" else (8, 16, 32, 64))
     )
 
@@ -173,21 +174,21 @@ def not_read(file: str, layout: Layout) -> FileError:
 
 
 def open_page(stream: IO[bytes]) -> tuple[Layout, int, bool]:
-    """Find the picture of a TIFF that is to be read; `check_layout` says whether it can be.
+    """Find the picture of a TIFF that is to be read; `check_layout` checks whether it can be read.
 
     Returns
     -------
     Layout
-        How the picture is stored.
+        The storage layout of the picture.
     int
-        Its page, from 0.
+        The number of its page, from 0.
     bool
         Whether another full picture follows.
 
     Raises
     ------
     ValueError
-        If it is damaged.
+        If the file is damaged.
     """
     directory, page, more = tags.first_full_page(stream)
     return read_layout(directory), page, more
