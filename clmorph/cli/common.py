@@ -1,4 +1,4 @@
-"""What several commands begin with: reading pictures, opening a device."""
+"""Common steps of several commands: reading pictures and opening a device."""
 
 import logging
 import os
@@ -13,23 +13,23 @@ from clmorph._shared.validation import check_max_pixels
 from clmorph.cli.terminal import NOTES, note, say
 from clmorph.errors import FileError, ImageWarning, InputError
 
-#: Keeps Python from printing what is logged and nobody handles.
+#: A handler that keeps Python from printing log records without another handler.
 SILENT = logging.NullHandler()
 
 
 @contextmanager
 def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
-    """Hide what Pillow, tifffile and libtiff print about odd metadata.
+    """Hide messages of Pillow, tifffile and libtiff about unusual metadata.
 
-    Such remarks do not help the user: pixels and recipes are checked by clmorph itself. Only the
-    command line may use this, because it changes what all threads of the process share.
+    Such messages do not help the user, because clmorph itself checks pixels and recipes. Only the
+    command line may use this function, because it changes the global state of the process.
 
     Yields
     ------
     list of warnings.WarningMessage
-        Warnings of clmorph itself, for the caller to print.
+        Warnings of clmorph itself, which the caller prints.
     """
-    # Below Python, libtiff prints by itself.
+    # The C library libtiff writes to file descriptor 2 directly.
     kept = os.dup(2) if sys.__stderr__ is not None else None
     logs = [logging.getLogger(name) for name in ("PIL", "tifffile")]
     for log in logs:
@@ -53,13 +53,13 @@ def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
 
 
 def read_picture(path: Path, max_pixels: int) -> Any:
-    """Read an image and print what is to be noted.
+    """Read an image and print its warnings as notes.
 
     Parameters
     ----------
     path : Path
     max_pixels : int
-        Larger ones are refused.
+        Largest number of pixels; a larger image is refused.
 
     Returns
     -------
@@ -68,11 +68,11 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     Raises
     ------
     FileError
-        If it cannot be read, or there is nothing to see.
+        If the image cannot be read, or all its pixels are fully transparent.
     """
     from clmorph.images.pixels import read_image
 
-    check_max_pixels(max_pixels)  # a mistake in the option, not in the file
+    check_max_pixels(max_pixels)  # so that an error concerns the option, not the file
     with quiet_libraries() as found:
         try:
             pixels = read_image(path, max_pixels=max_pixels)
@@ -86,7 +86,7 @@ def read_picture(path: Path, max_pixels: int) -> Any:
 
 
 def note_warning(notes: list[Warning], message: Any, *others: Any, **more: Any) -> None:
-    """Print a warning as a note and keep it; the rest stands in for `warnings.showwarning`."""
+    """Print a warning as a note and store it; the signature is that of `warnings.showwarning`."""
     from clmorph.cli.options import in_option_names
 
     notes.append(message)
@@ -94,14 +94,14 @@ def note_warning(notes: list[Warning], message: Any, *others: Any, **more: Any) 
 
 
 def open_backend(device: str | None, backend: str | None) -> Any:
-    """Choose the device and say which it is.
+    """Choose the device and print its name.
 
     Raises
     ------
     InputError
-        If both are named and contradict.
+        If `device` and `backend` contradict each other.
     DeviceError
-        If there is none.
+        If there is no such device.
     """
     if device is not None and backend not in (None, "auto", "opencl"):
         raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")

@@ -1,9 +1,9 @@
-"""Settings of a run: presets, files that hold some, and what the command line says.
+"""Settings of a run: presets, files of settings, and options of the command line.
 
-Settings in TOML are the user's own words and may name any of them. A recipe, in whichever file it
-came (JSON, a GIF's comment, a page), may be anybody's: it decides about the picture alone. Where
-something is written and how large pictures may be is not read from it; of memory it may take less
-than the run would, never more; pictures it names by bare names, sought beside it and in the
+The user writes settings in TOML, so a TOML file may contain any setting. A recipe (in JSON, a GIF's
+comment, a page) can come from anybody, so it controls only the options of the morph. Output paths
+and the limit of pixels are not read from a recipe. A recipe can lower the limit of memory but not
+raise it. It refers to pictures by bare file names, which are searched beside the recipe and in the
 current folder.
 """
 
@@ -26,11 +26,11 @@ from clmorph.pipeline.recipe import IMAGES, PRESET, options_of, read_recipe, rea
 
 Settings = dict[str, Any]
 
-#: What a file of settings may hold beside options.
+#: Key of the output, which a file of settings may contain beside options.
 OUTPUT = "output"
-#: What only the user decides, in the command line or in TOML; in recipes it stands for nothing.
+#: Settings that only the user decides, on the command line or in TOML; in recipes they are ignored.
 OWN = (OUTPUT, "format", "recipe", "max_pixels")
-#: Names that Windows gives to devices, whatever ending follows.
+#: Names that Windows reserves for devices, with any ending.
 DEVICES = re.compile(
     r"(con|prn|aux|nul|(com|lpt)[0-9¹²³]|conin\$|conout\$) *(\..*)?", re.IGNORECASE
 )
@@ -47,7 +47,7 @@ class Named:
     own : bool
         Whether the user wrote it.
     entries : list
-        File names, or tables with ``file`` and perhaps ``sha256``.
+        File names, or tables with ``file`` and optionally ``sha256``.
     """
 
     file: Path
@@ -55,12 +55,12 @@ class Named:
     entries: Sequence[str | Mapping[str, Any]]
 
     def images(self) -> list[tuple[Path, str | None]]:
-        """Return where the pictures lie, each with its digest then if that is known.
+        """Return the path of each picture, with its digest when the file was written, if known.
 
         Raises
         ------
         InputError
-            If a recipe names one in another folder.
+            If a recipe names a picture in another folder.
         """
         found = []
         for entry in self.entries:
@@ -84,15 +84,15 @@ class Named:
 
 
 def is_bare(name: str, *, windows: bool = os.name == "nt") -> bool:
-    """Whether a file name is no more than that: no folder and, on Windows, no drive or device.
+    """Return whether a file name has no folder and, on Windows, no drive or device.
 
     Parameters
     ----------
     name : str
     windows : bool
-        Whether the name is judged as Windows reads it, where backslashes separate folders, a
-        colon ends a drive's name, some names are devices, and dots and spaces at the end are
-        dropped. Elsewhere all of these are parts of names like others.
+        Whether the rules of Windows apply: backslashes separate folders, a colon ends a drive's
+        name, some names are devices, and trailing dots and spaces are dropped. On other systems
+        all of these are ordinary parts of names.
     """
     if len(name) >= 256 or re.search(r"[/\0]", name) or name in ("", ".", ".."):
         return False
@@ -105,7 +105,7 @@ def is_bare(name: str, *, windows: bool = os.name == "nt") -> bool:
 
 @dataclass(frozen=True)
 class Found:
-    """What a file of settings holds.
+    """The contents of a file of settings.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Found:
     named : Named
         The pictures that it names.
     own : dict
-        What only the user decides: `OWN`, for the command line's own options.
+        The settings in `OWN`, which only the user decides, for the command line's own options.
     """
 
     options: Settings
@@ -135,7 +135,7 @@ def read_settings(path: Path) -> Found:
     Raises
     ------
     InputError
-        If it cannot be read or holds something unknown.
+        If the file cannot be read or contains an unknown key.
     """
     if not path.exists():
         raise InputError(f"--config {path}: no such file")
@@ -145,7 +145,7 @@ def read_settings(path: Path) -> Found:
     images = by_name.pop(IMAGES, [])
     users = {name: by_name.pop(name) for name in OWN if name in by_name}
     if not own:
-        for name in (OUTPUT, "format"):  # none that clmorph wrote does
+        for name in (OUTPUT, "format"):  # no recipe that clmorph writes contains these
             if name in users:
                 note(f"{path} names its own {name}, which a recipe does not choose: give -o")
         users = {}
@@ -170,7 +170,7 @@ def read_settings(path: Path) -> Found:
 
 
 def _check_own(path: Path, users: Settings) -> None:
-    """Check what the command line's own options may be, and take outputs as beside the file."""
+    """Check the command line's own options, and resolve outputs relative to the file's folder."""
     kinds = {"format": str, "recipe": bool, "max_pixels": int}
     for name, kind in kinds.items():
         if name in users and type(users[name]) is not kind:
@@ -186,7 +186,7 @@ def _check_own(path: Path, users: Settings) -> None:
 
 
 def _recipe(path: Path) -> Settings:
-    with quiet_libraries():  # notes of ours, which are printed, come later
+    with quiet_libraries():  # notes of clmorph are printed later
         found = read_recipe(path)
     for name in found.get("arrays", []) if isinstance(found.get("arrays"), list) else []:
         note(f"{path} was made with an array of {shown(name)}, which it does not hold")
@@ -208,14 +208,15 @@ def _plain(value: Any) -> Any:
 
 
 def pictures(images: Sequence[Path], folder: Path | None = None) -> list[dict[str, Any]]:
-    """Return what a recipe holds of its pictures.
+    """Return the entries of a recipe about its pictures.
 
     Parameters
     ----------
     images : sequence of Path
     folder : Path, optional
-        From where it is written in which folders the images lie, for people: `Named.images` looks
-        for the names alone. Without it no folder is written, for files that get around.
+        The folder to which the images' folders are written as relative paths. These paths inform
+        people; `Named.images` uses only the file names. Without `folder` no folders are written,
+        which suits files that are shared.
     """
     return [
         {"file": path.name, "sha256": digest(path)}

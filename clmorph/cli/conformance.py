@@ -1,4 +1,4 @@
-"""Compare a device with NumPy: every operation, and one whole morph."""
+"""Compare a device with NumPy in every operation and in one whole morph."""
 
 import platform
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ Cloud = tuple[NDArray[np.float64], NDArray[np.float64]]
 def log_sum_exp_tolerance(
     operations: Operations, rows: Cloud, columns: Cloud, epsilon: float, precise: bool = False
 ) -> float:
-    """Return by how many nats a log-sum-exp of `operations` may be off.
+    """Return the tolerated error, in nats, of a log-sum-exp of `operations`.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def _check_near(
     want: Float64,
     blur: float,
 ) -> Finding:
-    """Check that near pairs leave out no more than they say, nor than they may."""
+    """Check that near pairs leave out no more than the reported bound and the truncation."""
     epsilon, budget = blur**2, 1e-4
     near = operations.near_pairs(*ours, g, want, epsilon, budget)
     tolerance = log_sum_exp_tolerance(operations, *pair, epsilon)
@@ -134,7 +134,7 @@ def _check_plan(
         plan = np.zeros((len(f), len(g)))
         plan[np.repeat(np.arange(len(f)), np.diff(rows.indptr)), rows.indices] = rows.mass
         plans.append(plan)
-    # A pair on the threshold may be kept by one side only: it has `share` of the largest.
+    # One backend alone may keep a pair at the threshold, whose mass is `share` of the largest.
     error = float(np.max(np.abs(plans[0] - plans[1]) / np.exp(largest)[:, None]))
     tolerance = share + 2 * log_sum_exp_tolerance(operations, *pair, epsilon)
     return Finding("plan_rows", error, tolerance, "of a row's largest")
@@ -147,7 +147,7 @@ def _check_stored(
     theirs: tuple[Any, Any],
     pair: tuple[Cloud, Cloud],
 ) -> Iterator[Finding]:
-    """Check sums over stored pairs, all of them, at potentials that have changed."""
+    """Check sums over stored pairs, with all pairs stored, at potentials that have changed."""
     rng, epsilon = np.random.default_rng(3), 0.0025
     sizes = len(pair[0][1]), len(pair[1][1])
     f = exact.softmin(*theirs, np.zeros(sizes[1]), epsilon)
@@ -169,7 +169,7 @@ def _check_stored(
 def _check_rows(
     operations: Operations, exact: Operations, pair: tuple[Cloud, Cloud]
 ) -> Iterator[Finding]:
-    """Check moments of plan rows and draws from them, and costs with offsets."""
+    """Check moments of plan rows, draws from plan rows, and costs with offsets."""
     rng = np.random.default_rng(2)
     epsilon, m = 0.0025, len(pair[1][1])
     g = epsilon * rng.normal(size=m)
@@ -200,7 +200,7 @@ def _check_rows(
         error = float(np.abs(got - want).max() / scale)
         yield Finding(f"plan_moments, {name}", error, tolerance, "of the clouds' size")
 
-    # Equally spaced thresholds hit every column as often as its share says, to one draw.
+    # Equally spaced thresholds draw every column in proportion to its share, to within one draw.
     few = pair[0][0][:4], pair[0][1][:4]
     own, theirs = operations.upload(*few), exact.upload(*few)
     draws = 2000
@@ -238,7 +238,7 @@ def _check_splats(operations: Operations, exact: Operations) -> Iterator[Finding
 
 
 def _check_own_widths(operations: Operations, exact: Operations) -> Iterator[Finding]:
-    """Check what "local" widths are made of."""
+    """Check the operations from which "local" widths are computed."""
     rng = np.random.default_rng(3)
     count, shape, sigma = 4_000, (61, 83), 0.7
     positions = rng.uniform(-2, 84, (count, 2)).astype(np.float32)
@@ -260,7 +260,7 @@ def _check_own_widths(operations: Operations, exact: Operations) -> Iterator[Fin
     ours = operations.adapt_widths(ours, distances, sigma)
     theirs = exact.adapt_widths(theirs, distances, sigma)
     levels = operations.width_levels(ours)
-    # Between two levels rounding decides.
+    # Rounding decides the level of widths that lie on the border between two levels.
     wrong = np.count_nonzero(levels != exact.width_levels(theirs))
     yield Finding("adapt_widths", float(wrong), 1e-3 * count, "levels")
     scaled = weights.astype(float) / WIDTH_LEVELS.factor(levels) ** 2
@@ -280,7 +280,7 @@ def _check_morph(operations: Operations) -> Finding:
 
 
 def report(device: Any, findings: list[Finding], pairs_per_second: float) -> dict[str, Any]:
-    """Bundle what others need to know of a device; nothing personal.
+    """Collect the data about a device for a report, without personal data.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ def report(device: Any, findings: list[Finding], pairs_per_second: float) -> dic
     Returns
     -------
     dict
-        Ready for JSON.
+        A dictionary that JSON can represent.
     """
     from clmorph._shared.version import __version__
 

@@ -1,4 +1,4 @@
-"""What ``clmorph demo`` shows: a pixel-art cat becomes a photograph of one."""
+"""The command ``clmorph demo``: a pixel-art cat becomes a photograph of a cat."""
 
 from importlib import resources
 from pathlib import Path
@@ -15,12 +15,13 @@ from clmorph.output.save import Output, write_all
 from clmorph.pipeline.morph import morph
 from clmorph.pipeline.options import MorphOptions
 
-#: Pixels for each block of the sprite, and the photograph's side.
+#: Pixels along a block of the enlarged sprite, and pixels along the photograph.
 SPRITE_ZOOM = 6
 PHOTO_SIDE = 256
-#: The options that differ from the usual ones: a little more blur, because few colors meet many.
+#: The options that differ from the defaults. The blur is larger, because the sprite has few colors
+#: and the photograph has many.
 CHANGES: dict[str, float] = {"blur": 0.04, "color_weight": 1.0}
-#: All options. The pictures have their sizes already.
+#: All options; the pictures are not downscaled.
 OPTIONS = MorphOptions(n_frames=40, size=None, **CHANGES)  # type: ignore[arg-type]
 
 
@@ -41,7 +42,7 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
     ----------
     operations : Operations
     folder : Path
-        Where ``clmorph-demo.gif``, ``.html`` and ``.png`` go.
+        The folder for ``clmorph-demo.gif``, ``.html`` and ``.png``.
     stages : Stages
 
     Returns

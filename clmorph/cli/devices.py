@@ -1,4 +1,4 @@
-"""``clmorph devices`` and ``clmorph check``."""
+"""The commands ``clmorph devices``, ``clmorph check`` and ``clmorph tune``."""
 
 import json
 from pathlib import Path
@@ -25,7 +25,7 @@ def _find() -> tuple[Device, ...]:
 
 
 def _auto_index() -> str:
-    """Return the index of the device that "auto" takes; '' if none works."""
+    """Return the index of the device that "auto" selects; '' if no device works."""
     try:
         return choose_device("auto").index
     except DeviceError:
@@ -33,7 +33,7 @@ def _auto_index() -> str:
 
 
 def list_devices(as_json: bool, again: bool) -> int:
-    """Print every OpenCL device; 1 if none is usable, else 0."""
+    """Print every OpenCL device; return 1 if none is usable, else 0."""
     if again:
         forget_verdicts()
     devices = _find()
@@ -87,13 +87,13 @@ def _print_table(devices: tuple[Device, ...], auto: str) -> None:
 
 
 def _choose(spec: str | None, every: bool) -> list[Device]:
-    """Return the one device that is meant, or every usable one."""
+    """Return the device that the user chose, or every usable device."""
     devices = [device for device in _find() if device.usable]
     return devices if every and devices else [choose_device(spec or "auto")]
 
 
 def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
-    """Tune devices, or forget how they were tuned."""
+    """Tune devices, or delete their stored tuning."""
     from clmorph.backends.opencl.build.tuned_record import forget_tuning
     from clmorph.backends.opencl.tuner import tune
 
@@ -109,10 +109,10 @@ def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
 
 
 def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
-    """Compare devices with NumPy, print the findings; 1 if any is out of tolerance."""
+    """Compare devices with NumPy, print the results; return 1 if one is out of tolerance."""
     devices = _choose(spec, every)
     if report is not None:
-        check_file_place(report)  # before the work for it begins
+        check_file_place(report)  # before the comparison begins
     bundles = [_check_one(device) for device in devices]
     if report is not None:
         text = json.dumps(bundles[0] if len(bundles) == 1 else bundles, indent=1) + "\n"
@@ -138,7 +138,7 @@ def _check_one(device: Device) -> dict[str, Any]:
         speed = throughput(operations)
     except ClmorphError:
         raise
-    except Exception as error:  # a driver's failures come in any class
+    except Exception as error:  # drivers raise exceptions of any class
         raise DeviceError(
             f"{device.name} failed after {len(findings)} checks: {reason_of(error)}; "
             "update its driver, or choose another device"

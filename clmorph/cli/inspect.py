@@ -1,4 +1,4 @@
-"""``clmorph inspect``: a look at the transport alone."""
+"""The command ``clmorph inspect``: statistics and a picture of the transport, without frames."""
 
 import json
 import warnings
@@ -28,13 +28,13 @@ def run_inspect(
     backend: str | None,
     as_json: bool,
 ) -> None:
-    """Solve the transport between two pictures, print its numbers, and draw it if asked to.
+    """Solve the transport between two pictures, print its statistics, and optionally draw it.
 
     Parameters
     ----------
     images : (A, B)
     output : Path, optional
-        Of the picture: .png, .svg or .pdf.
+        Path of the drawing: .png, .svg or .pdf.
     options : MorphOptions
     max_pixels, device, backend, as_json
         As for ``clmorph morph``.
@@ -45,7 +45,7 @@ def run_inspect(
     pictures = [read_picture(path, max_pixels) for path in images]
     operations = open_backend(device, backend)
     with Stages() as stages, warnings.catch_warnings():
-        # Said among the numbers.
+        # The printed statistics report convergence instead.
         warnings.simplefilter("ignore", ConvergenceWarning)
         warnings.showwarning = partial(note_warning, [])
         found = inspect(pictures[0], pictures[1], options, backend=operations, progress=stages)

@@ -17,9 +17,9 @@ from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.options import MorphOptions, preset_options
 from clmorph.pipeline.presets import PRESETS
 
-#: Shells that complete what is typed.
+#: Shells for which completion is supported.
 SHELLS = ("bash", "zsh", "fish")
-#: What the exit codes mean; the help shows them.
+#: Meanings of the exit codes; the help shows them.
 EXIT_CODES = """\
 Exit codes: 0 done; 1 no device is usable (devices) or one is out of tolerance (check);
 2 a mistake in the command line, in a file or in the choice of device, reported in one line;
@@ -45,7 +45,7 @@ def _print_version(context: click.Context, parameter: click.Parameter, wanted: b
     context.exit()
 
 
-#: A line for each preset.
+#: One line about each preset.
 _PRESETS = "Presets:\n\n" + "\n\n".join(
     f"{name}: {preset.help}" for name, preset in PRESETS.items()
 )
@@ -76,7 +76,7 @@ def cli() -> None:
 
 
 def _settings_callback(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
-    """Read a file of settings before any other option is looked at."""
+    """Read a file of settings before any other option is processed."""
     if path is None:
         return None
     found = files.read_settings(path)
@@ -148,12 +148,12 @@ def morph(
     if context.get_parameter_source("output") is ParameterSource.COMMANDLINE and (
         context.get_parameter_source("format") is not ParameterSource.COMMANDLINE
     ):
-        format = None  # it belongs to the output that the file names
+        format = None  # the file's format applies only to the output that the file names
     most = MAX_PIXELS if max_pixels is None else max_pixels
     if dump_config:
         own = {"format": format, "recipe": recipe, "max_pixels": most}
         settings = {name: value for name, value in own.items() if value is not None}
-        # TOML is UTF-8, whatever the terminal is.
+        # TOML is UTF-8, independent of the terminal's encoding.
         click.echo(files.as_toml(chosen.outside() | settings, images).encode("utf-8"), nl=False)
         return
     if len(images) < 2:
@@ -163,7 +163,7 @@ def morph(
     if not output:
         raise InputError("no output given: expected -o with a name, such as -o out.gif")
     announce_idle(list(line), output, format)
-    # A limit that the user repeats in the command line is the user's.
+    # A limit that the user repeats on the command line counts as the user's own.
     foreign = config is not None and not config.named.own
     run_morph(
         Request(
@@ -181,7 +181,7 @@ def _options(
     config: files.Found | None,
     line: dict[str, Any],
 ) -> MorphOptions:
-    """Join the preset, the file of settings and the command line, which wins."""
+    """Join the preset, the file of settings and the command line; the command line wins."""
     chosen, file = preset_options(preset), {} if config is None else config.options
     in_line = context.get_parameter_source("preset") is ParameterSource.COMMANDLINE
     layers = (file, chosen, line) if in_line else (chosen, file, line)
@@ -189,7 +189,7 @@ def _options(
 
 
 def _counted(images: Sequence[Path]) -> str:
-    """Return how many pictures were given, as the beginning of a message."""
+    """Return the number of given pictures as the beginning of a message."""
     return f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given"
 
 

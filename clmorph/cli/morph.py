@@ -1,4 +1,4 @@
-"""``clmorph morph``: pictures in, a file out."""
+"""The command ``clmorph morph``: it reads pictures and writes one or more output files."""
 
 import itertools
 import json
@@ -47,24 +47,25 @@ from clmorph.transport.potentials import Potentials
 
 @dataclass(frozen=True)
 class Request:
-    """What the command line asks for.
+    """The request of the command line.
 
     Attributes
     ----------
     images : sequence of Path
-        Two, or more for a chain.
+        Two pictures, or more for a chain of morphs.
     outputs : sequence of Path
     options : MorphOptions
     format : str or None
-        In place of what the output's ending says.
+        The output format, in place of the format of the output's ending.
     recipe : bool
-        Whether a recipe is left beside each output.
+        Whether a recipe is written beside each output.
     max_pixels : int
-        Larger pictures are refused.
+        Largest number of pixels of a picture; larger pictures are refused.
     config : Path or None
-        The file of settings: it is not to be overwritten.
+        The file of settings, which must not be overwritten.
     capped : bool
-        Whether `max_memory` is a recipe's, which may lower the device's limit, not raise it.
+        Whether `max_memory` comes from a recipe, which may lower the device's limit but not raise
+        it.
     """
 
     images: Sequence[Path]
@@ -79,7 +80,7 @@ class Request:
 
 @dataclass
 class _Run:
-    """One call of the command, checked before anything is worked out."""
+    """One call of the command, checked before the computation begins."""
 
     images: Sequence[Path]
     options: MorphOptions
@@ -95,7 +96,7 @@ class _Run:
             output.check_motion(self.motion)
 
     def memory(self, pictures: Sequence[NDArray[np.float64]], operations: Operations) -> str:
-        """Say what the largest of the morphs will take, frames that are kept apart."""
+        """Return a text about the memory of the largest morph, without frames that are kept."""
         options = self.options
         most = options.max_particles
         needs = [
@@ -112,7 +113,7 @@ class _Run:
         return f"memory: {'about' if known else 'at least'} {size}{self._blocks(pictures)}"
 
     def _blocks(self, pictures: Sequence[NDArray[np.float64]]) -> str:
-        """Say between how many blocks of pixels it is solved; nothing if between pixels."""
+        """Return a text with the number of blocks that are solved; "" if pixels are solved."""
         most = self.options.solve_size
         if most is None:
             return ""
@@ -127,7 +128,7 @@ class _Run:
     def morphs(
         self, pictures: Sequence[NDArray[np.float64]], operations: Operations, stages: Stages
     ) -> Iterator[Morph]:
-        """Solve one pair after the other."""
+        """Compute the morphs of successive pictures, one at a time."""
         for number, pair in enumerate(itertools.pairwise(pictures)):
             mark = f" {number + 1}" if len(pictures) > 2 else ""
             morph = Problem(pair, self.options).morph(operations, stages.marked(mark))
@@ -137,14 +138,14 @@ class _Run:
 
 
 def run_morph(request: Request, *, device: str | None, backend: str | None, as_json: bool) -> None:
-    """Morph pictures into one another, once, and write the files.
+    """Morph each picture into the next one and write the output files.
 
     Parameters
     ----------
     request : Request
     device, backend : str, optional
     as_json : bool
-        Print a summary for programs, not for people.
+        Whether the summary is printed as JSON for programs, instead of text for people.
     """
     began = time.perf_counter()
     outputs, images = request.outputs, request.images
@@ -173,7 +174,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
 
     notes: list[Warning] = []
     with Stages() as stages, warnings.catch_warnings():
-        # Said in the last line.
+        # The last line reports convergence instead.
         warnings.simplefilter("ignore", ConvergenceWarning)
         for kind in (MemoryWarning, PruningWarning):
             warnings.simplefilter("always", kind)
@@ -188,7 +189,8 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
         ) as film:  # fmt: skip
             gave_way = any(isinstance(each, MemoryWarning) for each in notes)
             if gave_way and run.options.max_memory is None:
-                # What gave way would not on a larger device: its limit belongs to the recipe.
+                # Particles were reduced to fit into memory. A larger device would not reduce them,
+                # so the recipe must contain the limit.
                 run.options = run.options.replace(max_memory=default_memory(operations))
                 film = replace(film, parameters=metadata())
             enlarged = enlargement_note(run.style, film.shapes, film.pixelated, run.options.size)
@@ -208,16 +210,16 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
 
 
 def _most_particles(one: Sequence[int], other: Sequence[int], most: int | None) -> int | None:
-    """Return how many particles a morph has at most: no fewer are drawn than one a pixel."""
+    """Return the largest number of particles of a morph; at least one is drawn for each pixel."""
     if most is None:
         return None
     pixels = one[0] * one[1], other[0] * other[1]
-    # All pairs, and pixels whose mass is born or dies.
+    # The sum counts all pairs, and the pixels whose mass is created or destroyed.
     return min(max(most, pixels[0]), pixels[0] * pixels[1] + sum(pixels))
 
 
 def _cap_memory(run: _Run, operations: Operations) -> None:
-    """Let what a recipe says about memory hold only if it is no more than the usual limit."""
+    """Ignore a recipe's limit of memory if it exceeds the device's default limit."""
     limit = default_memory(operations) or math.inf
     if (run.options.max_memory or 0.0) > limit:
         limit_there = size_text(run.options.max_memory or 0.0)
@@ -226,13 +228,13 @@ def _cap_memory(run: _Run, operations: Operations) -> None:
 
 
 def _beside(output: Path) -> Path:
-    """Return where the recipe of an output goes; such as ``.`` have their name elsewhere."""
+    """Return the path of an output's recipe; paths without a name, such as ``.``, are resolved."""
     named = output if output.name not in ("", "..") else output.resolve()
     return named.with_name(f"{named.name}.json") if named.name else named / ".json"
 
 
 def _summary(run: _Run, film: Recording, stages: Stages, notes: list[Warning]) -> dict[str, Any]:
-    """Return what was made, for programs."""
+    """Return the summary of the run for programs."""
     return {
         "outputs": [{"path": str(output.path), "format": output.name} for output in run.outputs],
         "frames": len(film),
@@ -257,7 +259,7 @@ def _summary(run: _Run, film: Recording, stages: Stages, notes: list[Warning]) -
 
 
 def _last_line(run: _Run, summary: dict[str, Any]) -> str:
-    """Return what was made, for people."""
+    """Return the summary of the run for people."""
     worst = max(run.solved, key=lambda potentials: potentials.residual)
     lasting = ""
     if any(output.format.animated for output in run.outputs):
@@ -270,12 +272,12 @@ def _last_line(run: _Run, summary: dict[str, Any]) -> str:
 
 
 def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
-    """Note images that are not what they were when a file of settings was written.
+    """Print a note about images that have changed since the file of settings was written.
 
     Raises
     ------
     FileError
-        If one is not there at all.
+        If an image does not exist.
     """
     for path, known in images:
         if not path.exists():
@@ -288,7 +290,7 @@ def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
 
 
 def announce_idle(names: Sequence[str], outputs: Sequence[Path], format: str | None) -> None:
-    """Note options that make no difference to any of the outputs."""
+    """Print a note about options that have no effect on any output."""
     formats = [Output(output, format).format for output in outputs]
     for name in (*SIZES, *PACE, "lossless"):
         if name in names and not any(name in kind.relevant_options for kind in formats):

@@ -1,7 +1,7 @@
 """Options of the command line: those of the option classes, and its own.
 
-What an option means, takes and defaults to stands in the option classes alone
-(`clmorph.pipeline.options`).
+The option classes alone (`clmorph.pipeline.options`) define the meaning, the values and the
+defaults of options.
 """
 
 import os
@@ -34,7 +34,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class FileName(click.Path):
-    """The name of a file or a folder; an empty one would stand for the current folder."""
+    """The name of a file or a folder; an empty name, which means the current folder, is refused."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
@@ -46,7 +46,7 @@ class FileName(click.Path):
 
 
 class OutputName(FileName):
-    """The name of what is to be written."""
+    """The name of an output file or folder."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:  # noqa: D102 (click's)
         path = super().convert(value, param, ctx)
@@ -63,9 +63,9 @@ class OutputName(FileName):
 
 
 class Value(click.ParamType):
-    """The text of an option, which can be read; `given_options` makes a value of it.
+    """The valid text of an option; `given_options` converts it to a value.
 
-    Click takes None for "not given", but some texts stand for None.
+    Click interprets None as "not given", but some texts stand for None.
     """
 
     def __init__(self, name: str, known: Option) -> None:
@@ -93,7 +93,7 @@ def given_options(given: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     given : mapping
-        What click found, by the names of parameters; None for what was not given.
+        The values from click, by the names of parameters; None for options that were not given.
     """
     known = specifications(MorphOptions)
     found: dict[str, Any] = {}
@@ -104,7 +104,7 @@ def given_options(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def names_outside() -> dict[str, str]:
-    """Return what each option is called on the command line, by its name in Python."""
+    """Return the name of each option on the command line, by its name in Python."""
     return {
         name: "--" + outside_name(name, known).replace("_", "-")
         for name, known in specifications(MorphOptions).items()
@@ -112,7 +112,7 @@ def names_outside() -> dict[str, str]:
 
 
 def in_option_names(message: str, more: Mapping[str, str] | None = None) -> str:
-    """Return a message with options as the command line writes them.
+    """Return a message in which options are written as on the command line.
 
     ``n_frames=1`` becomes ``--frames 1``, and None the option's word.
 
@@ -120,7 +120,7 @@ def in_option_names(message: str, more: Mapping[str, str] | None = None) -> str:
     ----------
     message : str
     more : mapping, optional
-        What further arguments are called.
+        The names of further arguments on the command line, by their names in Python.
     """
     known, names = specifications(MorphOptions), names_outside()
     first = re.match(r"(\w+)=", message)
@@ -140,7 +140,7 @@ def in_option_names(message: str, more: Mapping[str, str] | None = None) -> str:
 
 
 def _together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
-    """Return decorators as one, the first on top."""
+    """Combine decorators into one; the first one is the outermost."""
 
     def decorate(command: Command) -> Command:
         for decorator in reversed(decorators):
@@ -155,16 +155,16 @@ def _option(panel: str, *names: str, **settings: Any) -> Callable[[Command], Com
 
 
 def _of(options: type[Options], *names: str) -> Callable[[Command], Command]:
-    """Return the options of a class, or those that are named."""
+    """Return the decorator for all options of a class, or for the named ones."""
     known = specifications(options)
     return _together(*(_one(name, known[name]) for name in names or known))
 
 
 def _one(name: str, known: Option) -> Callable[[Command], Command]:
-    """Return one option of the command line."""
+    """Return the decorator for one option of the command line."""
     line = names_outside()[name]
     is_flag = not known.kind.metavar
-    # A joined class can have another default than the stage's own.
+    # The default of `MorphOptions` can differ from that of the stage's own class.
     usual = to_outside(known, default(MorphOptions, name))
     number = not isinstance(usual, str)
     unit = f" {known.unit}" if known.unit and number else ""

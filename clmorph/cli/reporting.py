@@ -1,4 +1,4 @@
-"""Errors of the command line: one line each, and the exit code."""
+"""Report each error of the command line in one line, with an exit code."""
 
 import os
 import re
@@ -19,7 +19,7 @@ from clmorph.errors import ClmorphError, FileError
 
 
 def _complain(text: str) -> None:
-    """Print a line on standard error, if that takes any; no number fills a page there."""
+    """Print a line on standard error, if it is writable; long numbers in it are shortened."""
     text = re.sub(r"\d{100,}", lambda found: f"{found[0][:50]}…", text)
     with suppress(OSError):
         click.echo(f"clmorph: {printable(text, MESSAGE)}", err=True)
@@ -37,9 +37,9 @@ def run(
     ----------
     command : click.Command
     arguments : sequence of str, optional
-        In place of the process's own.
+        The arguments, in place of those of the process.
     names : mapping
-        What each argument of the library is called on the command line.
+        The name of each argument of the library on the command line.
     ending : Ending
         The signals that have arrived.
     """
@@ -50,7 +50,7 @@ def run(
         message = " ".join(error.format_message().split())
         _complain(f"error: {message} (clmorph --help shows the usage)")
         return 2
-    except FileError as error:  # a name is not to be taken for an option
+    except FileError as error:  # a file name must not be rewritten as an option
         _complain(f"error: {error}")
         return 2
     except ClmorphError as error:
@@ -71,7 +71,7 @@ def run(
     except Terminated as error:
         return farewell(ending, error.number)
     except OSError as error:
-        # Nobody reads on, or nothing more can be written: keep Python from trying at exit.
+        # The output is closed or cannot be written. Python must not try to flush it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             return 0
@@ -81,7 +81,7 @@ def run(
 
 
 def _reason(error: OSError) -> str:
-    """Return what the system says, in words that can be acted on."""
+    """Return the reason of a system's error, with a remedy if one is known."""
     try:
         Path.cwd()
     except OSError:
@@ -91,11 +91,11 @@ def _reason(error: OSError) -> str:
 
 
 def _run(command: click.Command, arguments: Sequence[str] | None) -> Any:
-    """Run the command; one without arguments shows its help."""
+    """Run the command; a command without arguments shows its help."""
     try:
         return command.main(arguments, prog_name="clmorph", standalone_mode=False)
     except SystemExit as error:
-        # So click ends where nobody reads on.
+        # Click exits in this way if the reader has closed the pipe.
         if isinstance(error.__context__, BrokenPipeError):
             raise error.__context__ from None
         raise

@@ -21,9 +21,9 @@ from clmorph._shared.printable import MESSAGE, printable
 
 
 class _StandardError:
-    """Standard error, whichever stream it is at that time; a failure to write is ignored.
+    """The current `sys.stderr`; write errors are ignored.
 
-    A note must not end a morph, for example when a log is on a full disk.
+    A note that cannot be written, for example to a log on a full disk, must not end a morph.
     """
 
     def __getattr__(self, name: str) -> Any:
@@ -39,30 +39,30 @@ class _StandardError:
             sys.stderr.flush()
 
 
-#: Progress, notes and errors; results go to standard output.
+#: Console for progress, notes and errors; results go to standard output.
 NOTES = Console(
     file=cast(IO[str], _StandardError()), highlight=False, soft_wrap=True, markup=False, emoji=False
 )
-#: Tables; 200 columns wide if the output is no terminal.
+#: Console for tables; it is 200 columns wide if the output is no terminal.
 RESULTS = Console(
     highlight=False, width=None if sys.stdout.isatty() else 200, markup=False, emoji=False
 )
 
 
 def say(text: object) -> None:
-    """Print a line on standard error, whatever the names in it hold."""
+    """Print a line on standard error; names in it may contain any characters."""
     NOTES.print(printable(text, MESSAGE))
 
 
 def note(text: object) -> None:
-    """Print a remark."""
+    """Print a note on standard error."""
     say(f"note: {text}")
 
 
 class Stages:
-    """Progress bars, one a stage; silent where standard error is not a terminal.
+    """Progress bars, one for each stage; they are hidden if standard error is no terminal.
 
-    Calling it with a stage's name and the share done opens, moves or closes its bar.
+    A call with a stage's name and the share that is done opens, moves or closes the stage's bar.
 
     Attributes
     ----------
@@ -100,11 +100,11 @@ class Stages:
         self._bars.stop()
 
     def marked(self, mark: str) -> Callable[[str, float], None]:
-        """Return a progress function that adds a mark to the names of stages."""
+        """Return a progress function that appends a mark to the names of stages."""
         return lambda stage, share: self(stage + mark, share)
 
     def __call__(self, stage: str, share: float) -> None:
-        """Show that a share (0 to 1) of a stage is done, and the note of the share, if any."""
+        """Show the share (0 to 1) of a stage that is done, and the share's note, if any."""
         now = time.perf_counter()
         if stage not in self._tasks:
             self._tasks[stage] = self._bars.add_task(printable(stage), total=1.0, note="")

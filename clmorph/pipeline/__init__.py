@@ -1,1 +1,1 @@
-"""Two images in, a morph out: options, presets, the composition, its result."""
+"""The composition of the stages into a morph of two images, with its options and its result."""

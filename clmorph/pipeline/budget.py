@@ -1,4 +1,4 @@
-"""Which particles a morph is made of: all kept pairs, draws or means, within some memory."""
+"""Choose the particles of a morph (all kept pairs, draws or means) within a limit of memory."""
 
 import warnings
 from typing import Any
@@ -20,14 +20,14 @@ from clmorph.transport.potentials import Potentials
 from clmorph.transport.pruning import REMEDY, check_reachable
 from clmorph.transport.refine_plan import drawn, refined
 
-#: Share of a device's memory that a morph may take, unless the user chooses one.
+#: Share of a device's memory that a morph may take, unless the user sets a limit.
 MEMORY_SHARE = 0.5
-#: Share of a plan's mass from which on a threshold that drops it is warned of.
+#: Share of a plan's mass; a warning is issued if a threshold drops more than this.
 MUCH_DROPPED = 0.25
 
 
 def default_memory(operations: Operations) -> float | None:
-    """Return how many bytes a morph may take; None if the backend does not say what it has."""
+    """Return the bytes that a morph may take; None if the backend does not report its memory."""
     memory = operations.memory_bytes
     return None if memory is None else MEMORY_SHARE * float(memory)
 
@@ -45,24 +45,24 @@ def make_plan(
     max_memory: float | None = None,
     log_threshold: float | None = None,
 ) -> Plan | Barycentric:
-    """Return the plan between two images' pixels in the form that was asked for, or that fits.
+    """Return the plan between two images' pixels in the requested form, or in one that fits.
 
     Parameters
     ----------
     source, target : PixelBlocks
     potentials : Potentials
-        Of `source.coarse` and `target.coarse`.
+        The potentials between `source.coarse` and `target.coarse`.
     operations : Operations
     sample, barycentric, seed
-        See `clmorph.morph`; without either all pairs are kept, if they fit.
+        See `clmorph.morph`. Without `sample` and `barycentric` all pairs are kept, if they fit.
     max_particles : int, optional
-        If there are more pairs, about so many are drawn, but at least one for each pixel of both
-        images.
+        If there are more pairs, about this number of them is drawn, but at least one for each
+        pixel of both images.
     max_memory : float, optional
         Bytes that the morph may take; None is `default_memory`.
     log_threshold : float, optional
-        Which pairs are kept, if pairs are, see `clmorph.transport_plan`. Draws and means are of
-        the whole plan.
+        The threshold of kept pairs, see `clmorph.transport_plan`. It does not apply to draws and
+        means, which represent the whole plan.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def make_plan(
     Warns
     -----
     MemoryWarning
-        If not all pairs fit; it says what is done in their place.
+        If not all pairs fit; the warning names the form that replaces them.
     PruningWarning
         If `log_threshold` drops much of the plan's mass.
     """
@@ -96,7 +96,7 @@ def make_plan(
     finest = finest_pixels(source, target)
     if finest == 1:
         return sample_plan(*measures, potentials, sample, seed=seed, backend=operations)
-    # Each pixel of a cell has draws of its own.
+    # Each pixel of a block has draws of its own.
     by_row, by_column = (count * finest for count in n_draws(sample))
     draws = draw_pairs(*measures, potentials, (by_row, by_column), seed=seed, backend=operations)
     return drawn(draws, source, target)
@@ -109,9 +109,9 @@ def warn_if_much_is_dropped(plan: Plan, log_threshold: float, stacklevel: int = 
     ----------
     plan : Plan
     log_threshold : float
-        With which it was built.
+        The threshold with which the plan was built.
     stacklevel : int
-        As in `warnings.warn` by the caller.
+        As in a call of `warnings.warn` by the caller.
 
     Warns
     -----
@@ -127,7 +127,7 @@ def warn_if_much_is_dropped(plan: Plan, log_threshold: float, stacklevel: int = 
 
 
 def finest_pixels(source: PixelBlocks, target: PixelBlocks) -> int:
-    """Pixels of the larger of both images' blocks."""
+    """Return the number of pixels in the larger of both images' blocks."""
     return int(max(source.side, target.side) ** 2)
 
 
@@ -141,7 +141,7 @@ def check_ways(
     max_memory: float | None = None,
     log_threshold: float | None = None,
 ) -> None:
-    """Check, before anything is solved, that the particles can be made as is asked for.
+    """Check before the solve that the particles can be made in the requested form.
 
     Parameters
     ----------
@@ -151,8 +151,8 @@ def check_ways(
     Raises
     ------
     InputError
-        If there would be too many draws from a block, or not even the least would fit into
-        `max_memory`, or no pair could exceed `log_threshold`.
+        If there would be too many draws from a block, or if not even the smallest form would fit
+        into `max_memory`, or if no pair could exceed `log_threshold`.
     """
     if log_threshold is not None:
         check_reachable(log_threshold, *as_pair(source.coarse, target.coarse))
@@ -183,7 +183,7 @@ def check_ways(
 def _kind(
     source: PixelBlocks, target: PixelBlocks, operations: Operations
 ) -> tuple[tuple[tuple[int, int], tuple[int, int]], dict[str, Any]]:
-    """Return the images' shapes, and what else an estimate asks for."""
+    """Return the images' shapes and the further arguments of `estimate`."""
     fine = source.fine, target.fine
     return (fine[0].shape, fine[1].shape), {
         "alpha": any(measure.alpha is not None for measure in fine),
@@ -202,14 +202,14 @@ def choose_way(
     log_threshold: float | None = None,
     stacklevel: int = 2,
 ) -> dict[str, Any]:
-    """Return options of `make_plan` within both limits; none if all pairs may be kept.
+    """Return options of `make_plan` that respect both limits; none if all pairs may be kept.
 
     Parameters
     ----------
     source, target, potentials, operations, max_particles, max_memory, log_threshold
         As in `make_plan`.
     stacklevel : int
-        Of the warning, as in `warnings.warn` by the caller.
+        Stack level of the warning, as in a call of `warnings.warn` by the caller.
 
     Returns
     -------
@@ -228,7 +228,7 @@ def choose_way(
     need = estimate(*shapes, most, **kind)
     few = max_particles is None or most <= max_particles
     if few and (limit is None or max(need.ram, need.device) <= limit):
-        return {}  # whatever it keeps
+        return {}  # even the dense plan fits
     pairs = finest * predict_pairs(
         source.coarse, target.coarse, potentials, log_threshold=log_threshold, backend=operations
     )
@@ -236,7 +236,7 @@ def choose_way(
     particles = pairs
     if max_particles is not None and pairs > max_particles:
         points = [len(blocks.coarse) * finest for blocks in (source, target)]
-        # One of the draws is each target pixel's.
+        # One draw of each target pixel is included in the number.
         wanted = _drawn((max_particles - points[1]) // points[0] + 1, finest)
         particles = int(np.dot(n_draws(wanted.get("sample", 1)), points))
     if limit is None:
@@ -256,6 +256,6 @@ def choose_way(
 
 
 def _drawn(draws: int, finest: int) -> dict[str, Any]:
-    """Return options for so many draws a pixel, or for means if blocks are too large for any."""
+    """Return options for this many draws a pixel, or for means if blocks are too large for draws."""
     most = MAX_DRAWS // finest
     return {"sample": int(max(1, min(most, draws)))} if most else {"barycentric": True}

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from clmorph._shared.options import Option, Options
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-#: What stands in a docstring where the options belong.
+#: Placeholder in a docstring that the list of options replaces.
 MARK = "    {options}\n"
 WIDTH = 96
 
@@ -20,16 +20,16 @@ WIDTH = 96
 def documented(
     options: type[Options], only: tuple[str, ...] | None = None, usual: Options | None = None
 ) -> Callable[[Function], Function]:
-    """Return a decorator that completes a function's docstring and signature by options.
+    """Return a decorator that adds options to a function's docstring and signature.
 
     Parameters
     ----------
     options : type
         A class of options, which the function takes as ``**given``.
     only : tuple of str, optional
-        The names that it takes; all if None.
+        The names of the options that the function accepts; all if None.
     usual : Options, optional
-        Options whose values are the defaults, in place of the class's own.
+        Options whose values are the defaults, in place of the defaults of the class.
     """
 
     def default_of(each: Any) -> Any:
@@ -65,7 +65,7 @@ def documented(
 
 
 def annotation(kind: Any) -> str:
-    """Return a type as help shows it."""
+    """Return the text of a type for the help."""
     text = kind.__name__ if isinstance(kind, type) else str(kind)
     return text.replace("typing.", "").replace("NoneType", "None")
 

@@ -1,4 +1,4 @@
-"""How much memory a morph will take, and how it is made within some memory."""
+"""Estimate the memory of a morph, and choose the form of a morph that fits into a limit."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -14,37 +14,40 @@ from clmorph.transport.plan_sampling import n_draws
 
 Array = NDArray[np.float64]
 
-#: Draws from a row below which its mean destination serves better.
+#: Number of draws from a row below which the mean destination gives a better result.
 FEWEST_DRAWS = 4
 
 
 @dataclass(frozen=True)
 class MemoryModel:
-    """Constants of the estimate, as measured; in bytes unless another unit is named.
+    """Measured constants of the estimate, in bytes unless another unit is named.
 
     Attributes
     ----------
     base : int
-        On the host, whatever the size.
+        Host memory that does not depend on the size.
     solver_point : int
-        On the host for a point, while potentials are sought.
+        Host memory for each point while potentials are computed.
     morph_point, morph_pair : int
-        On the host for a point and for a pair, while a morph is made and drawn.
+        Host memory for each point and for each pair while a morph is made and drawn.
     alpha_pair : int
-        On the host for a pair of images with opacity, whose particles are stored twice.
+        Host memory for each pair of images with opacity, whose particles are stored twice.
     barycentric_point : int
-        On the host for a source point whose mean destination is computed.
+        Host memory for each source point whose mean destination is computed.
     tile, level_pairs : int
-        Points of a tile, and pairs of tiles whose levels (three times 8 bytes) are computed at a
-        time.
+        Number of points of a tile, and number of pairs of tiles whose levels (three times 8 bytes)
+        are computed at a time.
     coordinate, point, particle : int
-        On the device for a coordinate of a point, for a point besides, and for a particle.
+        Device memory for each coordinate of a point, for each point in addition, and for each
+        particle.
     held_particle, held_pixel, most_held : int
-        Released buffers that a device keeps for the next: for a particle, for a pixel, at most.
+        Released buffers that a device keeps for reuse: bytes for each particle, bytes for each
+        pixel, and the largest total.
     block, blocks : int
-        Entries of a block of the NumPy backend, 8 bytes each, and blocks that it holds at a time.
+        Number of entries of a block of the NumPy backend, 8 bytes each, and number of blocks that
+        it holds at a time.
     numpy_particle : int
-        What the NumPy backend takes to move a particle.
+        Memory of the NumPy backend for each particle that it moves.
     """
 
     base: int = 500_000
@@ -70,16 +73,16 @@ MODEL = MemoryModel()
 
 
 class Memory(NamedTuple):
-    """Memory that a morph takes at its peak, estimated.
+    """The estimated peak memory of a morph.
 
     Attributes
     ----------
     host : int
-        Bytes of arrays, without Python and its libraries (about 150 MB).
+        Bytes of arrays on the host, without Python and its libraries (about 150 MB).
     device : int
-        Bytes of buffers.
+        Bytes of buffers on the device.
     shared : bool
-        Whether the device's memory is the host's, as it is with CPUs.
+        Whether the device uses the host's memory, as CPUs do.
     """
 
     host: int
@@ -88,7 +91,7 @@ class Memory(NamedTuple):
 
     @property
     def ram(self) -> int:
-        """Bytes of the host's memory, the device's included if that is the same."""
+        """Bytes of the host's memory, including the device's buffers if memory is shared."""
         return self.host + self.device if self.shared else self.host
 
 
@@ -103,28 +106,30 @@ def estimate(
     dimension: int = 5,
     backend: Backend = "auto",
 ) -> Memory:
-    """Estimate the memory that a morph takes, without doing any of it.
+    """Estimate the memory that a morph takes, without computing the morph.
 
-    A model of what is held at the peak, O(points + kept pairs), with constants measured on CPU
-    runtimes for images from 64 x 64 on; within a factor of two there. Frames are drawn one by
-    one: those that are kept come on top. So do, while potentials are sought at blurs of a few
-    pixels, the pairs that the solver stores (`_solver.coarse_grid`): up to 128 for each point,
-    or 2^24 of few points, 18 bytes each, but never more than a quarter of the device's memory.
+    The estimate is a model of the peak memory, O(points + kept pairs). Its constants were measured
+    on CPU runtimes for images of at least 64 x 64 pixels, where it is right within a factor of two.
+    Frames are drawn one by one; the estimate does not include frames that are kept. It also does
+    not include the pairs that the solver stores (`_solver.coarse_grid`) while potentials are
+    computed at blurs of a few pixels: up to 128 for each point, or 2^24 of few points, 18 bytes
+    each, but never more than a quarter of the device's memory.
 
     Parameters
     ----------
     source_shape, target_shape : (height, width)
     pairs : float, optional
-        Kept pairs of the plan, counted or predicted (`clmorph.pipeline.pair_count`). None: the
-        transport alone, as if nothing came after the potentials.
+        Number of kept pairs of the plan, counted or predicted (`clmorph.pipeline.pair_count`).
+        None estimates the computation of the potentials alone.
     sample : int, optional
-        Draws a pixel in place of kept pairs, see `clmorph.sample_plan`; `pairs` may then be None.
+        Number of draws for each pixel, which replace the kept pairs, see `clmorph.sample_plan`;
+        `pairs` may then be None.
     barycentric : bool
-        One particle for each source pixel in their place.
+        Whether one particle for each source pixel replaces the kept pairs.
     alpha : bool
         Whether one of the images is not opaque.
     dimension : int
-        Of the lifted points: 5, or 11 with a color metric for each source pixel.
+        Dimension of the lifted points: 5, or 11 with a color metric for each source pixel.
     backend : str or Operations
         See `clmorph.get_backend`.
 
@@ -153,14 +158,14 @@ def estimate(
     on_device = (MODEL.coordinate * dimension + MODEL.point) * (n + m)
     pixels = max(source_shape[0], target_shape[0]) * max(source_shape[1], target_shape[1])
     if drawn is not None:
-        # Unmatched mass rests at points of its own.
+        # Unmatched mass has n + m further particles, which do not move.
         particles = drawn + n + m
         morph = MODEL.base + MODEL.morph_point * (n + m) + MODEL.morph_pair * drawn + 24 * levels
         morph += MODEL.alpha_pair * drawn if alpha else 0
         morph += MODEL.barycentric_point * n if barycentric else 0
         host = max(host, int(morph))
         held = MODEL.held_particle * particles + MODEL.held_pixel * pixels
-        # A second set of particles stays, the rest is used again.
+        # A second set of particles stays in memory; the other buffers are reused.
         on_device += int(
             MODEL.particle * particles * (1.2 if alpha else 1.0) + min(held, MODEL.most_held)
         )
@@ -182,25 +187,25 @@ def affordable(
     dimension: int = 5,
     backend: Backend = "auto",
 ) -> dict[str, Any]:
-    """Choose how a morph is made within some memory.
+    """Choose the form of a morph that fits into a limit of memory.
 
     Parameters
     ----------
     max_memory : float
-        For host and device together where they share memory, else for each of them.
+        Limit in bytes for host and device together if they share memory, else for each of them.
     source_shape, target_shape, pairs, alpha, dimension, backend
         As in `estimate`.
 
     Returns
     -------
     dict
-        Options of `clmorph.morph`: none, if the kept pairs fit; ``{"sample": k}`` with as many
-        draws as fit, a power of two; ``{"barycentric": True}`` rather than 2 or 1.
+        Options of `clmorph.morph`: ``{}`` if the kept pairs fit; else ``{"sample": k}`` with the
+        largest power of two that fits; ``{"barycentric": True}`` is preferred to k = 2 or 1.
 
     Raises
     ------
     InputError
-        If not even that fits.
+        If no form fits.
     """
     limit = check_number("max_memory", max_memory, 1.0, 1e18)
     operations = get_backend(backend)
@@ -216,7 +221,7 @@ def affordable(
     n, m = _points("source", source_shape), _points("target", target_shape)
     draws = [k for k in 2 ** np.arange(13) if _n_drawn(int(k), n, m) < pairs]
     ways: list[dict[str, Any]] = [{"sample": int(k)} for k in draws[::-1]]
-    # Fewer draws are grainier than means are smooth, but take less.
+    # Fewer draws look worse, by their grain, than means, by their smoothness, but take less memory.
     ways.insert(sum(int(k) >= FEWEST_DRAWS for k in draws), {"barycentric": True})
     for way in ways:
         if need(**way) <= limit:
@@ -229,13 +234,13 @@ def affordable(
 
 
 def _n_drawn(sample: int, n: int, m: int) -> int:
-    """Return how many pairs are drawn between so many pixels."""
+    """Return the number of drawn pairs between n source pixels and m target pixels."""
     by_row, by_column = n_draws(sample)
     return by_row * n + by_column * m
 
 
 def _points(name: str, shape: tuple[int, int]) -> int:
-    """Return the number of pixels of an image of this shape."""
+    """Return the number of pixels of an image with this shape."""
     if len(shape) != 2:
         raise InputError(f"{name}_shape={shape!r}: expected (height, width)")
     height, width = (check_integer(f"{name}_shape", side, 1, 1 << 24) for side in shape)

@@ -1,4 +1,4 @@
-"""The composition: two images in, a morph out."""
+"""Compose the stages: compute a morph from two images."""
 
 from __future__ import annotations
 
@@ -56,21 +56,22 @@ def morph(
     Parameters
     ----------
     image_a, image_b : arrays
-        See `clmorph.images.pixels.as_pixels`; of any sizes. They are reduced to `size` first.
+        See `clmorph.images.pixels.as_pixels`. They may have any sizes and are first reduced to
+        `size`.
     options : MorphOptions, optional
-        All options at once; those given by name take the place of its own.
+        All options at once; options given by name replace those of this object.
     preset : {"photo", "paper", "pixel-art", "crossfade", "balanced"}, optional
         The set of options from which those given by name differ; "photo" by default.
     backend : str or Operations
         See `clmorph.get_backend`.
     weights : (map_a, map_b), optional
-        Maps (H, W) of mass in place of `mass`, taken as they are; None stands for `mass`, with as
-        much in all as the other's map.
+        Maps (H, W) of mass, which replace `mass` and are not normalized. If one of them is None,
+        `mass` gives its distribution, with the total of the other map.
     color_metric : (3, 3), (H, W, 3, 3) or (H, W) array, optional
-        Metric with which the cost compares colors, see `clmorph.lift`; a map is of image_a's
-        pixels.
+        Metric with which the cost compares colors, see `clmorph.lift`; a map has one entry for
+        each pixel of image_a.
     progress : callable, optional
-        Called with a stage's name and the share of it that is done.
+        A function that is called with a stage's name and the share of it that is done.
     {options}
 
     Returns
@@ -112,7 +113,7 @@ def morph(
 
 
 def as_options(options: MorphOptions | None, preset: str | None, given: Any) -> MorphOptions:
-    """Return the options that a caller means.
+    """Return the options of a call, from an options object, a preset and options by name.
 
     Parameters
     ----------
@@ -124,7 +125,7 @@ def as_options(options: MorphOptions | None, preset: str | None, given: Any) -> 
     Raises
     ------
     InputError
-        If `options` is something else, or is given beside `preset`.
+        If `options` has another type, or is given together with `preset`.
     """
     if options is None:
         return MorphOptions(preset=preset, **given)
@@ -147,19 +148,19 @@ def fitted(
     weights: Any = None,
     color_metric: Any = None,
 ) -> list[Picture]:
-    """Return images at the size at which they are drawn.
+    """Return images downscaled to the size at which they are drawn.
 
     Parameters
     ----------
     images : sequence of arrays
     options : MorphOptions
     weights, color_metric
-        As for `morph`: maps of pixels do not fit an image that is reduced.
+        As for `morph`. A map must have the shape of its image, so the image must not be reduced.
 
     Raises
     ------
     InputError
-        If an image cannot be used, or a map belongs to one that would be reduced.
+        If an image cannot be used, or an image with a map would be reduced.
     """
     names = [f"image_{letter}" for letter in "ab"] if len(images) == 2 else [""] * len(images)
     whole = [as_pixels(image, name) for image, name in zip(images, names, strict=True)]
@@ -185,12 +186,12 @@ def fitted(
 
 @dataclass(frozen=True)
 class Problem:
-    """Two images at the size at which they are drawn, and what is wanted of them.
+    """Two images at the size at which they are drawn, and the options of their morph.
 
     Attributes
     ----------
     images : (image_a, image_b)
-        As of `fitted`.
+        Images that `fitted` has returned.
     options : MorphOptions
     """
 
@@ -198,7 +199,7 @@ class Problem:
     options: MorphOptions
 
     def measures(self, weights: Any = None, color_metric: Any = None) -> tuple[Measure, Measure]:
-        """Lift both images; parameters as of `morph`."""
+        """Lift both images; the parameters are those of `morph`."""
         first, second = self.images
         return lift_pair(
             (first, second), weights=weights, color_metric=color_metric,
@@ -206,7 +207,7 @@ class Problem:
         )  # fmt: skip
 
     def blocks(self, source: Measure, target: Measure) -> tuple[PixelBlocks, PixelBlocks]:
-        """Take pixels together to blocks, between which the transport is solved."""
+        """Group pixels into blocks, between which the transport is solved."""
         coarsest = self.options.solve_size or max(source.shape + target.shape)
         return group_pixels(source, coarsest), group_pixels(target, coarsest)
 
@@ -223,7 +224,7 @@ class Problem:
         if options.sigma is not None and source.has_metric_map:
             raise InputError(NO_DIVERGENCE)
         if options.barycentric:
-            destination_colors(source, target)  # can there be any?
+            destination_colors(source, target)  # raises an error if there can be none
         blocks = self.blocks(source, target)
         operations = get_backend(backend)
         check_ways(
@@ -280,7 +281,7 @@ class Problem:
 
 
 def _named_arrays(weights: Any, color_metric: Any) -> tuple[str, ...]:
-    """Return the names of arrays that decide beside the options, for recipes."""
+    """Return the names of the arrays that affect the result beside the options, for recipes."""
     found = {"weights": weights, "color_metric": color_metric}
     return tuple(name for name, value in found.items() if value is not None)
 
@@ -288,7 +289,7 @@ def _named_arrays(weights: Any, color_metric: Any) -> tuple[str, ...]:
 def _effective_counts(
     source: Measure, target: Measure, plan: Plan | Barycentric, unmatched: str
 ) -> tuple[float, float]:
-    """N_eff at both ends (Eq. 3), of what is drawn there: with "drop" the plan's marginals."""
+    """Return N_eff (Eq. 3) of the masses drawn at both ends; with "drop" the plan's marginals."""
     if unmatched == "fade":
         return effective_count(source.weights), effective_count(target.weights)
     row_mass, column_mass = plan.marginals

@@ -1,9 +1,9 @@
 """Kernel widths whose frames are nearest to the particles, by the Sinkhorn divergence.
 
-The paper judges a kernel by the Sinkhorn divergence of its frames (4.3) and sets its width by
+The paper evaluates a kernel by the Sinkhorn divergence of its frames (4.3) and sets its width by
 hand (gamma). Here sigma(t) is the width whose frame, weighted by its kernel mass, has the least
-divergence to the particles mu_t that it is a picture of; torn pixels are closed. The divergence
-prefers grain to blur: an average of colors is a color that no particle has.
+divergence to the particles mu_t that it represents; torn pixels are closed. The divergence prefers
+grain to blur, because an average of colors is a color that no particle has.
 """
 
 from collections.abc import Callable
@@ -19,19 +19,19 @@ from clmorph.frames.sequence import check_frame_sequence
 from clmorph.pipeline.result import Morph
 from clmorph.transport.divergence import sinkhorn_divergence
 
-#: The error for a morph without a divergence.
+#: Error message for a morph without a divergence.
 NO_DIVERGENCE = (
     "sigma='optimal' needs a divergence: one reach for both images, and one color metric for all "
     "pixels"
 )
-#: Times at which widths are sought; in between they are interpolated. At the ends, where
-#: particles stand on pixels, the narrowest is the best, so the next ones are near.
+#: Times at which widths are optimized; widths at other times are interpolated. At the ends, where
+#: particles stand on pixels, the narrowest width is the best, so the next times are near the ends.
 KNOTS = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0])
-#: Widths among which they are sought, in pixels; the curve can have several valleys, so all are
-#: tried, and then so often again between the best one's neighbors.
+#: Candidate widths in pixels. The objective can have several minima, so all candidates are tried.
+#: The search then continues between the neighbors of the best one, for this number of steps.
 WIDTHS = 0.1 * 2.0 ** (0.5 * np.arange(12))
 REFINEMENTS = 3
-#: Points to which frames' particles are merged meanwhile.
+#: Number of points to which the particles of frames are merged for this search.
 POINTS = 4096
 
 
@@ -43,19 +43,19 @@ def optimal_curve(
     Parameters
     ----------
     morph : Morph
-        Of which everything but the widths is taken.
+        The morph; its kernel widths are ignored.
     progress : callable, optional
-        Called with the share done.
+        A function that is called with the share that is done.
 
     Returns
     -------
     times, widths : arrays
-        For `clmorph.frames.kernel_width.KernelWidth.curve`; in pixels.
+        Arguments of `clmorph.frames.kernel_width.KernelWidth.curve`; the widths are in pixels.
 
     Raises
     ------
     InputError
-        If the morph has no divergence: its reach is a pair, or its metric of color a map.
+        If the morph has no divergence because its reach is a pair or its metric of color is a map.
     """
     report = check_progress(progress)
     check_frame_sequence(morph)
@@ -69,10 +69,10 @@ def optimal_curve(
 
 
 def _objective(morph: Morph, t: float) -> Callable[[float], float]:
-    """Divergence of the frame at t to its particles, as a function of the width."""
+    """Return the divergence of the frame at t to its particles, as a function of the width."""
     particles, _ = particle_measure(morph, t, max_points=POINTS)
     blur, reach = morph.potentials.blur, morph.potentials.reach
-    assert not isinstance(reach, tuple)  # as the caller saw
+    assert not isinstance(reach, tuple)  # the caller has checked it
 
     local = morph.kernel_width.splatting == "local"
 

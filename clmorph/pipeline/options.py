@@ -27,7 +27,7 @@ from clmorph.pipeline.presets import PRESETS
 from clmorph.transport.options import PlanOptions, Reach, SolverOptions
 from clmorph.transport.regularization import regularization
 
-#: Of each of these pairs only one option can hold: a later one takes the place of an earlier one.
+#: Pairs of options that exclude each other; an option that is set later replaces the earlier one.
 ALTERNATIVES = (
     ("blur", "epsilon"),
     ("reach", "rho"),
@@ -36,9 +36,9 @@ ALTERNATIVES = (
     ("log_threshold", "sample"),
     ("log_threshold", "barycentric"),
 )
-#: Those of which the first has a default, which gives way to the second.
+#: The pairs whose first option has a default, which the second option replaces.
 SQUARES_AND_PACE = ALTERNATIVES[:3]
-#: What an error adds about such a pair.
+#: Explanation of each pair for error messages.
 REASONS = dict(
     zip(
         ALTERNATIVES,
@@ -53,7 +53,7 @@ REASONS = dict(
         strict=True,
     )
 )
-#: What an error adds where widths could not be found.
+#: Error message for options without a divergence, by which optimal widths could be found.
 NO_DIVERGENCE = (
     "sigma='optimal' needs a divergence: one reach for both images, and one color metric for all "
     "pixels"
@@ -72,7 +72,7 @@ def _check_memory(value: Any) -> float:
 
 @dataclass(frozen=True, init=False)
 class BudgetOptions(Options):
-    """Options of what a morph may cost: sizes, particles, memory."""
+    """Options that limit the cost of a morph: sizes, particles, memory."""
 
     size: int | None = option(
         256, integer(2, 1 << 16),
@@ -111,7 +111,7 @@ class MorphOptions(
     SolverOptions,
     LiftOptions,
 ):
-    """All options of `clmorph.morph`, by keywords; those that are not given are the preset's.
+    """All options of `clmorph.morph`, by keywords; the preset sets options that are not given.
 
     Parameters
     ----------
@@ -143,9 +143,9 @@ class MorphOptions(
 
     @classmethod
     def layered(cls, layers: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-        """Return the options of several layers in one; later ones win.
+        """Merge several layers of options into one; later layers win.
 
-        An option also removes its alternatives (`ALTERNATIVES`) of earlier layers.
+        An option also removes its alternatives (`ALTERNATIVES`) from earlier layers.
 
         Parameters
         ----------
@@ -178,7 +178,7 @@ class MorphOptions(
         return settings
 
     def settle(self, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-        """Fill in what other options decide; see `Options.settle`."""
+        """Fill in the values that other options determine; see `Options.settle`."""
         for name, other in SQUARES_AND_PACE:
             if given.get(other) is not None and name not in given:
                 values[name] = None
@@ -195,7 +195,7 @@ class MorphOptions(
         found = regularization(self.blur, self.reach, self.epsilon, self.rho)
         if self.rho is None:
             object.__setattr__(self, "reach", found.reach)
-        # Plain numbers, but not another rounding of them.
+        # Store plain floats, with the value that was given and not with a recomputed one.
         for name in ("epsilon", "rho"):
             object.__setattr__(self, name, _plain(getattr(self, name)))
         if self.sigma is None:
@@ -209,24 +209,24 @@ class MorphOptions(
             raise InputError(NO_DIVERGENCE)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the options that hold, by their names: of alternatives only the one chosen."""
+        """Return the effective options by their names, without replaced alternatives."""
         settings = super().as_dict()
         for name, other in SQUARES_AND_PACE:
             del settings[name if settings[other] is not None else other]
         return settings
 
     def replace(self, **given: Any) -> Self:
-        """Return these options with others in place of some.
+        """Return a copy of these options with some replaced.
 
         Parameters
         ----------
         **given
-            Options, see `clmorph.morph`; no preset, which decides about many.
+            Options, see `clmorph.morph`. A preset is refused, because it sets many options.
 
         Raises
         ------
         InputError
-            As for `MorphOptions`.
+            The errors of `MorphOptions`.
         """
         if "preset" in given:
             raise InputError(
@@ -235,18 +235,19 @@ class MorphOptions(
         return type(self)(**MorphOptions.layered((self.as_dict(), given)))
 
     def chosen(self, names: Iterable[str], given: Mapping[str, Any]) -> Self:
-        """Return these options with those given in their place, of which only some may be.
+        """Return a copy with the given options replaced, if they are among the allowed names.
 
         Parameters
         ----------
         names : iterable of str
             The options that may be given.
         given : mapping
+            The new values, by the names of the options.
 
         Raises
         ------
         InputError
-            If another one is given, or one cannot be used.
+            If another option is given, or a value is invalid.
         """
         allowed = dict.fromkeys(names)
         for name in given:
@@ -266,7 +267,7 @@ class MorphOptions(
 
 
 def preset_options(name: str | None) -> dict[str, Any]:
-    """Return all options that presets decide, as a preset has them.
+    """Return all options that any preset sets, with their values in one preset.
 
     Parameters
     ----------
@@ -296,7 +297,7 @@ def _text(value: Any) -> str:
 
 
 def _bulges(splatting: Any) -> bool:
-    """Whether a value, which can be anything yet, is a rule of widths with gamma."""
+    """Return whether an unchecked value of `splatting` is a rule of widths with gamma."""
     return isinstance(splatting, str) and splatting in BULGING
 
 
@@ -305,7 +306,7 @@ def _is_off(value: Any, off: tuple[Any, ...]) -> bool:
 
 
 def _settle_gamma(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
-    """Let gamma stand for adaptive splatting, to which alone it belongs."""
+    """Let gamma imply adaptive splatting, because no other splatting has gamma."""
     if layer.get("gamma") is not None:
         splatting = layer.get("splatting", "adaptive")
         if not _bulges(splatting):
@@ -318,5 +319,5 @@ def _settle_gamma(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
         settings["gamma"] = None
 
 
-#: The paper's own options, for the reference and for the baseline that the paper compares with.
+#: The paper's own options, for the reference and for the paper's baseline.
 PAPER = MorphOptions(preset="paper", size=None)

@@ -1,4 +1,4 @@
-"""Predict how many pairs a plan will keep, before it is built."""
+"""Predict the number of kept pairs of a plan before it is built."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from clmorph.transport.pruning import check_log_threshold
 
 Array = NDArray[np.float64]
 
-#: Rows, and as many columns, from which the number of kept pairs is predicted.
+#: Number of rows, and of columns, from which the number of kept pairs is predicted.
 SAMPLED_ROWS = 512
 
 
@@ -32,9 +32,10 @@ def predict_pairs(
 ) -> int:
     """Predict how many pairs `clmorph.transport_plan` will keep, from a sample, in O(N + M).
 
-    A pair is kept for its row or for its column. What rows keep follows from some rows, what
-    columns keep from some columns, and what both keep from where these meet. With `log_threshold`
-    some rows are enough. Exact if all rows and columns are in the sample.
+    A pair is kept for its row or for its column. A sample of rows gives the number of pairs kept
+    for rows, a sample of columns the number kept for columns, and the intersections of both samples
+    the number kept for both. With `log_threshold` a sample of rows is enough. The result is exact
+    if the sample contains all rows and columns.
 
     Parameters
     ----------
@@ -43,7 +44,7 @@ def predict_pairs(
     relative, log_threshold
         As in `clmorph.transport_plan`.
     rows : int
-        So many random rows, and so many columns.
+        Number of random rows, and of random columns, in the sample.
     seed : int
     backend : str or Operations
         See `clmorph.get_backend`.
@@ -104,7 +105,7 @@ def predict_pairs(
 
 
 class _Side:
-    """One measure on the device, and some of its points that have mass."""
+    """One measure on the device, and a sample of its points of positive mass."""
 
     def __init__(
         self,
@@ -125,7 +126,7 @@ class _Side:
 
 
 def part_of(measure: AnyMeasure, chosen: NDArray[np.intp]) -> WeightedPoints:
-    """Return some points of a measure, with their own masses."""
+    """Return the chosen points of a measure with their masses."""
     whole = WeightedPoints(measure.points, measure.weights, measure.offsets)
     return replace(
         whole,

@@ -1,7 +1,7 @@
 """Presets: named sets of options for kinds of pictures.
 
-A preset lists what differs from the defaults of `clmorph.pipeline.options.MorphOptions`, which are
-those of "photo". Numbers of "paper" are those of the paper's section 4.
+A preset lists the options that differ from the defaults of `clmorph.pipeline.options.MorphOptions`.
+These defaults are the preset "photo". The values of "paper" are those of the paper's section 4.
 """
 
 import math
@@ -17,9 +17,9 @@ class Preset(NamedTuple):
     Attributes
     ----------
     help : str
-        One line.
+        A description in one line.
     options : dict
-        What differs from the defaults, by the names in Python.
+        The options that differ from the defaults, by their names in Python.
     """
 
     help: str

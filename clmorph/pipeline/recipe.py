@@ -1,6 +1,6 @@
-"""Recipes: the options that made a file, written into it and read from it again.
+"""Recipes: the options with which a file was made, which are stored in the file and can be read.
 
-One format for Python and for the command line: what one saved, the other reads.
+Python and the command line use the same format, so each reads the recipes of the other.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from clmorph.output.bounded import MAX_TEXT
 from clmorph.output.provenance import read_parameters
 from clmorph.pipeline.options import MorphOptions
 
-#: What a file of settings may hold beside options, for the command line alone.
+#: Keys beside options in a file of settings; only the command line uses them.
 PRESET, IMAGES = "preset", "images"
 NOT_OPTIONS = (IMAGES, "output", "format", "recipe", "max_pixels")
 
@@ -29,7 +29,7 @@ def recipe(
     device: str = "",
     arrays: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return what a file holds about its making: enough to make it again.
+    """Return the recipe of a file, which suffices to make the file again.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def recipe(
     device : str
         A description of the device.
     arrays : sequence of str
-        Names of arrays that decided too ("weights", "color_metric") and are not held.
+        Names of further input arrays ("weights", "color_metric"), which a recipe does not contain.
     """
     found: dict[str, Any] = {"clmorph": __version__, "options": options.outside()}
     found |= {IMAGES: [dict(image) for image in images]} if images else {}
@@ -48,19 +48,19 @@ def recipe(
 
 
 def options_of(settings: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return options of a file by their names in Python, with its preset if it has one.
+    """Return the options of a file by their names in Python, with the preset if it names one.
 
     Parameters
     ----------
     settings : mapping
-        By their names outside, with dashes or underscores.
+        Options by their names outside, with dashes or underscores.
     where : str
-        The file, for errors.
+        The name of the file in error messages.
 
     Raises
     ------
     InputError
-        If an option is unknown, or its value is of another kind.
+        If an option is unknown, or its value has the wrong kind.
     """
     known = {
         outside_name(name, each): (name, each)
@@ -89,7 +89,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If it cannot be read.
+        If the file cannot be read.
     """
     import tomllib
 
@@ -109,12 +109,13 @@ def read_recipe(path: Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``options`` by their names outside, perhaps ``images``, ``arrays`` and ``device``.
+        The key ``options``, with names outside, and optionally ``images``, ``arrays`` and
+        ``device``.
 
     Raises
     ------
     InputError
-        If there is none, or it is of morphs with different options.
+        If the file has no recipe, or its recipe belongs to several morphs with different options.
     """
     found = read_parameters(path)
     if not isinstance(found.get("options"), dict):
@@ -124,7 +125,7 @@ def read_recipe(path: Path) -> dict[str, Any]:
 
 
 def load_options(path: str | PathLike[str]) -> dict[str, Any]:
-    """Return the options that a file was made with, or that a file of settings holds.
+    """Return the options with which a file was made, or those in a file of settings.
 
     Parameters
     ----------
@@ -135,12 +136,12 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
     Returns
     -------
     dict
-        For ``clmorph.morph(a, b, **options)``.
+        Keyword arguments for ``clmorph.morph(a, b, **options)``.
 
     Raises
     ------
     InputError
-        If the file holds no options, or some that cannot be used.
+        If the file contains no options, or an invalid one.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A morph: a sequence of frames that can save itself."""
+"""The result `Morph`: a sequence of frames that can be rendered and saved."""
 
 from dataclasses import dataclass, field
 from os import PathLike
@@ -32,8 +32,8 @@ from clmorph.transport.potentials import Potentials
 class Morph(FrameSequence):
     """A morph between two images: a sequence of frames, rendered on demand.
 
-    ``len(morph)`` is the number of frames, ``morph[i]`` the frame at ``times[i]``; ``morph[i:j]``
-    and iteration give several. `frame` renders the frame at any time.
+    ``len(morph)`` is the number of frames and ``morph[i]`` is the frame at ``times[i]``. Slices and
+    iteration are supported. `frame` renders the frame at any time.
 
     Attributes
     ----------
@@ -44,18 +44,18 @@ class Morph(FrameSequence):
     plan : Plan or Barycentric
     particles : Particles
     times : (n_frames,) array
-        Ascending, from 0 to 1.
+        The times of the frames, ascending from 0 to 1.
     kernel_width : KernelWidth
     operations : Operations
         The backend that renders the frames.
     endpoints : {"exact", "paper"}
         Whether the first and the last frame are the images themselves.
     unmatched : {"fade", "drop"}
-        Whether mass that does not travel is drawn.
+        Whether unmatched mass is drawn and fades, or is not drawn.
     options : MorphOptions
         The options of `clmorph.morph`.
     arrays : tuple of str
-        Names of the arrays that decided too: "weights", "color_metric".
+        Names of the further input arrays: "weights", "color_metric".
 
     Examples
     --------
@@ -86,7 +86,7 @@ class Morph(FrameSequence):
     options: MorphOptions = field(default_factory=MorphOptions, repr=False)
     arrays: tuple[str, ...] = ()
     _renderer: FrameRenderer = field(init=False, repr=False, compare=False)
-    #: Frames that were rendered to be kept: none, or all.
+    #: Cache of rendered frames: it holds no frame or all frames.
     _kept: list[NDArray[np.float32]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
@@ -107,17 +107,17 @@ class Morph(FrameSequence):
 
     @property
     def solved_sizes(self) -> tuple[int, int]:
-        """Blocks along the longer side of source and target between which it was solved.
+        """Numbers of solved blocks along the longer sides of source and target.
 
-        Blocks have a power of two of pixels along a side, so there can be fewer than the option
-        `solve_size` allows.
+        The side of a block is a power of two of pixels, so there can be fewer blocks than the
+        option `solve_size` allows.
         """
         most = self.options.solve_size or max(self.source.shape + self.target.shape)
         return solved_size(self.source.shape, most), solved_size(self.target.shape, most)
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The recipe of this morph, as files hold it and `json.dumps` takes it."""
+        """The recipe of this morph in the form of files, which `json.dumps` accepts."""
         return recipe(self.options, device=self.operations.description, arrays=self.arrays)
 
     @overload
@@ -127,7 +127,7 @@ class Morph(FrameSequence):
     def __getitem__(self, index: int | slice) -> NDArray[np.float32] | list[NDArray[np.float32]]:
         """Return the frame at ``times[index]``, or a list of frames for a slice.
 
-        They are rendered, unless `frames` has kept them.
+        Frames are rendered unless `frames` has cached them.
         """
         return self._kept[index] if self._kept else super().__getitem__(index)
 
@@ -155,10 +155,10 @@ class Morph(FrameSequence):
         """Render the frame at time t.
 
         A pixel is the weighted mean of Eq. 4 where `coverage` is at least
-        `filling.HOLE_COVERAGE` (with "local" splatting, and where it is not torn out of
-        its surroundings). From half of that down, where mostly the kernels' tails would decide, it
-        is filled by wider kernels; between the two it is both. So it follows particles nearby,
-        rather than pairs that the plan has dropped.
+        `filling.HOLE_COVERAGE` (with "local" splatting, and where it is not torn out of its
+        surroundings). Where coverage is at most half of that, the kernels' tails would decide, and
+        wider kernels fill the pixel instead. Between the two limits both results are mixed. Pixels
+        therefore follow particles nearby, rather than pairs that the plan has dropped.
 
         Parameters
         ----------
@@ -167,8 +167,8 @@ class Morph(FrameSequence):
         Returns
         -------
         (H(t), W(t), 3) float32 array
-            sRGB in [0, 1]; if one of the images is not opaque all over, (H(t), W(t), 4), with
-            opacity.
+            sRGB in [0, 1]. If an image has transparent pixels the shape is (H(t), W(t), 4), with
+            opacity as the fourth channel.
 
         Examples
         --------
@@ -189,7 +189,7 @@ class Morph(FrameSequence):
         Returns
         -------
         (H(t), W(t)) float32 array
-            Kernel mass as a share of what an even spread would give; see
+            Kernel mass relative to that of evenly spread particles; see
             `clmorph.analysis.metrics.hole_fraction`.
 
         Examples
@@ -211,7 +211,7 @@ class Morph(FrameSequence):
         ----------
         t : float in [0, 1]
         widths : Widths, optional
-            In place of the morph's.
+            Kernel widths, in place of those of the morph.
 
         Returns
         -------
@@ -239,7 +239,7 @@ class Morph(FrameSequence):
 
     @property
     def frames(self) -> list[NDArray[np.float32]]:
-        """All frames, at `times`; rendered at the first access, then kept."""
+        """All frames, at `times`; the first access renders and caches them."""
         if not self._kept:
             self._kept.extend(list(self.iter_frames()))
         return self._kept
@@ -255,12 +255,12 @@ class Morph(FrameSequence):
         return all(is_pixel_art(image) for image in images)
 
     def save(self, path: str | PathLike[str], **options: Any) -> None:
-        """Write the morph to a file chosen by its ending.
+        """Write the morph to a file whose ending selects the format.
 
         Parameters
         ----------
         path : path
-            Such as ``out.gif``, ``out.mp4`` or ``out.html``.
+            Path of the file, such as ``out.gif``, ``out.mp4`` or ``out.html``.
         **options
             See `clmorph.save`.
 
@@ -269,7 +269,7 @@ class Morph(FrameSequence):
         InputError
             If an option cannot be used.
         OutputError
-            If it cannot be written there.
+            If the file cannot be written.
 
         Examples
         --------
@@ -288,5 +288,5 @@ class Morph(FrameSequence):
         save(self, path, **options)
 
     def _repr_html_(self) -> str:
-        """Show the morph in a notebook, as a page to play with."""
+        """Show the morph in a notebook as an interactive page."""
         return repr_html(self)
