@@ -1,1 +1,1 @@
-"""Weighted points: from an image, from arrays, and taken together as coarser ones."""
+"""Measures of weighted points, which are made from images or arrays or by joining points."""

@@ -15,7 +15,7 @@ _LARGEST_KEY = 1 << 62
 
 
 class Clusters(NamedTuple):
-    """A coarser measure, and which of its points each point belongs to.
+    """A coarser measure, and the index of the cluster to which each point belongs.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Clusters(NamedTuple):
         is not added to the cost. Mass is free to choose where in a cluster it goes, and where the
         plan is as wide as the blur this balances the spread to the second order.
     labels : (N,) array of int
-        Cluster of each point.
+        Index of the cluster of each point.
     """
 
     measure: WeightedPoints
@@ -41,14 +41,14 @@ class Clusters(NamedTuple):
 def make_clusters(measure: AnyMeasure, side: float) -> Clusters:
     """Join the points of a measure that lie in the same cube of a grid.
 
-    Every cluster is small, however few points it holds, unlike the leaves of a tree over equal
-    numbers of points: where points are sparse each keeps its own cluster.
+    Every cluster has a small diameter, and sparse points each keep their own cluster. The leaves of
+    a tree with equal numbers of points do not have this property.
 
     Parameters
     ----------
     measure : Measure or WeightedPoints
     side : float
-        The points' unit.
+        Side of the cubes, in the unit of the points.
     """
     points = measure.points
     corner = np.floor((points - points.min(axis=0)) / side).astype(np.int64)
@@ -71,7 +71,7 @@ def make_clusters(measure: AnyMeasure, side: float) -> Clusters:
 
 
 def _means(labels: NDArray[np.intp], count: int, values: Array, weights: Array) -> Array:
-    """Return means of (N, k) values over clusters, weighted by mass where a cluster has some."""
+    """Return means of (N, k) values over clusters, weighted by mass if a cluster has mass."""
     masses = np.bincount(labels, weights, count)
     share = np.divide(weights, masses[labels], out=np.zeros(len(labels)), where=weights > 0)
     empty = masses <= 0

@@ -14,7 +14,7 @@ from clmorph.images.pixels import as_pixels, split_alpha
 from clmorph.measures.measure import Measure, check_masses
 from clmorph.measures.options import EXTENTS, MASSES, Extent, LiftOptions, Mass
 
-#: Share of linear red, green and blue in luminance (ITU-R BT.709).
+#: Weights of linear red, green and blue in luminance (ITU-R BT.709).
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -25,13 +25,13 @@ def pixel_positions(shape: tuple[int, int], extent: str = "true") -> Array:
     ----------
     shape : (height, width)
     extent : {"true", "unit"}
-        "true": the longer side spans [0, 1], the shorter is centered. "unit": both span
-        [0, 1], as in the paper. A side of one pixel stands at 1/2.
+        "true": the longer side spans [0, 1], and the shorter side is centered. "unit": both sides
+        span [0, 1], as in the paper. The coordinate along a side of one pixel is 1/2.
 
     Returns
     -------
     (height * width, 2) array
-        x and y, row by row.
+        Coordinates x and y of the pixels, row by row.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Two images become two measures that can be compared."""
+"""Lift two images to two measures that can be compared."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def lift_pair(
     color_space: ColorSpace = LiftOptions.color_space,
     color_metric: ArrayLike | None = None,
 ) -> tuple[Measure, Measure]:
-    """Lift two images alike, as `clmorph.morph` does.
+    """Lift two images with the same options, as `clmorph.morph` does.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ def lift_pair(
     color_weight, mass, extent, color_space
         See `clmorph.lift`.
     weights : (map_a, map_b), optional
-        Maps (H, W) of mass, taken as they are; None stands for `mass`, with as much in all as
-        the other's map.
+        Maps (H, W) of mass, which are not normalized. If one of them is None, `mass` gives its
+        distribution, with the total of the other map.
     color_metric : (3, 3), (H, W, 3, 3) or (H, W) array, optional
         See `clmorph.lift`; a map belongs to the source alone.
 
@@ -73,7 +73,7 @@ def _pair_of_weights(weights: Any) -> tuple[Any, Any]:
 def _of_equal_mass(
     source: Measure, target: Measure, maps: tuple[Any, Any]
 ) -> tuple[Measure, Measure]:
-    """Give an image without a map of mass as much of it as the other's map has."""
+    """Scale the masses of an image without a map to the total of the other image's map."""
     if maps[0] is None and maps[1] is not None:
         source = replace(source, weights=source.weights * (target.mass / source.mass))
     if maps[1] is None and maps[0] is not None:

@@ -13,8 +13,8 @@ from clmorph.errors import InputError
 from clmorph.images.color import COLOR_SPACES, square_root, to_space
 from clmorph.measures.options import EXTENTS
 
-#: How pixels stand in the common frame: "true" keeps the aspect ratio, "unit" stretches
-#: each axis to [0, 1].
+#: Placement of pixels in the common frame: "true" keeps the aspect ratio, "unit" stretches each
+#: axis to [0, 1].
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -30,11 +30,11 @@ class Measure:
     weights : (N,) array
         Masses a_i, at least 0.
     shape : (height, width)
-        Of the image that was lifted; its N = height * width pixels stand row by row.
+        Shape of the lifted image; its N = height * width pixels are stored row by row.
     color_weight : float
         lambda, the weight of color relative to position.
     extent : {"true", "unit"}
-        How the pixels stand in the common frame.
+        Placement of the pixels in the common frame, see `clmorph.measures.lift.pixel_positions`.
     color_space : str
         The space in which colors are compared, see `clmorph.images.color.to_space`.
     color_metric : (3, 3) or (N, 3, 3) array, optional
@@ -76,8 +76,8 @@ class Measure:
     def points(self) -> Array:
         """(N, 5) lifted points X = (x, y, lambda r, lambda g, lambda b) (paper, 2.3, Eq. 1).
 
-        In another color space its coordinates stand in place of r, g, b. With a metric
-        M = L L^T they are multiplied by L (paper, 5), so that |X - Y|^2 has the metric in it.
+        In another color space, the coordinates of that space replace r, g, b. With a metric
+        M = L L^T they are multiplied by L (paper, 5), so that |X - Y|^2 includes the metric.
         """
         if self.has_metric_map:
             raise InputError(
@@ -91,7 +91,7 @@ class Measure:
 
     @cached_property
     def coordinates(self) -> Array:
-        """(N, 3) colors, as coordinates of the space in which they are compared."""
+        """(N, 3) coordinates of the colors in the space in which colors are compared."""
         return to_space(self.colors, self.color_space)
 
     @property
@@ -101,7 +101,7 @@ class Measure:
 
     @property
     def spacing(self) -> float:
-        """Distance of neighboring pixels in the common frame; the mean of both axes."""
+        """Distance of neighboring pixels in the common frame, as a mean over both axes."""
         height, width = self.shape
         sides = 2 * max(height, width) - 2 if self.extent == "true" else height + width - 2
         return 2.0 / max(1, sides)
@@ -118,7 +118,7 @@ def check_masses(name: str, masses: Array) -> None:
     Raises
     ------
     InputError
-        If one is negative or NaN, or their sum is out of range.
+        If a mass is negative or NaN, or the sum of the masses is out of range.
     """
     with np.errstate(over="ignore"):
         total = masses.sum()
@@ -130,12 +130,12 @@ def check_masses(name: str, masses: Array) -> None:
 
 
 def check_measure(name: str, measure: Measure) -> None:
-    """Check a lifted image, whose parts a caller can have replaced.
+    """Check a lifted image, because a caller can have replaced its attributes.
 
     Raises
     ------
     InputError
-        If a part is not what `Measure` says it is.
+        If an attribute does not meet the documentation of `Measure`.
     """
     remedy = "lift the image again with clmorph.lift, which checks what it is given"
     try:
@@ -156,7 +156,7 @@ def check_measure(name: str, measure: Measure) -> None:
         array = getattr(measure, part)
         usable = type(array) is np.ndarray and array.dtype == np.float64 and array.shape == shape
         low, high = (-1e6, 1e6) if part == "positions" else (-1e-6, 1 + 1e-6)
-        # NaN is within no range.
+        # Comparisons with NaN are false, so NaN does not pass this check.
         if usable and part != "weights":
             usable = bool(array.min() >= low and array.max() <= high)
         if not usable:

@@ -8,12 +8,12 @@ from clmorph._shared.options import Options, option
 from clmorph._shared.validation import check_color_weight
 from clmorph.images.color import ColorSpace
 
-#: How pixels stand in the common frame: the longer side spans [0, 1] and the shorter one is
+#: Placement of pixels in the common frame: the longer side spans [0, 1] and the shorter one is
 #: centered, or both sides span [0, 1] as in the paper.
 Extent = Literal["true", "unit"]
 EXTENTS = get_args(Extent)
-#: What a pixel weighs, apart from its opacity: the same everywhere, its luminance (Y of CIE
-#: 1931), or its opacity alone.
+#: Mass of a pixel before multiplication by opacity: the same for all pixels, its luminance (Y of
+#: CIE 1931), or its opacity alone.
 Mass = Literal["uniform", "luminance", "alpha"]
 MASSES = get_args(Mass)
 

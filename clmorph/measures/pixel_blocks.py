@@ -33,18 +33,18 @@ class PixelBlocks:
 
     @property
     def owners(self) -> IntArray:
-        """(N,) block of each pixel."""
+        """(N,) index of the block of each pixel."""
         return _owners(self.fine.shape, self.side)
 
     @property
     def heaviest(self) -> IntArray:
-        """(blocks,) pixel of most mass in each block."""
+        """(blocks,) index of the pixel with the largest mass in each block."""
         order = np.lexsort((self.fine.weights, self.owners))
         last = np.cumsum(np.bincount(self.owners, minlength=len(self.coarse))) - 1
         return np.asarray(order[last], np.int64)
 
     def share_out(self, total: Array) -> Array:
-        """Divide what each block has, (blocks,), among its pixels by their mass: (N,) array."""
+        """Divide a total of each block, (blocks,), among its pixels by their mass: (N,) array."""
         weights = self.coarse.weights[self.owners]
         return np.divide(
             total[self.owners] * self.fine.weights, weights,
@@ -58,15 +58,15 @@ def block_side(shape: tuple[int, int], size: int) -> int:
     Parameters
     ----------
     shape : (height, width)
-        Of the image, in pixels.
+        Shape of the image, in pixels.
     size : int
-        The most blocks along the longer side (`solve_size` of `clmorph.morph`).
+        Largest number of blocks along the longer side (`solve_size` of `clmorph.morph`).
 
     Returns
     -------
     int
-        Pixels: the smallest power of two that leaves at most `size` blocks; 1 if the image is no
-        larger than `size`.
+        The side in pixels: the smallest power of two that gives at most `size` blocks along the
+        longer side; 1 if the image is no larger than `size`.
 
     Examples
     --------
@@ -80,10 +80,10 @@ def block_side(shape: tuple[int, int], size: int) -> int:
 
 
 def solved_size(shape: tuple[int, int], size: int) -> int:
-    """Return how many blocks an image really has along its longer side.
+    """Return the actual number of blocks along the longer side of an image.
 
-    Blocks have a power of two of pixels along a side, so this can be as little as half of the
-    `size` that is asked for.
+    The side of a block is a power of two of pixels, so the number can be as small as half of the
+    requested `size`.
 
     Parameters
     ----------
@@ -106,12 +106,12 @@ def group_pixels(measure: Measure, size: int) -> PixelBlocks:
     measure : Measure
         A lifted image.
     size : int
-        The most blocks along the longer side; `solved_size` says how many there really are.
+        Largest number of blocks along the longer side; `solved_size` returns the actual number.
 
     Returns
     -------
     PixelBlocks
-        Of one pixel each if the image is no larger.
+        The blocks; they have one pixel each if the image is no larger than `size`.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def group_pixels(measure: Measure, size: int) -> PixelBlocks:
     height, width = (-(-length // side) for length in measure.shape)
     count = height * width
     mass = np.asarray(np.bincount(owners, measure.weights, count), float)
-    # A block without mass stands at its middle, in its pixels' mean color.
+    # A block without mass has the unweighted mean position and mean color of its pixels.
     even = np.bincount(owners, minlength=count)
     shares = np.where(mass[owners] > 0, measure.weights, 1.0)
     shares = shares / np.where(mass > 0, mass, even)[owners]
@@ -146,7 +146,7 @@ def group_pixels(measure: Measure, size: int) -> PixelBlocks:
 
 
 def _owners(shape: tuple[int, int], side: int) -> IntArray:
-    """Return the block of each pixel, row by row."""
+    """Return the index of the block of each pixel, row by row."""
     height, width = shape
     columns = -(-width // side)
     row, column = np.arange(height) // side, np.arange(width) // side

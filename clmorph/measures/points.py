@@ -1,4 +1,4 @@
-"""Weighted points that are not an image: any dimension up to 11, any unit."""
+"""Weighted points that are not an image, in any dimension up to 11 and any unit."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class WeightedPoints:
     weights : (N,) array
         Masses a_i, at least 0, of positive sum.
     offsets : (N,) array, optional
-        A cost for each point, which is added to that of all its pairs; cost units.
+        A cost for each point, which is added to the cost of all its pairs; cost units.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class WeightedPoints:
 
 #: Both kinds of measure that the solver takes.
 AnyMeasure = Measure | WeightedPoints
-#: What the public functions take: a measure, or (weights (N,), points (N, D) or (N,)).
+#: Argument of the public functions: a measure, or (weights (N,), points (N, D) or (N,)).
 MeasureLike = AnyMeasure | tuple[ArrayLike, ArrayLike]
 
 
@@ -71,13 +71,13 @@ def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
     Returns
     -------
     two of Measure or WeightedPoints
-        With the cost C_ij = |X_i - Y_j|^2 / 2 (paper, Eq. 1 with the factor 1/2), plus the offsets
-        r_i and s_j if they have some.
+        Their cost is C_ij = |X_i - Y_j|^2 / 2 (paper, Eq. 1 with the factor 1/2), plus the offsets
+        r_i and s_j if the measures have offsets.
 
     Raises
     ------
     InputError
-        If they are no measures, or not of one space.
+        If the arguments are no measures, or their points are not in one space.
     """
     pair = as_measures(source, target)
     if isinstance(pair[0], Measure) and isinstance(pair[1], Measure) and pair[0].has_metric_map:
@@ -86,7 +86,7 @@ def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
 
 
 def as_measures(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
-    """Return two measures that can be compared, see `as_pair`, as they are."""
+    """Return two checked measures that can be compared, without the lift of `as_pair`."""
     pair = as_measure("source", source), as_measure("target", target)
     if isinstance(pair[0], Measure) and isinstance(pair[1], Measure):
         for name in ("color_weight", "extent", "color_space"):
@@ -118,15 +118,15 @@ def _bilinear(source: Measure, target: Measure) -> tuple[WeightedPoints, Weighte
 
     |c - d|^2_M / 2 = c^T M c / 2 - (M c)^T d + sum_k M_kk d_k^2 / 2 + sum_(k<l) M_kl d_k d_l is
     a sum of products of one number of the source pixel and one of the target pixel.
-    With these nine numbers for colors C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j.
+    With these nine numbers as coordinates of colors, C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j.
     """
     c, d = (measure.color_weight * measure.coordinates for measure in (source, target))
-    # Distances do not depend on the origin of colors, but products do: float32 keeps more digits
-    # of small numbers.
+    # Distances do not depend on the origin of colors, but products do. A central origin makes the
+    # products small, so float32 rounds them by less.
     middle = 0.5 * (c.mean(axis=0) + d.mean(axis=0))
     c, d = c - middle, d - middle
     metric = source.color_metric
-    assert metric is not None  # a map, as the caller saw
+    assert metric is not None  # the caller has checked that there is a map
     k, m = np.triu_indices(3)
     mc = np.einsum("nkl,nl->nk", metric, c)
     ours = np.column_stack((mc, -np.where(k == m, 0.5, 1.0) * metric[:, k, m]))
@@ -163,7 +163,7 @@ def as_measure(name: str, value: Any) -> AnyMeasure:
     Raises
     ------
     InputError
-        If it is no measure, or its masses or points are out of range.
+        If the value is no measure, or its masses or points are out of range.
     """
     if isinstance(value, Measure):
         check_measure(name, value)
@@ -189,14 +189,14 @@ def as_image_measure(name: str, value: Any, why: str, instead: str = "") -> Meas
         The name of the measure in error messages.
     value : Measure
     why : str
-        The reason why it must be an image, for the error message.
+        The reason why the measure must be an image, for the error message.
     instead : str
-        What to do with plain points, for the error message.
+        The remedy for plain points, for the error message.
 
     Raises
     ------
     InputError
-        If it is no lifted image.
+        If the value is no lifted image.
     """
     if not isinstance(value, Measure):
         raise InputError(
@@ -212,12 +212,12 @@ def _kind(value: Any) -> str:
 
 
 def _is_plain(array: Any) -> bool:
-    """Whether the solver can take an array as it is."""
+    """Return whether the solver can use an array without conversion."""
     return array is None or (type(array) is np.ndarray and array.dtype == np.float64)
 
 
 def _weighted_points(name: str, weights: Any, points: Any, offsets: Any = None) -> WeightedPoints:
-    """Return weighted points of checked arrays."""
+    """Check arrays and return them as weighted points."""
     expected = "weights (N,) and points (N, D), in this order"
     weights = as_floats(f"{name}: its weights", weights, expected)
     points = as_floats(f"{name}: its points", points, expected)

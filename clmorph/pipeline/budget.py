@@ -256,6 +256,6 @@ def choose_way(
 
 
 def _drawn(draws: int, finest: int) -> dict[str, Any]:
-    """Return options for this many draws a pixel, or for means if blocks are too large for draws."""
+    """Return options for this many draws a pixel, or for means if blocks are too large."""
     most = MAX_DRAWS // finest
     return {"sample": int(max(1, min(most, draws)))} if most else {"barycentric": True}

@@ -28,7 +28,7 @@ NO_DIVERGENCE = (
 #: particles stand on pixels, the narrowest width is the best, so the next times are near the ends.
 KNOTS = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0])
 #: Candidate widths in pixels. The objective can have several minima, so all candidates are tried.
-#: The search then continues between the neighbors of the best one, for this number of steps.
+#: The search then continues `REFINEMENTS` times between the neighbors of the best one.
 WIDTHS = 0.1 * 2.0 ** (0.5 * np.arange(12))
 REFINEMENTS = 3
 #: Number of points to which the particles of frames are merged for this search.

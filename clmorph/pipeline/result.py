@@ -167,8 +167,8 @@ class Morph(FrameSequence):
         Returns
         -------
         (H(t), W(t), 3) float32 array
-            sRGB in [0, 1]. If an image has transparent pixels the shape is (H(t), W(t), 4), with
-            opacity as the fourth channel.
+            sRGB in [0, 1]. If an image has pixels that are not opaque, the shape is
+            (H(t), W(t), 4), with opacity as the fourth channel.
 
         Examples
         --------

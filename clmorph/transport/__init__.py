@@ -1,1 +1,1 @@
-"""The transport problem: solve it, its plan, its divergence, what a plan does."""
+"""The transport problem: its solver, its plan, its divergence, and statistics of a plan."""

@@ -18,7 +18,7 @@ from clmorph.measures.points import MeasureLike, as_pair
 from clmorph.transport._solver.plan_softmin import plan_softmin, row_mass, row_softmin
 from clmorph.transport.potentials import Potentials
 
-#: Largest error, in coordinates of their space, with which colors may follow from lifted points.
+#: Largest error of colors that are computed from lifted points, in coordinates of the color space.
 COLOR_ERROR = 1e-6
 
 
@@ -35,8 +35,8 @@ class Barycentric:
         Mean color of the destination, as sRGB; the mean is taken in the color space of the cost.
         (N, 0) between plain points.
     covariance : (N, D, D) array
-        Covariance of the lifted destination (x, y, lambda r, lambda g, lambda b), or of the
-        coordinates that a color space or a metric puts in place of the colors.
+        Covariance of the lifted destination (x, y, lambda r, lambda g, lambda b). With another
+        color space or a metric, its coordinates replace the colors.
     row_mass, column_mass : (N,) and (M,) arrays
         Marginals r and c of the plan.
 
@@ -68,7 +68,7 @@ class Barycentric:
 
     @property
     def marginals(self) -> tuple[Array, Array]:
-        """(N,) and (M,) masses that leave and arrive, as those of a `Plan`."""
+        """(N,) and (M,) masses that leave and arrive, as in `Plan.marginals`."""
         return self.row_mass, self.column_mass
 
 
@@ -78,7 +78,7 @@ def check_barycentric(name: str, value: Any, sizes: tuple[int, int]) -> Barycent
     Raises
     ------
     InputError
-        If `value` is no Barycentric, or has other sizes, or is not finite.
+        If `value` is no Barycentric, has other sizes, or is not finite.
     """
     if not isinstance(value, Barycentric):
         raise InputError(
@@ -108,7 +108,7 @@ def barycentric_plan(
 ) -> Barycentric:
     """Compute mean and covariance of the destination of every point, without storing the plan.
 
-    No pair is pruned. If the potentials come with a truncation, the same pairs are left out here.
+    No pair is pruned. If the potentials have a truncation, it applies here too.
 
     Parameters
     ----------
@@ -125,8 +125,9 @@ def barycentric_plan(
     Raises
     ------
     InputError
-        If an argument cannot be used, or if the color weight or the metric leaves part of color
-        out of the cost, so that the mean color does not follow from the mean destination.
+        If an argument cannot be used, or if the cost does not depend on all of color (because of
+        the color weight or the metric), so that the mean destination does not determine the mean
+        color.
 
     Examples
     --------
@@ -168,7 +169,7 @@ def destination_colors(source: Measure, target: Measure) -> Callable[[Array], Ar
         If the cost does not depend on all of color.
     """
     _, lifted = as_pair(source, target)
-    # Lifted points are linear in the coordinates of colors, whatever the cost.
+    # For every cost, lifted points are linear in the coordinates of colors.
     features = np.column_stack((lifted.points, np.ones(len(target))))
     linear, *_ = np.linalg.lstsq(features, target.coordinates)
     if np.abs(features @ linear - target.coordinates).max() > COLOR_ERROR:

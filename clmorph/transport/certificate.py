@@ -21,9 +21,9 @@ import numpy as np
 
 from clmorph._shared.typing import Array
 
-#: Largest exponent of an exponential: potentials far from a solution then overflow nowhere.
+#: Largest exponent of an exponential, so that potentials far from a solution cause no overflow.
 MAX_EXPONENT = 300.0
-#: From this exponent on e^x and e^x - 1 are the same float64.
+#: At this and larger exponents, e^x and e^x - 1 are the same float64.
 FAR = 50.0
 #: Relative errors in float64: of a few operations, and of NumPy's pairwise sum of 2^24 terms.
 STEPS_ERROR, SUM_ERROR = 2.0**-50, 2.0**-46
@@ -36,15 +36,17 @@ class Certificate(NamedTuple):
     ----------
     primal, dual : float
         Bounds of the optimal value, cost units times mass: dual <= optimum <= primal. Truncation
-        and rounding are included; the bounds are infinite where potentials are so far from a
-        solution that nothing is proven. Without a balanced side the primal value is that of the
-        plan. With one it is that of the plan with rows (or columns) scaled to the given masses.
-        With two it follows from the marginal errors and the oscillation of the cost; it is then
-        wide unless the potentials are good, and supposes equal masses.
+        and rounding are included; the bounds are infinite if potentials are so far from a solution
+        that nothing is proven. Without a balanced side the primal value is that of the plan. With
+        one balanced side it is that of the plan with rows (or columns) scaled to the given masses.
+        With two balanced sides it follows from the marginal errors and the oscillation of the
+        cost; it is then far above the optimum unless the potentials are good, and it requires
+        equal masses.
     gap : float
         primal - dual.
     marginal_error : float
-        Upper bound of |pi 1 - a|_1 + |pi^T 1 - b|_1 over the balanced sides; 0 without any.
+        Upper bound of |pi 1 - a|_1 + |pi^T 1 - b|_1 over the balanced sides; 0 without balanced
+        sides.
     row_mass, column_mass : (N,) and (M,) arrays
         Marginals of the plan.
     transported_mass : float
@@ -72,11 +74,11 @@ class Side(NamedTuple):
     potential, softmin : (N,) arrays
         f and T(g) of the rows, or g and T(f) of the columns; cost units.
     inverse_rho : float
-        0 if balanced.
+        1 / rho, 0 if balanced.
     left_out : float
-        By how many nats the logarithms of the sums behind the softmin can be too small.
+        Bound of the nats by which the logarithms of the sums behind the softmin are too small.
     roundoff : float
-        By how many nats they can be off.
+        Bound of the rounding error of these logarithms, in nats.
     oscillation : float
         Bound of |C_ij - C_kj| over points i, k of this measure, cost units.
     """
@@ -96,7 +98,7 @@ class Side(NamedTuple):
 
 
 class _Bounded:
-    """One side over its points of positive mass, every number with an interval that holds it."""
+    """One side over its points of positive mass, with an interval that contains each number."""
 
     def __init__(self, side: Side, epsilon: float) -> None:
         massive = side.weights > 0
@@ -108,13 +110,13 @@ class _Bounded:
         sizes += np.abs(self.log_weights)
         self.below = side.roundoff + STEPS_ERROR * sizes
         self.above = self.below + side.left_out
-        #: Logarithm of marginal over weights.
+        #: Logarithm of the quotient of marginal and weights.
         self.ratio = (self.potential - self.softmin) / epsilon
         self.marginal = side.marginal(epsilon)[massive]
 
     @property
     def is_representable(self) -> bool:
-        """Whether no exponential overflows."""
+        """Whether all exponentials are finite."""
         scaled = -self.potential * self.inverse_rho
         logarithms = np.maximum(self.ratio + self.above, scaled) + self.log_weights
         return bool(logarithms.max() < MAX_EXPONENT and scaled.max() < 2 * MAX_EXPONENT)
@@ -130,7 +132,7 @@ class _Bounded:
     def penalty(self) -> tuple[float, float]:
         """Return this potential's term of the dual, and a bound of its rounding.
 
-        rho <a, 1 - e^(-f/rho)>, or <a, f> if balanced (paper, 2.1; math: dual).
+        The term is rho <a, 1 - e^(-f/rho)>, or <a, f> if balanced (paper, 2.1; math: dual).
         """
         if not self.inverse_rho:
             terms = self.weights * self.potential
@@ -160,7 +162,8 @@ class _Bounded:
         low, high = excess - self.below - more - shrunk, excess + self.above + more + grown
         limit = self.weights * np.exp(-scaled)
         terms = np.maximum(_kl_terms(limit, low), _kl_terms(limit, high))
-        # Where the marginal is far above the limit, e^x may be no number, but their product is.
+        # Where the marginal is far above the limit, e^x can overflow although the product with the
+        # limit is finite.
         far = high > FAR
         if far.any():
             logarithms = (self.log_weights - scaled + high)[far]
@@ -216,7 +219,7 @@ def certify(rows: Side, columns: Side, epsilon: float) -> Certificate:
 
 
 def _one_side_scaled(balanced: _Bounded, other: _Bounded, epsilon: float, constant: float) -> float:
-    """Return an upper bound of the primal of the plan with its rows scaled to the masses given.
+    """Return an upper bound of the primal of the plan with its rows scaled to the given masses.
 
     The scaled plan has the softmin itself as its potential there. Its other marginal changes by at
     most the largest factor of a row. The same holds for columns.
@@ -236,8 +239,9 @@ def _infeasibility(rows: _Bounded, columns: _Bounded, epsilon: float) -> float:
 
     The dual is concave with gradient (a - pi 1, b - pi^T 1), so it grows towards optimal
     potentials (f*, g*) by at most <a - pi 1, f* - f> + <b - pi^T 1, g* - g>. Optimal potentials
-    are softmins, so they oscillate by no more than the cost does; with f* - f between plus and
-    minus half an oscillation, g* = T(f*) is as near to T(f), and that is near to g.
+    are softmins, so they oscillate by no more than the cost does. With f* - f between plus and
+    minus half an oscillation, g* = T(f*) differs from T(f) by no more than that, and T(f) is near
+    to g.
     """
     bounds = []
     missed = rows.missed, columns.missed
@@ -255,7 +259,7 @@ def marginal(
 ) -> Array:
     """Return the marginal (pi 1)_i = a_i exp((f_i - T(g)_i) / epsilon) (math: plan, Eq. 2).
 
-    It is computed by its logarithm, because a_i alone can underflow.
+    It is computed from its logarithm, because a_i alone can underflow.
     """
     with np.errstate(invalid="ignore"):
         exponent = np.minimum((potential - softmin) / epsilon + log_weights, MAX_EXPONENT)

@@ -1,4 +1,4 @@
-"""How far a plan moves mass (paper, 4, Table 1), and how much it creates and destroys."""
+"""Measure how far a plan moves mass (paper, 4, Table 1), and how much it creates and destroys."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Displacement:
     ----------
     field : (H, W, 2) array
         T(x_i) - x_i in pixels of the source, x to the right and y down; T(x_i) is the mean
-        destination, sum_j pi_ij y_j / sum_j pi_ij. 0 where nothing leaves.
+        destination, sum_j pi_ij y_j / sum_j pi_ij. The displacement is 0 where no mass leaves.
     source_mass, target_mass : (H, W) arrays
         Mass that leaves each source pixel, and mass that arrives at each target pixel.
     moves : (H, W) array of bool
-        Whether that mass is more than the mask.
+        Whether the mass that leaves a source pixel is more than the mask.
     destroyed, created : (H, W) arrays
         Mass that does not leave its source pixel, (a_i - r_i)_+, and mass that is new at its target
         pixel, (b_j - c_j)_+ (math: mass in motion). Unbalanced transport can also move more mass
@@ -107,7 +107,7 @@ def displacement_statistics(
     Raises
     ------
     InputError
-        If the measures are no images, or not those of the plan.
+        If the measures are no images, or the plan belongs to other measures.
 
     Examples
     --------
@@ -149,7 +149,7 @@ def displacement_of(
     destinations : (N, 2) array
         Mean destination of each source pixel, in the common frame.
     row_mass, column_mass : (N,) and (M,) arrays
-        Mass that leaves each source pixel, and that arrives at each target pixel.
+        Mass that leaves each source pixel, and mass that arrives at each target pixel.
     mask : float
         Rows of at most this mass count as resting.
 
@@ -159,7 +159,7 @@ def displacement_of(
     """
     height, width = source.shape
     moves = row_mass > mask
-    # Pixels in one unit of the common frame; for stretched axes as in the paper's Table 1.
+    # Number of pixels in one unit of the common frame; stretched axes follow the paper's Table 1.
     scale = np.full(2, float(max(1, max(source.shape) - 1)))
     if source.extent == "unit":
         scale = np.array([width, height], float)

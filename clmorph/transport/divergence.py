@@ -35,7 +35,7 @@ from clmorph.transport.sinkhorn import sinkhorn, warn_unless_converged
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Divergence:
-    """A Sinkhorn divergence, its potentials, and an interval that certainly holds its value.
+    """A Sinkhorn divergence, its potentials, and an interval that is proven to contain its value.
 
     Attributes
     ----------
@@ -46,9 +46,9 @@ class Divergence:
         and primal values (upper bounds) of the three problems. For balanced transport primal values
         follow from the marginal errors, and the interval is wide unless `tol` is small.
     cross : Potentials
-        Of the problem between source and target.
+        Potentials of the problem between source and target.
     source_self, target_self : Potentials
-        Of the problem of each measure with itself, where f = g.
+        Potentials of the problem of each measure with itself, where f = g.
 
     Examples
     --------
@@ -88,7 +88,7 @@ class Divergence:
         Parameters
         ----------
         other : Divergence
-            With the same blur and reach.
+            A divergence with the same blur and reach.
 
         Returns
         -------
@@ -152,7 +152,8 @@ def sinkhorn_divergence(
     blur, epsilon
         As in `clmorph.sinkhorn`.
     reach : float or None
-        As in `clmorph.sinkhorn`, but one number for both measures: with two there is no divergence.
+        As in `clmorph.sinkhorn`, but one number for both measures; the divergence is not defined
+        for two different numbers.
     rho : float, optional
         reach^2, in place of `reach`; infinity is balanced.
     tol, max_iter, backend, precision, progress
@@ -167,7 +168,7 @@ def sinkhorn_divergence(
     Raises
     ------
     InputError
-        If an argument cannot be used, or nothing is proven about a part of the result.
+        If an argument cannot be used, or no bound can be proven for a part of the result.
 
     Warns
     -----
@@ -240,7 +241,7 @@ def sinkhorn_divergence(
 def _check_cross(
     cross: Potentials, source: AnyMeasure, target: AnyMeasure, given: Regularization
 ) -> None:
-    """Refuse potentials of another problem."""
+    """Raise an error if potentials belong to another problem."""
     check_potentials("cross", cross, (len(source), len(target)))
     if (cross.blur, cross.reach) != (given.blur, given.reach):
         raise InputError(
@@ -267,7 +268,7 @@ def _self_transport(
     coarse = ROUNDING_MARGIN * problem.rounding(epsilon, precise=False)
     precise = precision == "float64"
     finest = ROUNDING_MARGIN * problem.rounding(epsilon, precise or precision == "auto")
-    problem.to_columns = problem.to_rows  # both measures are one, and so are both potentials
+    problem.to_columns = problem.to_rows  # both measures are equal, and so are both potentials
     f = np.zeros(len(problem.a))
     residuals: list[float] = []
     stalled = out = False
@@ -280,7 +281,7 @@ def _self_transport(
             if precision == "auto" and not precise and (residual <= max(coarse, tol) or out):
                 precise = True
                 continue
-            # The residual no longer falls where it is rounding.
+            # A residual that consists of rounding no longer falls.
             stalled = residual <= finest and len(residuals) > 1 and residual > 0.9 * residuals[-2]
             if residual <= share * tol or out or stalled:
                 break

@@ -7,29 +7,29 @@ from typing import Literal, get_args
 from clmorph._shared.option_kinds import choice, flag, integer, number
 from clmorph._shared.options import Options, option
 
-#: Length scale of creation and destruction of mass: one for both measures, or a pair; None
-#: is balanced.
+#: Length scale of creation and destruction of mass: one for both measures, or one for each; None is
+#: balanced.
 Reach = float | tuple[float | None, float | None] | None
-#: The same squared; infinity is balanced.
+#: The square of a reach; infinity is balanced.
 Rho = float | tuple[float, float] | None
-#: How `clmorph.sinkhorn` iterates: accelerated and certified, or by GeomLoss's schedule.
+#: Algorithm of `clmorph.sinkhorn`: accelerated and certified, or GeomLoss's schedule.
 Method = Literal["certified", "geomloss"]
 METHODS = get_args(Method)
 #: Floating-point precision of the exponents while the solver iterates.
 Precision = Literal["auto", "float32", "float64"]
 PRECISIONS = get_args(Precision)
-#: What the share `relative` of `clmorph.transport_plan` refers to: the largest pair of the row or
+#: Reference of the share `relative` of `clmorph.transport_plan`: the largest pair of the row or
 #: column, or the largest pair of the plan.
 RelativeTo = Literal["rows", "plan"]
 RELATIVE_TO = get_args(RelativeTo)
 
-#: The threshold log_threshold, in nats, lies within these bounds.
+#: Bounds of the threshold log_threshold, in nats.
 LOWEST, HIGHEST = -1e4, 1e4
-#: Random draws from a row of a plan, at most.
+#: Largest number of random draws from a row of a plan.
 MAX_DRAWS = 4096
 
 _LENGTH = number(1e-6, 1e6)
-#: Checked by `clmorph.transport.regularization`, which knows both units.
+#: The value is checked by `clmorph.transport.regularization`, which handles reach and rho.
 _REACH = replace(
     _LENGTH, check=lambda name, value: value, pair=True, expected="a number",
     metavar="number|balanced|source,target",
@@ -39,7 +39,7 @@ _RHO = replace(_REACH, words=(("balanced", math.inf),))
 
 @dataclass(frozen=True, init=False)
 class SolverOptions(Options):
-    """Options of the problem and of when its solver stops: `clmorph.sinkhorn`."""
+    """Options of `clmorph.sinkhorn` that define the problem and when the solver stops."""
 
     blur: float | None = option(
         0.03, _LENGTH,
@@ -71,7 +71,7 @@ class SolverOptions(Options):
 
 @dataclass(frozen=True, init=False)
 class AlgorithmOptions(Options):
-    """Further options of `clmorph.sinkhorn`: how it computes, not what."""
+    """Further options of `clmorph.sinkhorn`, which select the algorithm but not the problem."""
 
     method: Method = option("certified", choice(Method), "Algorithm.", "Transport", word="")
     scaling: float = option(
@@ -85,7 +85,7 @@ class AlgorithmOptions(Options):
 
 @dataclass(frozen=True, init=False)
 class PlanOptions(Options):
-    """Options of the plan: which of its pairs become particles."""
+    """Options of the plan, which select the pairs that become particles."""
 
     log_threshold: float | None = option(
         None, number(LOWEST, HIGHEST),
@@ -108,7 +108,7 @@ class PlanOptions(Options):
 
 @dataclass(frozen=True, init=False)
 class PruningOptions(Options):
-    """Further options of `clmorph.transport_plan`: which pairs it keeps, and how many."""
+    """Further options of `clmorph.transport_plan`, which select and limit the kept pairs."""
 
     relative: float = option(
         1e-4, number(0.0, 1.0, open_low=True),

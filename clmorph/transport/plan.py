@@ -29,7 +29,7 @@ class Plan:
     Attributes
     ----------
     indptr : (N + 1,) array of int
-        Where each source point's pairs begin.
+        Index of the first pair of each source point.
     indices : (kept,) array of int
         Target point of each pair, ascending inside a row.
     mass : (kept,) array
@@ -71,7 +71,7 @@ class Plan:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the pairs."""
+        """Size of the pairs in bytes."""
         return self.indptr.nbytes + self.indices.nbytes + self.mass.nbytes
 
     @property
@@ -86,17 +86,17 @@ class Plan:
 
     @cached_property
     def rows(self) -> IntArray:
-        """(kept,) source point of each pair."""
+        """(kept,) index of the source point of each pair."""
         return np.repeat(np.arange(self.shape[0]), np.diff(self.indptr))
 
     @cached_property
     def row_mass(self) -> Array:
-        """(N,) mass of the kept pairs of each source point; see `marginals` for the plan's."""
+        """(N,) mass of the kept pairs of each source point; `marginals` is that of the plan."""
         return np.asarray(np.bincount(self.rows, self.mass, self.shape[0]), float)
 
     @cached_property
     def column_mass(self) -> Array:
-        """(M,) mass of the kept pairs of each target point; see `marginals` for the plan's."""
+        """(M,) mass of the kept pairs of each target point; `marginals` is that of the plan."""
         return np.asarray(np.bincount(self.indices, self.mass, self.shape[1]), float)
 
     @property
@@ -106,15 +106,16 @@ class Plan:
 
     @property
     def dropped_row_mass(self) -> Array:
-        """(N,) the same for each row; 0 where nothing leaves.
+        """(N,) share of each row's mass in pairs that were not kept; 0 where no mass leaves.
 
-        Of draws: the share by which those of a row fall short of its mass, by chance.
+        For a plan of random draws, it is the share by which the draws of a row are below the row's
+        mass by chance.
         """
         return _share_dropped(self.row_mass, self.whole_row_mass)
 
     @property
     def worst_dropped_row_mass(self) -> float:
-        """The largest share of its mass that a row lost."""
+        """The largest value of `dropped_row_mass`."""
         return float(self.dropped_row_mass.max())
 
     def mean_destinations(self, source: Array, target: Array) -> tuple[Array, Array]:
@@ -134,7 +135,7 @@ class Plan:
         Raises
         ------
         InputError
-            If their numbers are not those of the plan, or their dimensions differ.
+            If the numbers of points are not those of the plan, or their dimensions differ.
 
         Examples
         --------
@@ -194,15 +195,15 @@ class Plan:
 
 
 def _share_dropped(kept: Any, whole: Any) -> Any:
-    """Return 1 - kept / whole, within [0, 1], 0 where there is nothing."""
+    """Return 1 - kept / whole, within [0, 1]; 0 where the whole is 0."""
     whole = np.asarray(whole, float)
     share = np.divide(kept, whole, out=np.ones_like(whole), where=whole > 0)
     lost = np.clip(1.0 - share, 0.0, 1.0)
-    return np.where(lost > 1e-12, lost, 0.0)  # a sum's rounding is no loss
+    return np.where(lost > 1e-12, lost, 0.0)  # smaller values are rounding of the sums
 
 
 def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
-    """Return a plan after checking that it is one between measures of these sizes.
+    """Return a plan after checking that its measures have these sizes.
 
     Parameters
     ----------
@@ -214,7 +215,7 @@ def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
     Raises
     ------
     InputError
-        If it is no plan, or has other sizes, or its arrays do not belong together.
+        If the value is no plan, has other sizes, or its arrays are inconsistent.
     """
     if not isinstance(value, Plan):
         raise InputError(
@@ -241,7 +242,7 @@ def check_plan(name: str, value: Any, sizes: tuple[int, int]) -> Plan:
         usable = shapes == [(n + 1,), (kept,), (kept,), (n,), (m,)]
         usable = usable and value.indptr[0] == 0 and value.indptr[-1] == kept
         usable = usable and bool(np.all(np.diff(value.indptr) >= 0))
-        # NaN is within no range, and no array is made as long as all pairs.
+        # Minima and maxima also detect NaN, without temporary arrays of the length of all pairs.
         usable = usable and not (kept and not 0 <= value.indices.min() <= value.indices.max() < m)
         for masses in (value.mass, *value.marginals):
             usable = usable and not (len(masses) and not 0 <= masses.min() <= masses.max() < np.inf)

@@ -1,4 +1,4 @@
-"""Build the sparse transport plan of potentials (paper, Eq. 2), in streaming."""
+"""Build the sparse transport plan of potentials (paper, Eq. 2) without a dense matrix."""
 
 from __future__ import annotations
 
@@ -59,7 +59,8 @@ def transport_plan(
     log_threshold : float, optional
         If given, the pairs with log pi_ij above this are kept instead (paper, 3.1: tau = -13).
         log pi_ij falls as log(1 / N^2), so such a threshold drops all pairs between large images.
-        Pairs within rounding of it are decided in float64, so that every device keeps the same.
+        Pairs within rounding of it are decided in float64, so that every device keeps the same
+        pairs.
     max_bytes : float
         Largest number of bytes of the pairs, 12 each; it is checked before they are written.
     backend : str or Operations
@@ -153,7 +154,7 @@ def transport_plan(
         if not len(pairs.mass):
             row_maxima = operations.row_maxima(rows, columns, g, epsilon) + f / epsilon + log_a
             raise no_pair_kept(log_threshold, float(row_maxima.max()))
-    # Masses can underflow to 0, as all do at a tiny reach.
+    # Masses can underflow to 0; at a tiny reach all of them do.
     shape = len(source), len(target)
-    # The marginal of the columns came with the potentials; computing it here would take a pass.
+    # The potentials contain the marginal of the columns; computing it here would take another pass.
     return Plan(*only(pairs, pairs.mass > 0), shape, whole, potentials.column_mass)

@@ -42,7 +42,8 @@ class Draws:
 
         A pair is drawn k pi_ij / r_i times from its row and l pi_ij / c_j times from its column
         on average, so that draws of mass 1 / (k / r_i + l / c_j) add up to pi_ij on average
-        (the balance heuristic of Veach and Guibas 1995). All are scaled to the plan's whole mass.
+        (the balance heuristic of Veach and Guibas 1995). All masses are then scaled so that their
+        sum is the plan's whole mass.
         """
         with np.errstate(divide="ignore", over="ignore"):
             rows = self.targets.shape[1] / self.row_mass
@@ -57,10 +58,10 @@ class Draws:
 
 
 def n_draws(draws: int) -> tuple[int, int]:
-    """Return how many draws are taken from each row and from each column.
+    """Return the numbers of draws from each row and from each column.
 
-    All but one are taken from rows: many strata of one side spread more evenly than few strata of
-    both sides, and one draw of each column is enough to reach every target point.
+    All draws but one are taken from rows, because many strata of one side spread more evenly than
+    few strata of both sides. One draw from each column is enough to reach every target point.
 
     Examples
     --------
@@ -81,21 +82,22 @@ def sample_plan(
 ) -> Plan:
     """Draw pairs from the rows and the columns of a plan (paper, Eq. 2), without storing the plan.
 
-    If the potentials come with a truncation, pairs that it leaves out are never drawn.
+    If the potentials have a truncation, pairs that it leaves out are never drawn.
 
-    Draws are stratified: draw s falls into the s-th of equal parts of its row, so that a few draws
-    already spread as the row does. One draw of each column makes mass arrive wherever the plan
-    brings some, even with few draws. The masses of the draws are unbiased: on average they add up
-    to the plan's in each pair, row and column; their total is exact. `Plan.marginals` of the result
-    are those of the whole plan.
+    Draws are stratified: a row is divided into equal parts of its mass, and draw s falls into part
+    s, so that even a few draws spread over the whole row. One draw from each column makes mass
+    arrive at every target point that the plan reaches, even with few draws. The masses of the draws
+    are unbiased: on average they add up to the plan's masses in each pair, row and column; their
+    total is exact. `Plan.marginals` of the result are those of the whole plan.
 
     Parameters
     ----------
     source, target : Measure, WeightedPoints, or (weights, points)
     potentials : Potentials
     draws : int
-        Draws for each point: all but one (and at least one) come from each row, and one from each
-        column. A pair that is drawn twice becomes one pair with the sum of both masses.
+        Number of draws for each point: all but one (and at least one) come from each row, and one
+        comes from each column. A pair that is drawn twice becomes one pair with the sum of both
+        masses.
     seed : int
         Seed of the random numbers.
     backend : str or Operations
@@ -132,7 +134,7 @@ def sample_plan(
     columns = np.concatenate((drawn.targets.ravel(), np.repeat(np.arange(m), by_column)))
     mass = np.concatenate([part.ravel() for part in drawn.masses()])
     pairs = rows.astype(np.int64), columns.astype(np.int64)
-    plan = coo_array((mass, pairs), shape=(n, m)).tocsr()  # sums what is twice there
+    plan = coo_array((mass, pairs), shape=(n, m)).tocsr()  # adds up repeated pairs
     plan.sort_indices()
     plan.eliminate_zeros()
     return Plan(
@@ -181,7 +183,7 @@ def draw_pairs(
 
     def draw(own: Potentials, softmin: Softmin, sums: Array, count: int) -> NDArray[np.int32]:
         thresholds = (np.arange(count) + rng.random((len(sums), count))) / count
-        # Dividing can round up to 1.
+        # The division can round up to 1.
         thresholds = np.minimum(thresholds, np.nextafter(1.0, 0.0))
         return operations.sample_plan_rows(
             softmin.rows, softmin.columns, own.g, sums, epsilon, thresholds, precise, softmin.near

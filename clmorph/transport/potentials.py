@@ -15,7 +15,7 @@ from clmorph.transport.certificate import Certificate
 from clmorph.transport.options import Reach
 from clmorph.transport.regularization import regularization
 
-#: The ways in which a solve can end, and what each means.
+#: The ways in which a solve can end, with a description of each.
 STATUSES = {
     "converged": "the residual is at most the tolerance",
     "max_iter": "the iterations ran out first",
@@ -31,30 +31,32 @@ class Potentials:
     Attributes
     ----------
     f, g : (N,) and (M,) arrays
-        Cost units (the points' unit squared).
+        Potentials in cost units (the points' unit squared).
     blur : float
-        epsilon = blur^2, points' unit.
+        Length scale in the points' unit; epsilon = blur^2.
     reach : float, None, or a pair of them
-        rho = reach^2, points' unit; None is balanced. A pair (source, target) if they differ.
+        Length scale in the points' unit; rho = reach^2, and None is balanced. It is a pair (source,
+        target) if they differ.
     status : {"converged", "max_iter", "precision", "schedule"}
         See `STATUSES`.
     message : str
-        One line that says how the solve ended and, if it did not converge, what to do.
+        One line that reports how the solve ended and, if it did not converge, a remedy.
     n_iter : int
-        Iterations, those of the annealing included; one iteration updates both potentials.
-        Iterations that were taken back count too.
+        Number of iterations, those of the annealing included; one iteration updates both
+        potentials. Iterations that were taken back count too.
     residual : float
         max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon over points of positive mass, for these
         potentials (math: residual). It is an upper bound, which includes rounding and truncation.
     residuals : (k,) array
-        The residual after each iteration that was kept, each in units of its own level's
-        epsilon: while the blur is annealed they start high at every level.
+        The residual after each iteration that was not taken back, in units of its own level's
+        epsilon. While the blur is annealed, residuals start high at every level.
     certificate : Certificate
         Bounds and marginals that follow from these potentials.
     precise : bool
         Whether the last iterations needed more than float32 exponents.
     truncation : float or None
-        Nats up to which pairs could be left out, see `clmorph.sinkhorn`; None: all were summed.
+        Nats up to which pairs could be left out, see `clmorph.sinkhorn`; None if all pairs were
+        summed.
     truncation_error : float
         Proven bound, in nats, of the error of the logarithms of `row_mass`, `column_mass` and
         `transported_mass` from pairs left out and from rounding. `residual`, `primal` and `dual`
@@ -112,7 +114,7 @@ class Potentials:
 
     @cached_property
     def rho(self) -> Any:
-        """Marginal penalty rho = reach^2, cost units; infinite if balanced, a pair if reach is."""
+        """Marginal penalty rho = reach^2, cost units; infinite if balanced, a pair like `reach`."""
         if isinstance(self.reach, tuple):
             return tuple(np.inf if reach is None else reach**2 for reach in self.reach)
         return np.inf if self.reach is None else self.reach**2
@@ -131,25 +133,25 @@ class Potentials:
     def primal(self) -> float:
         """An upper bound of the optimum, rounding included; see `clmorph.transport.certificate`.
 
-        <C, pi> + rho KL(pi 1|a) + rho KL(pi^T 1|b) + epsilon KL(pi|a x b) of the plan, or, with a
-        balanced side, of the plan with its rows or columns scaled to the masses given; if both are
-        balanced it follows from `marginal_error`, for equal masses.
+        It is <C, pi> + rho KL(pi 1|a) + rho KL(pi^T 1|b) + epsilon KL(pi|a x b) of the plan. With
+        one balanced side, the plan's rows or columns are first scaled to the given masses. If both
+        sides are balanced, the bound follows from `marginal_error` and requires equal masses.
         """
         return self.certificate.primal
 
     @property
     def dual(self) -> float:
-        """Dual value D(f, g) less its rounding: a lower bound of the optimum."""
+        """Dual value D(f, g) minus its rounding, a lower bound of the optimum."""
         return self.certificate.dual
 
     @property
     def gap(self) -> float:
-        """Primal - dual: how far from the optimum these potentials can be."""
+        """Primal - dual, an upper bound of the distance of both values from the optimum."""
         return self.certificate.gap
 
     @property
     def marginal_error(self) -> float:
-        """Sum over the balanced sides of |pi 1 - a|_1, at most; 0 without any."""
+        """Upper bound of |pi 1 - a|_1, summed over the balanced sides; 0 without balanced sides."""
         return self.certificate.marginal_error
 
     @property
@@ -174,14 +176,14 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     Parameters
     ----------
     name : str
-        Their name in error messages.
+        The name of the potentials in error messages.
     value : Potentials
     sizes : (N, M)
 
     Raises
     ------
     InputError
-        If they are none, of other sizes, or not finite.
+        If the value is no Potentials, has other sizes, or is not finite.
     """
     if not isinstance(value, Potentials):
         raise InputError(
@@ -210,7 +212,7 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     numbers = [value.residual, value.truncation_error, value.visited, value.n_iter]
     numbers += [each for each in (*lengths, value.truncation) if each is not None]
     floats = [as_float(each) for each in numbers]
-    # NaN is not at least 0.
+    # The comparison number >= 0 also refuses NaN.
     usable = all(number is not None and number >= 0 for number in floats)
     usable = usable and isinstance(value.status, str) and isinstance(value.message, str)
     usable = usable and isinstance(value.residuals, np.ndarray) and value.residuals.dtype == float
@@ -233,27 +235,28 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     return value
 
 
-#: Share by which the marginal of a plan may differ from the one that came with its potentials,
-#: beside rounding and truncation. It is far more than these cause, and far less than the
-#: difference that other measures make.
+#: Share by which the marginal of a plan may differ from the marginal in its potentials, beside
+#: rounding and truncation. It is far more than these cause, and far less than the difference that
+#: other measures cause.
 FOREIGN = 0.01
 
 
 def check_origin(potentials: Potentials, row_mass: Array, rounding: float) -> None:
-    """Check that potentials belong to measures: the plan's marginal must be the one they came with.
+    """Check that potentials belong to measures, by the marginal of the plan.
 
     Parameters
     ----------
     potentials : Potentials
     row_mass : (N,) array
-        Of the plan of these potentials between the measures at hand.
+        Marginal of the plan of these potentials between the given measures. It must be the one
+        that the potentials contain.
     rounding : float
-        By how many nats rounding can change a softmin.
+        Largest effect of rounding on a softmin, in nats.
 
     Raises
     ------
     InputError
-        If not: then they were computed for other measures.
+        If the potentials were computed for other measures.
     """
     nats = 4.0 * rounding + 2.0 * potentials.truncation_error + (potentials.truncation or 0.0)
     own = potentials.row_mass

@@ -1,4 +1,4 @@
-"""The rule by which pairs of a transport plan are kept (paper, 3.1).
+"""The rule that selects the kept pairs of a transport plan (paper, 3.1).
 
 The paper keeps the pairs with log pi_ij > tau = -13. This threshold is absolute: between two images
 of N pixels log pi_ij falls as log(1 / N^2), so a tau that drops little of small images drops all of
@@ -21,9 +21,9 @@ from clmorph.transport.potentials import Potentials
 
 #: Pairs within this many rounding errors of the threshold are decided in float64.
 ROUNDINGS = 4.0
-#: Rounding of float32, in which devices hold log pi_ij of a pair.
+#: Relative rounding of float32, in which devices store log pi_ij of a pair.
 FLOAT32 = float(np.finfo(np.float32).eps)
-#: What to do when a threshold keeps nothing, or too little.
+#: The remedy for a threshold that keeps no pairs or too few, for error messages.
 REMEDY = (
     "lower it, or keep pairs relative to the largest ones (None; in the command line "
     "'relative'); the paper's -13 is for images of about 48 pixels"
@@ -36,18 +36,18 @@ def check_log_threshold(value: Any) -> float:
     Parameters
     ----------
     value : float
-        In nats.
+        The threshold in nats.
 
     Raises
     ------
     InputError
-        If it is no number within the bounds.
+        If the value is no number within the bounds.
     """
     return check_number("log_threshold", value, LOWEST, HIGHEST)
 
 
 def check_reachable(log_threshold: float, source: AnyMeasure, target: AnyMeasure) -> None:
-    """Check, before anything is solved, that a pair of the plan can exceed the threshold.
+    """Check before the solve that a pair of the plan can exceed the threshold.
 
     At the optimum r_i = a_i e^(-f_i / rho_1) and c_j = b_j e^(-g_j / rho_2) are the plan's
     marginals, and pi_ij is at most each of them. If f_i + g_j <= 0, then pi_ij <= a_i b_j by Eq. 2,
@@ -59,12 +59,12 @@ def check_reachable(log_threshold: float, source: AnyMeasure, target: AnyMeasure
     ----------
     log_threshold : float
     source, target : Measure or WeightedPoints
-        Between which the plan is built.
+        The measures between which the plan is built.
 
     Raises
     ------
     InputError
-        If no pair can.
+        If no pair can exceed the threshold.
     """
     log_a, log_b = (float(_log(measure.weights).max()) for measure in (source, target))
     largest = max(log_a, log_b, log_a + log_b)
@@ -76,7 +76,7 @@ def check_reachable(log_threshold: float, source: AnyMeasure, target: AnyMeasure
 
 
 def no_pair_kept(log_threshold: float, largest: float) -> InputError:
-    """Return the error that says that a plan has no pair above the threshold.
+    """Return the error which reports that a plan has no pair above the threshold.
 
     Parameters
     ----------
@@ -91,13 +91,13 @@ def no_pair_kept(log_threshold: float, largest: float) -> InputError:
 
 
 def undecided(log_threshold: float, rounding: float) -> float:
-    """Return by how many nats log pi_ij of a device may be wrong near the threshold.
+    """Return a bound of the error of a device's log pi_ij near the threshold, in nats.
 
     Parameters
     ----------
     log_threshold : float
     rounding : float
-        By how many nats rounding may change a softmin, see `rounding_error`.
+        Largest effect of rounding on a softmin in nats, see `rounding_error`.
     """
     return ROUNDINGS * (rounding + FLOAT32 * max(1.0, abs(log_threshold)))
 
@@ -110,7 +110,7 @@ def strictly_above(
     log_threshold: float,
     margin: float,
 ) -> PlanRows:
-    """Drop pairs that do not exceed the threshold, so that no rounding of a device decides.
+    """Drop pairs that do not exceed the threshold, so that a device's rounding has no effect.
 
     Parameters
     ----------
@@ -120,13 +120,14 @@ def strictly_above(
     potentials : Potentials
     log_threshold : float
     margin : float
-        Nats, see `undecided`; pairs this near to the threshold are computed again in float64.
+        A distance in nats, see `undecided`; pairs this near to the threshold are computed again in
+        float64.
 
     Returns
     -------
     PlanRows
-        Those whose log pi_ij is above `log_threshold` in float64: the same on every device that
-        is given the same potentials.
+        The pairs whose log pi_ij is above `log_threshold` in float64. They are the same on every
+        device for the same potentials.
     """
     log_mass = _log(pairs.mass)
     keep = log_mass > log_threshold
@@ -150,7 +151,7 @@ def only(pairs: PlanRows, keep: BoolArray) -> PlanRows:
     ----------
     pairs : PlanRows
     keep : (kept,) array of bool
-        Which of them.
+        Whether each pair is kept.
     """
     before = np.concatenate(([0], np.cumsum(keep, dtype=np.int64)))
     return PlanRows(before[pairs.indptr], pairs.indices[keep], pairs.mass[keep])

@@ -1,4 +1,4 @@
-"""Solve low, render high: transport between blocks of pixels, drawn with the pixels themselves."""
+"""Convert a plan between blocks of pixels to a plan between pixels, which are then drawn."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from clmorph.transport.plan_sampling import Draws
 def refined(
     plan: Plan | Barycentric, source: PixelBlocks, target: PixelBlocks
 ) -> Plan | Barycentric:  # fmt: skip
-    """Return a plan between blocks as one between their pixels.
+    """Convert a plan between blocks to a plan between their pixels.
 
     The mass that goes from one block to another goes from each pixel of the first to the pixel at
     the same place in the second, or to several pixels if the second block has more of them. Blocks
@@ -28,13 +28,14 @@ def refined(
     Parameters
     ----------
     plan : Plan or Barycentric
-        Between `source.coarse` and `target.coarse`.
+        A plan between `source.coarse` and `target.coarse`.
     source, target : PixelBlocks
 
     Returns
     -------
     Plan or Barycentric
-        Its marginals are those of the blocks, shared out by mass.
+        The plan between pixels. Its marginals are those of the blocks, divided among the pixels by
+        mass.
     """
     if source.side == target.side == 1:
         return plan
@@ -51,7 +52,7 @@ def refined(
     pairs, rows, columns = (np.concatenate(values) for values in zip(*parts, strict=True))
     per_pair = np.divide(plan.mass, whole, out=np.zeros(len(plan)), where=whole > 0)
     mass = np.concatenate(weights) * per_pair[pairs]
-    # Where no place has mass in both blocks, the heaviest pixels stand for them.
+    # If no place has mass in both blocks, the heaviest pixels represent the blocks.
     lone = np.flatnonzero(whole == 0)
     rows = np.concatenate((rows, source.heaviest[i[lone]]))
     columns = np.concatenate((columns, target.heaviest[j[lone]]))
@@ -92,23 +93,25 @@ def _pixels(
 
 
 def drawn(draws: Draws, source: PixelBlocks, target: PixelBlocks) -> Plan:
-    """Return draws from a plan between blocks as pairs of pixels, each draw once.
+    """Convert draws from a plan between blocks to pairs of pixels, each draw to one pair.
 
-    The draws of a row follow a Z-curve over the target's blocks. They go in turn to the pixels of
-    the row's block, in the same order and by mass: every pixel gets some from all over the row,
-    neighboring pixels go to neighboring blocks, and each goes to the pixel at its own place in
-    that block. The draws of a column do the same, with both images swapped.
+    The draws of a row are ordered along a Z-curve over the target's blocks. They are assigned in
+    turn to the pixels of the row's block, in the same order and by mass. Every pixel therefore gets
+    draws from the whole row, and neighboring pixels go to neighboring blocks. Each pixel goes to
+    the pixel at its own place in the drawn block. The draws of a column are treated in the same
+    way, with both images swapped.
 
     Parameters
     ----------
     draws : Draws
-        Between `source.coarse` and `target.coarse`.
+        Draws from a plan between `source.coarse` and `target.coarse`.
     source, target : PixelBlocks
 
     Returns
     -------
     Plan
-        Its marginals are those of the blocks, shared out by mass.
+        The plan between pixels. Its marginals are those of the blocks, divided among the pixels by
+        mass.
     """
     by_row, by_column = draws.masses()
     own, other, mass = _to_pixels(draws.targets, by_row, source, target)
@@ -121,7 +124,7 @@ def drawn(draws: Draws, source: PixelBlocks, target: PixelBlocks) -> Plan:
 def _to_pixels(
     drawn: NDArray[np.int32], masses: Array, own: PixelBlocks, other: PixelBlocks
 ) -> tuple[IntArray, IntArray, Array]:
-    """Return draws of the blocks of one side as pairs of pixels: own, other, and their mass."""
+    """Return pixel pairs of one side's draws: own pixels, other pixels, and masses of the pairs."""
     n, count = drawn.shape
     along = z_order(*np.divmod(np.arange(len(other.coarse)), other.coarse.shape[1]))
     order = np.argsort(along[drawn], axis=1, kind="stable")
@@ -137,7 +140,7 @@ def _to_pixels(
 
 
 def z_order(row: IntArray, column: IntArray) -> IntArray:
-    """Return the position of grid points along a Z-curve (Morton 1966), by interleaved bits."""
+    """Return the positions of grid points along a Z-curve (Morton 1966), by interleaved bits."""
     code = np.zeros_like(row)
     for bit in range(int(max(row.max(initial=0), column.max(initial=0))).bit_length()):
         code |= (column >> bit & 1) << 2 * bit | (row >> bit & 1) << 2 * bit + 1
@@ -147,7 +150,7 @@ def z_order(row: IntArray, column: IntArray) -> IntArray:
 def _in_turn(
     blocks: PixelBlocks, owner: IntArray, rank: IntArray, draws: int, finest: int
 ) -> tuple[IntArray, IntArray]:
-    """Return the pixel of each draw, and its place, row and column, in the largest of blocks."""
+    """Return the pixel of each draw, and its place (row and column) in the largest block."""
     places = np.divmod(np.arange(len(blocks.fine)), blocks.fine.shape[1])
     order = np.lexsort((z_order(*(axis % blocks.side for axis in places)), blocks.owners))
     owners = blocks.owners[order]
@@ -159,7 +162,7 @@ def _in_turn(
     n = count[owner]
     level = ((rank % n) + (rank // n + 0.5) / -(-draws // n)) / n
     found = np.minimum(np.searchsorted(ends, owner + level), np.cumsum(count)[owner] - 1)
-    # The rest of the level chooses among the places that one pixel covers in larger blocks.
+    # The remainder of the level selects one of the places that a pixel covers in a larger block.
     inner = np.clip((owner + level - ends[found]) / np.maximum(share[found], 1e-12) + 1, 0, 1)
     pixels = order[found]
     row, column = np.divmod(pixels, blocks.fine.shape[1])
@@ -181,7 +184,7 @@ def _before(share: Array, owners: IntArray) -> Array:
 
 
 def _at_place(blocks: PixelBlocks, owner: IntArray, place: IntArray, finest: int) -> IntArray:
-    """Return the pixel of each block at a place; a block cut off by the border repeats its own."""
+    """Return each block's pixel at a place; a block cut off by the border repeats its pixels."""
     found = []
     indices = np.divmod(owner, blocks.coarse.shape[1])
     for index, length, offset in zip(indices, blocks.fine.shape, place, strict=True):
@@ -223,8 +226,8 @@ def _with_all_pixels(
 ) -> tuple[IntArray, IntArray, Array]:
     """Let pixels that should move but have no pair share the heaviest pair of their block.
 
-    Such pixels are light beside others of their block, or have no partner at their place in the
-    blocks to which theirs moves. Without a pair they would stay behind.
+    Such pixels have little mass in comparison with others of their block, or have no partner at
+    their place in the blocks to which their block moves. Without a pair they would not move.
     """
     missed = np.flatnonzero((wanted > 0) & (np.bincount(own, mass, len(wanted)) == 0))
     if not len(missed):
@@ -233,7 +236,7 @@ def _with_all_pixels(
     near = np.flatnonzero(np.isin(owners[own], owners[missed]) & (mass > 0))
     order = near[np.lexsort((mass[near], owners[own[near]]))]
     heaviest = np.full(len(blocks.coarse), -1)
-    heaviest[owners[own[order]]] = order  # the last one of each block, the heaviest, is kept
+    heaviest[owners[own[order]]] = order  # the last pair of each block, the heaviest one, is kept
     missed = missed[heaviest[owners[missed]] >= 0]
     pairs = heaviest[owners[missed]]
     mass = mass / (1 + np.bincount(pairs, minlength=len(mass)))

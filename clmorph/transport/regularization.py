@@ -20,7 +20,7 @@ class Regularization(NamedTuple):
     blur : float
         Length, in the unit of the points.
     reach : float, None, or a pair of them
-        Lengths; a pair only if its halves differ.
+        Length, in the unit of the points; a pair only if its halves differ.
     epsilon : float
         blur^2, cost units.
     rho : (rho_source, rho_target)
@@ -39,7 +39,7 @@ def regularization(
     epsilon: Any = None,
     rho: Any = None,
 ) -> Regularization:
-    """Check blur or epsilon = blur^2, and reach or rho = reach^2: one of each (paper, 2.1).
+    """Check either blur or epsilon = blur^2, and either reach or rho = reach^2 (paper, 2.1).
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def regularization(
     Raises
     ------
     InputError
-        If one is out of range, or both epsilon and blur or both rho and reach are given.
+        If a value is out of range, or if both epsilon and blur or both rho and reach are given.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def _each(name: str, value: Any, function: Any) -> tuple[float | None, float | N
 
 
 def _root(name: str, value: Any, check: Any) -> Any:
-    """Return the square root of epsilon or rho; errors name what the caller gave."""
+    """Return the square root of epsilon or rho; errors name the argument of the caller."""
     number = as_float(value)
     if number is None:
         raise InputError(f"{name}={shown(value)}: expected a positive number")

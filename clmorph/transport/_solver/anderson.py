@@ -12,19 +12,19 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph.transport._solver.problem import inner
 
-#: Iterates remembered.
+#: Number of stored iterates.
 MEMORY = 16
 #: Share of the remaining residual that is added, as in over-relaxation.
 MIXING = 1.5
-#: Longest extrapolation at first, in steps of the plain iteration; the factor by which it grows
-#: after a good extrapolation that it cut short, and the factor after a bad one.
+#: Initial radius of the trust region, in steps of the plain iteration; its growth factor after a
+#: good extrapolation that the radius had limited, and its factor after a bad extrapolation.
 TRUST_RADIUS, GROWTH, SHRINKAGE = 32.0, 4.0, 0.25
 #: Regularization of the least-squares problem, relative to its diagonal.
 RIDGE = 1e-10
 
 
 class Anderson:
-    """Remembers the last iterates and combines them."""
+    """Anderson acceleration, which stores the last iterates and combines them."""
 
     def __init__(self) -> None:
         self._trust_radius, self._was_cut = TRUST_RADIUS, False
@@ -34,14 +34,14 @@ class Anderson:
         self._weights: Array | None = None
         self._image: Array | None = None
         self._residual: Array | None = None
-        # Differences between successive iterates: of the images plus their share of the residuals,
-        # and of the residuals; and the inner products of the latter.
+        # Differences between successive iterates: those of the images plus the mixed share of the
+        # residuals, those of the residuals, and the inner products of the latter.
         self._ahead: list[Array] = []
         self._residuals: list[Array] = []
         self._products = np.zeros((0, 0))
 
     def accepted(self) -> None:
-        """Enlarge the trust region if it cut the last extrapolation, which was good."""
+        """Enlarge the trust region if it limited the last extrapolation, which was good."""
         if self._was_cut:
             self._trust_radius *= GROWTH
 
@@ -51,18 +51,18 @@ class Anderson:
         self._begin()
 
     def extrapolate(self, x: Array, image: Array, weights: Array) -> Array | None:
-        """Remember x and G(x) and return a better next iterate than G(x).
+        """Store x and G(x) and return a better next iterate than G(x).
 
         Parameters
         ----------
         x, image : (n,) arrays
         weights : (n,) array
-            Weights of the inner product; those of the first iterate are used.
+            Weights of the inner product; only those of the first iterate are used.
 
         Returns
         -------
         (n,) array or None
-            None while there are no two iterates to combine.
+            The next iterate; None until two iterates are stored.
         """
         residual = image - x
         if self._image is None or self._residual is None or self._weights is None:

@@ -19,7 +19,7 @@ from clmorph.transport._solver.state import State
 
 #: Side of the clusters at a level, in units of its blur.
 ANNEALING_SIDE = 1.0
-#: Annealing begins at the level that has no more pairs of clusters than this.
+#: Annealing begins at a level with at most this number of pairs of clusters.
 FEW_PAIRS = 1 << 20
 #: Residual to reach at a level, in units of its epsilon.
 LEVEL_TOLERANCE = 0.05
@@ -34,20 +34,20 @@ def anneal(
     blur: float,
     max_iter: int,
 ) -> Array:
-    """Return potentials g at which a problem can begin, from larger blurs over larger clusters.
+    """Return initial potentials g of a problem, from larger blurs over larger clusters.
 
     Parameters
     ----------
     problem : Problem
-        Of the points.
+        The problem of the points.
     pair : (source, target)
         Measures of the finest problem: the points, or clusters of them.
     finest : Problem
-        That of `pair`; its softmins receive first guesses.
+        The problem of `pair`; its softmins receive first guesses.
     blur : float
-        Of the finest problem.
+        Blur of the finest problem.
     max_iter : int
-        Most iterations at each level.
+        Largest number of iterations at each level.
 
     Returns
     -------
@@ -113,7 +113,8 @@ def _prolong(
     def softmin(rows: Any, columns: Any, weights: tuple[Array, Array], guess: Array) -> Softmin:
         truncation = _level_truncation(problem, len(weights[0]), len(weights[1]))
         result = Softmin(problem.operations, rows, columns, weights, truncation)
-        # It is taken once and from a rough guess; what it leaves out is little all the same.
+        # The softmin is computed once, from a rough guess, so its truncation is not proven. The
+        # small reserve makes the mass of pairs left out small nevertheless.
         result.guess, result.proven, result.reserve = guess, False, LEAST_RESERVE
         return result
 
@@ -127,7 +128,7 @@ def _prolong(
 
 
 def prepare(problem: Problem, reserve: float) -> Problem:
-    """Let near pairs be chosen that remain valid although the potentials will move far."""
+    """Make the problem choose near pairs that remain valid although potentials will move far."""
     for softmin in (problem.to_rows, problem.to_columns):
         softmin.reserve = reserve
     return problem

@@ -29,7 +29,7 @@ def check_solver_options(
     precision: Any = "auto",
     multiscale: Any = "auto",
 ) -> tuple[float, int, float]:
-    """Check options of `sinkhorn` without doing any of its work.
+    """Check options of `sinkhorn` without solving the problem.
 
     Returns
     -------
@@ -38,7 +38,7 @@ def check_solver_options(
     Raises
     ------
     InputError
-        If one cannot be used.
+        If an option is invalid.
     """
     check_choice("method", method, METHODS)
     check_choice("precision", precision, PRECISIONS)
@@ -78,7 +78,7 @@ def check_problem(
     Raises
     ------
     InputError, DeviceError
-        If not.
+        If the problem has no solution, or the backend cannot compute it.
     """
     balanced = all(np.isinf(rho) for rho in given.rho)
     if balanced and abs(source.mass - target.mass) > MASS_TOLERANCE * source.mass:
@@ -88,7 +88,7 @@ def check_problem(
         )
     largest = largest_cost(source.points, target.points)
     if largest > MAX_SPREAD * given.epsilon:
-        enough = 1.1 * np.sqrt(largest / MAX_SPREAD)  # still enough when rounded
+        enough = 1.1 * np.sqrt(largest / MAX_SPREAD)  # the message rounds this
         raise InputError(
             f"blur={given.blur:g} is too small for points up to {np.sqrt(2 * largest):.3g} apart: "
             f"expected at least {enough:.2g}; raise it, or scale the points"

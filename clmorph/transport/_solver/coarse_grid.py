@@ -1,4 +1,4 @@
-"""Coarse problems that stand for a large one: of its clusters, or of its pairs of notable mass.
+"""Coarse problems that approximate a large one, by clusters or by pairs of notable mass.
 
 Values are restricted to a coarse problem by means over the points of a cluster, and its solution is
 prolonged to the points by a softmin.
@@ -14,7 +14,7 @@ from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.certificate import MAX_EXPONENT
 
-#: Share of the sum of its row or column from which on a pair is stored.
+#: A pair is stored if its share of the sum of its row or column is at least this.
 STORED_SHARE = 1e-26
 #: Stored pairs are trusted until potentials have moved by this many epsilons. The logarithm of a
 #: pair that is not stored grows by the rise of both its potentials, and mostly by far less; the
@@ -53,7 +53,8 @@ class CorrectedProblem(Problem):
 
     def correct(self, rows: Array, columns: Array, epsilon: float) -> None:
         """Set the corrections tau of T(g), (N,), and of T(f), (M,)."""
-        # A larger correction is meaningless; the residual over the points will show that.
+        # Larger corrections are limited, because they are meaningless; the residual over the
+        # points will show that.
         most = MAX_EXPONENT * epsilon
         rows, columns = np.clip(rows, -most, most), np.clip(columns, -most, most)
         if not any(self.inverse_rho):
@@ -69,7 +70,7 @@ class CorrectedProblem(Problem):
         self.masses = float(self.a.sum()), float(self.b.sum())
 
     def center_trust_region(self, f: Array) -> None:
-        """Set the potentials around which this problem stands for the points; here all do."""
+        """Set the center of the trust region; here the region contains all potentials."""
 
     def clip_to_trust_region(self, f: Array, epsilon: float) -> Array:
         """Return the nearest potentials to f inside the trust region; here f itself."""
@@ -77,7 +78,7 @@ class CorrectedProblem(Problem):
 
 
 class Restriction(Protocol):
-    """What carries values of the points to a coarse problem."""
+    """The operator that restricts values of the points to a coarse problem."""
 
     def restrict(self, values: Array, weights: Array) -> Array:
         """Return means of values, (N,), weighted by mass: one for each coarse point."""
@@ -92,7 +93,7 @@ class Identity:
 
 
 class CoarseGrid(NamedTuple):
-    """A coarse problem, and what carries values between it and the points."""
+    """A coarse problem, with the operators that transfer values between it and the points."""
 
     problem: CorrectedProblem
     source: Restriction
@@ -101,7 +102,7 @@ class CoarseGrid(NamedTuple):
     to_source: Softmin  #: prolongs from its columns to the points of the source
 
     def prolong(self, new_f: Array, old_f: Array, epsilon: float) -> Array:
-        """Return by how much T(f) changes at the points of the target: (M,) array.
+        """Return the change of T(f) at the points of the target: (M,) array.
 
         Parameters
         ----------
@@ -148,7 +149,7 @@ class StoredSoftmin(Softmin):
     def __call__(
         self, potential: Array, epsilon: float, precise: bool = False, bounded: bool = False
     ) -> Array:
-        """Return T(potential), (N,) for (M,); both flags are ignored, as exponents are small."""
+        """Return T(potential), (N,) of (M,); flags are ignored, because exponents are small."""
         changes = (potential - self._potential) / epsilon
         logarithms = self.operations.sum_stored(self._stored, changes, self._by_column)
         alone = np.isneginf(logarithms)
@@ -157,7 +158,7 @@ class StoredSoftmin(Softmin):
         )
 
     def rounding(self, n_columns: int, largest_cost: float, epsilon: float, precise: bool) -> float:
-        """Return by how many nats rounding can change a softmin; exponents are small here."""
+        """Return the effect of rounding on a softmin in nats; exponents are small here."""
         return 64 * self.operations.sum_roundoff
 
 
@@ -180,7 +181,7 @@ class StoredProblem(CorrectedProblem):
         return f + np.clip(moved, -TRUST_RADIUS * epsilon, TRUST_RADIUS * epsilon) - moved
 
     def _moved(self, f: Array) -> Array:
-        """Return how far f is from the center, less the mean of that by mass."""
+        """Return f minus the center, without the mean of this difference by mass."""
         moved = np.where(self.a > 0, f - self.center, 0.0)
         return moved - float(self.a @ moved) / self.masses[0]
 

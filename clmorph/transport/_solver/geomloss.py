@@ -1,8 +1,8 @@
-"""GeomLoss's schedule, step by step, so that numbers published with it can be reproduced.
+"""The schedule of the GeomLoss library, with which its published results can be reproduced.
 
-It has no convergence test: blurs fall from the diameter to the wanted one, one averaged
-step each, then one last step. Source: Feydy et al., "Interpolating between optimal
-transport and MMD using Sinkhorn divergences" (2019), and the GeomLoss library.
+The schedule has no convergence test. The blur falls from the diameter to the requested blur, with
+one averaged step at each blur, and one last step follows. Source: Feydy et al., "Interpolating
+between optimal transport and MMD using Sinkhorn divergences" (2019), and the GeomLoss library.
 """
 
 from collections.abc import Callable
@@ -14,17 +14,18 @@ from clmorph.transport._solver.problem import Problem
 
 
 def blurs(diameter: float, blur: float, scaling: float) -> list[float]:
-    """Return the schedule: the diameter, twice, then falling by `scaling`, then `blur`.
+    """Return the schedule: the diameter twice, then blurs that fall by `scaling`, then `blur`.
 
     Parameters
     ----------
     diameter : float
-        Of the joint bounding box.
+        Diameter of the joint bounding box.
     blur, scaling : float
     """
     if diameter <= 0.0:
         return [blur, blur]
-    # Logarithms of epsilon, as in the original: a step more or less would be another result.
+    # The schedule is computed from logarithms of epsilon, as in GeomLoss, because one step more or
+    # less would change the result.
     falling = np.arange(2 * np.log(diameter), 2 * np.log(blur), 2 * np.log(scaling))
     return [diameter, *np.exp(falling / 2), blur]
 

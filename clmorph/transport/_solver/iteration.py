@@ -25,7 +25,7 @@ from clmorph.transport._solver.state import (
 
 #: Factor between the blurs of the annealing.
 ANNEALING = 0.5
-#: The annealing begins below this share of the diameter of both measures.
+#: The annealing begins below this share of the joint diameter of both measures.
 TOP = 0.5
 #: There is no annealing where damping alone contracts the iteration by at least this factor.
 EASY = 0.5
@@ -65,7 +65,7 @@ class Iteration:
     ----------
     problem : Problem
     blur : float
-        Of the last level.
+        Blur of the last level.
     tol : float
         Residual to reach there, in units of epsilon.
     max_iter : int
@@ -73,7 +73,7 @@ class Iteration:
         softmins.
     precision : {"auto", "float32", "float64"}
     report : callable
-        Called with the share of the work that is done.
+        A function that is called with the share of the work that is done.
     certify : bool
         Whether the last softmins are `Problem.bounded_softmins`, which a certificate needs.
 
@@ -84,7 +84,7 @@ class Iteration:
     status : {"converged", "max_iter", "precision"}
     residuals : list of float
     rounding : float
-        Residual that rounding alone can leave, in units of epsilon.
+        Largest residual that rounding alone can cause, in units of epsilon.
     precise : bool
         Whether float32 exponents were too coarse for `tol`.
     """
@@ -109,7 +109,7 @@ class Iteration:
         self.residuals: list[float] = []
         self._blur, self._max_iter, self._report = blur, max_iter, report
         self._done, self._level_share, self._reported = 0.0, 1.0, 0.0
-        self._measured = 0  # softmins that were no updates
+        self._measured = 0  # number of softmins that were no updates
 
     @property
     def n_iter(self) -> int:
@@ -235,7 +235,7 @@ class Iteration:
         problem = self.problem
         self.rounding = rounding = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
         memory = memory or Anderson()
-        fallback: Array | None = None  # what the plain iteration would have gone on with
+        fallback: Array | None = None  # next potentials of the plain iteration
         floor = -np.inf  # the dual that it had reached
         first, best, since_best = 0.0, np.inf, 0
         while True:

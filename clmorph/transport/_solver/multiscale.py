@@ -6,8 +6,8 @@ at the points of the next finer problem, prolongs the potentials to it. At the l
 of the points themselves is solved in cycles of a two-grid method. One iteration over the points
 shows by how much the softmins of the clusters are off. The problem of the clusters is then solved
 with this correction, and the change of its solution is prolonged to the points. Each cycle leaves
-a few percent of the residual, so a few iterations over the points are enough, and it is their
-residual that decides when the solve ends. Where the blur is so small that clusters save nothing,
+a few percent of the residual, so a few iterations over the points are enough. Their residual
+decides when the solve ends. Where the blur is so small that clusters save nothing,
 the problem of the pairs with notable mass takes their place (`_solver.coarse_grid`).
 
 Sources of the ideas: Schmitzer, "Stabilized sparse scaling algorithms for entropy regularized
@@ -40,9 +40,9 @@ from clmorph.transport._solver.state import (
     share_done,
 )
 
-#: Sides of the clusters at the last blur, in units of it: the first side that saves enough is
-#: taken. Each has its own bound of what is enough: the share of pairs of points that is left as
-#: pairs of clusters.
+#: Candidate sides of the clusters at the last blur, in units of this blur, and a bound for each:
+#: the number of pairs of clusters as a share of the number of pairs of points. The first side
+#: within its bound is used.
 SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.5)
 #: Residual to reach over the clusters before the first iteration over the points.
 FIRST_TOLERANCE = 1e-2
@@ -54,14 +54,14 @@ CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
 PROGRESS, FAILURES = 0.5, 12
 #: Stored pairs are also kept while the residual over the points is at most this many times theirs.
 AGREEMENT = 2.0
-#: Most pairs to store: for each point, and a number that is always allowed.
+#: Largest number of stored pairs: for each point, and a number that is always allowed.
 STORED_PER_POINT, STORED = 128, 1 << 24
 #: Where better exponents than float32 are needed, they are used below this many times its rounding.
 SWITCH = 300.0
 
 
 class Multiscale:
-    """One solve of a large problem; attributes as those of `_solver.iteration.Iteration`.
+    """One solve of a large problem, with the attributes of `_solver.iteration.Iteration`.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ def plan_softmin(
     operations : Operations
     clouds : (rows, columns)
     pair : (source, target)
-        Measures, or what has `weights`.
+        Measures, or objects with the attribute `weights`.
     potentials : Potentials
     """
     weights = pair[0].weights, pair[1].weights
@@ -36,13 +36,13 @@ def plan_softmin(
 def row_softmin(
     source: AnyMeasure, target: AnyMeasure, potentials: Potentials, backend: Backend
 ) -> tuple[Operations, tuple[Any, Any], Softmin, Array]:
-    """Return T(g) of the rows of a plan, and what computed it.
+    """Return T(g) of the rows of a plan, and the objects that computed it.
 
     Returns
     -------
     operations : Operations
     clouds : (rows, columns)
-        Both measures, as the backend holds them.
+        Both measures in the backend's memory.
     to_rows : Softmin
     softmin : (N,) array
         T(g), cost units.
@@ -50,7 +50,7 @@ def row_softmin(
     Raises
     ------
     InputError
-        If the potentials are unusable, or of other measures.
+        If the potentials are unusable, or belong to other measures.
     """
     check_potentials("potentials", potentials, (len(source), len(target)))
     operations = get_backend(backend)

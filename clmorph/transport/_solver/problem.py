@@ -24,13 +24,13 @@ class Problem:
     Parameters
     ----------
     to_rows, to_columns : Softmin
-        They compute T(g) and T(f).
+        The operators that compute T(g) and T(f).
     weights : (a, b)
         Masses of both measures.
     rho : (rho_source, rho_target)
-        Marginal penalties, cost units; infinite is balanced.
+        Marginal penalties, cost units; infinity is balanced.
     largest_cost : float
-        A bound of the cost.
+        An upper bound of the cost.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Problem:
         return self.to_rows.truncation
 
     def outside_trust_region(self, f: Array, epsilon: float) -> bool:
-        """Return whether this problem no longer stands for a finer one at potentials f, (N,)."""
+        """Return whether potentials f, (N,), are outside the region where this problem is valid."""
         return False
 
     def damping(self, epsilon: float) -> tuple[float, float]:
@@ -133,21 +133,21 @@ class Problem:
 
     @property
     def left_out(self) -> float:
-        """Nats by which the sums of the last softmins can be too small for pairs left out."""
+        """Nats by which pairs left out can make the sums of the last softmins too small."""
         return max(self.to_rows.left_out, self.to_columns.left_out)
 
     @property
     def error(self) -> float:
-        """Nats by which the sums of the last softmins, if bounded, can be wrong for any reason."""
+        """Bound, in nats, of all errors in the sums of the last softmins, if they are bounded."""
         return max(side.left_out + side.roundoff for side in (self.to_rows, self.to_columns))
 
     @property
     def visited(self) -> float:
-        """Share of all pairs that the last softmins summed, as a mean of both."""
+        """Share of all pairs that the last softmins summed, as a mean over both softmins."""
         return 0.5 * (self.to_rows.visited + self.to_columns.visited)
 
     def rounding(self, epsilon: float, precise: bool) -> float:
-        """Return by how many nats rounding can change a softmin."""
+        """Return the largest effect of rounding on a softmin, in nats."""
         return max(
             self.to_rows.rounding(len(self.b), self.largest_cost, epsilon, precise),
             self.to_columns.rounding(len(self.a), self.largest_cost, epsilon, precise),
@@ -186,7 +186,7 @@ class Problem:
         return excess / (new_rate + old_rate)
 
     def bounded_softmins(self, f: Array, g: Array, epsilon: float) -> tuple[Array, Array]:
-        """Return T(g) and T(f); `left_out` and `roundoff` of both then bound their errors."""
+        """Return T(g) and T(f); `left_out` and `roundoff` of both softmins bound their errors."""
         t_rows = self.to_rows(g, epsilon, bounded=True)
         return t_rows, self.to_columns(f, epsilon, bounded=True)
 

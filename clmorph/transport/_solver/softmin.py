@@ -1,4 +1,4 @@
-"""The soft minimum between two clouds, over the pairs that matter."""
+"""The soft minimum between two clouds, summed over the pairs with notable terms."""
 
 from typing import Any
 
@@ -14,17 +14,18 @@ from clmorph.errors import InputError
 #: truncated sums, unless the caller chooses otherwise.
 MANY_PAIRS = 1 << 27
 #: Near pairs are chosen for a share of the truncation, so that they remain valid while potentials
-#: move: the first share, its factor each time that potentials moved too far, and the least share.
+#: move. The constants are the first share, its factor after each move that was too far, and the
+#: least share.
 RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-24
-#: After this many choices in a row that leave out too much, nothing is left out.
+#: After this many successive choices that leave out too much, all pairs are summed.
 ATTEMPTS = 3
 
 
 class Softmin:
-    """T: potentials of the columns to soft minima over the rows (paper, section 3.1).
+    """The operator T: potentials of the columns to soft minima, one a row (paper, section 3.1).
 
-    With a truncation it is summed over near pairs only (`Operations.near_pairs`). These are
-    chosen for one potential g. At another potential h the share of the other pairs can have grown
+    With a truncation, T sums only near pairs (`Operations.near_pairs`). These are chosen for one
+    potential g. At another potential h the share of the other pairs can have grown
     by at most exp(max(h - g) / epsilon), times the change of the row's own sum. Pairs are chosen
     anew only where this bound exceeds the truncation.
 
@@ -36,7 +37,7 @@ class Softmin:
     weights : (N,), (M,)
         Masses of both clouds.
     truncation : float, optional
-        By how many nats a log-sum-exp may be too small; all pairs are summed if None.
+        Nats by which a log-sum-exp may be too small; all pairs are summed if None.
 
     Attributes
     ----------
@@ -44,17 +45,18 @@ class Softmin:
     guess : (N,) array or None
         An estimate of the next softmin; the last softmin unless it is set.
     left_out : float
-        By how many nats the logarithms of the sums behind the last softmin can be too small for
-        the pairs it left out: a proven bound.
+        A proven bound of the nats by which pairs left out can make the logarithms of the sums
+        behind the last softmin too small.
     roundoff : float
-        By how many nats they can be off for rounding: a proven bound after a `bounded` softmin,
-        0 after others, whose rounding is not bounded.
+        A proven bound of the error of these logarithms by rounding, in nats, after a `bounded`
+        softmin; 0 after other softmins, whose rounding is not bounded.
     near : NearPairs or None
         The pairs that the last softmin summed; None stands for all pairs.
     proven : bool
         Whether the choice of pairs must prove that `left_out` is within the truncation.
     reserve : float
-        Pairs are chosen for this share of the truncation; the less, the longer they serve.
+        Pairs are chosen for this share of the truncation; with a smaller share they remain valid
+        for longer.
     """
 
     def __init__(
@@ -90,9 +92,9 @@ class Softmin:
         potential : (M,) array, cost units
         epsilon : float, cost units
         precise : bool
-            Form exponents in more than float32.
+            Whether exponents are computed in more than float32.
         bounded : bool
-            Compute a bound of every rounding: `roundoff`.
+            Whether `roundoff`, a bound of all rounding, is computed.
 
         Returns
         -------
@@ -164,7 +166,7 @@ class Softmin:
         return 1.0 if self.near is None else min(1.0, self.near.n_pairs / self._pairs)
 
     def _bound(self, potential: Array, softmin: Array, epsilon: float) -> float:
-        """Return by how many nats the sums over the chosen pairs can be too small now."""
+        """Return a bound of the nats by which sums over the chosen pairs are too small now."""
         assert self._near is not None
         grown = float((potential - self._chosen_for[1])[self._massive].max())
         with np.errstate(divide="ignore"):
@@ -173,13 +175,13 @@ class Softmin:
         return float(np.exp(np.minimum(logarithms.max(), 700.0)))
 
     def rounding(self, n_columns: int, largest_cost: float, epsilon: float, precise: bool) -> float:
-        """By how many nats rounding may change a softmin; see `rounding_error`.
+        """Return the largest effect of rounding on a softmin, in nats; see `rounding_error`.
 
         Parameters
         ----------
         n_columns : int
         largest_cost : float
-            Over all pairs.
+            Upper bound of the cost of all pairs.
         epsilon : float
         precise : bool
         """
@@ -190,7 +192,7 @@ class Softmin:
 
 
 def _finite(softmin: Array) -> Array:
-    """Return a softmin if it is finite; float32 ends before float64 does."""
+    """Return a softmin if it is finite; values in the range of float64 can overflow in float32."""
     if np.all(np.isfinite(softmin)):
         return softmin
     raise InputError(

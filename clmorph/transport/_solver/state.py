@@ -1,4 +1,4 @@
-"""What the solvers of one blur and of many levels share: state, precision, share done."""
+"""Shared parts of the solvers `Iteration` and `Multiscale`: state, precision, progress."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,8 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph.transport._solver.problem import Problem
 
-#: A residual of at most this many times the bound on the rounding of one softmin can be rounding.
+#: Rounding can be the cause of a residual of at most this many times the bound on the rounding of
+#: one softmin.
 ROUNDING_MARGIN = 8.0
 
 
@@ -22,7 +23,7 @@ class State(NamedTuple):
 
 
 def measured(problem: Problem, f: Array, g: Array, epsilon: float) -> State:
-    """Return potentials with softmins and a residual whose rounding is bounded.
+    """Return potentials with their softmins and a residual that includes a bound of its rounding.
 
     Parameters
     ----------
@@ -37,12 +38,12 @@ def measured(problem: Problem, f: Array, g: Array, epsilon: float) -> State:
 
 
 def share_done(first: float, residual: float, tol: float) -> float:
-    """Return the share of the work that is done, supposing that residuals fall geometrically.
+    """Return the share of the work that is done, if residuals fall geometrically.
 
     Parameters
     ----------
     first, residual, tol : float
-        The first residual, the present one, and the one to reach.
+        The first residual, the current one, and the tolerance.
     """
     if residual <= tol or first <= tol:
         return 1.0
@@ -50,7 +51,7 @@ def share_done(first: float, residual: float, tol: float) -> float:
 
 
 def needs_more(problem: Problem, precision: str, epsilon: float, tol: float) -> bool:
-    """Return whether a tolerance needs better exponents than float32, and they are allowed.
+    """Return whether a tolerance needs exponents better than float32 and `precision` allows them.
 
     Parameters
     ----------
