@@ -93,7 +93,7 @@ class Options:
         self.check_together()
 
     def settle(self, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values after options have set one another; `given` are the caller's."""
+        """Return the values, completed by values that other options imply; callers set `given`."""
         del given
         return values
 

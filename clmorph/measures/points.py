@@ -158,7 +158,7 @@ def as_measure(name: str, value: Any) -> AnyMeasure:
     Returns
     -------
     Measure or WeightedPoints
-        A measure of usable arrays is returned as it is.
+        A measure of usable arrays is returned unchanged.
 
     Raises
     ------

@@ -103,7 +103,7 @@ def make_plan(
 
 
 def warn_if_much_is_dropped(plan: Plan, log_threshold: float, stacklevel: int = 2) -> None:
-    """Warn of a threshold that is too high for so many points.
+    """Warn if a threshold is too high for the number of points.
 
     Parameters
     ----------

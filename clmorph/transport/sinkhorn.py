@@ -96,10 +96,10 @@ def sinkhorn(
         Potentials of a similar problem with as many points, at which the iteration begins in place
         of annealing.
     progress : callable, optional
-        Called with the share of the work that is done, from 0 to 1.
+        A function that is called with the share of the work that is done, from 0 to 1.
     multiscale : {"auto", True, False}
-        Whether the problem is solved through coarser problems (`_solver.multiscale`); "auto" does
-        so with 2^27 pairs of points or more. `n_iter` counts the iterations over the points.
+        Whether the problem is solved through coarser problems (`_solver.multiscale`). "auto" means
+        True with 2^27 pairs of points or more. `n_iter` counts the iterations over the points.
     truncation : float, "auto" or None
         Largest error, in nats, that the logarithm of a row's or column's sum may have because far
         pairs are left out; it is proven and must be less than `tol`. `truncation_error` of the
@@ -228,6 +228,6 @@ def _finish(
 
 
 def warn_unless_converged(status: str, message: str) -> None:
-    """Warn the caller of the public function that calls this through one private one."""
+    """Warn the caller of a public function, which calls this through one private function."""
     if status != "converged":
         warnings.warn(message, ConvergenceWarning, stacklevel=4)

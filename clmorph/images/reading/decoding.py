@@ -194,7 +194,7 @@ def _orientation(info: dict[Any, Any]) -> int:
     """Return the orientation of a picture from its Exif data, or else from its XMP data."""
     exif = info.get("exif")
     raw = info.get("Raw profile type exif")
-    if not exif and isinstance(raw, str):  # older versions of ImageMagick
+    if not exif and isinstance(raw, str):  # older versions of ImageMagick write text
         try:
             exif = bytes.fromhex("".join(raw.split("\n")[3:]))
         except ValueError:  # damaged metadata; the pixels can still be valid

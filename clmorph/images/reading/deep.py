@@ -64,7 +64,7 @@ def tiles_of(picture: Any) -> Any:
 
 
 def raw_mode(tile: Any) -> str:
-    """Return the raw mode of a tile, which tells the decoder how the tile is stored."""
+    """Return the raw mode of a tile, which describes the storage of the tile to the decoder."""
     args = tile[3][0] if isinstance(tile[3], tuple) and tile[3] else tile[3]
     return args if isinstance(args, str) else ""
 
