@@ -24,7 +24,7 @@ FPS = 20.0
 
 @dataclass(frozen=True, init=False)
 class PlaybackOptions(Options):
-    """Options of the timing of frames: rate, duration, holds, loop and direction."""
+    """Options of the number and the timing of frames."""
 
     n_frames: int = option(
         30, integer(2, 100_000), "Number of frames of each morph, both ends included.", "Motion",

@@ -90,7 +90,7 @@ class Motion:
         Raises
         ------
         InputError
-            If the holds alone take longer, or no time would be left for motion.
+            If the holds alone take as long, or the frame rate would be outside 0.1 to 240.
         """
         check_number("duration", duration, 0.0, 1e6, open_low=True)
         trial = cls(1.0, hold, loop).played(holds)

@@ -24,9 +24,10 @@ class Spool(Sequence[NDArray[Any]]):
 
     A spool is used in a `with` block, at whose end the temporary file is removed. Where the
     operating system supports files without names, the file has none, so that its disk space is
-    freed however the process ends. On Windows the file has a name until it is closed, and on network
-    disks it can get one. Therefore it lies in a staging folder, which does not count as content of
-    the folder (see `files.is_empty`) and which the next run removes if this process is killed.
+    freed however the process ends. On Windows the file has a name until it is closed, and on
+    network disks it can get one. Therefore it lies in a staging folder, which does not count as
+    content of the folder (see `files.is_empty`) and which the next run removes if this process is
+    killed.
 
     Parameters
     ----------
