@@ -144,7 +144,7 @@ def path_divergence(
 
 
 def hole_fraction(coverage: ArrayLike) -> float:
-    """Return the share of pixels that are holes: empty, or far less covered than their surroundings.
+    """Return the share of pixels that are holes: empty, or far less covered than those around them.
 
     Parameters
     ----------

@@ -109,7 +109,7 @@ class Inspection:
 
     @property
     def particles(self) -> int:
-        """Number of particles that a morph would draw, for pairs and for mass that dies or is born."""
+        """Number of particles that a morph would draw: pairs, and mass that dies or is born."""
         moved = self.displacement
         resting = 0
         ends = zip((moved.destroyed, moved.created), self.shapes, strict=True)

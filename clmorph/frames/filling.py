@@ -11,8 +11,8 @@ HOLE_COVERAGE = 1e-3
 HOLE_SHARE, HOLE_SURROUNDINGS = 0.1, 3.0
 #: The same share from which a pixel counts as closed: closing others raises the coverage around it.
 CLOSED_SHARE = 0.15
-#: A pixel is filled altogether below this share of the coverage at which it is left as it is. In
-#: between it is a mixture, so that nothing depends on which side of a threshold a pixel is.
+#: A pixel is filled entirely below this share of the coverage from which it is not filled at all.
+#: In between its color is a mixture, so that it depends continuously on the coverage.
 OPEN = 0.5
 #: The change of the share to be filled below which the repetition in `fill` ends.
 SETTLED = 1 / 256
@@ -58,7 +58,7 @@ class Filling:
 
     @property
     def left(self) -> NDArray[np.float64]:
-        """(H, W) share that is still to be filled."""
+        """Share of each pixel that is still to be filled: (H, W) array."""
         return self.wanted - self.given
 
     @property
@@ -69,7 +69,7 @@ class Filling:
     def _openness(
         self, own: NDArray[np.float64], around: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the degree to which pixels are torn: 0 at the threshold, 1 at `OPEN` times it."""
+        """Return the degree to which pixels are holes: 0 at the threshold, 1 at `OPEN` times it."""
         needed: NDArray[np.float64] | float = HOLE_COVERAGE
         if self._closed:
             needed = np.maximum(CLOSED_SHARE * around, HOLE_COVERAGE)
