@@ -155,7 +155,7 @@ def forget_verdicts() -> None:
 
 
 def preference(device: Device) -> tuple[int, float]:
-    """Return a sort key: GPUs before other devices before CPUs, then the faster before the slower."""
+    """Return a sort key: GPUs before other devices before CPUs, then by speed."""
     return {"GPU": 0, "CPU": 2}.get(device.kind, 1), -device.pairs_per_second
 
 

@@ -200,9 +200,9 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
 
 
 def _interpreter() -> str | None:
-    """Return the path of the Python interpreter; None if an embedding program does not state it.
+    """Return the path of the Python interpreter; None if an embedding program does not set it.
 
-    `sys.executable` may then be the application itself, which must not be started as the probe.
+    The path may then be that of the application itself, which must not be started as the probe.
     """
     from multiprocessing.spawn import get_executable
 
