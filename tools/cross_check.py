@@ -1,4 +1,4 @@
-"""Hold what `clmorph.sinkhorn` tells about its errors against an independent judge.
+"""Compare the errors that `clmorph.sinkhorn` reports with those of an independent judge.
 
     python tools/cross_check.py --count 500
     python tools/cross_check.py --count 500 --device 0:0 --device numpy --markdown

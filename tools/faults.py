@@ -1,4 +1,4 @@
-"""Break runs of ``clmorph`` and look at what they leave: ``python tools/faults.py``.
+"""Interrupt runs of ``clmorph`` and inspect the files they leave: ``python tools/faults.py``.
 
 Ends runs by SIGINT, SIGTERM and SIGKILL at random moments, for every format; fills the disk;
 damages, blocks and shares caches; forks; starts threads at a cold start. Prints a line for every

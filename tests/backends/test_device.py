@@ -1,4 +1,4 @@
-"""Finding, judging and choosing devices."""
+"""Test how devices are found, tested and chosen."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""What others' files can do here: decide about a picture, and nothing else."""
+"""Files from unknown sources can affect a picture, and nothing else."""
 
 import contextlib
 import io

@@ -1,4 +1,4 @@
-"""Presets, files of settings, recipes: what decides, and that runs can be repeated."""
+"""Test the precedence of presets, files of settings and recipes, and that runs can be repeated."""
 
 import contextlib
 import json

@@ -1,4 +1,4 @@
-"""Files that people open: each is read by a library that did not write it, or by ffprobe."""
+"""Each written file is read by a library that did not write it, or by ffprobe."""
 
 import json
 import os

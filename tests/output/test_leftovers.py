@@ -1,4 +1,4 @@
-"""However a run ends, files are whole, and nothing else of it stays for long."""
+"""However a run ends, its files are whole, and its temporary files are removed soon."""
 
 import dataclasses
 import mmap

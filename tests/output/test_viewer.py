@@ -1,4 +1,4 @@
-"""The page as text, and what it is made of; how it behaves is in test_viewer_page.py."""
+"""Test the text of the page and its parts; test_viewer_page.py tests its behavior."""
 
 import base64
 import hashlib

@@ -1,4 +1,4 @@
-"""The page in a browser: opened from a file, used as people use it."""
+"""Test the page in a browser, opened from a file and operated like by a user."""
 
 import base64
 import io

@@ -1,4 +1,4 @@
-"""No value of any argument of any public function gets past a result or an error of ours."""
+"""Any value of any argument of a public function gives a result or an error of clmorph."""
 
 import dataclasses
 import inspect

@@ -1,4 +1,4 @@
-"""The judge of ``tools/cross_check.py`` is right, it notices what is wrong, and a share of it."""
+"""The judge of ``tools/cross_check.py`` is correct and detects errors; a part of the check runs."""
 
 import signal
 import sys

@@ -1,4 +1,4 @@
-"""The examples in docstrings run as they stand, and everything public has some."""
+"""The examples in docstrings run without changes, and every public name has examples."""
 
 import doctest
 import importlib

@@ -1,4 +1,4 @@
-"""Solving through clusters, against solving directly."""
+"""Compare the solution through clusters with the direct solution."""
 
 import warnings
 

@@ -139,7 +139,10 @@ def _padded(values: Float64, cloud: Tiles) -> Float64:
 
 
 def _slopes(shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bool_]) -> Float64:
-    """Return least-squares slopes of values over shifts in each tile's points present: (tiles, D)."""
+    """Return the least-squares slopes of values over shifts in each tile: (tiles, D) array.
+
+    Only the points that are present count.
+    """
     weights = present.astype(float)
     count = np.maximum(weights.sum(axis=1), 1.0)
     u = shifts - (np.einsum("ntd,nt->nd", shifts, weights) / count[:, None])[:, None]
