@@ -107,7 +107,7 @@ class Judge:
             )  # fmt: skip
 
     def compare(self, number: int, backend: Any) -> tuple[list[Outcome], Told | None]:
-        """Solve a problem on a backend, and hold what it tells against the truth.
+        """Solve a problem on a backend, and compare the reported errors with the true ones.
 
         Returns
         -------

@@ -141,7 +141,7 @@ class Runs:
         changes: dict[str, str | None] | None = None,
         before: Callable[[], None] | None = None,
     ) -> "subprocess.Popen[bytes]":
-        """Start a run in a session of its own."""
+        """Start a run in a separate session."""
         command = [sys.executable, "-m", "clmorph", "morph", "a.png", "b.png", "--size", "16"]
         command += ["--frames", "3", "--format", format, "-o", self.output(folder, format).name]
         if self.device:

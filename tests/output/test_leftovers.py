@@ -659,7 +659,7 @@ def test_who_reads_the_old_file_goes_on(morph):
 
 
 def test_what_goes_into_a_folder_is_made_there(tmp_path, morph, monkeypatch):
-    """It may be a disk of its own, or the only place where one may write."""
+    """The folder may be a separate disk, or the only writable place."""
     homes = []
     usual = staging.tempfile.mkdtemp
 

@@ -110,7 +110,7 @@ def test_a_page_has_at_most_the_bytes_it_may_have(rng):
 
 
 class ReadOnce:
-    """A sequence that tells what is read, and when."""
+    """A sequence that records which items are read, and when."""
 
     def __init__(self, frames, log):
         self.frames, self.log = frames, log

@@ -106,7 +106,7 @@ class Told:
 
 
 def check(told: Told) -> Iterator[Outcome]:
-    """Hold what a result tells against the truth.
+    """Compare the errors that a result reports with the true errors.
 
     Of potentials whose plan has more mass than `MOST_MASS` nothing is promised but the residual.
     """
