@@ -169,8 +169,8 @@ def _rows(parameters: Any) -> Iterator[str]:
 def _ascii(text: str) -> str:
     """Escape text for HTML, with character references for characters outside ASCII.
 
-    The name of a picture may come from an unknown source, so control characters are removed and the
-    length is limited.
+    The name of a picture may come from an unknown source, so the result contains no control
+    characters and its length is limited.
     """
     return escape(printable(text, MESSAGE)).encode("ascii", "xmlcharrefreplace").decode("ascii")
 

@@ -17,7 +17,7 @@ from clmorph.backends.records import Float64
 #: The factor that converts natural logarithms to base 2.
 LOG2_E = float(np.log2(np.e))
 #: The largest number of kept pairs that one launch writes (12 bytes each on the device): the first
-#: access to memory takes longer than the computation of the pairs.
+#: access to memory takes longer than writing the pairs.
 FILL_PAIRS = 1 << 22
 #: The kernels of each file that includes the row loop.
 KERNELS = {
