@@ -1,4 +1,4 @@
-"""How long Ctrl-C takes, and what it leaves: ``python tools/bench_interruption.py A B``.
+"""Measure how long Ctrl-C takes, and what it leaves: ``python tools/bench_interruption.py A B``.
 
 Runs ``clmorph morph A B`` again and again, interrupts it at other moments, and prints a Markdown
 table; ends with 1 if a run left a file, a traceback, or another exit code than 130.

@@ -86,7 +86,7 @@ class Counter:
 
 
 class CountedBuffer(cl.Buffer):
-    """A buffer that tells how many bytes there are of its kind."""
+    """A buffer that counts the bytes of all buffers of its class."""
 
     now = 0
 

@@ -261,7 +261,7 @@ def compare(n: int, names: list[str], devices) -> list[tuple[str, int, float]]:
             ratio = theirs["seconds"] / matching["seconds"]
             cells.append(f"{matching['seconds']:.3g} ({ratio:.1f}×)")
         count = theirs["iterations"]
-        # GeomLoss tells no number: its schedule has one.
+        # GeomLoss does not report a number of iterations; that of its schedule is used.
         softmins = 2 * (count or geomloss_iterations(pair))
         print(
             line(

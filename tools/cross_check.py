@@ -1,4 +1,4 @@
-"""Hold what `clmorph.sinkhorn` tells about its errors against an independent judge.
+"""Compare the errors that `clmorph.sinkhorn` reports with those of an independent judge.
 
     python tools/cross_check.py --count 500
     python tools/cross_check.py --count 500 --device 0:0 --device numpy --markdown
@@ -107,7 +107,7 @@ class Judge:
             )  # fmt: skip
 
     def compare(self, number: int, backend: Any) -> tuple[list[Outcome], Told | None]:
-        """Solve a problem on a backend, and hold what it tells against the truth.
+        """Solve a problem on a backend, and compare the reported errors with the true ones.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Draw what is better than the paper's frames: ``python tools/draw_comparison.py FILE.png``.
+"""Draw the improvements over the paper's frames: ``python tools/draw_comparison.py FILE.png``.
 
 Left as printed in the paper or its code, right as clmorph does it: holes, ends, mud, and the grid
 of a coarse image in a fine one.

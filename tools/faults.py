@@ -1,4 +1,4 @@
-"""Break runs of ``clmorph`` and look at what they leave: ``python tools/faults.py``.
+"""Interrupt runs of ``clmorph`` and inspect the files they leave: ``python tools/faults.py``.
 
 Ends runs by SIGINT, SIGTERM and SIGKILL at random moments, for every format; fills the disk;
 damages, blocks and shares caches; forks; starts threads at a cold start. Prints a line for every
@@ -141,7 +141,7 @@ class Runs:
         changes: dict[str, str | None] | None = None,
         before: Callable[[], None] | None = None,
     ) -> "subprocess.Popen[bytes]":
-        """Start a run in a session of its own."""
+        """Start a run in a separate session."""
         command = [sys.executable, "-m", "clmorph", "morph", "a.png", "b.png", "--size", "16"]
         command += ["--frames", "3", "--format", format, "-o", self.output(folder, format).name]
         if self.device:

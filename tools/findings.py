@@ -1,4 +1,4 @@
-"""What the tools that look for faults share: pictures, findings, digests."""
+"""Common parts of the tools that search for faults: pictures, findings, digests."""
 
 import hashlib
 import shlex

@@ -1,4 +1,4 @@
-"""Write ``tests/data/geomloss.npz``: what GeomLoss itself returns in float64.
+"""Write ``tests/data/geomloss.npz``: the results of GeomLoss itself in float64.
 
 Needs the extra ``bench`` (GeomLoss and torch), which the tests then do not: they compare
 ``clmorph.sinkhorn(method="geomloss")`` with this file.

@@ -277,7 +277,7 @@ def main() -> int:
     known = json.loads(options.file.read_text("utf-8")) if options.task == "compare" else {}
     found: dict[str, Any] = {}
     for backend in options.device or list(known) or ["numpy", "auto"]:
-        # A process of its own for each, as for a user.
+        # Each runs in a separate process, as for a user.
         with tempfile.TemporaryDirectory() as folder:
             part = Path(folder) / "part.json"
             command = [sys.executable, __file__, "one", str(part), "--device", backend]

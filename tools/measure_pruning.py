@@ -1,4 +1,4 @@
-"""How much frames depend on pairs that a plan drops, by how well particles cover a pixel.
+"""Measure how frames depend on pairs that a plan drops, by the coverage of a pixel.
 
 Random pictures (noise, smooth fields, discs, holes) at random parameters; the plan's kept pairs
 beside all of them, in float64. Prints, for each share of the largest pair that is kept: pairs, and

@@ -1,4 +1,4 @@
-"""The options of tools that name only some: the paper's, with exact ends, and nothing reduced."""
+"""Complete options for tools that set only some: the paper's, exact ends, images not reduced."""
 
 from typing import Any
 

@@ -1,1 +1,1 @@
-"""FrameStyle at a transport or a morph: numbers, times, figures, metrics, a baseline."""
+"""The analysis of a transport or a morph: numbers, times, figures, metrics, a baseline."""

@@ -1,7 +1,7 @@
 """The baseline that the paper argues against (1, 4.1): each channel transported by itself in 2D.
 
-Red, green and blue are three independent distributions of light over the image plane. Frames are
-sums of light, so where the channels go different ways colors appear that neither image has.
+Red, green and blue are three independent distributions of light over the image plane. A frame is
+the sum of their light, so colors that neither image has appear where the channels move differently.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from clmorph.transport.sinkhorn import sinkhorn
 CHANNEL_OPTIONS = (
     *specifications(SolverOptions), "sigma_start", "sigma_end", "gamma", "extent", "n_frames",
 )  # fmt: skip
-#: Light that even a black pixel counts for, so that no channel is empty.
+#: Light that is added to every pixel, even a black one, so that no channel is empty.
 DARKEST = 1e-6
 
 
 @dataclass(frozen=True)
 class ChannelMorph:
-    """Three transports, one for each channel; frames as of `clmorph.Morph`.
+    """Three transports, one for each channel, with the frame methods of `clmorph.Morph`.
 
     Attributes
     ----------
     shapes : ((H, W), (H, W))
-        Of source and target.
+        Shapes of source and target.
     times : (n_frames,) array
     channels : three of (uploaded particles, kernel width, light at both ends)
     operations : Operations
@@ -102,7 +102,7 @@ class ChannelMorph:
 
     @cached_property
     def frames(self) -> list[NDArray[np.float32]]:
-        """All frames, at `times`."""
+        """All frames at `times`."""
         return list(self.iter_frames())
 
 
@@ -119,9 +119,9 @@ def channel_morph(
     Parameters
     ----------
     image_a, image_b : arrays
-        See `clmorph.images.pixels.as_rgb`; a channel's mass is its light. It is scaled to 1 for the
-        transport, so that channels of any brightness can be balanced, and its sum then changes
-        evenly.
+        See `clmorph.images.pixels.as_rgb`. A channel's mass is its light. The mass is scaled to 1
+        for the transport, so that balanced transport works for channels of any brightness; the
+        total light of the frames changes linearly with time.
     backend : str or Operations
         See `clmorph.get_backend`.
     {options}
@@ -181,7 +181,7 @@ def channel_morph(
 
 
 def _border_share(canvas: Canvas, sigma: float) -> NDArray[np.float64]:
-    """(H, W) kernel mass on each pixel of an even spread that ends at the canvas's border."""
+    """Return the kernel mass on each pixel of a uniform spread over the canvas: (H, W) array."""
     if sigma == 0:
         return np.full(canvas.shape, kernel_sum(sigma))
     along = []

@@ -1,4 +1,4 @@
-"""The style of figures, and parts that several figures share; drawn with matplotlib."""
+"""The style of figures and the parts that several figures share, drawn with matplotlib."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ BLUE, SKY, RED, GREEN, PURPLE, ORANGE = (
     "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#AA4499", "#E69F00",
 )  # fmt: skip
 GRAY, INK = "#666666", "#222222"
-#: How all figures look.
+#: Settings of matplotlib for all figures.
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
@@ -32,23 +32,23 @@ STYLE: dict[str, Any] = {
     "lines.markersize": 4,
     "svg.hashsalt": "clmorph",
 }
-#: Arrows along the longer side of a field.
+#: Number of arrows along the longer side of a field.
 ARROWS = 24
-#: Pixels to which pictures are enlarged, block by block, before they are drawn.
+#: Side in pixels to which pictures are enlarged before they are drawn, as square blocks.
 ENLARGED = 480
-#: By how much a picture is paled where something is drawn over it.
+#: The share of white that is mixed into a picture under a drawing.
 PALE = 0.62
 
 
 def enlarged(image: ArrayLike) -> NDArray[np.float64]:
-    """Return an image of large square blocks, one for each pixel."""
+    """Return an image enlarged to square blocks, one for each pixel."""
     pixels = np.clip(np.asarray(image, float), 0, 1)
     factor = max(1, ENLARGED // max(pixels.shape[:2]))
     return pixels.repeat(factor, axis=0).repeat(factor, axis=1)
 
 
 def show(axes: Any, image: ArrayLike, **options: Any) -> Any:
-    """Draw an image with sharp pixels, of even size, and no axes around."""
+    """Draw an image with sharp pixels of equal size, without axes."""
     height, width = np.shape(image)[:2]
     axes.set_axis_off()
     return axes.imshow(
@@ -58,12 +58,12 @@ def show(axes: Any, image: ArrayLike, **options: Any) -> Any:
 
 
 def pale(image: ArrayLike, share: float = PALE) -> NDArray[np.float64]:
-    """Return an image nearer to white, so that what is drawn over it is seen."""
+    """Return an image mixed with white, so that a drawing over it is visible."""
     return np.asarray(1 - (1 - share) * (1 - np.asarray(image, float)))
 
 
 def step_of(shape: tuple[int, ...], count: int = ARROWS) -> int:
-    """Return the distance of arrows, in pixels, if at most `count` stand along a side."""
+    """Return the spacing of arrows in pixels at which at most `count` stand along a side."""
     return max(1, -(-max(shape[:2]) // count))
 
 
@@ -76,7 +76,9 @@ def draw_field(
     count: int = ARROWS,
     width: float = 0.0045,
 ) -> Any:
-    """Draw where pixels go as arrows of true length, colored by it, over a pale image.
+    """Draw the displacement of pixels over a pale image, as arrows of true length.
+
+    The color of an arrow shows its length.
 
     Parameters
     ----------
@@ -84,11 +86,11 @@ def draw_field(
     image : (H, W, 3) array
     moved : Displacement
     longest : float
-        Length, in pixels, that has the last color.
+        Length in pixels of an arrow with the last color.
     count : int
-        Arrows along the longer side, at most.
+        The largest number of arrows along the longer side.
     width : float
-        Of a shaft, as a share of the axes'.
+        Width of a shaft, as a share of the width of the axes.
 
     Returns
     -------
@@ -96,12 +98,12 @@ def draw_field(
     """
     show(axes, pale(image))
     step = step_of(moved.length.shape, count)
-    # A grid in the middle of the image, not from its corner on.
+    # The grid of arrows is centered on the image.
     y, x = np.meshgrid(
         *(np.arange((side - 1) % step // 2, side, step) for side in moved.length.shape),
         indexing="ij",
     )
-    # Nothing leaves transparent pixels: no arrow, not one without length.
+    # No mass leaves transparent pixels, so they have no arrow.
     some = moved.moves[y, x]
     y, x = y[some], x[some]
     field, length = moved.field[y, x], moved.length[y, x]

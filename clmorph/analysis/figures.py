@@ -1,4 +1,4 @@
-"""The transport between two images as one picture; needs matplotlib."""
+"""Draw the transport between two images as one picture, with matplotlib."""
 
 import importlib
 from os import PathLike
@@ -32,28 +32,29 @@ from clmorph.analysis.report import Inspection
 from clmorph.errors import OutputError
 from clmorph.measures.measure import Measure
 
-#: Endings of pictures that can be written.
+#: Endings of file names for the formats of pictures.
 ENDINGS = (".png", ".svg", ".pdf")
 #: The two grays behind transparent pixels.
 CHECKS = 0.80, 0.92
-#: Inches of the figure, and its dots an inch.
+#: Size of the figure in inches, and its resolution in dots per inch.
 SIZE, DPI = (14.0, 8.0), 130
-#: Arrows along a side, at least; how long they may be on average, in distances of them.
+#: The least number of arrows along a side, and the limit of their mean length as a multiple of
+#: their spacing.
 FEWEST, LONGEST = 14, 2.0
 
 
 def check_plotting(path: str | PathLike[str] | None = None) -> None:
-    """Check that a picture can be drawn, and written there, before the work for it begins.
+    """Check that a picture can be drawn and written to a path, before the computation begins.
 
     Parameters
     ----------
     path : path, optional
-        Ending in .png, .svg or .pdf.
+        A path that ends in .png, .svg or .pdf.
 
     Raises
     ------
     OutputError
-        If matplotlib is missing, the ending is another, or nothing can be written there.
+        If matplotlib is missing, the ending is another, or the path cannot be written to.
     """
     try:
         importlib.import_module("matplotlib.figure")
@@ -71,21 +72,22 @@ def check_plotting(path: str | PathLike[str] | None = None) -> None:
 
 
 def draw_inspection(inspection: Inspection, path: str | PathLike[str]) -> None:
-    """Draw what a transport does.
+    """Draw the figure of a transport.
 
-    Both images; where each source pixel goes on average, as arrows; mass destroyed and created;
-    how far mass travels; how the solver came near the solution; the main numbers.
+    The panels show both images, the mean displacement of source pixels as arrows, the mass
+    destroyed and created, the distances that mass travels, the residual over the iterations, and
+    the main numbers.
 
     Parameters
     ----------
     inspection : Inspection
     path : path
-        Ending in .png, .svg or .pdf; replaced whole or not at all.
+        A path that ends in .png, .svg or .pdf; an existing file is replaced atomically.
 
     Raises
     ------
     OutputError
-        If matplotlib is missing or it cannot be written there.
+        If matplotlib is missing or the file cannot be written.
     """
     check_plotting(path)
     import matplotlib
@@ -97,12 +99,12 @@ def draw_inspection(inspection: Inspection, path: str | PathLike[str]) -> None:
         with atomic_path(path) as place:
             dates = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}
             ending = place.suffix.lower()
-            # Without the day it was made the same numbers give the same file.
+            # The file has no date, so that the same numbers give the same file.
             figure.savefig(place, dpi=DPI, format=ending[1:], metadata={dates[ending]: None})
 
 
 def _lay_out(figure: Any, found: Inspection) -> None:
-    """Place all panels: what leaves on the left, what arrives on the right, motion between."""
+    """Place all panels: the source on the left, the target on the right, motion between."""
     grid = figure.add_gridspec(
         2, 4, width_ratios=(1, 1, 1, 0.92), left=0.015, right=0.985, bottom=0.085, top=0.895,
         wspace=0.1, hspace=0.28,
@@ -142,7 +144,7 @@ def _lay_out(figure: Any, found: Inspection) -> None:
         axes = figure.add_subplot(grid[1, place])
         axes.set_title(f"{name}: {percent(total)} of the mass")
         draw_mass(figure, axes, picture, share, largest, colors)
-    # Room for the numbers along their axes.
+    # The margins leave space for the numbers along the axes.
     middle = grid[1, 1].subgridspec(2, 2, width_ratios=(0.11, 1), hspace=0.7, wspace=0)
     draw_lengths(figure.add_subplot(middle[0, 1]), moved)
     draw_residuals(figure.add_subplot(middle[1, 1]), found)
@@ -150,13 +152,13 @@ def _lay_out(figure: Any, found: Inspection) -> None:
 
 
 def _arrow_count(found: Inspection) -> int:
-    """Return how many arrows stand along a side: fewer where they are long, or they tangle."""
+    """Return the number of arrows along a side, which is smaller for long arrows."""
     length = max(found.displacement.mass_weighted_mean, 1e-9)
     return int(np.clip(LONGEST * max(found.source.shape) / length, FEWEST, ARROWS))
 
 
 def _picture(measure: Measure) -> NDArray[np.float64]:
-    """Return the image of a measure; a chessboard where it is transparent."""
+    """Return the image of a measure, with a chessboard behind transparent pixels."""
     height, width = measure.shape
     image = measure.colors.reshape(height, width, 3)
     if measure.alpha is None:

@@ -1,4 +1,4 @@
-"""A look at the transport between two images: its numbers, before any frame is drawn."""
+"""Inspect the transport between two images: measure it without drawing a frame."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from clmorph.transport.sinkhorn import sinkhorn
 
 __all__ = ["Inspection", "Seconds", "inspect"]
 
-#: The options that decide about the transport, and about what a morph by it would take.
+#: The options that affect the transport, and the time and memory of a morph by it.
 INSPECTED = (
     *specifications(LiftOptions), *specifications(BudgetOptions), *specifications(SolverOptions),
     "log_threshold", "n_frames",
@@ -66,7 +66,7 @@ def inspect(
     progress: StageProgress | None = None,
     **given: Unpack[MorphKeywords],
 ) -> Inspection:
-    """Solve the transport between two images and measure it; draw no morph.
+    """Solve the transport between two images and measure it, without drawing a morph.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ def inspect(
     divergence : bool
         Whether to compute the Sinkhorn divergence: two further, easier solves.
     max_bytes : float
-        The most that the plan may take, see `clmorph.transport_plan`; a larger one is counted
-        but not built.
+        The limit of the plan's memory in bytes, see `clmorph.transport_plan`. The pairs of a
+        larger plan are counted, but the plan is not built.
     progress : callable, optional
         Called with a stage's name ("transport", "divergence", "plan", "timing") and the share
         of it done.
@@ -215,7 +215,7 @@ def _drawn(
     way: dict[str, Any],
     operations: Operations,
 ) -> tuple[Plan | Barycentric | None, int]:
-    """Return what a morph would draw, as far as it may be built, and how much would travel."""
+    """Return the plan that a morph would draw, if it may be built, and its number of pairs."""
     finest = finest_pixels(*blocks)
     if way:
         made = make_plan(*blocks, potentials, operations, **way)
@@ -225,14 +225,14 @@ def _drawn(
         return made, len(made)
     if finest == 1:
         return None, pairs
-    # A sample stands for the plan that may not be built: between pixels, as what is drawn.
+    # A sample takes the place of a plan that may not be built: pairs of pixels, as a morph draws.
     draws = max(1, min(MAX_DRAWS // finest, SAMPLED_PAIRS // len(blocks[0].fine)))
     way = {"sample": draws} if finest <= MAX_DRAWS else {"barycentric": True}
     return make_plan(*blocks, potentials, operations, **way), pairs * finest
 
 
 def _no_divergence(source: Measure, potentials: Potentials, wanted: bool) -> str:
-    """Why there is no divergence, empty if there is one."""
+    """Return the reason why there is no divergence; empty if there is one."""
     if not wanted:
         return "not asked for"
     if isinstance(potentials.reach, tuple):
@@ -243,14 +243,14 @@ def _no_divergence(source: Measure, potentials: Potentials, wanted: bool) -> str
 
 
 def _one(reach: Reach) -> float | None:
-    assert not isinstance(reach, tuple)  # as `_no_divergence` saw
+    assert not isinstance(reach, tuple)  # `_no_divergence` has excluded a pair
     return reach
 
 
 def _streamed_displacement(
     source: Measure, target: Measure, potentials: Potentials, operations: Operations
 ) -> Displacement:
-    """Displacement by the whole plan, which is never built."""
+    """Return the displacement by the whole plan, without building it."""
     rows, columns = (
         operations.upload(measure.points, measure.weights, measure.offsets)
         for measure in as_pair(source, target)

@@ -45,10 +45,10 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-#: The measure with which frames are compared: the target image, or the particles.
+#: The measures with which frames can be compared: the target image, or the particles.
 REFERENCES = ("target", "particles")
 
-#: The largest value that a coverage or a frame may have: its squares are still numbers.
+#: The largest value that a coverage or a frame may have, whose square is still finite.
 LARGEST = 1e30
 
 
@@ -72,23 +72,24 @@ def path_divergence(
     morph : Morph
     times : sequence of float
     to : {"target", "particles"}
-        Table 2 of the paper; or mu_t itself, of which the frame is to be a picture.
+        "target" is Table 2 of the paper. "particles" is mu_t itself, which the frame depicts.
     weights : {"uniform", "kernel"}, optional
         See `frame_measure`; "uniform" for the target, "kernel" for particles if not given.
     blur, reach : float, optional
-        The morph's own if not given; one reach for both measures, infinity is balanced.
+        Those of the morph if not given. One reach applies to both measures; infinity stands for
+        balanced transport.
     tol : float
-        Of each solve, in units of epsilon.
+        Tolerance of each solve, in units of epsilon.
     max_points : int
         See `particle_measure`; intervals hold for the merged particles.
     backend : str or Operations, optional
-        The morph's own if not given.
+        That of the morph if not given.
     progress : callable, optional
 
     Returns
     -------
     list of Divergence
-        With certain intervals.
+        One divergence per time, each with an interval that certainly contains it.
 
     Raises
     ------
@@ -143,12 +144,12 @@ def path_divergence(
 
 
 def hole_fraction(coverage: ArrayLike) -> float:
-    """Return the share of pixels that are holes: torn out of what surrounds them, or empty.
+    """Return the share of pixels that are holes: empty, or far less covered than those around them.
 
     Parameters
     ----------
     coverage : (H, W) array
-        By `Morph.coverage`.
+        The coverage as returned by `Morph.coverage`.
 
     Examples
     --------

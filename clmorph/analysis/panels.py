@@ -11,14 +11,14 @@ from clmorph.analysis.report import Inspection
 from clmorph.measures.measure import Measure
 from clmorph.transport.displacement import Displacement
 
-#: By how much pictures are paled where shares of mass are drawn over them.
+#: The share of white that is mixed into pictures under shares of mass.
 MASS_PALE = 0.6
-#: Bins of the histogram.
+#: Number of bins of the histogram.
 BINS = 40
 
 
 def outline(axes: Any, shape: tuple[int, ...]) -> None:
-    """Draw a thin line around a picture, so that white ones have an edge."""
+    """Draw a thin line around a picture, so that white pictures have an edge."""
     from matplotlib.patches import Rectangle
 
     size = shape[1], shape[0]
@@ -26,7 +26,7 @@ def outline(axes: Any, shape: tuple[int, ...]) -> None:
 
 
 def color_bar(figure: Any, axes: Any, drawn: Any, label: str, **options: Any) -> None:
-    """Add a slim color bar under a picture, as wide as it is."""
+    """Add a slim color bar under a picture, of the same width."""
     place = axes.inset_axes((0.0, -0.07, 1.0, 0.03))
     bar = figure.colorbar(drawn, cax=place, orientation="horizontal", **options)
     bar.set_label(label, labelpad=1, fontsize=8)
@@ -35,7 +35,7 @@ def color_bar(figure: Any, axes: Any, drawn: Any, label: str, **options: Any) ->
 
 
 def mass_shares(measure: Measure, mass: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return which share of each pixel's own mass this is; 0 where there is none."""
+    """Return `mass` as a share of each pixel's own mass; 0 where a pixel has none."""
     own = measure.weights.reshape(measure.shape)
     return np.divide(mass, own, out=np.zeros_like(mass), where=own > 0)
 
@@ -48,7 +48,7 @@ def draw_mass(
     largest: float,
     colors: str,
 ) -> None:
-    """Draw which share of each pixel's mass dies or is born, on the picture in pale gray."""
+    """Draw the share of each pixel's mass that dies or is born, over the picture in pale gray."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -56,7 +56,8 @@ def draw_mass(
 
     shades = ScalarMappable(Normalize(0, largest), colormaps[colors])
     gray = pale(picture.mean(axis=2), MASS_PALE)[..., None]
-    # As ink on a photograph: the color stays what the bar says, darker where the picture is.
+    # Colors are multiplied like ink on a photograph: the hue stays that of the color bar, and dark
+    # parts of the picture make it darker.
     show(axes, gray * shades.to_rgba(share)[..., :3])
     outline(axes, share.shape)
     color_bar(
@@ -65,7 +66,7 @@ def draw_mass(
 
 
 def draw_lengths(axes: Any, moved: Displacement) -> None:
-    """Draw how much mass travels how far."""
+    """Draw the histogram of the distances that mass travels."""
     mean = moved.mass_weighted_mean
     axes.set_title(f"How far mass travels: {mean:.3g} pixels on average")
     mass = np.where(moved.moves, moved.source_mass, 0.0).ravel()

@@ -13,7 +13,7 @@ from clmorph.transport.divergence import Divergence
 from clmorph.transport.plan import BYTES_PER_PAIR, Plan
 from clmorph.transport.potentials import Potentials
 
-#: Bytes of a particle (two rows of the table, two masses) and of a row of the table.
+#: Bytes of a particle (two row numbers of the table, two masses) and of a row of the table.
 BYTES_PER_PARTICLE, BYTES_PER_END = 24, 48
 
 
@@ -23,11 +23,11 @@ class Seconds(NamedTuple):
     Attributes
     ----------
     transport : float
-        The solver; measured.
+        Measured duration of the solver.
     plan : float
-        Counting and writing pairs; measured if there is a plan, else partly estimated.
+        Duration of counting and writing pairs; measured if there is a plan, else partly estimated.
     frames : float
-        Particles and all frames, without writing a file; estimated, see
+        Estimated duration of making particles and all frames, without writing a file; see
         `clmorph.analysis.timing.frame_seconds`.
     """
 
@@ -38,7 +38,7 @@ class Seconds(NamedTuple):
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Inspection:
-    """What a transport does, and how much time and memory a morph by it would take.
+    """Measurements of a transport, and estimates of the time and memory of a morph by it.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Inspection:
 
     @property
     def particles(self) -> int:
-        """How many particles a morph would draw: pairs, and mass that dies or is born."""
+        """Number of particles that a morph would draw: pairs, and mass that dies or is born."""
         moved = self.displacement
         resting = 0
         ends = zip((moved.destroyed, moved.created), self.shapes, strict=True)
@@ -119,7 +119,7 @@ class Inspection:
 
     @property
     def particle_bytes(self) -> int:
-        """Their bytes."""
+        """Bytes of these particles."""
         ends = sum(height * width for height, width in self.shapes)
         return self.particles * BYTES_PER_PARTICLE + ends * BYTES_PER_END
 
@@ -130,16 +130,16 @@ class Inspection:
 
     @property
     def destroyed(self) -> float:
-        """Share of the source's mass that dies where it is."""
+        """Share of the source's mass that dies at its place."""
         return float(self.displacement.destroyed.sum()) / self.source.mass
 
     @property
     def created(self) -> float:
-        """Share of the target's mass that is born where it is."""
+        """Share of the target's mass that is born at its place."""
         return float(self.displacement.created.sum()) / self.target.mass
 
     def summary(self) -> dict[str, Any]:
-        """Return all numbers, as `json.dumps` takes them: finite, or None.
+        """Return all numbers as values that `json.dumps` accepts: finite, or None.
 
         Examples
         --------
@@ -217,7 +217,7 @@ class Inspection:
         return _finite(result)
 
     def lines(self) -> list[str]:
-        """Return the main numbers for people, a line each.
+        """Return the main numbers as readable lines, one for each.
 
         Examples
         --------
@@ -312,7 +312,7 @@ def _measure_text(measure: Measure, drawn: tuple[int, int]) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """Replace numbers that JSON does not have by None."""
+    """Replace numbers that JSON cannot represent by None."""
     if isinstance(value, dict):
         return {name: _finite(part) for name, part in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""How long frames, and a plan that was not built, would take: measured on a sample."""
+"""Estimate the time of frames, and of a plan that was not built, from measurements on a sample."""
 
 from collections.abc import Callable
 from time import perf_counter
@@ -23,9 +23,10 @@ from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import sample_plan
 from clmorph.transport.potentials import Potentials
 
-#: Pairs that are drawn at most; the time of more follows from these and a quarter of them.
+#: The largest number of pairs that are drawn; the time of more pairs is extrapolated from this
+#: number and a quarter of it.
 SAMPLED_PAIRS = 1 << 20
-#: Times at which frames are drawn, how often, and how much each counts.
+#: Times at which frames are drawn, the number of passes, and the weight of each time.
 PASSES = 2
 TIMES, SHARES = (0.0, 0.25, 0.5, 0.75, 1.0), (0.125, 0.25, 0.25, 0.25, 0.125)
 
@@ -41,25 +42,25 @@ def frame_seconds(
 ) -> float:
     """Estimate how long a morph takes to make particles of a plan and to draw its frames.
 
-    Frames are drawn as ``clmorph morph`` does (its preset "photo"), of the particles themselves
-    or, where there are many, of a sample of them and of a quarter of it; time is taken to be
-    linear in their number.
+    Frames are drawn as by ``clmorph morph`` (its preset "photo"). If there are many particles, a
+    sample of them and a quarter of this sample are drawn instead, and the time is assumed to be
+    linear in the number of particles.
 
     Parameters
     ----------
     source, target : Measure
     potentials : Potentials
     plan : Plan or Barycentric, optional
-        None: pairs are drawn from its rows.
+        The plan; if None, pairs are drawn at random from its rows.
     pairs : int
-        How many the plan keeps; of means, one a row.
+        Number of pairs that the plan keeps; a plan of means has one per row.
     n_frames : int
     operations : Operations
 
     Returns
     -------
     float
-        Seconds, without what writing a file takes.
+        Seconds, without those of writing a file.
     """
     if plan is None:
         draws = max(1, min(4096, SAMPLED_PAIRS // len(source)))
@@ -81,9 +82,9 @@ def frame_seconds(
 def fill_seconds(
     source: Measure, target: Measure, potentials: Potentials, pairs: int, operations: Operations
 ) -> float:
-    """Estimate how long it takes to write the pairs of a plan once they are counted.
+    """Estimate the time of writing the pairs of a plan after they are counted.
 
-    Some rows are written; time is taken to be proportional to pairs.
+    Some rows are written, and the time is assumed to be proportional to the number of pairs.
     """
     whole = as_pair(source, target)
     count = max(1, round(SAMPLED_PAIRS * len(source) / max(1, pairs)))
@@ -112,14 +113,14 @@ def fill_seconds(
 
 
 def _growth(small: float, large: float, more: float, times: float) -> float:
-    """Return what is to be added to the larger sample's time: at most in proportion."""
+    """Return the time to add to that of the larger sample, at most in proportion to its size."""
     return min(max(0.0, (large - small) * more), large * (times - 1.0))
 
 
 def _time(
     source: Measure, target: Measure, plan: Plan | Barycentric, operations: Operations
 ) -> tuple[float, float]:
-    """Seconds of one frame, and of what is done once before the first."""
+    """Return the seconds of one frame, and those of the preparation before the first frame."""
     space = RenderOptions.path_space
     shapes, images = (source.shape, target.shape), _images(source, target)
     start, end = (auto_sigma(image) for image in images)
@@ -146,8 +147,8 @@ def _time(
     for _ in range(PASSES):
         drawn += [_seconds(lambda t=t: draw(t)) / PASSES for t in TIMES]  # type: ignore[misc]
     if any(measure.alpha is not None for measure in (source, target)):
-        drawn *= 2  # opacity is drawn with particles of its own
-    # What lacks at both ends: drawn with every width that kernels have near it, and once more.
+        drawn *= 2  # opacity is drawn with separate particles
+    # The correction of both ends renders each end with every kernel width near it, and once more.
     for time_of_end, seconds in ((0.0, drawn[0]), (1.0, drawn[-1])):
         near = [width.at(t, canvas_at(t, *shapes)) for t in np.linspace(time_of_end, 0.5, 9)]
         once += float(seconds) * (len(ladder(np.array(near))) + 1)
@@ -158,7 +159,7 @@ def _time(
 def _detail_seconds(
     source: Measure, plan: Plan | Barycentric, target: Measure, operations: Operations
 ) -> float:
-    """Seconds in which what lacks at both ends is given back to one frame."""
+    """Return the seconds of adding the correction of both ends to one frame."""
     canvas = canvas_at(0.25, source.shape, target.shape, source.extent)
     total = 0.0
     ends = zip((source, target), mean_destinations(source, target, plan), strict=True)
@@ -172,7 +173,7 @@ def _detail_seconds(
 
 
 def _images(source: Measure, target: Measure) -> list[Any]:
-    """Both images again, with their opacity."""
+    """Return both images with their opacity."""
     images = []
     for measure in (source, target):
         image = measure.colors.reshape(*measure.shape, 3)
@@ -185,8 +186,8 @@ def _images(source: Measure, target: Measure) -> list[Any]:
 def _thinned(plan: Plan, count: int) -> Plan:
     """Return a plan of at most `count` pairs, drawn from this one by their mass.
 
-    Pairs drawn alike, heavy or not, would leave light ones to stand for all: pixels would be
-    torn, and take longer, where the plan itself covers them well.
+    If pairs were drawn uniformly, light ones would represent all. Pixels that the plan covers well
+    would be torn, and rendering would take longer.
     """
     if len(plan) <= count:
         return plan
@@ -204,7 +205,7 @@ def _thinned(plan: Plan, count: int) -> Plan:
 
 
 def _seconds(work: Callable[[], Any]) -> float:
-    """Return how long something takes."""
+    """Return the seconds that a call takes."""
     began = perf_counter()
     work()
     return perf_counter() - began

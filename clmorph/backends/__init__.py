@@ -1,1 +1,1 @@
-"""The few expensive operations: their protocol, its float64 twin in NumPy, and OpenCL."""
+"""The few expensive operations: their protocol, a float64 version in NumPy, and one in OpenCL."""

@@ -32,7 +32,7 @@ def splat_excess(
     radius: float,
     relative: float,
 ) -> float:
-    """Return by how much the sums of a splat leave their range, in units of the tolerance.
+    """Return the largest distance of a splat's sums from their range, in units of the tolerance.
 
     A kernel may be cut anywhere from `radius` to `radius` + `sigma`, which gives each sum a
     range. The tolerance around the range is `relative` plus KERNEL_ERROR of every kernel.
@@ -40,14 +40,14 @@ def splat_excess(
     Parameters
     ----------
     sums : numerator, denominator
-        As returned by `splat` of the backend to be judged.
+        The result of `splat` of the backend that is compared.
     exact : Operations
     splats
         Splats of the exact operations, without colors below 0.
     shape, sigma, radius
         As given to `splat`.
     relative : float
-        Rounding error, by `splat_tolerance`.
+        Relative rounding error, as returned by `splat_tolerance`.
     """
     near, far = (exact.splat(splats, shape, sigma, cut) for cut in (radius, radius + sigma))
     tolerance = relative * far[1] + np.finfo(float).tiny
@@ -58,7 +58,7 @@ def splat_excess(
     for got, low, high in zip(sums, near, far, strict=True):
         outside = np.maximum(low - got, got - high)
         scaled = outside / tolerance.reshape(shape + (1,) * (got.ndim - 2))
-        # Written so that NaN is a failure.
+        # The comparison is written so that NaN is a failure.
         excess = max(excess, float(np.nan_to_num(scaled, nan=np.inf).max()))
     return excess
 
@@ -70,9 +70,9 @@ class Finding:
     Attributes
     ----------
     name : str
-        Operation and setting.
+        The operation and its setting.
     error, tolerance : float
-        The largest error and the largest that is accepted, in `unit`.
+        The largest error, and the largest that is accepted, in `unit`.
     unit : str
 
     Examples

@@ -1,8 +1,8 @@
 """The few expensive operations that every backend implements.
 
 `clmorph.backends.numpy.NumPyOperations` and `clmorph.backends.opencl.backend.OpenCLOperations` have
-these methods with these signatures. All the mathematics of the package is written once
-over them, so a disagreement between two backends names one operation.
+these methods with these signatures. All other mathematics of the package is written once and calls
+these methods, so a disagreement between two backends can be traced to one operation.
 """
 
 from typing import Any, Protocol
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from clmorph.backends.records import Bins, Float32, Float64, NearPairs, PlanRows, StoredPairs
 
-#: The most points that a cloud may have: kernels count columns in float32, exact up to here.
+#: The largest number of points of a cloud: kernels count columns in float32, which is exact up to
+#: this number.
 MAX_POINTS = 1 << 24
-#: The most dimensions that points may have: a kernel keeps one register for each.
+#: The largest dimension of points: a kernel keeps one register for each coordinate.
 MAX_DIMENSION = 11
 
 #: The largest error of a splat's kernel, as a share of the kernel's peak.
@@ -22,9 +23,9 @@ KERNEL_ERROR = 1e-6
 
 
 class Operations(Protocol):
-    """The operations of a backend. Clouds, particles and splats are handles of its own.
+    """The operations of a backend, whose clouds, particles and splats are opaque handles.
 
-    A cloud x_i with masses a_i is uploaded once and then stands for rows or for columns of a
+    A cloud x_i with masses a_i is uploaded once and then represents the rows or the columns of a
     matrix. Rows are indexed by i (N of them), columns by j (M of them); C_ij = |X_i - Y_j|^2 / 2 is
     the cost of a pair, f and g are dual potentials, and
 
@@ -42,16 +43,16 @@ class Operations(Protocol):
     sum_roundoff: float
     exponent_roundoff: float
     precise_roundoff: float
-    #: Whether precise exponents are float64 (or better), not pairs of float32.
+    #: Whether precise exponents are float64 (or better) and not pairs of float32.
     has_float64: bool
-    #: Bytes of memory on the device; None if all work is done in the host's memory, where the
-    #: backend knows of no limit.
+    #: Bytes of memory on the device; None if the backend works in the host's memory and has no
+    #: limit of its own.
     memory_bytes: int | None
-    #: Whether the device's memory is a part of the host's, as it is with CPUs.
+    #: Whether the device's memory is a part of the host's memory, as with CPUs.
     shares_host_memory: bool
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Any:
-        """Take a weighted cloud.
+        """Upload a weighted cloud.
 
         Parameters
         ----------
@@ -60,7 +61,7 @@ class Operations(Protocol):
         weights : (N,) array
             Masses, at least 0, of positive sum.
         offsets : (N,) array, optional
-            Added to the cost of every pair with this point, in cost units:
+            Terms added to the cost of every pair with a point, in cost units:
             C_ij = |X_i - Y_j|^2 / 2 + r_i + s_j. With offsets, any cost that is a sum of
             products of features of the two points can be expressed.
 
@@ -88,9 +89,9 @@ class Operations(Protocol):
         potential : (M,) array, cost units
         epsilon : float, cost units
         precise : bool
-            Form exponents in more than float32, at about half the speed.
+            Whether exponents are formed in more than float32, at about half the speed.
         near : NearPairs, optional
-            Sum over these pairs only.
+            The only pairs that are summed; all pairs if not given.
 
         Returns
         -------
@@ -108,8 +109,8 @@ class Operations(Protocol):
         """Return the soft minimum with a proven bound of its rounding error.
 
         Exponentials and sums are formed in float64, or in pairs of float32. Bounds of a
-        transport value are made of such soft minima. The operation takes about three times as
-        long as `softmin` on devices with float64, and about nine times on others.
+        transport value are computed from such soft minima. The operation takes about three times
+        as long as `softmin` on devices with float64, and about nine times as long on others.
 
         Parameters
         ----------
@@ -133,15 +134,15 @@ class Operations(Protocol):
         epsilon: float,
         budget: float,
     ) -> NearPairs:
-        """Find the pairs that contribute to the rows' sums, and bound the others' share.
+        """Find the pairs that contribute to the rows' sums, and bound the share of all others.
 
         Parameters
         ----------
         rows, columns : clouds of N and M points
         potential : (M,) array, cost units
         softmin : (N,) array, cost units
-            T(potential), or a guess at it. A better guess leaves fewer pairs, and brings
-            `skipped` nearer to the budget; the bound holds for any guess.
+            T(potential), or an estimate of it. A better estimate leaves fewer pairs, and brings
+            `skipped` closer to the budget; the bound holds for any estimate.
         epsilon : float, cost units
         budget : float
             The share of a row's sum that may be left out.
@@ -200,11 +201,11 @@ class Operations(Protocol):
         f, g : (N,) and (M,) arrays, cost units
         epsilon : float, cost units
         row_thresholds, column_thresholds : (N,) and (M,) arrays, in nats
-            With +inf no pair is kept for this row or column, with -inf all pairs are.
+            With +inf no pair is kept for this row or column; with -inf all pairs are kept.
         precise : bool
             As in `softmin`.
         counts : (N,) array, optional
-            The result of `count_plan_rows` for the same arguments, which saves counting again.
+            The result of `count_plan_rows` for the same arguments, which avoids a second count.
         """
 
     def store_pairs(
@@ -226,9 +227,9 @@ class Operations(Protocol):
         rows, columns, f, g, epsilon, row_thresholds, column_thresholds
             As in `plan_rows`.
         max_pairs : int
-            The most pairs that may be stored.
+            The largest number of pairs that may be stored.
         near : (NearPairs of the rows, NearPairs of the columns), optional
-            Only pairs in one list or the other are considered.
+            Lists of pairs; only pairs in at least one of them are considered.
 
         Returns
         -------
@@ -239,14 +240,14 @@ class Operations(Protocol):
     def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
         """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row.
 
-        The rows' sums become this when g_j grows by epsilon changes_j.
+        The rows' sums have this value after g_j has grown by epsilon changes_j.
 
         Parameters
         ----------
         stored : StoredPairs
         changes : (M,) array, in nats
         by_column : bool
-            Sum over the rows of each column instead; `changes` are then (N,).
+            Whether to sum over the rows of each column instead; `changes` is then an (N,) array.
 
         Returns
         -------
@@ -314,12 +315,12 @@ class Operations(Protocol):
         links: NDArray[np.uint32],
         weights: Float64,
     ) -> Any:
-        """Take particles that move in straight lines.
+        """Upload particles that move in straight lines.
 
         Parameters
         ----------
         table : (P, 6) array
-            Positions in the common frame and colors of the points particles travel between,
+            Positions in the common frame and colors of the points between which particles travel,
             and the spacing of points there, in units of that frame.
         links : (K, 2) array
             Rows of `table` where each particle starts and ends.
@@ -338,7 +339,7 @@ class Operations(Protocol):
         scale: tuple[float, float],
         center: tuple[float, float],
     ) -> Any:
-        """Move particles to time t, and into the pixels of a canvas.
+        """Move particles to time t, and transform them to pixel coordinates of a canvas.
 
         A particle at z in the common frame is drawn at (z - 1/2) * scale + center.
 
@@ -361,7 +362,7 @@ class Operations(Protocol):
         weights: Float32,
         spacings: Float32 | None = None,
     ) -> Any:
-        """Take particles at rest.
+        """Upload particles at rest.
 
         Parameters
         ----------
@@ -370,7 +371,7 @@ class Operations(Protocol):
         weights : (K,) array
             Masses.
         spacings : (K,) array, optional
-            Distance of neighboring particles around each particle, in pixels; 1 if not given.
+            Distance between neighboring particles around each particle, in pixels; 1 if not given.
 
         Returns
         -------
@@ -378,12 +379,12 @@ class Operations(Protocol):
         """
 
     def deposit(self, splats: Any, shape: tuple[int, int]) -> tuple[Float64, Float64]:
-        """Give each splat to its nearest pixel; return sums of masses and of their squares.
+        """Give each splat to its nearest pixel, and return sums of masses and of their squares.
 
         Parameters
         ----------
         splats
-            Without widths of their own.
+            Splats without individual widths.
         shape : (height, width) of the canvas, in pixels
 
         Returns
@@ -392,7 +393,7 @@ class Operations(Protocol):
         """
 
     def adapt_widths(self, splats: Any, distances: Float64, sigma: float) -> Any:
-        """Give every splat a width of its own, by Eq. 3 with the distance of its neighbors.
+        """Give every splat an individual width, by Eq. 3 with the distance between its neighbors.
 
         The width is max(sigma * spacing, distance / 2), rounded to one of the
         `width_levels.WIDTH_LEVELS` around sigma. Distances are interpolated bilinearly between
@@ -402,7 +403,7 @@ class Operations(Protocol):
         ----------
         splats
         distances : (height, width) array
-            Distance of neighboring particles around each pixel of the canvas, in pixels.
+            Distance between neighboring particles around each pixel of the canvas, in pixels.
         sigma : float
             Kernel width, in units of the spacing.
 
@@ -414,7 +415,7 @@ class Operations(Protocol):
         """
 
     def width_levels(self, splats: Any) -> NDArray[np.int64]:
-        """Return the width level of each splat: (K,) array, the base level without own widths."""
+        """Return the width level of each splat: (K,) array, the base level by default."""
 
     def bin_splats(self, splats: Any, shape: tuple[int, int], margin: int) -> Bins:
         """Sort splats into bins.
@@ -424,7 +425,7 @@ class Operations(Protocol):
         splats
         shape : (height, width) of the canvas, in pixels
         margin : int
-            Bins added on every side; splats farther out fall into the outermost ones.
+            Number of bins added on every side; splats farther out fall into the outermost ones.
 
         Returns
         -------
@@ -436,8 +437,8 @@ class Operations(Protocol):
     ) -> tuple[Float64, Float64]:
         """Return the two sums of a Nadaraya-Watson frame (paper, section 3.3).
 
-        Splats with widths of their own use them in place of `sigma`; `radius` is then scaled
-        by the ratio of the two.
+        Splats with individual widths use them in place of `sigma`; `radius` is then scaled by the
+        ratio of the two widths.
 
         Parameters
         ----------
@@ -448,9 +449,9 @@ class Operations(Protocol):
         radius : float
             Distance at which the kernel is cut, in pixels. A kernel counts where |dx| and |dy|
             are at most `radius`; it does not count where one of them is larger than `radius`
-            plus a kernel width (`sigma`, or the splat's own). A backend is free to count it in
-            between. The kernel's error is at most `KERNEL_ERROR` of its peak; with a width of 0
-            there is none.
+            plus a kernel width (`sigma`, or the splat's own). A backend may or may not count it in
+            between. The kernel's error is at most `KERNEL_ERROR` of its peak, and 0 for a width of
+            0.
 
         Returns
         -------

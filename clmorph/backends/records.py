@@ -1,4 +1,4 @@
-"""Records that operations return beside plain arrays, and the types of these arrays."""
+"""The records that operations return in addition to plain arrays, and the types of these arrays."""
 
 from typing import Any, NamedTuple
 

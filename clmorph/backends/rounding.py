@@ -1,4 +1,4 @@
-"""The size of rounding errors in the results of a backend."""
+"""Estimate the rounding errors in the results of a backend."""
 
 from clmorph.backends.interface import Operations
 
@@ -14,7 +14,7 @@ def rounding_error(operations: Operations, n_columns: int, largest: float, preci
     ----------
     operations : Operations
     n_columns : int
-        Terms of each sum.
+        Number of terms of each sum.
     largest : float
         The largest C / epsilon.
     precise : bool

@@ -1,4 +1,4 @@
-"""From what a user writes as ``backend=`` to the operations that do the work."""
+"""Select the operations for the value of ``backend=`` that a user gives."""
 
 import os
 from functools import cache
@@ -9,18 +9,18 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import InputError
 
-#: What `backend` may be: see `get_backend`.
+#: The type of `backend`, see `get_backend`.
 Backend = str | Operations
 
 
 def get_backend(backend: Backend = "auto") -> Operations:
-    """Return the operations that a backend's name stands for.
+    """Return the operations of the backend with a given name.
 
     Parameters
     ----------
     backend : str or Operations
-        "auto": what ``CLMORPH_DEVICE`` names, else what ``PYOPENCL_CTX`` names, else the
-        best usable OpenCL device (GPUs first, then the faster). "opencl": the same without
+        "auto": the device that ``CLMORPH_DEVICE`` names, else the one that ``PYOPENCL_CTX`` names,
+        else the best usable OpenCL device (GPUs first, then by speed). "opencl": the same without
         ``CLMORPH_DEVICE``. "numpy": no device, float64. An index such as "0:1" or part of a
         device's or platform's name ("pocl", "intel", "nvidia"). An object with the
         operations is returned as it is.
@@ -30,8 +30,8 @@ def get_backend(backend: Backend = "auto") -> Operations:
     InputError
         If `backend` is neither a text nor such an object.
     DeviceError
-        If there is no such device or it does not work, or this process was forked from one
-        that has used OpenCL.
+        If there is no such device, if it does not work, or if this process was forked from a
+        process that had used OpenCL.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def _named_backend(name: str, pyopencl_ctx: str) -> Operations:
 
 @Once
 def _opened(handle: Any) -> Operations:
-    """Return the operations on a `pyopencl.Device`: the same ones for each of its names."""
+    """Return the operations on a `pyopencl.Device`, the same object for each name of the device."""
     from clmorph.backends.opencl.backend import OpenCLOperations
 
     return OpenCLOperations(handle)

@@ -1,4 +1,4 @@
-"""The widths that a splat can have, where splats differ in width."""
+"""The possible widths of splats with individual widths."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ class WidthLevels:
     base : int
         The level whose width is sigma.
     per_octave : int
-        Levels from one width to twice that.
+        Number of levels from a width to its double.
     """
 
     count: int
@@ -41,5 +41,5 @@ class WidthLevels:
         return np.asarray(2.0 ** ((np.asarray(level) - self.base) / self.per_octave))
 
 
-#: From sigma / 4 to 45 sigma.
+#: The levels for widths from sigma / 4 to 45 sigma.
 WIDTH_LEVELS = WidthLevels(count=16, base=4, per_octave=2)

@@ -1,4 +1,4 @@
-"""Frames and particles as measures, lifted as the images were, to be compared by transport."""
+"""Lift frames and particles to measures, as the images were, to compare them by transport."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,26 +14,28 @@ from clmorph.measures.points import WeightedPoints
 
 Array = NDArray[np.float64]
 
-#: The mass of a pixel in a frame's measure: its kernel mass, or the same for all (the paper).
+#: The rules for the mass of a pixel in a frame's measure: its kernel mass, or equal masses (the
+#: paper).
 FRAME_WEIGHTS = ("kernel", "uniform")
-#: Points to which particles are merged before they are compared.
+#: The number of points to which particles are merged before they are compared.
 MERGED_POINTS = 8192
 
 
 def frame_measure(
     morph: FrameSequence, t: float, *, weights: str = "kernel", sums: Sums | None = None
 ) -> WeightedPoints:
-    """Take a frame as a measure, lifted as the images were.
+    """Return a frame as a measure, lifted as the images were.
 
     Parameters
     ----------
     morph : Morph
     t : float
     weights : {"kernel", "uniform"}
-        A pixel's mass: what the particles' kernels give it, of the particles' mass in all; or
-        the same for every pixel, of sum 1 (the paper's way, which cannot see holes).
+        The mass of a pixel. With "kernel" it is the mass that the particles' kernels give it, and
+        the sum is the particles' total mass. With "uniform" all pixels have the same mass, and the
+        sum is 1; this is the paper's rule, which does not detect holes.
     sums : Sums, optional
-        What `morph.sums(t)` or another rendering returned; the frame itself if not given.
+        The result of `morph.sums(t)` or of another rendering; the frame itself if not given.
 
     Returns
     -------
@@ -42,7 +44,7 @@ def frame_measure(
     Raises
     ------
     InputError
-        If an option is none of these.
+        If an option has another value.
 
     Examples
     --------
@@ -77,22 +79,22 @@ def frame_measure(
 def particle_measure(
     morph: FrameSequence, t: float, *, max_points: int = MERGED_POINTS
 ) -> tuple[WeightedPoints, float]:
-    """Return the particles at time t as a measure, those near each other merged.
+    """Return the particles at time t as a measure, with close particles merged.
 
     Parameters
     ----------
     morph : Morph
     t : float
     max_points : int
-        Particles are merged to their centers of mass in cells of one size, in position and
-        color, the smallest that leaves no more points than this.
+        The largest number of points. Particles are merged to their centers of mass in cells of
+        one size in position and color, the smallest size that leaves no more points.
 
     Returns
     -------
     measure : WeightedPoints
     spread : float
         Root mean square distance of particles to the point they were merged to, in image sides;
-        0 if none was.
+        0 if no particles were merged.
 
     Examples
     --------
@@ -145,14 +147,14 @@ def _check_sums(sums: Sums, canvas: Canvas) -> None:
 
 
 def _frame_positions(canvas: Canvas) -> Array:
-    """Where the pixels of a canvas stand in the common frame."""
+    """Return the positions of the pixels of a canvas in the common frame."""
     y, x = np.mgrid[: canvas.shape[0], : canvas.shape[1]].reshape(2, -1)
     pixels = np.column_stack((x, y)) - np.asarray(canvas.center)
     return 0.5 + pixels / np.maximum(canvas.scale, 1e-9)
 
 
 def _lifted(morph: FrameSequence, positions: Array, colors: Array) -> Array:
-    """(K, 5) points, as `Measure.points` lifts them."""
+    """Return (K, 5) points, lifted as by `Measure.points`."""
     source = morph.source
     return Measure(
         positions, colors, np.ones(len(colors)), source.shape, source.color_weight, source.extent,

@@ -30,15 +30,15 @@ def canvas_at(
 ) -> Canvas:
     """Return the canvas at time t (paper, 3.3, "Dynamic Rasterization Grid").
 
-    Sides go from the source's to the target's, rounded down on the way; at both ends the
-    common frame maps onto exactly that image's pixels.
+    Sides are interpolated from those of the source to those of the target, and rounded down. At
+    both ends the common frame maps exactly onto the pixels of the image.
 
     Parameters
     ----------
     t : float in [0, 1]
     source_shape, target_shape : (height, width)
     extent : {"true", "unit"}
-        As the measures were lifted.
+        The extent with which the measures were lifted.
     """
     # The small number keeps rounding from turning an integer into the one below.
     height, width = (

@@ -24,13 +24,13 @@ from clmorph.transport.plan import Plan
 
 Array = NDArray[np.float64]
 
-#: Kernel width of the correction, in distances of pixels: it hardly reaches the next pixel.
+#: Kernel width of the correction in units of the pixels' spacing: it hardly reaches the next pixel.
 NARROW = 0.3
 
 #: Factor between the kernel widths for which the correction is computed.
 STEP = 1.25
 
-#: A correction that is smaller everywhere is left out, because nobody sees it.
+#: A correction that is smaller than this everywhere is left out, because nobody sees it.
 NEGLIGIBLE = 1e-4
 
 
@@ -79,11 +79,11 @@ class Details:
         The source, or the target.
     missing : Lacking
     destinations : (N, 2) array
-        Where each pixel goes, or comes from, on average.
+        Mean destination or mean origin of each pixel.
     moving : (N,) array
-        Share of it that does; the rest stays.
+        Share of each pixel that moves; the rest stays.
     backwards : bool
-        Whether it arrives, as the target's do.
+        Whether the pixels arrive, as those of the target do.
     """
 
     def __init__(
@@ -107,14 +107,14 @@ class Details:
         self._weights = np.column_stack((weights, weights))[kept]
 
     def at(self, t: float, canvas: Canvas, width: float) -> Array | float:
-        """Return what is to be added to a frame: (H, W, 3) array, before it is faded.
+        """Return the correction of a frame before it is faded: (H, W, 3) array.
 
         Parameters
         ----------
         t : float
         canvas : Canvas
         width : float
-            The kernel's at t.
+            The kernel's width at t.
         """
         if not len(self._links):
             return 0.0
@@ -127,7 +127,7 @@ class Details:
         sigma = NARROW * pitch
         splats = self._operations.advect(particles, t, canvas.scale, canvas.center)
         numerator, denominator = self._operations.splat(splats, canvas.shape, sigma, CUT * sigma)
-        # Where pixels have moved apart there is less to give back than an even spread has.
+        # Where pixels have moved apart, the correction is weaker than that of a uniform spread.
         even = kernel_sum(sigma) / pitch**2
         return numerator / np.maximum(denominator, even)[..., None]
 
@@ -138,7 +138,7 @@ class EndCorrection:
     Parameters
     ----------
     details : (source's, target's)
-        Corrections that travel; None where none is needed.
+        Corrections that travel; None for an end that needs no correction.
     """
 
     def __init__(self, details: tuple[Details | None, Details | None]) -> None:
@@ -146,7 +146,7 @@ class EndCorrection:
         self._rest: list[Array | None] = [None, None]
 
     def moving(self, t: float, canvas: Canvas, width: float) -> Array | float:
-        """Return what is to be added to colors at time t, in the space of the path."""
+        """Return the correction of the colors at time t, in the space of the path."""
         total: Array | float = 0.0
         for end, details in zip(((1 - t), t), self._details, strict=True):
             if details is not None and end * share(t) > 0:
@@ -154,12 +154,12 @@ class EndCorrection:
         return total
 
     def set_rest(self, end: int, missing: Array) -> None:
-        """Set what the frame at an end, 0 or 1, lacks even so: (H, W, C) array."""
+        """Set the difference that remains at an end, 0 or 1, after correction: (H, W, C) array."""
         if np.abs(missing).max() > NEGLIGIBLE:
             self._rest[end] = missing
 
     def resting(self, t: float, canvas: Canvas) -> Array | float:
-        """Return what is to be added to the finished frame at t: (H, W, C) array, or 0."""
+        """Return the correction of the finished frame at t, which rests: (H, W, C) array, or 0."""
         total: Array | float = 0.0
         for end, missing in zip(((1 - t), t), self._rest, strict=True):
             if missing is not None and end * share(t) > 0:
@@ -170,7 +170,7 @@ class EndCorrection:
 def mean_destinations(
     source: Measure, target: Measure, plan: Plan | Barycentric
 ) -> tuple[Array, Array]:
-    """Return where source pixels go and where target pixels come from, on average.
+    """Return the mean destinations of source pixels and the mean origins of target pixels.
 
     Parameters
     ----------
@@ -180,11 +180,11 @@ def mean_destinations(
     Returns
     -------
     (N, 2) and (M, 2) arrays
-        In the common frame.
+        Positions in the common frame.
     """
     if isinstance(plan, Plan):
         return plan.mean_destinations(source.positions, target.positions)
-    # Where a target pixel comes from on average is not known; its detail stays in place.
+    # The mean origin of a target pixel is not known, so its detail stays in place.
     return plan.positions, target.positions
 
 
@@ -195,7 +195,7 @@ def make_details(
     missing: tuple[Lacking, Lacking],
     unmatched: str,
 ) -> tuple[Details | None, Details | None]:
-    """Return what both ends lack, travelling as the plan does on average.
+    """Return the corrections of both ends, which travel by the plan's mean displacements.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def make_details(
     missing : two of Lacking
         At t = 0 and at t = 1.
     unmatched : {"fade", "drop"}
-        With "drop" nothing stays behind.
+        With "drop" no detail stays in place.
     """
     source, target = measures
     masses = plan.marginals

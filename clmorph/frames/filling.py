@@ -1,4 +1,4 @@
-"""Holes of a frame: pixels that hardly any kernel reaches, and how wider kernels fill them."""
+"""Fill the holes of a frame, which are pixels that hardly any kernel reaches, by wider kernels."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,42 +6,43 @@ from numpy.typing import NDArray
 #: Coverage under which a pixel is empty: its kernel mass as a share of what a uniform
 #: spread of the particles would give.
 HOLE_COVERAGE = 1e-3
-#: The same as a share of that around it, within so many pixels: torn.
+#: Coverage under which a pixel is torn, as a share of the coverage around it, and the size in
+#: pixels of these surroundings.
 HOLE_SHARE, HOLE_SURROUNDINGS = 0.1, 3.0
-#: The same from which on a pixel is closed: closing others raises what is around it.
+#: The same share from which a pixel counts as closed: closing others raises the coverage around it.
 CLOSED_SHARE = 0.15
-#: A pixel is filled altogether below this share of the coverage at which it is left as it is. In
-#: between it is a mixture, so that nothing depends on which side of a threshold a pixel is.
+#: A pixel is filled entirely below this share of the coverage from which it is not filled at all.
+#: In between its color is a mixture, so that it depends continuously on the coverage.
 OPEN = 0.5
-#: Change of what is to be filled that ends the cascade below.
+#: The change of the share to be filled below which the repetition in `fill` ends.
 SETTLED = 1 / 256
-#: How often, at most, pixels that others leave torn by being filled are filled by the same kernel.
+#: The largest number of repetitions with one kernel: filling some pixels can leave others torn.
 CASCADE = 16
 
 
 class Filling:
-    """How much of each pixel's color comes from kernels wider than the frame's own.
+    """The share of each pixel's color that comes from kernels wider than the frame's own.
 
-    All of it depends continuously on the kernels' masses: a pixel at a threshold, where rounding
-    or a pair that the plan has dropped would tip it, has the same color on both sides.
+    The shares depend continuously on the kernels' masses. So a pixel has the same color on both
+    sides of a threshold that rounding, or a pair dropped from the plan, could make it cross.
 
     Parameters
     ----------
     coverage : (H, W) array
-        By the frame's own kernel.
+        Coverage by the frame's own kernel.
     closed : bool
-        Whether pixels are filled that are only torn out of their surroundings.
+        Whether pixels that are torn, but not empty, are filled too.
     where : bool or (H, W) array of bool
-        Which pixels may be filled.
+        Mask of the pixels that may be filled.
 
     Attributes
     ----------
     wanted : (H, W) array
-        Share of a pixel's color that is to come from wider kernels.
+        Share of a pixel's color that wider kernels are to supply.
     given : (H, W) array
-        Share of it that has come from them so far.
+        Share of a pixel's color that wider kernels have supplied so far.
     coverage : (H, W) array
-        The frame's coverage, with that of the wider kernels where these have filled it.
+        The frame's coverage, with that of the wider kernels in the pixels that they have filled.
     """
 
     def __init__(
@@ -52,12 +53,12 @@ class Filling:
         self._around = surroundings(coverage) if closed else coverage
         self.wanted = self._openness(coverage, self._around) * where
         self.given = np.zeros_like(coverage)
-        #: Coverage of what was given beside its surroundings, times its share.
+        #: Coverage by the wider kernels relative to its surroundings, times the share supplied.
         self._relative = np.zeros_like(coverage)
 
     @property
     def left(self) -> NDArray[np.float64]:
-        """(H, W) share that is still to be filled."""
+        """Share of each pixel that is still to be filled: (H, W) array."""
         return self.wanted - self.given
 
     @property
@@ -68,7 +69,7 @@ class Filling:
     def _openness(
         self, own: NDArray[np.float64], around: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return how torn pixels are: from 0 at the threshold to 1 at the share `OPEN` of it."""
+        """Return the degree to which pixels are holes: 0 at the threshold, 1 at `OPEN` times it."""
         needed: NDArray[np.float64] | float = HOLE_COVERAGE
         if self._closed:
             needed = np.maximum(CLOSED_SHARE * around, HOLE_COVERAGE)
@@ -77,14 +78,14 @@ class Filling:
     def fill(
         self, share: NDArray[np.float64], whole: NDArray[np.bool_] | None = None
     ) -> NDArray[np.float64]:
-        """Fill what a wider kernel covers, and return its share of each pixel's color: (H, W).
+        """Fill pixels that a wider kernel covers, and return its share of their colors: (H, W).
 
         Parameters
         ----------
         share : (H, W) array
             Coverage by that kernel.
         whole : (H, W) array of bool, optional
-            Pixels that it is to fill, and no others, however torn.
+            Mask of the pixels to fill; others are not filled, even if they are torn.
         """
         around = surroundings(share) if self._closed else share
         covers = 1.0 - self._openness(share, around) if whole is None else whole.astype(float)
@@ -94,8 +95,9 @@ class Filling:
             relative = share / np.maximum(around, HOLE_COVERAGE)
             for _ in range(CASCADE):
                 self.given = before + given
-                # As covered, beside its surroundings, as it is with the kernel that covers it;
-                # this raises what surrounds others, which the same kernel may close.
+                # A filled pixel gets the coverage, relative to its surroundings, of the kernel
+                # that fills it. This raises the surroundings of others, which the same kernel may
+                # close.
                 self._relative = relative_before + given * relative
                 self.coverage = (1.0 - self.given) * self._own + self._relative * self._around
                 self._around = surroundings(self.coverage)
@@ -110,20 +112,20 @@ class Filling:
 
 
 def is_torn(coverage: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which pixels are holes: far less covered than what surrounds them, or not at all.
+    """Return which pixels are holes: far less covered than their surroundings, or empty.
 
     Parameters
     ----------
     coverage : (H, W) array
-        Kernel mass as a share of a uniform spread's.
+        Kernel mass as a share of that of a uniform spread.
     """
     return (coverage < HOLE_SHARE * surroundings(coverage)) | (coverage < HOLE_COVERAGE)
 
 
 def surroundings(coverage: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how well the surroundings of each pixel are covered: (H, W) array."""
+    """Return the mean coverage of the surroundings of each pixel: (H, W) array."""
     from scipy.ndimage import gaussian_filter
 
-    # A mean of roots: a few spikes of a narrow kernel say nothing about their surroundings.
+    # The mean is that of square roots, so that a few spikes of a narrow kernel hardly raise it.
     mean = gaussian_filter(np.sqrt(coverage), HOLE_SURROUNDINGS, mode="reflect")
     return np.asarray(mean**2)

@@ -18,12 +18,12 @@ from clmorph.measures.measure import Measure
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
 
-#: Opacity below which 8 bits show nothing.
+#: The opacity below which a pixel is invisible in 8 bits.
 UNSEEN = 1 / 1024
 
 
 class FrameRenderer:
-    """Renders a morph at any time, and keeps what its frames share.
+    """Renders a morph at any time, and keeps the data that its frames share.
 
     Particles are uploaded to the device, and the correction of the ends is computed, when the
     first frame needs them.
@@ -33,7 +33,7 @@ class FrameRenderer:
     source, target : Measure
     plan : Plan or Barycentric
     particles : Particles
-        Made of these.
+        The particles of this plan.
     kernel_width : KernelWidth
     operations : Operations
     endpoints : {"exact", "paper"}
@@ -77,11 +77,11 @@ class FrameRenderer:
         ----------
         t : float
         widths : Widths, optional
-            In place of the morph's.
+            Kernel widths in place of the morph's own.
         """
         canvas = self.canvas(t)
         widths = widths or self._kernel_width.widths(t, canvas)
-        # Where nothing is seen there are no holes to fill.
+        # Holes are not filled where the frame is invisible.
         fill = True if self._alpha_particles is None else self._opacity(t) > UNSEEN
         mass = self._particles.mass(t)
         return render(self._operations, self._uploaded, mass, t, canvas, widths, fill=fill)
@@ -96,7 +96,7 @@ class FrameRenderer:
 
     @cached_property
     def _uploaded_alpha(self) -> Any:
-        assert self._alpha_particles is not None  # as the caller saw
+        assert self._alpha_particles is not None  # the caller has checked it
         return self._upload(self._alpha_particles)
 
     def _upload(self, particles: Particles) -> Any:
@@ -105,7 +105,7 @@ class FrameRenderer:
         )
 
     def _opacity(self, t: float) -> NDArray[np.float64]:
-        """Return the opacity of the frame at t, ends uncorrected: (H, W) array."""
+        """Return the opacity of the frame at t, without correction of the ends: (H, W) array."""
         if self._last_opacity is not None and self._last_opacity[0] == t:
             return self._last_opacity[1]
         assert self._alpha_particles is not None
@@ -121,7 +121,7 @@ class FrameRenderer:
     def _picture(
         self, t: float, sums: Sums, correction: EndCorrection | None
     ) -> NDArray[np.float64]:
-        """Return colors and, if there is one, opacity, before the rest of the ends is added."""
+        """Return colors and, if there is one, opacity, before the resting correction is added."""
         colors = sums.colors
         if correction is not None:
             canvas = self.canvas(t)
@@ -133,7 +133,7 @@ class FrameRenderer:
 
     @cached_property
     def _correction(self) -> EndCorrection | None:
-        """The correction of both ends; None if they stay as the kernel draws them."""
+        """The correction of both ends; None if the frames there stay as the kernel draws them."""
         if self._endpoints == "paper":
             return None
         lacking = self._lacking(0.0), self._lacking(1.0)
@@ -154,7 +154,7 @@ class FrameRenderer:
         return correction
 
     def _lacking(self, end: float) -> Lacking:
-        """Return what the frame at t = 0 or 1 lacks, for the kernel widths near that end."""
+        """Return image less frame at t = 0 or 1, for the kernel widths near that end."""
         times = np.linspace(end, 0.5, 9)
         widths = ladder(np.array([self._kernel_width.at(t, self.canvas(t)) for t in times]))
         measure = self._measures[round(end)]

@@ -1,4 +1,4 @@
-"""The kernel's width as a function of time (paper, 3.3, Eq. 3 and 4), and where it starts."""
+"""The kernel's width as a function of time, and its floor (paper, 3.3, Eq. 3 and 4)."""
 
 from dataclasses import dataclass
 
@@ -12,30 +12,34 @@ from clmorph.frames.render import Widths
 
 
 def effective_count(weights: NDArray[np.float64]) -> float:
-    """Return Kish's effective number (sum w)^2 / sum w^2 of particles; 1 of none (paper, Eq. 3)."""
+    """Return Kish's effective number (sum w)^2 / sum w^2 of particles (paper, Eq. 3).
+
+    The effective number of no particles is 1.
+    """
     largest = float(weights.max(initial=0.0))
     if largest == 0:
         return 1.0
-    scaled = weights / largest  # squares of tiny numbers are none
+    scaled = weights / largest  # squares of tiny numbers would underflow
     return float(scaled.sum() ** 2 / np.sum(scaled**2))
 
 
 @dataclass(frozen=True)
 class KernelWidth:
-    """Kernel widths over time (Eq. 3 and 4), or another curve in their place.
+    """Kernel widths over time by Eq. 3 and 4, or by another curve.
 
     Attributes
     ----------
     sigma_start, sigma_end : float
-        Pixels, at t = 0 and t = 1.
+        Widths in pixels at t = 0 and t = 1.
     gamma : float
-        Height of the bulge at t = 1/2, in pixels; "local" has none, it widens where needed.
+        Height of the bulge at t = 1/2, in pixels. "local" has no bulge, because it widens kernels
+        where particles are sparse.
     n_start, n_end : float
         Effective numbers of particles at both ends (N_eff of Eq. 3).
     splatting : {"adaptive", "local", "fixed", "none"}
     curve : (times, widths), optional
-        Two arrays between which sigma(t) is interpolated, in place of Eq. 4; pixels. Torn pixels
-        are then closed, as with "local", so that a narrow width is no reason for holes.
+        Times and widths in pixels between which sigma(t) is interpolated, in place of Eq. 4. Torn
+        pixels are then closed, as with "local", so that a narrow width does not cause holes.
     """
 
     sigma_start: float
@@ -76,7 +80,7 @@ class KernelWidth:
             return path
         if self.splatting == "adaptive":
             return max(self.floor(t, canvas), path + 4 * self.gamma * t * (1 - t))
-        raise AssertionError(self.splatting)  # a rule of `SPLATTING` without a width
+        raise AssertionError(self.splatting)  # this value of `splatting` has no rule above
 
     def widths(self, t: float, canvas: Canvas) -> Widths:
         """Widths at time t, as `clmorph.frames.render.render` takes them."""

@@ -1,4 +1,4 @@
-"""Opacity of frames: areas and opacities that travel with the particles' masses."""
+"""Opacity of frames, from areas and opacities that travel with the particles' masses."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,8 @@ from clmorph.transport.plan import Plan
 
 Array = NDArray[np.float64]
 
-#: Halfway, coverage may fall to this share before opacity falls: particles never spread quite
-#: evenly, and that alone must not show.
+#: The share to which coverage may fall at t = 1/2 before opacity falls: particles never spread
+#: uniformly, and this alone must not be visible.
 THINNEST = 0.5
 #: Cracks up to twice this share of the canvas's longer side are closed: where particles part, the
 #: background would show as scratches.
@@ -29,14 +29,14 @@ def alpha_particles(
     source, target : Measure
     plan : Plan or Barycentric
     moving : Particles
-        Made of these.
+        The particles of this plan.
 
     Returns
     -------
     Particles or None
-        On the same paths, as well as resting at opaque pixels without mass; their masses are
-        areas, of a sum of at most 1 at both ends, and their first color is opacity. None if
-        both images are opaque all over.
+        Particles on the same paths, and resting particles at opaque pixels without mass. Their
+        masses are areas, whose sum is at most 1 at both ends, and their first color is opacity.
+        None if both images are opaque everywhere.
     """
     if source.alpha is None and target.alpha is None:
         return None
@@ -45,7 +45,7 @@ def alpha_particles(
         np.ones(len(measure)) if measure.alpha is None else measure.alpha
         for measure in (source, target)
     ]
-    # A particle covers as much of its pixel as it has of its mass.
+    # A particle covers the same share of its pixel's area as it has of its mass.
     per_mass = [
         np.divide(1.0 / len(m), m.weights, out=np.zeros(len(m)), where=m.weights > 0)
         for m in (source, target)
@@ -59,7 +59,7 @@ def alpha_particles(
     table[:, 2] = np.concatenate(alphas)
     links = moving.links.astype(np.int64)
     areas = np.zeros_like(moving.weights)
-    # Only those that rest die or are born; no other starts at the target or ends at the source.
+    # Only resting particles die or are born; no other starts at the target or ends at the source.
     starts, stops = links[:, 0] < n, links[:, 1] >= n
     areas[starts, 0] = moving.weights[starts, 0] * per_mass[0][links[starts, 0]]
     areas[stops, 1] = moving.weights[stops, 1] * per_mass[1][links[stops, 1] - n]
@@ -74,14 +74,14 @@ def alpha_particles(
 
 
 def opacity(sums: Sums, area: float, t: float) -> Array:
-    """Return how opaque each pixel is, narrow cracks closed: (H, W) array.
+    """Return the opacity of each pixel, with narrow cracks closed: (H, W) array.
 
     Parameters
     ----------
     sums : Sums
-        Rendering of `alpha_particles`, holes left open.
+        Rendering of `alpha_particles`, without filled holes.
     area : float
-        Its mass at time t.
+        Total mass of `alpha_particles` at time t.
     t : float
     """
     enough = 1.0 - 4 * t * (1 - t) * (1.0 - THINNEST)

@@ -7,25 +7,25 @@ from clmorph._shared.option_kinds import choice, number, number_or
 from clmorph._shared.options import Options, option
 from clmorph.images.color import ColorSpace
 
-#: How particles become pixels: each particle has a width of its own, by the density around it; all
-#: have that of Eq. 4; all have sigma_start throughout; or each goes into its nearest pixel (the
-#: last two are the paper's baselines).
+#: The rules by which particles become pixels: each particle has a kernel width that depends on the
+#: density around it; all have the width of Eq. 4; all have sigma_start at all times; or each
+#: particle is given to its nearest pixel. The last two are the paper's baselines.
 Splatting = Literal["local", "adaptive", "fixed", "none"]
 SPLATTING = get_args(Splatting)
-#: Rules whose width has the bulge gamma; each of them, and "local", takes sigma="optimal".
+#: Rules whose width has the bulge gamma. Each of them, and "local", accepts sigma="optimal".
 BULGING = ("adaptive",)
-#: What the first and the last frame are: the images themselves, or the images seen through the
-#: kernel as in the paper.
+#: The rules for the first and the last frame: they are the images themselves, or the images
+#: smoothed by the kernel as in the paper.
 Endpoints = Literal["exact", "paper"]
 ENDPOINTS = get_args(Endpoints)
-#: What becomes of mass that does not travel: it is drawn as it dies and is born, or left out.
+#: The rules for mass that does not travel: it is drawn as it dies and is born, or left out.
 Unmatched = Literal["fade", "drop"]
 UNMATCHED = get_args(Unmatched)
 #: A kernel width in pixels, or "auto": half the smallest detail of the image.
 Sigma = float | Literal["auto"]
 
 _WIDTH = number_or("auto", number(1e-3, 1e4))
-#: The height of Eq. 4's bulge where it is not given.
+#: The default height of the bulge of Eq. 4.
 GAMMA = 0.5
 
 

@@ -26,15 +26,15 @@ class Particles:
     Attributes
     ----------
     table : (P, 6) array
-        Positions in the common frame, colors in the space of the path, and the distance of
-        neighbors: the source's points, then the target's, then mean destinations, if particles
-        go there.
+        Positions in the common frame, colors in the space of the path, and the distance to
+        neighbors. The rows are the source's points, then the target's, then the mean destinations
+        if particles end there.
     links : (K, 2) array of uint32
         Rows of `table` where each particle starts and ends.
     weights : (K, 2) array
-        Its mass at t = 0 and at t = 1.
+        Mass of each particle at t = 0 and at t = 1.
     path_space : str
-        In which colors change evenly, see `clmorph.images.color.to_space`.
+        The color space in which colors change linearly, see `clmorph.images.color.to_space`.
 
     Examples
     --------
@@ -96,27 +96,28 @@ def particles(
 ) -> Particles:
     """Turn a plan into particles.
 
-    Each kept pair is one particle. Unbalanced transport can take more out of a source
-    point than it holds, or less; with "fade" a pair's mass is scaled to
-    pi_ij [(1 - t) min(1, a_i / r_i) + t min(1, b_j / c_j)] (r, c: the plan's marginals),
-    what the plan leaves, (a_i - r_i)_+, dies at its place, and (b_j - c_j)_+ is born.
+    Each kept pair is one particle. Unbalanced transport can take more mass out of a source
+    point than it holds, or less. With "fade" a pair's mass is scaled to
+    pi_ij [(1 - t) min(1, a_i / r_i) + t min(1, b_j / c_j)], where r and c are the plan's marginals.
+    The mass that the plan leaves, (a_i - r_i)_+, dies at its place, and (b_j - c_j)_+ is born.
     So every source pixel has its mass at t = 0 and every target pixel at t = 1.
 
-    The marginals there are those of the whole plan (`Plan.marginals`). What pruning has dropped of
-    a row, or draws have missed, is shared out among the row's kept pairs at t = 0, and likewise
-    among a column's at t = 1: how many pairs were drawn decides about grain, never about what
-    dies or is born. A point none of whose pairs was kept rests.
+    These marginals are those of the whole plan (`Plan.marginals`). Mass of a row that pruning has
+    dropped, or that draws have missed, is shared out among the row's kept pairs at t = 0, and
+    likewise among a column's at t = 1. So the number of drawn pairs affects the grain, but not the
+    mass that dies or is born. A point without a kept pair rests.
 
     Parameters
     ----------
     source, target : Measure
     plan : Plan or Barycentric
-        With the latter each source point is one particle, which ends at its mean destination
-        in its mean color; so the frame at t = 1 is not quite the target.
+        With a `Barycentric` plan each source point is one particle, which ends at its mean
+        destination in its mean color; so the frame at t = 1 is not quite the target.
     unmatched : {"fade", "drop"}
-        With "drop" nothing rests, and a kept pair has its pi_ij throughout, as in the paper's code.
+        With "drop" no particle rests, and a kept pair has the mass pi_ij at all times, as in the
+        paper's code.
     path_space : {"srgb", "linear", "lab", "luv", "oklab"}
-        In which colors change evenly between both ends.
+        The color space in which colors change linearly between both ends.
 
     Returns
     -------
@@ -174,7 +175,8 @@ def particles(
     links = np.column_stack((i, n + j))
     weights = np.column_stack((mass, mass))
     if unmatched == "fade":
-        # By the plan's own marginals: what pruning dropped and draws missed travels as the rest.
+        # With the whole plan's marginals, mass that pruning dropped or draws missed travels as the
+        # other mass of its point does.
         sent, received = plan.marginals
         sent, starting = _shared_out(np.minimum(source.weights, sent), i, mass)
         received, arriving = np.minimum(target.weights, received), mass
@@ -195,7 +197,7 @@ def particles(
 def _shared_out(
     moved: NDArray[np.float64], owners: NDArray[np.int64], mass: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Share out what points move among their pairs, by the pairs' masses.
+    """Share out the mass that each point moves among its pairs, in proportion to their masses.
 
     Returns
     -------

@@ -10,14 +10,14 @@ from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.filling import Filling
 
-#: Where the Gaussian is cut, in kernel widths: what lies beyond is at most
+#: The radius at which the Gaussian is cut, in kernel widths: the mass beyond it is at most
 #: exp(-4.5^2 / 2) = 4e-5 of the particles' mass.
 CUT = 4.5
 
 #: Width, in pixels, of the window in which "local" widths look for neighbors.
 PILOT = 1.0
 
-#: Share of a color that 8 bits do not show.
+#: The share of a color that is invisible in 8 bits.
 UNSEEN = 1 / 1024
 #: Factor by which the kernel widens until a hole is filled.
 WIDENING = 2.0
@@ -29,13 +29,13 @@ class Widths(NamedTuple):
     Attributes
     ----------
     sigma : float
-        Pixels; 0 gives each particle to its nearest pixel.
+        Width in pixels; 0 gives each particle to its nearest pixel.
     local : bool
-        If so, every particle has its own width: the larger of sigma times its own spacing and
-        of half the distance to its neighbors where it stands (Eq. 3, locally).
+        Whether every particle has its own width: the larger of sigma times its spacing and half
+        the distance to its neighbors at its position (Eq. 3, applied locally).
     closed : bool
-        Whether pixels that are torn out of their surroundings even so are given the narrowest
-        kernel that covers them.
+        Whether pixels that are torn in spite of these widths are filled by the narrowest kernel
+        that covers them.
     """
 
     sigma: float
@@ -44,17 +44,17 @@ class Widths(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """A frame before it is a picture.
+    """The sums of a frame from which its picture is computed.
 
     Attributes
     ----------
     colors : (H, W, 3) array
-        In the space of the path; holes are filled.
+        Colors in the space of the path, with holes filled.
     coverage : (H, W) array
-        Kernel mass of each pixel as a share of a uniform spread's; before empty pixels are
-        filled, but after torn ones are closed, if they are.
+        Kernel mass of each pixel as a share of that of a uniform spread, before empty pixels are
+        filled but after torn pixels are closed, if the widths request it.
     density : (H, W) array
-        Kernel mass of each pixel, after filling, per kernel's sum: mass per pixel.
+        Kernel mass of each pixel after filling, divided by the kernel's sum: mass per pixel.
     """
 
     colors: NDArray[np.float64]
@@ -74,26 +74,26 @@ def render(
 ) -> Sums:
     """Reconstruct one frame from particles (Nadaraya-Watson regression, 3.3).
 
-    A pixel whose coverage is at least `filling.HOLE_COVERAGE` has that mean as its color;
-    if torn pixels are closed, its coverage must also be `CLOSED_SHARE` of what surrounds it. Below
-    half of these thresholds wider kernels decide its color, and in between the color is a mixture
-    of both: neither rounding nor pairs that a plan has dropped tip a pixel from one color to
-    another.
+    A pixel whose coverage is at least `filling.HOLE_COVERAGE` has the kernel's mean as its color.
+    If torn pixels are closed, its coverage must also be at least `CLOSED_SHARE` of the coverage
+    around it. Below half of these thresholds wider kernels determine its color, and in between the
+    color is a mixture of both. So neither rounding nor pairs that a plan has dropped can switch a
+    pixel from one color to another.
 
     Parameters
     ----------
     operations : Operations
     particles
-        What `operations.upload_particles` returned.
+        The handle that `operations.upload_particles` returned.
     mass : float
         The particles' total mass at time t.
     t : float
     canvas : Canvas
     widths : Widths
-        Without a kernel, pixels without a particle are 0; with one, pixels in holes are filled
-        by widening it there.
+        Kernel widths. Without a kernel, pixels without a particle are 0; with a kernel, holes are
+        filled by wider kernels.
     fill : bool or (H, W) array of bool
-        Whether, and where, they are.
+        Whether holes are filled, or a mask of the pixels in which they are.
 
     Returns
     -------
@@ -116,33 +116,34 @@ def render(
         width *= WIDENING
         wider_numerator, wider = operations.splat(splats, canvas.shape, width, CUT * width)
         share = wider / uniform_density(mass, canvas, width)
-        # Of the last that is tried, whatever there is.
+        # The last kernel that is tried fills every pixel that it reaches at all.
         whole = wider > 0 if width >= max(canvas.shape) else None
         before = filling.wanted
         given = filling.fill(share, whole)
         colors, density = _mean(wider_numerator, wider), wider / kernel_sum(width)
         sums += given[..., None] * np.dstack((colors, density))
         sums -= (filling.wanted - before)[..., None] * own
-    # What no kernel could fill keeps what it has.
+    # Pixels that no kernel could fill keep their colors.
     sums += filling.left[..., None] * own
     return Sums(sums[..., :3], filling.coverage, sums[..., 3])
 
 
 def _mean(numerator: NDArray[np.float64], denominator: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return numerator / denominator, 0 where there is nothing."""
+    """Return numerator / denominator, and 0 where the denominator is 0."""
     tiny = np.finfo(np.float64).tiny
     return np.asarray(numerator / np.maximum(denominator, tiny)[..., None])
 
 
 def neighbor_distances(operations: Operations, splats: Any, canvas: Canvas) -> NDArray[np.float64]:
-    """Estimate how far apart particles are around every pixel: (H, W), in pixels.
+    """Estimate the distance between particles around every pixel: (H, W) array, in pixels.
 
-    From sums over a window of Kish's effective number (sum w)^2 / sum w^2 for each pixel; of
-    one lone particle at most sqrt(2 pi) window widths.
+    The estimate uses Kish's effective number (sum w)^2 / sum w^2 over a window around each pixel.
+    For a single particle it is at most sqrt(2 pi) window widths.
     """
     from scipy.ndimage import gaussian_filter
 
-    # Into pixels first: then the window costs the same for any number of particles.
+    # Particles are deposited into pixels first, so that the cost of the window does not depend on
+    # their number.
     mass, squares = (
         gaussian_filter(part, PILOT, mode="reflect")
         for part in operations.deposit(splats, canvas.shape)
@@ -154,14 +155,14 @@ def neighbor_distances(operations: Operations, splats: Any, canvas: Canvas) -> N
 
 
 def kernel_sum(sigma: float) -> float:
-    """Sum of a kernel over all pixels."""
+    """Return the sum of a kernel over all pixels."""
     return float(2 * np.pi * sigma**2) if sigma > 0 else 1.0
 
 
 def uniform_density(mass: float, canvas: Canvas, sigma: float) -> NDArray[np.float64]:
-    """Return the kernel mass that each pixel would have were the particles spread evenly.
+    """Return the kernel mass that each pixel would have if particles were spread uniformly.
 
-    Less towards the border, where kernels stick out of the canvas: (H, W) array.
+    The (H, W) array falls towards the border, where kernels extend beyond the canvas.
     """
     along = []
     for side in canvas.shape:

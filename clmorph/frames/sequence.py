@@ -1,4 +1,4 @@
-"""What files, pages and measures of quality draw from: the frames of a morph and its transport."""
+"""The frames of a morph and its transport, as files, pages and measures of quality use them."""
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,8 +24,8 @@ Frame = NDArray[np.float32]
 class FrameSequence(Sequence[Frame]):
     """Frames at given times, with the transport that they come from.
 
-    It is a sequence: ``len(frames)``, ``frames[i]``, ``frames[i:j]`` and iteration give the frames
-    at `times`. `frame` gives one at any time.
+    The object is a sequence: ``len(frames)``, ``frames[i]``, ``frames[i:j]`` and iteration refer to
+    the frames at `times`. The method `frame` renders one at any time.
 
     Attributes
     ----------
@@ -34,14 +34,14 @@ class FrameSequence(Sequence[Frame]):
     plan : Plan or Barycentric
     particles : Particles
     times : (n_frames,) array
-        Ascending, from 0 to 1.
+        Times of the frames, ascending from 0 to 1.
     kernel_width : KernelWidth
     endpoints : {"exact", "paper"}
         Whether the first and the last frame are the images themselves.
     unmatched : {"fade", "drop"}
         Whether mass that does not travel is drawn.
     options : Options
-        What it was made with, playback and style of files included.
+        The options that the morph was made with, including those of playback and of files.
     """
 
     source: Measure
@@ -58,7 +58,7 @@ class FrameSequence(Sequence[Frame]):
     @property
     @abstractmethod
     def parameters(self) -> Mapping[str, Any]:
-        """The recipe, as `json.dumps` takes it."""
+        """The recipe, as values that `json.dumps` accepts."""
 
     @abstractmethod
     def canvas(self, t: float) -> Canvas:
@@ -107,6 +107,6 @@ class FrameSequence(Sequence[Frame]):
 
 
 def check_frame_sequence(morph: FrameSequence) -> None:
-    """Raise InputError unless this is a morph."""
+    """Raise InputError unless the argument is a morph."""
     if not isinstance(morph, FrameSequence):
         raise InputError(f"morph={shown(morph)}: expected a Morph, as clmorph.morph returns it")

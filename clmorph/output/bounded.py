@@ -1,4 +1,4 @@
-"""Read files from unknown sources within limits, however large they claim to be."""
+"""Read files from unknown sources within limits, whatever size their headers state."""
 
 import io
 import json
@@ -10,9 +10,9 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-#: Characters of the parameters in a file, at most; writers keep to it as well.
+#: The largest number of characters of the parameters in a file, for readers and writers.
 MAX_TEXT = 1 << 20
-#: Bytes that are read of a file whose metadata stand at its start.
+#: The largest number of bytes read of a file whose metadata stand at its start.
 MAX_HEAD = 4 * MAX_TEXT
 #: Exceptions that libraries raise for files that are damaged or of another format.
 UNREADABLE = (
@@ -23,7 +23,7 @@ UNREADABLE = (
 
 
 class BoundedFile(io.FileIO):
-    """A file to read, of which nothing but a limited number of bytes is read.
+    """A file of which only a limited number of bytes can be read.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class BoundedFile(io.FileIO):
     Raises
     ------
     ValueError
-        By `read` and its kin, when more is asked for.
+        Raised by `read`, `readall` and `readinto` when the caller requests more.
     """
 
     def __init__(self, path: Path, *, in_all: int | None = None, at_once: int | None = None):
@@ -42,7 +42,7 @@ class BoundedFile(io.FileIO):
         self._left, self._at_once = in_all, at_once
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Read up to so many bytes; all that remain if it is negative."""
+        """Read at most `size` bytes, or all that remain if `size` is negative."""
         if size is None or size < 0:
             size = max(0, Path(str(self.name)).stat().st_size - self.tell())
         if self._at_once is not None and size > self._at_once:
@@ -59,7 +59,7 @@ class BoundedFile(io.FileIO):
         return self.read(-1)
 
     def readinto(self, buffer: Any, /) -> int:
-        """Read into a buffer; here, as everywhere, no more than may be."""
+        """Read into a buffer, within the same limits as `read`."""
         view = memoryview(buffer).cast("B")
         data = self.read(len(view))
         view[: len(data)] = data
@@ -72,8 +72,8 @@ def from_text(text: str | bytes) -> Any:
     Raises
     ------
     ValueError, RecursionError
-        If it is longer than `MAX_TEXT`, is no JSON, has a key twice, or holds a number that is
-        not finite.
+        If the text is longer than `MAX_TEXT`, is not JSON, has a key twice, or holds a number
+        that is not finite.
     """
     if len(text) > MAX_TEXT:
         raise ValueError(f"its parameters have more than {MAX_TEXT} characters")

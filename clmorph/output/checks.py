@@ -1,4 +1,4 @@
-"""Check the canvas and the color that a user asks for."""
+"""Check the canvas and the color that a user requests."""
 
 import re
 from typing import Any
@@ -15,7 +15,7 @@ MAX_SIDE = 16384
 
 
 def check_color(color: Any) -> str:
-    """Return a color that Pillow knows.
+    """Return the color if Pillow knows it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Frames of any sizes on one canvas, for files that have only one."""
+"""Fit frames of any sizes onto one canvas, for files whose frames all have one size."""
 
 import math
 from collections.abc import Iterable
@@ -15,34 +15,34 @@ from clmorph.output.options import SCALINGS, Scaling, StyleOptions
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-#: Enlargement from which frames look soft.
+#: The enlargement from which frames look soft.
 ENLARGED = 1.25
 
 
 @dataclass(frozen=True)
 class FrameStyle:
-    """How frames come into a file.
+    """The style in which frames are written to a file: canvas, scaling, background and loss.
 
     Attributes
     ----------
     canvas : {"dynamic", "source", "target"} or (width, height)
-        "dynamic" keeps every frame's size where a file can, and else takes one that holds all,
-        small ones enlarged. The others scale all frames to one size, with bars where shapes
-        differ. "source" is the first picture that was given, "target" the last one, in whichever
-        order they are shown.
+        "dynamic" keeps the size of every frame where the format allows it. Otherwise it uses a
+        canvas that holds all frames, and enlarges small ones. The other values scale all frames
+        to one size, with bars where shapes differ. "source" is the size of the first given
+        picture and "target" that of the last one, even if the morph is shown in reverse.
     scaling : {"auto", "nearest", "smooth"}
-        "auto": nearest for pixel art, smooth for the rest.
+        "auto" is "nearest" for pixel art and "smooth" for other pictures.
     background : str, optional
-        A color that Pillow knows, such as "white" or "#204060": for bars, and under what is
-        transparent. By default opacity is kept where a file can, and else laid on white; bars
-        beside opaque frames are black.
+        A color that Pillow knows, such as "white" or "#204060", for bars and behind transparent
+        pixels. By default opacity is kept where the format can hold it, and otherwise frames
+        are laid on white; bars beside opaque frames are black.
     lossless : bool
-        In WebP.
+        Whether WebP is written without loss.
 
     Raises
     ------
     InputError
-        If one of them cannot be used.
+        If one of the attributes has an invalid value.
     """
 
     canvas: Any = "dynamic"
@@ -63,13 +63,13 @@ class FrameStyle:
 
 
 def in_time(shapes: Iterable[tuple[int, ...]], times: NDArray[Any]) -> list[tuple[int, ...]]:
-    """Return frames' shapes in the order of the morph's time, whichever is shown first."""
+    """Return frames' shapes in the order of the morph's time, even if it is shown in reverse."""
     shapes = list(shapes)
     return [shapes[index] for index in np.argsort(times, kind="stable")]
 
 
 def enlargement(canvas: Any, shapes: Iterable[tuple[int, ...]]) -> float:
-    """Return how many times a canvas of a given size enlarges the frame that it enlarges least.
+    """Return the enlargement by a canvas of a given size of the frame that it enlarges least.
 
     Parameters
     ----------
@@ -91,13 +91,13 @@ def enlargement(canvas: Any, shapes: Iterable[tuple[int, ...]]) -> float:
 def enlargement_note(
     style: FrameStyle, shapes: Iterable[tuple[int, ...]], pixelated: bool, size: int | None
 ) -> str | None:
-    """Return what to tell a user whose canvas enlarges all frames and so makes them soft.
+    """Return a note for a user whose canvas enlarges all frames and so makes them soft.
 
     Parameters
     ----------
     style : FrameStyle
     shapes : iterable of (H, W, C)
-        Of the frames.
+        Shapes of the frames.
     pixelated : bool
         Whether the pictures are pixel art, which stays sharp.
     size : int or None
@@ -129,15 +129,15 @@ class Framing:
     ----------
     style : FrameStyle
     shapes : iterable of (H, W, C)
-        Of the frames, in the order of the morph's time; see `in_time`.
+        Shapes of the frames, in the order of the morph's time; see `in_time`.
     pixelated : bool
         Whether the pictures are pixel art.
     side : int
-        Where the style leaves the size open, the longer side is at least this long.
+        The least length of the longer side where the style leaves the size open, in pixels.
     even : bool
-        Round the size up to even numbers, for video.
+        Whether the size is rounded up to even numbers, for video.
     opacity : bool
-        Whether the file can hold it.
+        Whether the file can hold opacity.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ class Framing:
 
     @property
     def ground(self) -> tuple[int, ...] | None:
-        """Color of bars, and of what shows through, as RGB; None if nothing is there."""
+        """Color of bars and behind transparent pixels, as RGB; None if these stay transparent."""
         from PIL import ImageColor
 
         if self.clear:
@@ -193,9 +193,9 @@ class Framing:
     def __call__(self, frame: NDArray[np.uint8]) -> "Image":
         """Return a frame (H, W, 3 or 4) on the canvas, as RGB, or RGBA if `clear`.
 
-        It is scaled to fit, its shape kept, and centered; around it is the background, or
-        nothing where pictures have opacity. Pixel art is enlarged by whole factors: its pixels
-        stay squares of one size.
+        The frame is scaled to fit with its aspect ratio kept, and centered. The background
+        surrounds it, or transparent pixels if the pictures have opacity. Pixel art is enlarged by
+        whole factors, so that its pixels stay squares of one size.
         """
         from PIL import Image
 
@@ -204,7 +204,7 @@ class Framing:
             return picture
         margins = [whole - part for whole, part in zip(self.size, picture.size, strict=True)]
         if picture.size == self._inner:
-            # One row or column more, for video: the border's own, not a line beside it.
+            # Video may need one more row or column, which repeats the border of the frame.
             edges = (0, margins[1]), (0, margins[0]), (0, 0)
             return Image.fromarray(np.pad(np.asarray(picture), edges, mode="edge"))
         ground: Any = (0, 0, 0, 0) if self.clear else self._background
@@ -243,6 +243,7 @@ class Framing:
             return picture.resize(size, Image.Resampling.NEAREST)
         how = Image.Resampling.BICUBIC if factor > 1 else Image.Resampling.LANCZOS
         if picture.mode == "RGBA":
-            # Multiplied by opacity meanwhile, so that unseen colors do not show at the edges.
+            # Colors are multiplied by opacity for the resampling, so that the colors of
+            # transparent pixels do not show at the edges.
             return picture.convert("RGBa").resize(size, how).convert("RGBA")
         return picture.resize(size, how)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from PIL.ImageFile import ImageFile
     from PIL.PngImagePlugin import PngInfo
 
-#: The first key of every metadata text, by which it is recognized; in PNG the name of its chunk.
+#: The first key of every metadata text, by which it is recognized, and the keyword of PNG's chunk.
 MARK = "clmorph"
 #: The tag of Exif and TIFF for a text about an image.
 IMAGE_DESCRIPTION = 0x010E
@@ -51,7 +51,7 @@ def read_png(path: Path) -> str:
 
 @contextmanager
 def image_head(reader: "type[ImageFile]", path: Path) -> Iterator["ImageFile"]:
-    """Give what Pillow reads of an image before its pixels, at most `MAX_HEAD` bytes.
+    """Yield the image as Pillow reads it before its pixels, from at most `MAX_HEAD` bytes.
 
     Parameters
     ----------

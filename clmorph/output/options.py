@@ -1,4 +1,4 @@
-"""Options of playback and of the look of files."""
+"""Options of playback and of the style of frames in files."""
 
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
@@ -7,24 +7,24 @@ from clmorph._shared.option_kinds import choice, flag, integer, number, text
 from clmorph._shared.options import Options, option
 from clmorph.output.checks import as_canvas, check_color
 
-#: How the time of the morph runs while frames follow one another evenly.
+#: The rules by which the time of the morph runs while frames follow one another evenly.
 Ease = Literal["linear", "smooth", "in", "out"]
 EASES = get_args(Ease)
-#: What follows the last frame: the first one, the way back, or nothing.
+#: The rules for the playback after the last frame: start again, play backwards, or stop.
 Loop = Literal["loop", "ping-pong", "once"]
 LOOPS = get_args(Loop)
-#: How frames are enlarged and reduced; "auto" depends on the pictures.
+#: The methods to enlarge and reduce frames; "auto" depends on the pictures.
 Scaling = Literal["auto", "nearest", "smooth"]
 SCALINGS = get_args(Scaling)
 
 
-#: Frames a second, by default.
+#: The default frame rate, in frames per second.
 FPS = 20.0
 
 
 @dataclass(frozen=True, init=False)
 class PlaybackOptions(Options):
-    """Options of the frames' number and pace."""
+    """Options of the number and the timing of frames."""
 
     n_frames: int = option(
         30, integer(2, 100_000), "Number of frames of each morph, both ends included.", "Motion",
@@ -53,7 +53,7 @@ class PlaybackOptions(Options):
 
 
 def _is_canvas(value: object) -> bool:
-    """Whether a value of TOML or JSON can be a canvas: a text, or two sides."""
+    """Return whether a value of TOML or JSON can be a canvas: a text, or two sides."""
     return isinstance(value, str) or (
         isinstance(value, list) and all(type(side) is int for side in value)
     )
@@ -64,7 +64,7 @@ _CANVAS = replace(text("dynamic|source|target|WxH", as_canvas), scalar=_is_canva
 
 @dataclass(frozen=True, init=False)
 class StyleOptions(Options):
-    """Options of how frames come into a file."""
+    """Options of the style in which frames are written to a file."""
 
     canvas: str | tuple[int, int] = option(
         "dynamic", _CANVAS,

@@ -1,4 +1,4 @@
-"""When each frame is shown: easing, holds at the pictures, loops."""
+"""The timing of frames: easing, holds at the pictures, loops."""
 
 import math
 from dataclasses import dataclass
@@ -11,29 +11,29 @@ from clmorph._shared.validation import check_choice, check_number
 from clmorph.errors import InputError
 from clmorph.output.options import EASES, FPS, LOOPS, Ease, Loop, PlaybackOptions
 
-#: Frames a second from which nobody sees that a hold is rounded to whole frames.
+#: The frame rate from which nobody sees that a hold is rounded to whole frames.
 SMOOTH = 30
 
 
 def eased(times: NDArray[np.float64], ease: Ease) -> NDArray[np.float64]:
-    """Return the times of a morph that frames at even times show.
+    """Return the times of the morph that frames at evenly spaced times show.
 
     Parameters
     ----------
     times : (n,) array
-        Even, from 0 to 1.
+        Evenly spaced times from 0 to 1.
     ease : {"linear", "smooth", "in", "out"}
         "in" starts slowly, "out" ends slowly, "smooth" does both.
 
     Returns
     -------
     (n,) array
-        Never falling; 0 and 1 stay what they are.
+        Never decreasing times; 0 and 1 are unchanged.
 
     Raises
     ------
     InputError
-        If `ease` is none of these.
+        If `ease` has another value.
     """
     check_choice("ease", ease, EASES)
     if ease == "smooth":
@@ -45,21 +45,21 @@ def eased(times: NDArray[np.float64], ease: Ease) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Motion:
-    """How frames follow one another.
+    """The timing of a recording: frame rate, holds and loop.
 
     Attributes
     ----------
     fps : float
-        Frames a second.
+        Frames per second.
     hold : float
-        Seconds that the pictures themselves stay longer than a frame: the first, the last, and
-        those between in a chain.
+        Seconds by which the pictures themselves are shown longer than other frames: the first, the
+        last, and those between in a chain.
     loop : {"loop", "ping-pong", "once"}
 
     Raises
     ------
     InputError
-        If one of them cannot be used.
+        If one of the attributes has an invalid value.
     """
 
     fps: float = FPS
@@ -85,12 +85,12 @@ class Motion:
         holds : (n,) array of bool
             Whether a frame is one of the pictures, and so is held.
         hold, loop
-            As above.
+            See the attributes of `Motion`.
 
         Raises
         ------
         InputError
-            If the holds alone take longer, or nothing would be seen to move.
+            If the holds alone take as long, or the frame rate would be outside 0.1 to 240.
         """
         check_number("duration", duration, 0.0, 1e6, open_low=True)
         trial = cls(1.0, hold, loop).played(holds)
@@ -110,7 +110,7 @@ class Motion:
 
     @property
     def rate(self) -> Fraction:
-        """Frames a second, as files store them."""
+        """Frames per second as a fraction, as files store them."""
         return Fraction(self.fps).limit_denominator(1001)
 
     def rate_for(self, seconds: list[float]) -> Fraction:
@@ -124,8 +124,8 @@ class Motion:
         Returns
         -------
         Fraction
-            `rate` if all are whole frames then; else its first multiple, at least `SMOOTH`, of
-            which none is off by more than half.
+            `rate` if all durations are whole numbers of its frames. Otherwise the first multiple of
+            `rate`, at least `SMOOTH`, at which no duration is off by more than half a frame.
         """
         frames = np.array(seconds) * float(self.rate)
         if np.all(np.abs(frames - np.round(frames)) < 0.01):
@@ -161,7 +161,7 @@ def motion_of(options: PlaybackOptions, holds: NDArray[np.bool_]) -> Motion:
     Raises
     ------
     InputError
-        If the duration cannot be had.
+        If the requested duration is impossible.
     """
     if options.duration is not None:
         return Motion.lasting(options.duration, holds, options.hold, options.loop)
@@ -175,15 +175,15 @@ def whole_units(seconds: list[float], per_second: int | Fraction) -> list[int]:
     ----------
     seconds : list of float
     per_second : int or Fraction
-        Units a second.
+        Units per second.
 
     Returns
     -------
     list of int
         At least 1 each.
     """
-    # Halves, which holds easily leave, all go up, whatever the sums' own rounding: equal
-    # durations side by side stay equal.
+    # Halves, which are frequent with holds, are all rounded up, whatever the rounding errors of the
+    # sums, so that equal durations side by side stay equal.
     ends = np.floor(np.cumsum(seconds) * float(per_second) + (0.5 + 1e-6)).astype(int)
     return [max(1, int(units)) for units in np.diff(ends, prepend=0)]
 
@@ -196,7 +196,7 @@ def held_frames(n_images: int, n_frames: int) -> NDArray[np.bool_]:
     n_images : int
         Pictures of the chain; each morph begins with the frame that the one before ended with.
     n_frames : int
-        Of each morph, both ends included.
+        Frames of each morph, both ends included.
 
     Returns
     -------

@@ -9,14 +9,14 @@ from clmorph.output.bounded import MAX_TEXT, UNREADABLE, from_text
 from clmorph.output.formats.registry import by_content
 from clmorph.output.metadata import MARK
 
-#: Bytes by which a file's format is recognized.
+#: Number of bytes at the start of a file by which its format is recognized.
 START = 64
 
 
 def read_parameters(path: Path) -> dict[str, Any]:
     """Return the parameters that a file of clmorph was made with.
 
-    Whatever the file holds, no more than some megabytes of it are read, and no pixels.
+    At most some megabytes of the file are read, whatever its content, and no pixels.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def read_parameters(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If the file cannot be read, or holds no parameters of clmorph.
+        If the file cannot be read, or does not contain parameters of clmorph.
     """
     if path.is_dir():
         path = min(path.glob("frame-*"), default=path)

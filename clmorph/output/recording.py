@@ -22,7 +22,7 @@ StageProgress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Rendered frames, and how they are played.
+    """Rendered frames and their timing.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Recording:
     shapes : list of (H, W, C)
         The frames' shapes.
     times : (n,) array
-        The time of each frame, from 0 to the number of morphs; falling if reversed.
+        The time of each frame, from 0 to the number of morphs; descending if reversed.
     holds : (n,) array of bool
         Whether a frame is one of the pictures, and so is shown longer.
     motion : Motion
@@ -62,12 +62,12 @@ class Recording:
     def framing(
         self, style: FrameStyle, side: int = 1, *, even: bool = False, opacity: bool = True
     ) -> Framing:
-        """Return how frames are brought to one size; see `Framing` for the arguments."""
+        """Return the `Framing` that fits the frames to one size; see there for the arguments."""
         shapes = in_time(self.shapes, self.times)
         return Framing(style, shapes, self.pixelated, side, even, opacity)
 
     def played(self) -> list[tuple[int, float]]:
-        """Return the frames of one round, each with the seconds that it is shown."""
+        """Return the frames of one round, each with the seconds for which it is shown."""
         return self.motion.played(self.holds)
 
     @property
@@ -99,13 +99,13 @@ def recorded(
         so that only one is in memory at a time.
     motion : Motion
     reverse : bool
-        Whether frames run from the end to the beginning.
+        Whether frames are played from the end to the beginning.
     n_morphs : int
-        Number of morphs, by which stages are named.
+        Number of morphs, for the names of stages.
     exact : bool
-        Frames as floats, for files that hold more than 8 bits.
+        Whether frames are kept as floats, for files that hold more than 8 bits.
     keep : bool
-        Keep the morphs themselves too, for formats that need them.
+        Whether the morphs themselves are kept too, for formats that need them.
     pixelated, parameters
         As in `Recording`.
     folder : Path, optional
@@ -142,7 +142,7 @@ def recorded(
 
 
 class _Backwards(Sequence[NDArray[Any]]):
-    """A sequence seen from its end, without reading it."""
+    """A sequence in reverse order, whose items are read only on access."""
 
     def __init__(self, frames: Sequence[NDArray[Any]]) -> None:
         self._frames = frames

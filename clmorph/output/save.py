@@ -41,26 +41,26 @@ __all__ = ["FORMATS", "PACE", "SIZES", "Output", "metadata_of", "save", "write_a
 
 
 class Output:
-    """A place for a file, checked before anything is worked out.
+    """The path and format of a file to be written, checked before any computation.
 
     Parameters
     ----------
     path : path
     format : str, optional
-        A name of `FORMATS`, in place of what the ending says.
+        A name of `FORMATS`, which overrides the ending of the path.
 
     Attributes
     ----------
     path : Path
     format : Format
     name : str
-        The format's.
+        The name of the format.
 
     Raises
     ------
     OutputError
-        If the ending is unknown, nothing can be written there, or something is missing that
-        the format needs.
+        If the ending is unknown, the path cannot be written to, or a library that the format needs
+        is missing.
     """
 
     def __init__(self, path: str | PathLike[str], format: str | None = None) -> None:
@@ -85,7 +85,7 @@ class Output:
 
     @property
     def folder(self) -> Path:
-        """Where temporary files for it go: on its own disk."""
+        """The folder of its temporary files, which is on the same disk."""
         return home_of(self.place)
 
     def check_motion(self, motion: Motion) -> None:
@@ -104,25 +104,25 @@ def write_all(
     report: Callable[[Output, float], None] | None = None,
     texts: Mapping[Path, str] | None = None,
 ) -> None:
-    """Write a recording to one or several places: all of them whole, or none.
+    """Write a recording to one or several files: all of them whole, or none.
 
     Parameters
     ----------
     outputs : sequence of Output
     recording : Recording
-        Recorded with the `exact` and `keep` of their formats.
+        A recording made with the `exact` and `keep` that the formats need.
     style : FrameStyle, optional
     report : callable, optional
         Called with an output and the share of it done.
     texts : mapping, optional
-        What else is to be written, by place.
+        Further texts to be written, each by the path of its file.
 
     Raises
     ------
     OutputError
-        If one cannot be written.
+        If a file cannot be written.
     InputError
-        If the recording cannot be shown that way, or two of them have one place.
+        If a format or style does not suit the recording, or two outputs have the same path.
     """
     beside = dict(texts or {})
     places = [*(output.place for output in outputs), *beside]
@@ -161,15 +161,15 @@ def save(
     Parameters
     ----------
     morphs : Morph or sequence of Morph
-        Of a chain, each begins with the picture that the one before ends with.
+        One morph, or a chain in which each begins with the picture that the one before ends with.
     path : path
         ``.gif``, ``.webp``, ``.apng`` (animated PNG), ``.mp4``, ``.webm``, ``.html`` (a page to
         play with), ``.png`` (a contact sheet), ``.npz`` (see `clmorph.load`), ``.tif`` (one
-        page a frame), or no ending (a new folder of PNG frames). What is there is replaced.
+        page a frame), or no ending (a new folder of PNG frames). An existing file is replaced.
     format : str, optional
         A name of `FORMATS`, in place of the ending.
     parameters : mapping, optional
-        Metadata of the file in place of the recipe; JSON must take it.
+        Metadata of the file in place of the recipe, as values that JSON can represent.
     progress : callable, optional
         Called with a stage's name and the share of it done.
     **given
@@ -182,7 +182,7 @@ def save(
     InputError
         If an option cannot be used.
     OutputError
-        If it cannot be written there.
+        If the file cannot be written.
 
     Examples
     --------
@@ -262,8 +262,8 @@ def metadata_of(morphs: Sequence[FrameSequence], options: Options) -> dict[str, 
     ----------
     morphs : sequence of Morph
     options : Options
-        The first morph's, with those given when it is saved. Morphs that were made with other
-        options than the first are listed one by one.
+        The first morph's options, with those given to `save`. If some morphs were made with other
+        options than the first, the recipe lists all morphs.
     """
     pace = {*specifications(PlaybackOptions), *specifications(StyleOptions)}
     each = [

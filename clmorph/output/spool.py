@@ -15,25 +15,26 @@ from clmorph._shared.printable import reason_of
 from clmorph._shared.staging import staging_folder
 from clmorph.errors import OutputError
 
-#: Bytes of frames that stay in memory; more go to a temporary file.
+#: The largest number of bytes of frames in memory; beyond it they go to a temporary file.
 IN_MEMORY = 128 * 1024**2
 
 
 class Spool(Sequence[NDArray[Any]]):
     """A sequence of arrays of any shapes and one dtype: a few in memory, more in a temporary file.
 
-    To be used in a `with` block, at whose end the file goes. Where the system lets files have no
-    names, it has none: however the process ends, its room on the disk is free again. On Windows
-    it has a name until it is closed, and on network disks it can get one; so it lies in a staging
-    folder, which is no part of what the folder holds (see `files.is_empty`) and which the
-    next run clears away if this one is killed.
+    A spool is used in a `with` block, at whose end the temporary file is removed. Where the
+    operating system supports files without names, the file has none, so that its disk space is
+    freed however the process ends. On Windows the file has a name until it is closed, and on
+    network disks it can get one. Therefore it lies in a staging folder, which does not count as
+    content of the folder (see `files.is_empty`) and which the next run removes if this process is
+    killed.
 
     Parameters
     ----------
     dtype : dtype
     folder : Path, optional
-        In which the staging folder is made, once there is more than `IN_MEMORY`. By default the
-        file goes to the system's place for temporary files, without such a folder.
+        The folder in which the staging folder is made when the frames exceed `IN_MEMORY`. By
+        default the file goes to the system's folder for temporary files, without a staging folder.
     """
 
     def __init__(self, dtype: Any, folder: Path | None = None) -> None:
@@ -55,7 +56,7 @@ class Spool(Sequence[NDArray[Any]]):
         self._places.append((offset, array.shape))
 
     def _on_disk(self, memory: io.BytesIO) -> IO[bytes]:
-        """Return a temporary file that holds what was in memory, at its end."""
+        """Return a temporary file with the bytes from memory, positioned at its end."""
         place = self._folder and self._stack.enter_context(staging_folder(self._folder))
         file = tempfile.TemporaryFile(dir=place)  # noqa: SIM115 (the stack closes it)
         self._stack.callback(file.close)
@@ -74,11 +75,11 @@ class Spool(Sequence[NDArray[Any]]):
     @overload
     def __getitem__(self, index: slice) -> list[NDArray[Any]]: ...
     def __getitem__(self, index: int | slice) -> NDArray[Any] | list[NDArray[Any]]:
-        """Read an array, or some of them."""
+        """Read an array, or a list of arrays for a slice."""
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         offset, shape = self._places[index]
-        with _disk_errors():  # what was written may only now reach the disk
+        with _disk_errors():  # written data may reach the disk only now
             self._file.seek(offset)
             data = self._file.read(int(np.prod(shape)) * self._dtype.itemsize)
         return np.frombuffer(data, self._dtype).reshape(shape)
@@ -92,7 +93,7 @@ class Spool(Sequence[NDArray[Any]]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        with suppress(OSError):  # a full disk again: what is lost here was not to be kept
+        with suppress(OSError):  # the disk may be full again, but the data are discarded anyway
             self._stack.close()
 
 

@@ -1,9 +1,9 @@
-"""The paper in plain NumPy float64: what every other implementation is compared with.
+"""The paper in plain NumPy float64, with which every other implementation is compared.
 
-`transport` and `pipeline` hold the whole method as a textbook would write it: dense, without
+`transport` and `pipeline` contain the whole method in the form of a textbook: dense, without
 truncation, and without any mathematics of the accelerated path. A reader of the paper can begin
 with them; `README.md` in this folder lists the function of each equation. `NumPyOperations` is the
-float64 twin of the operations that devices compute.
+float64 version of the operations that devices compute.
 """
 
 from clmorph.backends.numpy import NumPyOperations

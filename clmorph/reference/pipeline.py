@@ -1,8 +1,8 @@
-"""The paper from images to frames in plain NumPy float64, dense and independent.
+"""The method of the paper from images to frames in plain NumPy float64, dense and independent.
 
-It iterates plain Sinkhorn from zero, forms the whole plan, and sums the kernels of all particles.
-It shares no mathematics with the accelerated path, so it can judge it. It needs N x M numbers of
-memory, so images should have at most about 64 x 64 pixels. Equations are those of the paper.
+This module iterates plain Sinkhorn from zero, forms the whole plan, and sums the kernels of all
+particles. It shares no mathematics with the accelerated path, so it can verify that path. It stores
+N x M numbers, so images should have at most about 64 x 64 pixels. Equations are those of the paper.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def render(
     sigma: float,
     unmatched: str = "fade",
 ) -> tuple[Array, Array]:
-    """Sum the kernels of all particles at time t (paper, 3.3), none left out and none cut.
+    """Sum the kernels of all particles at time t (paper, 3.3), without truncation.
 
     Particle (i, j) stands at (1 - t) x_i + t y_j, has the color (1 - t) c_i + t d_j and the weight
     pi_ij; its kernel is exp(-|p - p_k|^2 / (2 sigma^2)).
@@ -92,8 +92,8 @@ def render(
         Kernel width, in pixels.
     unmatched : {"fade", "drop"}
         "fade" scales the weights so that the source at t = 0 and the target at t = 1 have their
-        masses, and draws mass that does not move as it dies or is born. "drop" leaves it out, as
-        the paper does.
+        masses, and draws mass that does not move as it dies or is born. "drop" leaves this mass
+        out, as the paper does.
 
     Returns
     -------
@@ -201,7 +201,7 @@ def _lift(pixels: Array, color_weight: float, extent: str) -> Measure:
 
 @dataclass(frozen=True)
 class ReferenceMorph:
-    """A morph by the reference; attributes as those of `clmorph.Morph`, with a dense plan.
+    """A morph by the reference, with the attributes of `clmorph.Morph` and a dense plan.
 
     Examples
     --------
@@ -224,14 +224,14 @@ class ReferenceMorph:
 
     @property
     def sigma(self) -> Array:
-        """(n_frames,) kernel widths at `times`, in pixels."""
+        """Kernel widths at `times`, in pixels: (n_frames,) array."""
         return np.array([self._sigma(t) for t in self.times])
 
     def _sigma(self, t: float) -> float:
         shape = canvas_shape(t, self.source, self.target)
         masses = self.source.weights, self.target.weights
         if self.unmatched == "drop":
-            # The marginals of the whole plan, whichever pairs are kept.
+            # These are the marginals of the whole plan, whatever pairs are kept.
             masses = self.potentials.row_mass, self.potentials.column_mass
         return kernel_width(t, shape, masses, self.sigma_start, self.sigma_end, self.gamma)
 

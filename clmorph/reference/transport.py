@@ -1,6 +1,6 @@
 """The paper's transport (2.1, 3.1, Eq. 1 and 2) in plain NumPy float64, dense.
 
-It iterates plain Sinkhorn from zero, forms the whole plan, and evaluates values by their
+This module iterates plain Sinkhorn from zero, forms the whole plan, and evaluates values by their
 definitions.
 """
 
@@ -36,12 +36,13 @@ def cost_matrix(source: MeasureLike, target: MeasureLike) -> Array:
     Returns
     -------
     (N, M) array
-        The points' unit squared.
+        Costs in the square of the points' unit.
 
     Raises
     ------
     InputError
-        If they are no measures, not of one space, or have too many pairs for a dense matrix.
+        If the arguments are not measures, their dimensions differ, or there are too many pairs for
+        a dense matrix.
 
     Examples
     --------
@@ -186,8 +187,8 @@ def certificate(
 def _feasible(plan: Array, a: Array, b: Array, given: Regularization) -> Array:
     """Return a plan near this one that has the marginals of balanced sides.
 
-    Source for two: Altschuler, Weed, Rigollet, "Near-linear time approximation algorithms for
-    optimal transport via Sinkhorn iteration" (2017).
+    For two balanced sides the method is that of Altschuler, Weed, Rigollet, "Near-linear time
+    approximation algorithms for optimal transport via Sinkhorn iteration" (2017).
     """
     balanced = [bool(np.isinf(rho)) for rho in given.rho]
     if balanced == [True, False]:
@@ -204,7 +205,7 @@ def _feasible(plan: Array, a: Array, b: Array, given: Regularization) -> Array:
 
 
 def _share(weights: Array, marginal: Array) -> Array:
-    """Return weights / marginal, 0 where there is no mass."""
+    """Return weights / marginal, and 0 where there is no mass."""
     return np.divide(weights, marginal, out=np.zeros(len(weights)), where=marginal > 0)
 
 

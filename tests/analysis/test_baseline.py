@@ -1,4 +1,4 @@
-"""The per-channel baseline: exact where it must be, and wrong in the way the paper says."""
+"""The per-channel baseline is exact where it must be, and has the errors the paper describes."""
 
 import numpy as np
 import pytest

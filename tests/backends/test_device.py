@@ -1,4 +1,4 @@
-"""Finding, judging and choosing devices."""
+"""Test how devices are found, tested and chosen."""
 
 import os
 import shutil
@@ -185,7 +185,7 @@ def test_a_users_vendor_folder_is_respected(tmp_path):
 
 
 def test_import_needs_no_driver():
-    """Not even pyopencl is imported before a device is asked for."""
+    """Not even pyopencl is imported before a device is requested."""
     code = "import sys, clmorph; print('pyopencl' in sys.modules, 'skimage' in sys.modules)"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).split() == ["False"] * 2
 
@@ -294,7 +294,7 @@ def test_two_processes_build_at_once(device, tmp_path):
 def test_without_a_writable_cache_everything_works(device, tmp_path):
     (tmp_path / "file").write_text("")
     index = next(d.index for d in USABLE if d.handle == device.device)
-    # PoCL itself cannot do without a cache folder of its own.
+    # PoCL itself needs a cache folder.
     environment = dict(
         os.environ, XDG_CACHE_HOME=str(tmp_path / "file"), POCL_CACHE_DIR=str(tmp_path)
     )

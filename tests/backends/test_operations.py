@@ -81,7 +81,7 @@ def _exactly(pair, g, epsilon):
 @pytest.mark.parametrize("blur", BLURS)
 @pytest.mark.parametrize("name", PAIRS)
 def test_bounded_softmin_is_as_near_as_it_says(variant, rng, name, blur):
-    """Nothing but the bound that it tells, which is small."""
+    """The error does not exceed the reported bound, which is small."""
     pair = PAIRS[name](rng)
     epsilon = blur**2
     g = _potential(rng, len(pair[1][0]), epsilon)
@@ -801,7 +801,7 @@ def test_widths_by_their_definition(variant):
 
 @pytest.mark.full
 def test_a_canvas_of_4096_pixels_a_side(device):
-    """Everywhere on it a frame is what it is on a small canvas around the place."""
+    """At every place a frame equals the frame on a small canvas around that place."""
     rng = np.random.default_rng(0)
     places = np.round(64 * rng.uniform(-20, 4116, (60_000, 2))) / 64  # exact when moved
     colors, weights = rng.random((2, 60_000, 3))[0], rng.random(60_000)

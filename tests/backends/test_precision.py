@@ -1,4 +1,4 @@
-"""Exponents in more than float32: as exact as they say, and used only where needed."""
+"""Exponents in more than float32 have the stated accuracy, and are used only where needed."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What a process shares: first uses by threads, forks, its end, the cache, global state."""
+"""Test the state that a process shares: first use by threads, forks, exit, cache, global state."""
 
 import json
 import os

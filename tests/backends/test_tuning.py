@@ -1,4 +1,4 @@
-"""Constants found by trying: kept, used, forgotten, and never trusted blindly."""
+"""Tuned constants are stored, used and forgotten, and invalid records of them are ignored."""
 
 import numpy as np
 import pytest

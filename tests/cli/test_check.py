@@ -227,7 +227,7 @@ def test_unknown_quirks(device, monkeypatch):
 
 
 def test_every_operation_is_compared():
-    """A backend that notes what it is asked for, on its way to NumPy's."""
+    """A backend that records its calls and forwards them to NumPy's."""
     asked = set()
 
     class Noting(NumPyOperations):

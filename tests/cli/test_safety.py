@@ -1,4 +1,4 @@
-"""What others' files can do here: decide about a picture, and nothing else."""
+"""Files from unknown sources can affect a picture, and nothing else."""
 
 import contextlib
 import io
@@ -501,7 +501,7 @@ def test_pipes_and_devices_are_not_waited_for(capfd):
 
 
 def npy(shape="(2,)", descr="'<f4'", data=b"", version=(1, 0), order="False"):
-    """Return an array as a file holds it, with whatever in its head."""
+    """Return an array as a file holds it, with a given header."""
     text = f"{{'descr': {descr}, 'fortran_order': {order}, 'shape': {shape}, }}\n".encode()
     length = struct.pack("<H" if version == (1, 0) else "<I", len(text))
     return b"\x93NUMPY" + bytes(version) + length + text + data
@@ -664,14 +664,14 @@ def test_what_we_write_we_can_read(morph):
 
 
 def test_settings_of_thousands_of_levels_reach_nobody():
-    """Values are looked at, never walked through."""
+    """Values are checked without recursion into nested values."""
     Path("deep.json").write_text(JSONS["deep enough to be parsed"])
     with contextlib.suppress(InputError):
         read_settings(Path("deep.json"))
 
 
 def test_a_picture_that_says_it_is_vast_is_told_in_one_line(capfd):
-    """Pillow's guard raises errors of a class of its own."""
+    """Pillow's limit of sizes raises errors of a separate class."""
     frame = b"," + struct.pack("<HHHHB", 0, 0, 65535, 65535, 0) + b"\2\2D\1\0"
     head = b"GIF89a" + struct.pack("<HHBBB", 1, 1, 0x80, 0, 0) + bytes(6)
     Path("vast.gif").write_bytes(head + frame + b";")

@@ -1,4 +1,4 @@
-"""Presets, files of settings, recipes: what decides, and that runs can be repeated."""
+"""Test the precedence of presets, files of settings and recipes, and that runs can be repeated."""
 
 import contextlib
 import json
@@ -80,7 +80,7 @@ def test_what_is_not_given_is_a_state_of_its_own():
 
 @pytest.mark.parametrize("preset", [None, *PRESETS])
 def test_options_survive_a_file(preset):
-    """What is written outside is read as the same options, whatever the preset."""
+    """Options that are written to a file are read back unchanged, whatever the preset."""
     for more in (
         {},
         {"rho": 0.04},

@@ -1,4 +1,4 @@
-"""Both ends of a morph are its images, and frames go there and away smoothly."""
+"""Both ends of a morph are its images, and the frames near them change smoothly."""
 
 from importlib import resources
 

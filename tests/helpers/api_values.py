@@ -237,7 +237,7 @@ def cases() -> dict[str, dict[str, Any]]:
 
 
 class Hostile:
-    """Raises whatever it is asked for."""
+    """An object whose conversions all raise an error."""
 
     def _refuse(self, *arguments: Any, **more: Any) -> Any:
         raise RuntimeError("this object\ncannot be used")

@@ -1,4 +1,4 @@
-"""Random and nasty clouds."""
+"""Random and degenerate clouds."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""PNG and TIFF files written by hand, of kinds that no library here writes."""
+"""PNG and TIFF files assembled byte by byte, of kinds that the installed libraries cannot write."""
 
 import struct
 import zlib

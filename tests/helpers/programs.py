@@ -1,4 +1,4 @@
-"""Programs of the system that some tests need; CI requires them."""
+"""Find the programs of the system that some tests need and that CI requires."""
 
 import os
 import shutil

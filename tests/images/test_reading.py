@@ -1,4 +1,4 @@
-"""Kinds of image files, each against what was written by hand or by another library."""
+"""Each kind of image file is read as it was assembled by hand or written by another library."""
 
 import struct
 import subprocess

@@ -1,4 +1,4 @@
-"""Metrics of color, constant and by source pixel, against the dense cost."""
+"""Compare metrics of color, constant or for each source pixel, with the dense cost."""
 
 import numpy as np
 import plain

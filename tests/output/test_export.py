@@ -1,4 +1,4 @@
-"""Files that people open: each is read by a library that did not write it, or by ffprobe."""
+"""Each written file is read by a library that did not write it, or by ffprobe."""
 
 import json
 import os
@@ -608,7 +608,7 @@ write_all([Output(sys.argv[1])], film, FrameStyle("source"))
     "name", [name for name in FORMATS if FORMATS[name].endings and not FORMATS[name].keep]
 )
 def test_bytes_do_not_depend_on_what_was_in_memory(tmp_path, name):
-    """glibc fills memory that is taken with what it is told."""
+    """With MALLOC_PERTURB_, glibc fills allocated memory with a given byte."""
     found = []
     for filling in ("1", "77"):
         (tmp_path / filling).mkdir()

@@ -1,4 +1,4 @@
-"""Frames of many sizes on one canvas."""
+"""Test how frames of many sizes are fitted onto one canvas."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""However a run ends, files are whole, and nothing else of it stays for long."""
+"""However a run ends, its files are whole, and its temporary files are removed soon."""
 
 import dataclasses
 import mmap
@@ -659,7 +659,7 @@ def test_who_reads_the_old_file_goes_on(morph):
 
 
 def test_what_goes_into_a_folder_is_made_there(tmp_path, morph, monkeypatch):
-    """It may be a disk of its own, or the only place where one may write."""
+    """The folder may be a separate disk, or the only writable place."""
     homes = []
     usual = staging.tempfile.mkdtemp
 

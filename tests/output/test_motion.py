@@ -1,4 +1,4 @@
-"""When frames are shown: easing, holds, loops, durations."""
+"""Test the timing of frames: easing, holds, loops, durations."""
 
 from fractions import Fraction
 

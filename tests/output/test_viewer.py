@@ -1,4 +1,4 @@
-"""The page as text, and what it is made of; how it behaves is in test_viewer_page.py."""
+"""Test the text of the page and its parts; test_viewer_page.py tests its behavior."""
 
 import base64
 import hashlib
@@ -110,7 +110,7 @@ def test_a_page_has_at_most_the_bytes_it_may_have(rng):
 
 
 class ReadOnce:
-    """A sequence that tells what is read, and when."""
+    """A sequence that records which items are read, and when."""
 
     def __init__(self, frames, log):
         self.frames, self.log = frames, log

@@ -1,4 +1,4 @@
-"""The page in a browser: opened from a file, used as people use it."""
+"""Test the page in a browser, opened from a file and operated like by a user."""
 
 import base64
 import io
@@ -747,7 +747,7 @@ def test_a_named_canvas_is_the_pictures_own(rng, show, tmp_path):
 
 
 def test_a_saved_chain_backwards(rng, show, tmp_path):
-    """Times run from 0 on, frames from the last picture's; a canvas may be asked for."""
+    """Times ascend from 0 while frames start at the last picture; a canvas may be requested."""
     images = rng.random((3, 8, 8, 3))
     chain = [morph(*pair, 4) for pair in (images[:2], images[1:])]
     told = {"clmorph": "1", "images": [{"file": f"{name}.png"} for name in "abc"]}

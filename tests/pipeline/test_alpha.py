@@ -1,4 +1,4 @@
-"""Images with opacity: transparent pixels weigh nothing, frames have opacity."""
+"""For images with opacity, transparent pixels have no mass, and frames have opacity."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The whole path, against the reference and against itself."""
+"""Compare the whole path from images to frames with the reference, and with itself."""
 
 import inspect
 

@@ -1,4 +1,4 @@
-"""Options: one home, from which everything else follows."""
+"""Each option is defined in one place, from which all other parts derive it."""
 
 import inspect
 import subprocess

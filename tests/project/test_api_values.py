@@ -1,4 +1,4 @@
-"""No value of any argument of any public function gets past a result or an error of ours."""
+"""Any value of any argument of a public function gives a result or an error of clmorph."""
 
 import dataclasses
 import inspect
@@ -95,7 +95,7 @@ PLAIN = (np.array([0.4, 0.3, 0.2, 0.1]), POINTS), (np.array([0.5, 0.25, 0.25]), 
 
 
 def test_numbers_of_any_kind_are_the_same_number(tmp_path):
-    """In the result, and in the parameters that a file tells, which JSON takes."""
+    """The value stands in the result, and in the parameters of a file as JSON."""
     plain = clmorph.morph(
         A, B, n_frames=2, blur=0.0625, reach=(0.5, None), color_weight=1.5, splatting="adaptive",
         gamma=0.25, tol=0.5, sample=3, seed=7, max_particles=64, max_memory=1e9, backend="numpy",

@@ -1,4 +1,4 @@
-"""The judge of ``tools/cross_check.py`` is right, it notices what is wrong, and a share of it."""
+"""The judge of ``tools/cross_check.py`` is correct and detects errors; a part of the check runs."""
 
 import signal
 import sys
@@ -251,7 +251,7 @@ def test_sums_are_right_within_their_bounds(rho, number, blur):
 
 
 def test_random_problems_are_settled():
-    """The judge leaves few without an optimum, whatever the strengths and masses."""
+    """The judge finds an optimum for most problems, whatever the regularization and masses."""
     tried = unsettled = 0
     for number in range(80):
         problem = problems.make(SEED, number)
@@ -275,7 +275,7 @@ def above(value):
 
 
 def honest(rho, sigma=0.0):
-    """A result that tells the truth about potentials, which may be off the optimum."""
+    """A result with the true errors of potentials, which may differ from the optimum."""
     rng = np.random.default_rng(11)
     a, b = rng.integers(0, 9, 12) / 8, rng.integers(0, 9, 15) / 8
     a[:2], b[:2] = 1.0, 0.0

@@ -1,4 +1,4 @@
-"""The examples in docstrings run as they stand, and everything public has some."""
+"""The examples in docstrings run without changes, and every public name has examples."""
 
 import doctest
 import importlib
@@ -29,7 +29,7 @@ def examples():
 
 @pytest.mark.parametrize("example", examples(), ids=lambda example: example.name)
 def test_examples(example, tmp_path, monkeypatch):
-    """Without a device: "auto" is NumPy here. Each starts in a folder of its own."""
+    """Each runs in a separate folder and without a device, so that "auto" is NumPy."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CLMORPH_DEVICE", "numpy")
     report = []

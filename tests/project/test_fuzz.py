@@ -1,4 +1,4 @@
-"""A small share of what ``tools/fuzz.py`` tries, and that it notices what it is there for."""
+"""Run a small part of ``tools/fuzz.py``, and check that it detects the faults it looks for."""
 
 import importlib
 import shutil

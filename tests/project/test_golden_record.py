@@ -1,4 +1,4 @@
-"""``tools/golden_record.py`` finds the same twice, and sees a change."""
+"""``tools/golden_record.py`` records the same results twice, and detects a change."""
 
 import importlib
 import json

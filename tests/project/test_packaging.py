@@ -1,4 +1,4 @@
-"""What is shipped: built here, looked at, and run from elsewhere."""
+"""Build the distributions, inspect them, and run them from another folder."""
 
 import subprocess
 import sys

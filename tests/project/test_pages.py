@@ -1,4 +1,4 @@
-"""The pages: every command and every block of Python runs as it stands there, and names exist.
+"""Every command and every block of Python in the pages runs without changes, and names exist.
 
 Pictures are such that the commands take the branches that photographs take: they are reduced,
 solved between blocks of pixels, drawn by a sample of the plan, with a kernel width for each

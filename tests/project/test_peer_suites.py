@@ -1,4 +1,4 @@
-"""What ``tools/peer_suites.py`` translates, and how it counts; without any of the libraries.
+"""Test the translations and counts of ``tools/peer_suites.py`` without any of the libraries.
 
 Each convention is checked against a dense solve of its own problem, as the library states it.
 """

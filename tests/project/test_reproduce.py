@@ -1,4 +1,4 @@
-"""The paper's tables and figures: the tool that makes them, run as users run it."""
+"""Run the tool that makes the paper's tables and figures as users run it."""
 
 import csv
 import html

@@ -1,4 +1,4 @@
-"""What is tested without ``--full``: each value of each parameter."""
+"""Without ``--full`` the tests still cover each value of each parameter."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""A small share of what ``tools/faults.py`` and ``tools/soak.py`` try."""
+"""Run a small part of ``tools/faults.py`` and of ``tools/soak.py``."""
 
 import subprocess
 import sys

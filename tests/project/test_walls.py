@@ -1,4 +1,4 @@
-"""What stands at the top of the package, and that no file imports itself by way of others.
+"""Test the names at the top of the package, and that there are no circular imports.
 
 ``lint-imports`` checks the walls between the rooms; `pyproject.toml` says what they are.
 """

@@ -1,4 +1,4 @@
-"""Without any OpenCL device the tests of NumPy pass, and the others say why they do not run."""
+"""Without any OpenCL device the tests of NumPy pass, and the others report why they are skipped."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""The dense reference beside another library and beside itself; no device takes part."""
+"""Compare the dense reference with another library and with itself, without any device."""
 
 import numpy as np
 import ot

@@ -1,4 +1,4 @@
-"""The accelerated iteration against the plain one, and what makes it fast."""
+"""Compare the accelerated iteration with the plain one, and test its methods of acceleration."""
 
 import warnings
 

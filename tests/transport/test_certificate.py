@@ -1,4 +1,4 @@
-"""Values, gap and marginals against a dense float64 primal and dual; other strengths."""
+"""Compare values, gap and marginals with a dense float64 primal and dual; vary regularization."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""Solving through clusters, against solving directly."""
+"""Compare the solution through clusters with the direct solution."""
 
 import warnings
 
@@ -262,7 +262,7 @@ def test_points_without_mass_over_stored_pairs(device, rng):
 
 
 def test_without_clusters_that_save_anything(rng):
-    """A blur below the points' distance: each is a cluster of its own, and nothing is gained."""
+    """With a blur below the points' distance each point is a separate cluster, without any gain."""
     (a, x), (b, y) = [(np.full(60, 1 / 60), rng.random((60, 3))) for _ in range(2)]
     got = sinkhorn((a, x), (b, y), 0.01, 0.3, 1e-4, backend="numpy", multiscale=True)
     want = reference.sinkhorn((a, x), (b, y), 0.01, 0.3, 1e-6, 10**5)

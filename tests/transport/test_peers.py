@@ -1,4 +1,4 @@
-"""Closed forms, and other libraries at the same problem."""
+"""Compare solutions with closed forms, and with other libraries on the same problem."""
 
 from pathlib import Path
 

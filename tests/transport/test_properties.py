@@ -1,4 +1,4 @@
-"""What must hold for any measures, found by searching for a counterexample."""
+"""Search for counterexamples to properties that must hold for any measures."""
 
 import warnings
 from itertools import pairwise

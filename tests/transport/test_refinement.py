@@ -1,4 +1,4 @@
-"""Solve low, render high: plans between blocks become plans between pixels; memory kept."""
+"""Plans between blocks, solved at low resolution, become plans between pixels in bounded memory."""
 
 import sys
 import warnings

@@ -1,4 +1,4 @@
-"""Plans too large to keep: draws from their rows, and moments of them."""
+"""Test plans that are too large to store: draws from their rows, and moments of their rows."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""With near pairs only, against all pairs: what is left out is what is said."""
+"""Compare sums over near pairs with sums over all pairs: the error is within the stated bound."""
 
 import warnings
 

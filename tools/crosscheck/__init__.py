@@ -1,1 +1,1 @@
-"""What `tools/cross_check.py` judges by: long double, dense, none of the library's own code."""
+"""The judge of `tools/cross_check.py`: dense, in long double, without code of the library."""

@@ -1,4 +1,4 @@
-"""What `clmorph.sinkhorn` tells about its errors, held against the truth.
+"""Compare the errors that `clmorph.sinkhorn` reports with the true errors.
 
 A claim is broken only beyond the judge's own error, which is proven and counted in favor of what
 was told; there is no other allowance.
@@ -106,7 +106,7 @@ class Told:
 
 
 def check(told: Told) -> Iterator[Outcome]:
-    """Hold what a result tells against the truth.
+    """Compare the errors that a result reports with the true errors.
 
     Of potentials whose plan has more mass than `MOST_MASS` nothing is promised but the residual.
     """

@@ -1,4 +1,4 @@
-"""The truth about given potentials: dense sums in long double, each with a bound of its own error.
+"""Exact values for given potentials: dense sums in long double, each with a bound of its error.
 
 Nothing here uses the library. With z_ij = (f_i + g_j - C_ij) / epsilon + log b_j, the row sums of
 the plan are a_i exp(l_i), l_i = log sum_j exp(z_ij), and everything that `clmorph.sinkhorn` tells

@@ -193,7 +193,7 @@ def solve_laplacian(weights: Vector, excess: Vector, right: Vector) -> Vector:
     Parameters
     ----------
     weights : (n, n) symmetric array
-        At least 0; the diagonal is not looked at.
+        Entries at least 0; the diagonal is ignored.
     excess : (n,) array
         At least 0; where it is 0 for a whole component, one x of it is 0.
     right : (n,) array

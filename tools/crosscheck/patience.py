@@ -11,7 +11,7 @@ CLOCK = 20.0
 
 
 class OutOfTimeError(BaseException):
-    """A call took too long. No library code shall take it for an error of its own."""
+    """A call took too long. The class is one that no library code catches as its own error."""
 
 
 @contextmanager

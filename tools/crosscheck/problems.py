@@ -1,4 +1,4 @@
-"""Random transport problems and options, each made from a seed and its number alone."""
+"""Random transport problems and options, each determined by a seed and its number alone."""
 
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,1 +1,1 @@
-"""What `tools/fuzz.py` tries: damaged images, odd settings, odd calls."""
+"""The trials of `tools/fuzz.py`: damaged images, odd settings, odd calls."""

@@ -1,4 +1,4 @@
-"""Odd calls: those of ``tests/helpers/api_values.py``, and its judgement."""
+"""Odd calls with the values of ``tests/helpers/api_values.py``, judged by its rules."""
 
 import os
 import runpy

@@ -1,4 +1,4 @@
-"""Odd files of settings: a run as they say, or one line of error; no file but the output."""
+"""Odd files of settings give a run that follows them, or one line of error, and no other file."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Damaged image files: an array in [0, 1], or an error of ours in one line, soon."""
+"""Damaged image files quickly give an array in [0, 1], or an error of clmorph in one line."""
 
 import time
 import warnings

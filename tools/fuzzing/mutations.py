@@ -1,4 +1,4 @@
-"""Damage to files: blind, and where formats keep sizes, types and checksums."""
+"""Damage files at random, and at the places where formats store sizes, types and checksums."""
 
 import struct
 import zlib

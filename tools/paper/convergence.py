@@ -1,4 +1,4 @@
-"""Section 5's open question, whether frames converge to the geodesic as pixels grow in number."""
+"""Section 5's open question: the convergence of frames to the geodesic with growing resolution."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""How figures look: one font, one set of colors, a width that is readable on a phone."""
+"""The style of figures: one font, one set of colors, a width that is readable on a phone."""
 
 from collections.abc import Sequence
 from pathlib import Path

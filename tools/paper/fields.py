@@ -1,4 +1,4 @@
-"""Figures 2 and 6: where pixels go, as arrows; and what is destroyed and created."""
+"""Figures 2 and 6: the displacement of pixels as arrows, and the mass destroyed and created."""
 
 from typing import Any
 

@@ -54,7 +54,7 @@ def figure_3(setting: Setting) -> list[Section]:
 
 
 def _on_target_grid(one: clmorph.Morph, t: float) -> np.ndarray:
-    """Render a frame on the target's canvas, whatever t is."""
+    """Render a frame on the target's canvas for any t."""
     moving, shape = one.particles, one.target.shape
     uploaded = one.operations.upload_particles(moving.table, moving.links, moving.weights)
     canvas = canvas_at(1.0, shape, shape, one.source.extent)

@@ -1,4 +1,4 @@
-"""The two images, and the ways in which they are reduced."""
+"""The two images, and the methods by which they are reduced."""
 
 from dataclasses import dataclass
 from importlib import resources

@@ -1,4 +1,4 @@
-"""What the printed "epsilon = 0.05, rho = 0.3" stand for: Table 1 by each reading."""
+"""The meaning of the printed "epsilon = 0.05, rho = 0.3": Table 1 by each interpretation."""
 
 import numpy as np
 

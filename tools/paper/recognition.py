@@ -1,4 +1,4 @@
-"""Whether a pair of images is the authors': by Table 1, which they have published."""
+"""Test by the published Table 1 whether a pair of images is that of the authors."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

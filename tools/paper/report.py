@@ -1,4 +1,4 @@
-"""The page: one file, pictures inside, nothing from elsewhere; readable on a phone."""
+"""Write the page as one file that contains its pictures and is readable on a phone."""
 
 import base64
 import csv

@@ -1,4 +1,4 @@
-"""What one run of the reproduction works with, and what the paper has published."""
+"""The inputs of one run of the reproduction, and the values that the paper has published."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""Table 1: how far mass moves, by reach; the published schedule beside the converged solution."""
+"""Table 1: the distance of moved mass by reach, for the published schedule and at convergence."""
 
 from dataclasses import dataclass
 from functools import cache

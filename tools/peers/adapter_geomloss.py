@@ -1,4 +1,4 @@
-"""GeomLoss's Sinkhorn loops, answered by clmorph.
+"""GeomLoss's Sinkhorn loops, solved by clmorph.
 
 Everything in GeomLoss ends in a Sinkhorn loop: `geomloss.ot` in one, `SamplesLoss` in another.
 Both get logarithms of weights, costs as they are (with the 1/2 in `SamplesLoss`), the last

@@ -1,4 +1,4 @@
-"""OTT-JAX's Sinkhorn loop, answered by clmorph.
+"""OTT-JAX's Sinkhorn loop, solved by clmorph.
 
 `sinkhorn.Sinkhorn` ends in `iterations`, and so does `linear.solve`. OTT's epsilon is in the unit
 of its cost, tau = rho / (rho + epsilon), and the entropy is that against the counting measure, not

@@ -1,4 +1,4 @@
-"""POT's solvers, answered by clmorph.
+"""POT's solvers, replaced by clmorph.
 
 POT minimizes <M, pi> + reg KL(pi|c) + reg_m1 KL(pi 1|a) + reg_m2 KL(pi^T 1|b): strengths are in
 the unit of M, so clmorph's cost is M itself, epsilon = reg and rho = reg_m. With c = a x b this

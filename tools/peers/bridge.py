@@ -1,4 +1,4 @@
-"""What every adapter solves with: clmorph, and nothing else.
+"""The common solver of all adapters, which uses clmorph alone.
 
 A cost matrix is answered through an exact factorization. clmorph's cost between two points is
 C_ij = |x_i - y_j|^2 / 2 + r_i + s_j, which is any matrix whose doubly centered part has a rank

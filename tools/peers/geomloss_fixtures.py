@@ -1,4 +1,4 @@
-"""How many problems GeomLoss's tests draw: always the same ones, and none is made smaller."""
+"""Settings of GeomLoss's random tests: they draw the same problems always, and shrink none."""
 
 from typing import Any
 

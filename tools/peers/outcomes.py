@@ -1,4 +1,4 @@
-"""From lines that the plugin wrote to outcomes, counts and a table. Needs no peer library."""
+"""Turn lines that the plugin wrote into outcomes, counts and a table, without a peer library."""
 
 import json
 from collections import Counter

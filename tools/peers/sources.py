@@ -1,4 +1,4 @@
-"""Where the libraries' tests come from: source distributions, of pinned versions and digests."""
+"""The source distributions that contain the libraries' tests, with pinned versions and digests."""
 
 import hashlib
 import subprocess

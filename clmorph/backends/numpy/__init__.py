@@ -1,4 +1,4 @@
-"""The operations in NumPy and float64: every other backend is compared with these."""
+"""The operations in NumPy and float64, with which every other backend is compared."""
 
 from clmorph.backends.numpy.operations import NumPyOperations
 

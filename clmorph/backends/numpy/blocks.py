@@ -1,4 +1,4 @@
-"""Exponents and plans of two clouds, for one dense block of rows after the other."""
+"""Compute exponents and plans of two clouds, in one dense block of rows after the other."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,7 @@ BLOCK_ENTRIES = 1 << 24
 
 
 def costs(x: Float64, y: Float64) -> Float64:
-    """|x_i - y_j|^2 / 2 (paper, Eq. 1, with the factor 1/2)."""
+    """Return |x_i - y_j|^2 / 2 (paper, Eq. 1, with the factor 1/2)."""
     costs = np.zeros((len(x), len(y)))
     for d in range(x.shape[1]):
         costs += 0.5 * (x[:, d, None] - y[:, d]) ** 2
@@ -50,7 +50,7 @@ def plan_blocks(
     row_thresholds: Float64,
     column_thresholds: Float64,
 ) -> Iterator[tuple[slice, Float64, NDArray[np.bool_]]]:
-    """Yield log pi_ij, and which of them are kept, for blocks of rows."""
+    """Yield log pi_ij and the mask of kept pairs, for blocks of rows."""
     for block, exponents in exponent_blocks(rows, columns, g, epsilon):
         log_plan = exponents + (f[block] / epsilon + rows.log_weights[block])[:, None]
         keep = log_plan > np.minimum(row_thresholds[block][:, None], column_thresholds)

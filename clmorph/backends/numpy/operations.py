@@ -1,4 +1,4 @@
-"""The operations in NumPy and float64, against which other backends are compared."""
+"""The operations in NumPy and float64, with which other backends are compared."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from clmorph.backends.width_levels import WIDTH_LEVELS
 
 
 class NumPyOperations:
-    """The operations of `clmorph.backends.interface.Operations`, obvious rather than fast.
+    """The operations of `clmorph.backends.interface.Operations`, simple rather than fast.
 
     Examples
     --------
@@ -39,7 +39,7 @@ class NumPyOperations:
     shares_host_memory = True
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
-        """Take a weighted cloud."""
+        """Upload a weighted cloud."""
         with np.errstate(divide="ignore"):
             log_weights = np.log(np.asarray(weights, float))
         added = np.zeros(len(points)) if offsets is None else np.asarray(offsets, float)
@@ -70,7 +70,7 @@ class NumPyOperations:
         epsilon: float,
         near: NearPairs | None = None,
     ) -> tuple[Float64, float]:
-        """Return T(g), and a bound of its rounding error in nats."""
+        """Return T(g) and a bound of its rounding error in nats."""
         softmin = self.softmin(rows, columns, potential, epsilon, near=near)
         points = np.concatenate((rows.points, columns.points))
         size = 0.5 * float(np.sum(np.ptp(points, axis=0) ** 2))
@@ -90,7 +90,7 @@ class NumPyOperations:
         epsilon: float,
         budget: float,
     ) -> NearPairs:
-        """Find the pairs that contribute to the rows' sums, one by one and without the guess."""
+        """Find the pairs that contribute to the rows' sums, one by one, and ignore the estimate."""
         keep = np.ones((len(rows.points), len(columns.points)), bool)
         found, skipped = np.empty(len(keep)), np.empty(len(keep))
         largest = 0.0
@@ -104,7 +104,7 @@ class NumPyOperations:
             left = np.where(keep[block], 0.0, share).sum(axis=1)
             total = np.exp(exponents - top).sum(axis=1)
             found[block] = -epsilon * (top[:, 0] + np.log(total) + np.log1p(-left))
-            # Shares too small for any number may grow when potentials change.
+            # Shares that underflow may grow when potentials change.
             left[~keep[block].all(axis=1)] += np.finfo(float).tiny
             skipped[block] = left / (1.0 - left)
             cost = np.where(keep[block], costs(rows.points[block], columns.points), 0.0)
@@ -246,7 +246,7 @@ class NumPyOperations:
         links: NDArray[np.uint32],
         weights: Float64,
     ) -> ParticleSet:
-        """Take particles that move in straight lines."""
+        """Upload particles that move in straight lines."""
         return ParticleSet(table, links, weights)
 
     def advect(
@@ -256,7 +256,7 @@ class NumPyOperations:
         scale: tuple[float, float],
         center: tuple[float, float],
     ) -> Splats:
-        """Move particles to time t, and into the pixels of a canvas."""
+        """Move particles to time t, and transform them to pixel coordinates of a canvas."""
         start, end = particles.table[particles.links[:, 0]], particles.table[particles.links[:, 1]]
         moved = (1 - t) * start + t * end
         weights = (1 - t) * particles.weights[:, 0] + t * particles.weights[:, 1]
@@ -271,12 +271,12 @@ class NumPyOperations:
         weights: Float32,
         spacings: Float32 | None = None,
     ) -> Splats:
-        """Take particles at rest."""
+        """Upload particles at rest."""
         given = np.ones(len(weights)) if spacings is None else spacings
         return Splats(*(array.astype(float) for array in (positions, colors, weights, given)))
 
     def deposit(self, splats: Splats, shape: tuple[int, int]) -> tuple[Float64, Float64]:
-        """Give each splat to its nearest pixel; return sums of masses and of their squares."""
+        """Give each splat to its nearest pixel, and return sums of masses and of their squares."""
         column, row = np.ceil(splats.positions - 0.5).T.astype(np.int64)
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
         pixel = (row * shape[1] + column)[inside]
@@ -287,7 +287,7 @@ class NumPyOperations:
         return sums[0].reshape(shape), sums[1].reshape(shape)
 
     def adapt_widths(self, splats: Splats, distances: Float64, sigma: float) -> Splats:
-        """Give every splat a width of its own."""
+        """Give every splat an individual width."""
         from scipy.ndimage import map_coordinates
 
         gap = 0.5 * map_coordinates(
@@ -337,7 +337,7 @@ class NumPyOperations:
 
 
 def kernel_1d(d: Float64, sigma: float, radius: float) -> Float64:
-    """One-dimensional kernel at distances d (pixels): cut Gaussian, or the pixel's box."""
+    """Return the 1D kernel at distances d in pixels: the cut Gaussian, or the box of a pixel."""
     if sigma == 0:
         return ((d >= -0.5) & (d < 0.5)).astype(float)
     return np.where(np.abs(d) <= radius, np.exp(-0.5 * (d / sigma) ** 2), 0.0)

@@ -27,14 +27,14 @@ T = TypeVar("T")
 class OpenCLOperations:
     """Operations on one device; safe to share between threads, which take turns.
 
-    It has the operations of `clmorph.backends.interface.Operations`: each is a method of one of
-    the objects that `_bind` puts together, where its signature stands.
+    Its attributes are the operations of `clmorph.backends.interface.Operations`. Each is a method
+    of one of the objects that `_bind` creates, and its signature stands in the class there.
 
     Parameters
     ----------
     device : pyopencl.Device
     constants : BuildConstants, optional
-        Build constants; if not given, as tuned, else by the kind of device.
+        Build constants; if not given, the tuned ones, else those for the kind of device.
 
     Raises
     ------
@@ -71,7 +71,7 @@ class OpenCLOperations:
         self._bind()
 
     def _bind(self) -> None:
-        """Put the parts together, and make their methods the operations of this object."""
+        """Create the parts, and make their methods the operations of this object."""
         loop = RowLoop(self.work, self.constants)
         clouds = CloudStore(self.work, self.constants.tile)
         log_sum_exp, near_field = LogSumExp(loop), NearField(loop)
@@ -101,12 +101,13 @@ class OpenCLOperations:
         self.splat = take_turns(splatting.splat)
 
     def _take_turns(self, method: Callable[P, T]) -> Callable[P, T]:
-        """Run one operation at a time on a device, and report its failures in our words.
+        """Run one operation at a time on a device, and report its failures as errors of clmorph.
 
-        Kernels keep their arguments between being set and being launched, so two threads must
-        not share one.
+        A kernel stores its arguments from when they are set until it is launched, so two threads
+        must not use it at the same time.
         """
-        # Not `self`: an object that holds what holds it waits for the garbage collector.
+        # The closure does not refer to `self`: such a cycle would have to wait for the garbage
+        # collector.
         lock, description = self.lock, self.description
 
         @functools.wraps(method)

@@ -22,9 +22,9 @@ from clmorph.backends.opencl.devices.throughput import throughput
 from clmorph.backends.opencl.devices.verdicts import LOADED
 from clmorph.errors import ClmorphError
 
-#: Points of the timed log-sum-exp; small enough for any device.
+#: The number of points of the timed log-sum-exp, small enough for any device.
 TIMED_POINTS = 2048
-#: Error codes of a driver whose resources are taken, by this process or by another.
+#: Error codes of a driver whose resources are in use by this process or another one.
 PASSING = (
     cl.status_code.DEVICE_NOT_AVAILABLE,
     cl.status_code.MEM_OBJECT_ALLOCATION_FAILURE,
@@ -61,7 +61,7 @@ def _wrong_result(operations: OpenCLOperations) -> str:
 
 
 def probe(index: str) -> dict[str, Any]:
-    """Return the verdict on the device of this index: see `opencl.devices.verdicts.run_probe`."""
+    """Return the verdict on the device with this index: see `opencl.devices.verdicts.run_probe`."""
     found = dict(raw_devices())
     if index not in found:
         return _failure("its probe did not find it", lasting=False)
@@ -84,7 +84,7 @@ def _failure(reason: str, lasting: bool) -> dict[str, Any]:
 
 
 def _is_passing(error: BaseException | None) -> bool:
-    """Return whether an error, or its cause, depends on the moment, not on the driver."""
+    """Return whether an error, or its cause, is temporary and not a fault of the driver."""
     if error is None:
         return False
     if isinstance(error, MemoryError | OSError):
@@ -94,13 +94,13 @@ def _is_passing(error: BaseException | None) -> bool:
 
 
 def end_with_parent() -> None:
-    """End this process when its standard input does: its parent holds the other end.
+    """End this process when its standard input is closed, whose other end its parent holds.
 
-    Whatever kills the parent, no probe of a driver that hangs goes on.
+    So a probe of a driver that hangs ends with its parent, even if the parent is killed.
     """
 
     def wait() -> None:
-        # Not sys.stdin: its lock would be held at exit.
+        # The thread does not read `sys.stdin`, because it would hold its lock at exit.
         with contextlib.suppress(OSError):
             while os.read(0, 1):
                 pass
@@ -111,7 +111,7 @@ def end_with_parent() -> None:
 
 if __name__ == "__main__":
     end_with_parent()
-    # The driver may crash from here on: whatever happens, this line is out.
+    # The driver may crash from here on, so this line is printed first.
     print(LOADED, flush=True)
     verdict = probe(sys.argv[1])
     print()

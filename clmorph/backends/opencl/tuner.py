@@ -14,12 +14,12 @@ from clmorph.errors import ClmorphError
 
 #: The least gain in speed for which a constant is changed; smaller ones may be noise.
 LEAST_GAIN = 0.03
-#: Points of each cloud in a trial, and its repetitions.
+#: The number of points of each cloud in a trial, and the number of repetitions.
 POINTS, REPEATS = 4096, 7
 
 
 def variants(constants: BuildConstants, name: str, largest_group: int) -> Iterator[BuildConstants]:
-    """Yield constants with another value of one of them; others follow where they must."""
+    """Yield constants with another value of one of them, and adapt others that depend on it."""
     for value in CANDIDATES[name]:
         other = replace(constants, **{name: value})
         if name in ("width", "tile") and other.tile % (other.width * other.group):
@@ -54,7 +54,7 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants
             try:
                 speed = _speed(device, other)
             except ClmorphError:
-                continue  # this device cannot build it so
+                continue  # this device cannot build the kernels with these constants
             changed = {
                 key: value for key, value in asdict(other).items() if value != asdict(best)[key]
             }
@@ -66,7 +66,7 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants
 
 
 def _speed(device: cl.Device, constants: BuildConstants) -> float:
-    """Return point pairs per second, the median of a few runs."""
+    """Return the point pairs per second, from the median time of a few runs."""
     operations = OpenCLOperations(device, constants)
     rng = np.random.default_rng(0)
     cloud = operations.upload(rng.random((POINTS, 5)), np.full(POINTS, 1 / POINTS))

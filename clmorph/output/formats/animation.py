@@ -1,4 +1,4 @@
-"""What the writers of animated images share: sizes, durations, and what changes between frames."""
+"""Common parts of the writers of animated images: sizes, durations, changes between frames."""
 
 from typing import TYPE_CHECKING
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
 #: Longer side, in pixels, to which small frames are enlarged.
 SIDE = 384
 
-#: Left, top, right, bottom, in pixels; the last two are one beyond.
+#: Left, top, right and bottom in pixels; right and bottom are exclusive.
 Box = tuple[int, int, int, int]
 
 
 def timed_frames(recording: Recording, per_second: int) -> list[tuple[int, int]]:
-    """Return the frames of one round: each one's index and its duration in a format's unit.
+    """Return the index and the duration, in a format's unit, of each frame of one round.
 
     Parameters
     ----------
     recording : Recording
     per_second : int
-        Units a second.
+        Units of duration per second.
     """
     played = recording.played()
     units = whole_units([seconds for _, seconds in played], per_second)
@@ -33,7 +33,9 @@ def timed_frames(recording: Recording, per_second: int) -> list[tuple[int, int]]
 
 
 def box_of(where: NDArray[np.bool_]) -> Box:
-    """Return the smallest box around marked pixels; one pixel if none is, as no file has less.
+    """Return the smallest box around marked pixels.
+
+    If no pixel is marked, the box has one pixel, because files cannot hold empty frames.
 
     Parameters
     ----------
@@ -51,7 +53,7 @@ def changed(before: "Image | None", after: "Image") -> Box:
     Parameters
     ----------
     before : Image or None
-        None for the first frame, of which all is new.
+        None for the first frame; the box then holds the whole picture.
     after : Image
     """
     if before is None:

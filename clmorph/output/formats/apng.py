@@ -1,8 +1,8 @@
 """``.apng``: animated PNG, with opacity, written frame by frame.
 
-Pillow's own writer keeps all frames until the last is there. Here each is a PNG of Pillow's,
-whose data become a frame's. Chunks as in Portable Network Graphics (PNG) Specification, Third
-Edition, W3C 2025, section 11.
+Pillow's own writer keeps all frames in memory until it has the last one. This module lets Pillow
+encode each frame as a PNG and copies the image data into the animation. The chunks follow the
+Portable Network Graphics (PNG) Specification, Third Edition, W3C 2025, section 11.
 """
 
 import struct
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 #: The first bytes of every PNG.
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
-#: A delay's numerator has 16 bits; this is in milliseconds.
+#: The longest delay in milliseconds: the numerator of a delay has 16 bits.
 LONGEST = 65_000
 
 
@@ -55,11 +55,11 @@ def write_frames(
     ----------
     stream : binary file
     frames : iterable of (Image, int)
-        Pictures of one size and mode, each with its milliseconds; gone through once.
+        Pictures of one size and mode, each with its milliseconds; they are iterated over once.
     durations : list of int
-        Those milliseconds, which the head of the file counts.
+        The same milliseconds in advance, because the file's header states the number of frames.
     plays : int
-        How often it is played; 0 for ever.
+        Number of times that the animation is played; 0 repeats it forever.
     info : PngInfo
         The metadata.
     """
@@ -79,7 +79,7 @@ def write_frames(
         # A frame that stays longer than the format allows is drawn again.
         for number, delay in enumerate(pieces(duration, LONGEST)):
             place = right - left, bottom - top, left, top
-            # Disposal: none. Blending: what is drawn replaces what was there, opacity included.
+            # Disposal: none. Blending: the new pixels replace the old ones, opacity included.
             control = struct.pack(">IIIIIHHBB", sequence, *place, delay, 1000, 0, 0)
             _write(stream, b"fcTL", control)
             sequence += 1

@@ -1,4 +1,4 @@
-"""``.npz``: a morph as NumPy arrays, to go on with."""
+"""``.npz``: a morph as NumPy arrays, for further computation."""
 
 import zipfile
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ BARYCENTRIC_ARRAYS = {
     "positions": (2, "f"), "colors": (2, "f"), "covariance": (3, "f"), "row_mass": (1, "f"),
     "column_mass": (1, "f"),
 }  # fmt: skip
-#: The most that the arrays of an archive may take by default, in bytes.
+#: The default limit of the memory that the arrays of an archive may take, in bytes.
 MAX_BYTES = 2 * 2.0**30
 
 
@@ -45,7 +45,7 @@ class Archive:
         sRGB in [0, 1].
     times : (n,) array
     parameters : dict
-        The options that it was made with.
+        The options that the morph was made with.
     plans : list of Plan or Barycentric
         One for each morph of a chain.
     potentials : list of (f, g)
@@ -87,8 +87,8 @@ class Archive:
 def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
     """Write frames (floats), times, parameters, and the plan and potentials of each morph.
 
-    Frames of one size are one array ``frames`` (n, H, W, C); others are ``frame_0000`` and so
-    on.
+    Frames of equal size are stored as one array ``frames`` (n, H, W, C). Frames of different
+    sizes are stored as arrays ``frame_0000``, ``frame_0001`` and so on.
     """
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:
         _write_frames(archive, recording, report)
@@ -103,7 +103,7 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
 
 
 def _write_frames(archive: zipfile.ZipFile, recording: Recording, report: Report) -> None:
-    """Write frames one by one: they need not all be in memory."""
+    """Write frames one by one, so that they need not all be in memory."""
     indices = range(len(recording))
     if len(set(recording.shapes)) > 1:
         digits = max(4, len(str(len(recording) - 1)))
@@ -123,7 +123,7 @@ def _write_frames(archive: zipfile.ZipFile, recording: Recording, report: Report
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
-    """Return a file of the archive; without today's date, so that bytes can be the same."""
+    """Return an entry of the archive with a fixed date, so that equal morphs give equal bytes."""
     entry = zipfile.ZipInfo(f"{name}.npy")
     entry.compress_type = zipfile.ZIP_DEFLATED
     return entry
@@ -137,15 +137,15 @@ def _write_array(archive: zipfile.ZipFile, name: str, array: Any) -> None:
 def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Archive:
     """Load a morph that was saved as ``.npz``.
 
-    Nothing in the file is run, and its arrays are measured before they are read: a file from
-    elsewhere can be refused, but cannot take more memory than this.
+    Nothing in the file is executed, and the sizes of its arrays are checked before they are read.
+    So a file from an unknown source can be refused, but cannot take more memory than `max_bytes`.
 
     Parameters
     ----------
     path : path
     max_bytes : float
-        The most that its arrays may take in memory, in bytes; by default 2 GiB. 30 frames of
-        1280 x 720 pixels take 0.33 GB.
+        The limit of the memory that its arrays may take, in bytes; by default 2 GiB. 30 frames
+        of 1280 x 720 pixels take 0.33 GB.
 
     Returns
     -------
@@ -154,7 +154,7 @@ def load(path: str | PathLike[str], *, max_bytes: float = MAX_BYTES) -> Archive:
     Raises
     ------
     InputError
-        If the file cannot be read, is another's, or its arrays take more.
+        If the file cannot be read, was not written by clmorph, or its arrays exceed `max_bytes`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What a format of files consists of."""
+"""The parts of a file format: its names, its writer, its reader and its limits."""
 
 import math
 from collections.abc import Callable
@@ -21,10 +21,10 @@ class Format:
     Attributes
     ----------
     name : str
-        Its value of the option `format`.
+        The value of the option `format` that selects this format.
     endings : tuple of str
-        The first is the usual one; an empty one stands for a folder. A format without endings is
-        chosen by its name alone.
+        Endings of file names. The first is the usual one, and an empty one stands for a folder. A
+        format without endings is chosen by its name alone.
     write : callable
         Called with a recording, a frame style, a new path and a function that reports the share
         done.
@@ -34,19 +34,19 @@ class Format:
     signatures : tuple of (offset, bytes)
         A file has this format if these bytes stand at one of these offsets.
     animated : bool
-        Whether a file is played: its frames have durations.
+        Whether a file is an animation, whose frames have durations.
     folder : bool
-        Whether the result is a folder of files, each with the signature.
+        Whether the result is a folder of files, each of which has the signature.
     exact : bool
         Whether frames are stored as floats.
     keep : bool
-        Whether the writer needs the morphs, not only their frames.
+        Whether the writer needs the morphs in addition to their frames.
     check : callable
         Raises OutputError if a library that the format needs is missing.
     relevant_options : tuple of str
         The options of frame style and playback that the format uses.
     fastest : float
-        The most frames a second. Browsers slow down GIFs with briefer frames.
+        The highest frame rate, in frames per second. Browsers slow down GIFs with a higher one.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Format:
     def matches(self, start: bytes) -> bool:
         """Return whether a file that starts with these bytes has this format.
 
-        Text may start with white space and be written in capitals.
+        A text format may start with white space and is matched without regard to case.
         """
         text = start.lstrip().lower()
         return any(

@@ -20,23 +20,23 @@ from clmorph.output.recording import Recording
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-#: Colors of the palette; one more entry stands for what is transparent.
+#: Number of colors in the palette; one more entry stands for transparent pixels.
 COLORS = 255
-#: Entries that are kept for colors between the pictures' own.
+#: Palette entries that are reserved for mixtures of the pictures' own colors.
 LEAST = 16
-#: Opacity from which a pixel is seen.
+#: The least opacity of a pixel that is drawn; pixels with less are transparent.
 OPAQUE = 128
 #: Number of pixels from which the palette is computed.
 SAMPLES = 250_000
-#: A frame's duration has 16 bits; this is in hundredths of a second.
+#: The longest duration of a frame in hundredths of a second: the field has 16 bits.
 LONGEST = 65_000
-#: The longest side, in pixels: it has 16 bits.
+#: The longest side in pixels: the field has 16 bits.
 MOST = 65535
 
 
 @encoding("GIF")
 def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
-    """Write an animated GIF; opacity is rounded to all or nothing."""
+    """Write an animated GIF, with each pixel either opaque or transparent."""
     framing = recording.framing(style, SIDE)
     check_sides(framing.size, MOST, "GIF")
     palette = _palette(recording, framing)
@@ -63,9 +63,10 @@ def read_metadata(path: Path) -> str:
 def _write_frames(
     stream: BinaryIO, frames: Iterable[tuple["Image", int]], head: dict[str, Any], clear: bool
 ) -> None:
-    """Write pictures of one palette, each with its hundredths of a second, as they come.
+    """Write pictures that share a palette, each with its duration in hundredths of a second.
 
-    Pillow's own writer of animations keeps all until the last is there.
+    Each picture is written when it arrives, because Pillow's own writer of animations keeps all
+    pictures in memory until it has the last one.
     """
     before: Image | None = None
     for picture, units in frames:
@@ -82,7 +83,7 @@ def _write_frames(
             else:
                 whole = _still(part, 10 * piece, options)
                 block = bytearray(whole[13 + (6 << (whole[10] & 7)) : -1])
-                # Its place on the canvas stands after the 8 bytes of the duration and a mark.
+                # The position on the canvas stands after the 8 bytes of the duration and a mark.
                 struct.pack_into("<HH", block, 9, *box[:2])
                 stream.write(block)
         before = picture
@@ -90,7 +91,7 @@ def _write_frames(
 
 
 def _still(picture: "Image", duration: int, options: dict[str, Any]) -> bytes:
-    """Return a GIF of one frame: 13 bytes, the palette, that frame, a semicolon."""
+    """Return a GIF of one frame: a header of 13 bytes, the palette, the frame, a semicolon."""
     stream = BytesIO()
     picture.save(stream, format="GIF", optimize=False, interlace=0, duration=duration, **options)
     return stream.getvalue()
@@ -99,17 +100,17 @@ def _still(picture: "Image", duration: int, options: dict[str, Any]) -> bytes:
 def _palette(recording: Recording, framing: Framing) -> "Image":
     """Return an image whose palette suits all frames, and the bars beside them.
 
-    Of pixel art the pictures' own colors are kept exactly, if they leave enough entries.
+    The colors of pixel art are kept exactly, if they leave enough entries for mixtures.
     """
     from PIL import Image
 
     pixels = sum(height * width for height, width, _ in recording.shapes)
     step = max(1, pixels // SAMPLES)
-    # Copies: a view would keep its frame.
+    # These are copies, because a view would keep its frame in memory.
     samples = [_colors(recording, framing, index)[::step].copy() for index in range(len(recording))]
     pool = np.concatenate(samples)
     exact = _exact(recording, framing)
-    # Every one of these counts, also those that the samples have missed.
+    # The palette must hold each of these colors, even if the samples have missed it.
     chosen = _as_rgb(np.union1d(pool, exact))
     if len(chosen) > COLORS:
         others = _as_rgb(pool[~np.isin(pool, exact)])
@@ -119,13 +120,13 @@ def _palette(recording: Recording, framing: Framing) -> "Image":
         found = np.frombuffer(bytes(rest.getpalette() or ()), np.uint8).reshape(-1, 3)
         chosen = np.concatenate((_as_rgb(exact), found))[:COLORS]
     palette = Image.new("P", (1, 1))
-    # Repeated, so that no entry is a color that is not there.
+    # The colors are repeated, so that every entry is a color that occurs.
     palette.putpalette(np.resize(chosen, (COLORS, 3)).astype(np.uint8).tobytes())
     return palette
 
 
 def _exact(recording: Recording, framing: Framing) -> NDArray[np.uint32]:
-    """Return the colors that must not change: the bars', and of pixel art the pictures' own."""
+    """Return the colors that must not change: those of the bars, and those of pixel art."""
     ground = np.array([framing.ground or (0, 0, 0)], np.uint8)
     bars = own = _as_numbers(ground)
     if framing.nearest:
@@ -137,7 +138,7 @@ def _exact(recording: Recording, framing: Framing) -> NDArray[np.uint32]:
 
 
 def _colors(recording: Recording, framing: Framing, index: int) -> NDArray[np.uint32]:
-    """Return the colors of a frame's pixels that are seen, as numbers."""
+    """Return the colors of a frame's visible pixels, each packed into a number."""
     picture = np.asarray(framing.unscaled(recording.picture(index)))
     seen = picture[picture[..., 3] >= OPAQUE] if picture.shape[2] == 4 else picture
     return _as_numbers(seen[..., :3].reshape(-1, 3))
@@ -152,7 +153,7 @@ def _as_rgb(numbers: NDArray[np.uint32]) -> NDArray[np.uint8]:
 
 
 def _in_palette(picture: "Image", palette: "Image", plain: bool) -> "Image":
-    """Return a picture in the palette's colors; those of pixel art are not mixed from dots."""
+    """Return a picture in the palette's colors; pixel art is not dithered."""
     from PIL import Image
 
     if plain:
@@ -167,7 +168,7 @@ def _in_palette(picture: "Image", palette: "Image", plain: bool) -> "Image":
 
 
 def _nearest(picture: "Image", palette: "Image") -> "Image":
-    """Return a picture in the nearest colors; Pillow's own search rounds them to six bits."""
+    """Return a picture in the nearest colors, because Pillow's search rounds colors to six bits."""
     from PIL import Image
     from scipy.spatial import KDTree
 

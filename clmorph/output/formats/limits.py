@@ -29,7 +29,7 @@ def check_sides(size: tuple[int, int], most: int, words: str) -> None:
 
 @contextmanager
 def encoding(words: str, *kinds: type[Exception]) -> Iterator[None]:
-    """Raise OutputError for an encoder's errors; those of clmorph and of the disk pass.
+    """Raise OutputError for an encoder's errors; errors of clmorph and of the disk pass unchanged.
 
     Parameters
     ----------

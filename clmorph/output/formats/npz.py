@@ -1,7 +1,7 @@
-"""Read arrays of an ``.npz`` from an unknown source: each is measured before it is read.
+"""Read arrays of an ``.npz`` from an unknown source, with a check of their sizes before reading.
 
 The size of an array stands in the archive's directory and in the array's header. Only plain
-numbers and texts are read, nothing that NumPy would unpickle.
+numbers and texts are read, never objects that NumPy would unpickle.
 """
 
 import math
@@ -16,28 +16,29 @@ from numpy.typing import NDArray
 
 from clmorph.output.bounded import MAX_TEXT, BoundedFile
 
-#: Bytes that are read of the file in one go; of its directory, a hundred or so for each array.
+#: Limit in bytes of one read from the file. The directory of the archive is one such read, with
+#: about a hundred bytes for each array.
 AT_ONCE = 1 << 24
-#: How an array may be packed; others take much memory to unpack.
+#: The permitted methods of compression; others take much memory to unpack.
 PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-#: Version of an array's head; of later ones the length alone can be gigabytes.
+#: The only accepted version of an array's header; in later versions the header can take gigabytes.
 VERSION = (1, 0)
 
 
 class Arrays:
-    """The arrays of an ``.npz``, read one by one, with a limit to what they take together.
+    """The arrays of an ``.npz``, read one by one, with a limit of their total size.
 
     Parameters
     ----------
     path : Path
     max_bytes : float
-        The most that all arrays read may take.
+        The limit of the memory that all arrays read may take together.
 
     Raises
     ------
     ValueError
-        Here and by all methods, as other exceptions of
-        `clmorph.output.bounded.UNREADABLE`: if the file is damaged, or more would be read.
+        If the file is damaged or more than `max_bytes` would be read. The constructor and all
+        methods raise it, or another exception of `clmorph.output.bounded.UNREADABLE`.
     """
 
     def __init__(self, path: Path, *, max_bytes: float) -> None:
@@ -73,9 +74,9 @@ class Arrays:
         ----------
         name : str
         ndim : int
-            How many axes it must have.
+            Number of axes that the array must have.
         kinds : str
-            Letters of the kinds of dtype (see `numpy.dtype.kind`) that it may have.
+            Letters of the permitted kinds of dtype (see `numpy.dtype.kind`).
         """
         shape, dtype, size = self._measured(name, ndim, kinds)
         self._left -= size
@@ -88,7 +89,7 @@ class Arrays:
         return np.asarray(array)
 
     def text(self, name: str) -> str:
-        """Return a text, an array of no axes, of at most `MAX_TEXT` characters."""
+        """Return a text of at most `MAX_TEXT` characters, stored as an array without axes."""
         if self._measured(name, 0, "U")[2] > 4 * MAX_TEXT:
             raise ValueError(f"its parameters have more than {MAX_TEXT} characters")
         return str(self.read(name, 0, "U"))

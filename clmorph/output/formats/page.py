@@ -1,4 +1,4 @@
-"""``.html``: a page that plays the morph, without network."""
+"""``.html``: a page that plays the morph without a network."""
 
 import json
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
 
 
 class _Frames(Sequence[NDArray[np.uint8]]):
-    """Frames in a given style; each is reported when it is read."""
+    """Frames in a given style; each read reports the progress."""
 
     def __init__(self, recording: Recording, style: FrameStyle, report: Report) -> None:
         self._film, self._report = recording, report
@@ -91,7 +91,7 @@ def _fields(recording: Recording) -> list[Field]:
 
 
 def _turned(field: Field, span: float) -> Field:
-    """Return a field whose arrows travel back."""
+    """Return the field of the reversed morph, whose arrows point the other way."""
     return replace(
         field, positions=field.positions + field.displacement, displacement=-field.displacement,
         begin=span - field.end, end=span - field.begin,

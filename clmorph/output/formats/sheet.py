@@ -1,4 +1,4 @@
-"""``.png``: a contact sheet, the frames at a glance."""
+"""``.png``: a contact sheet, which shows frames side by side."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ from clmorph.output.recording import Recording
 
 #: Longer side, in pixels, of each picture; of small pixel art at least.
 SIDE = 192
-#: Pictures, and how many stand in a row.
+#: The largest number of pictures, and the number of pictures in a row.
 FRAMES = 10
 COLUMNS = 5
 
@@ -79,19 +79,19 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
         middle = x + cell / 2, y + height + layout.offset
         draw.text(middle, captions[place], fill="black", font=font, anchor="ma")
         if place == len(chosen) - 1:
-            # Before the last report, because it takes a while too.
+            # The file is written before the last report, because writing takes a while too.
             sheet.save(file, format="PNG", pnginfo=as_png_info(recording.parameters))
 
 
 def _fitting(style: FrameStyle, shapes: list[tuple[int, ...]]) -> FrameStyle:
-    """Return the style on white; large frames get a canvas as large as a picture on the sheet."""
+    """Return the style on white; large frames get a canvas of the size of the sheet's pictures."""
     style = replace(style, background=style.background or "white")
     longest = max(max(shape[:2]) for shape in shapes)
     if style.canvas != "dynamic" or longest <= SIDE:
         return style
     height, width = (max(shape[axis] for shape in shapes) for axis in (0, 1))
     canvas = [max(1, round(side * SIDE / longest)) for side in (width, height)]
-    # If pixels were left out, pixel art would be hard to recognize.
+    # Pixel art is reduced smoothly: with pixels left out it would be hard to recognize.
     scaling = "smooth" if style.scaling == "auto" else style.scaling
     return replace(style, canvas=canvas, scaling=scaling)
 

@@ -1,4 +1,4 @@
-"""Frames as pictures of their own: ``.tif`` with many pages, and folders of PNG or TIFF."""
+"""Frames as separate pictures: ``.tif`` with many pages, and folders of PNG or TIFF files."""
 
 import math
 from collections.abc import Iterator
@@ -24,12 +24,12 @@ from clmorph.output.recording import Recording
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-#: Compression that every reader of TIFF knows, without loss.
+#: A lossless compression that every reader of TIFF knows.
 DEFLATE = "tiff_adobe_deflate"
 
 
 def _pictures(recording: Recording, style: FrameStyle, report: Report) -> Iterator["Image"]:
-    """Return the frames as they are, each at its own size, unless the style names one."""
+    """Return the frames, each at its own size unless the style names a size."""
     framing = recording.framing(style)
     for index in tracked(range(len(recording)), report):
         frame = recording.picture(index)
@@ -58,7 +58,7 @@ def write_tiff_folder(
     folder.mkdir()
     text = as_text(recording.parameters)
     for name, picture in zip(_names(recording), _pictures(recording, style, report), strict=True):
-        # In memory first: where a disk is full, libtiff itself would print about it.
+        # The file is encoded in memory, because libtiff prints a message of its own on a full disk.
         file = BytesIO()
         picture.save(file, format="TIFF", compression=DEFLATE, description=text)
         (folder / f"{name}.tif").write_bytes(file.getvalue())
@@ -70,9 +70,9 @@ def write_tiff(recording: Recording, style: FrameStyle, file: Path, report: Repo
     import tifffile
 
     text = as_text(recording.parameters)
-    # Offsets of 32 bits reach no further than 4 GiB; deflating hardly lengthens anything.
+    # Offsets of 32 bits address at most 4 GiB; deflate hardly lengthens any data.
     large = sum(math.prod(shape) + 2 * len(text) for shape in recording.shapes) > 2**32 - 2**24
-    # Pillow's own writer keeps all pages until the last is there.
+    # Pillow's own writer keeps all pages in memory until it has the last one.
     with tifffile.TiffWriter(file, bigtiff=large) as tiff:
         for picture in _pictures(recording, style, report):
             tiff.write(
@@ -90,7 +90,7 @@ def read_tiff(path: Path) -> str:
         return str(image.getexif().get(IMAGE_DESCRIPTION, ""))
 
 
-#: The first bytes of a TIFF: either order of bytes, with offsets of 32 or 64 bits.
+#: The first bytes of a TIFF, for either byte order and for offsets of 32 or 64 bits.
 TIFF_SIGNATURES = tuple((0, start) for start in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"))
 FORMATS = (
     Format(

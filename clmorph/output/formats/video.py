@@ -1,4 +1,4 @@
-"""``.mp4`` (H.264) and ``.webm`` (VP9), by the FFmpeg that PyAV brings."""
+"""``.mp4`` (H.264) and ``.webm`` (VP9), encoded by the FFmpeg inside PyAV."""
 
 from fractions import Fraction
 from functools import partial
@@ -29,7 +29,7 @@ class Container(NamedTuple):
     codec : str
         FFmpeg's name of the encoder.
     settings : dict
-        The encoder's options: constant quality, visually near to lossless.
+        The encoder's options, for constant quality that is visually close to lossless.
     options : dict
         The container's options.
     words : str
@@ -37,7 +37,7 @@ class Container(NamedTuple):
     longest_side : int
         The encoder's longest side, in pixels.
     opacity : bool
-        Whether it can hold opacity.
+        Whether the container can hold opacity.
     """
 
     codec: str
@@ -48,10 +48,10 @@ class Container(NamedTuple):
     opacity: bool
 
 
-#: By FFmpeg's name of the container.
+#: Every container by FFmpeg's name of it.
 CONTAINERS = {
     "mp4": Container(
-        # x264's macroblock tree reads memory that nothing was written to, so bytes would differ.
+        # x264's macroblock tree reads uninitialized memory, so the bytes of files would differ.
         "libx264", {"crf": "14", "preset": "medium", "mbtree": "0"},
         # The index stands first, so that a page plays the file while it loads.
         {"movflags": "+faststart+use_metadata_tags"}, "H.264", 16384, opacity=False,
@@ -66,7 +66,7 @@ BT709, SRGB_CURVE = 1, 13
 
 
 def check_video() -> None:
-    """Raise OutputError if the library that writes videos is not there."""
+    """Raise OutputError if the library that writes videos is missing."""
     if find_spec("av") is None:
         raise OutputError(
             'video files need the extra "video": pip install "clmorph[video]"; or write .gif, '
@@ -77,7 +77,7 @@ def check_video() -> None:
 def _write(
     container: str, recording: Recording, style: FrameStyle, file: Path, report: Report
 ) -> None:
-    """Write a video, in WebM with opacity if the frames have it."""
+    """Write a video, which has opacity if the frames have it and the container can hold it."""
     import av
     from av.video.reformatter import ColorRange, Colorspace
 
@@ -88,7 +88,8 @@ def _write(
     played = recording.played()
     lengths = [seconds for _, seconds in played]
     rate = recording.motion.rate_for(lengths)
-    # Without the encoder's version and a random number: the same recording gives the same bytes.
+    # The file omits the encoder's version and a random number, so that the same recording gives
+    # the same bytes.
     options = options | {"fflags": "+bitexact"}
     with (
         encoding(words, av.error.FFmpegError),
@@ -116,13 +117,13 @@ def _write(
                 format=pixels, dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG,
                 interpolation="LANCZOS",
             )  # fmt: skip
-            # A picture that holds is a frame that is repeated.
+            # A frame that is held is written repeatedly.
             for _ in range(repeats):
                 image.pts, image.time_base = number, Fraction(1) / rate
                 movie.mux(stream.encode(image))
                 number += 1
             if number == sum(lasting):
-                # Before the last report: what the encoder has looked ahead at is still to come.
+                # The encoder is flushed before the last report, because it still holds frames.
                 movie.mux(stream.encode(None))
 
 
@@ -133,7 +134,7 @@ def _read_metadata(container: str, path: Path) -> str:
     import av
 
     try:
-        # A stream, and one kind of file: what stands in it must not name others to be opened.
+        # FFmpeg gets an open stream and one container, so that the file cannot make it open others.
         with path.open("rb") as file, av.open(file, format=container) as movie:
             tags = {name.lower(): value for name, value in movie.metadata.items()}
     except av.error.FFmpegError as error:

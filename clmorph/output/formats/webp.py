@@ -17,11 +17,11 @@ from clmorph.output.recording import Recording
 if TYPE_CHECKING:
     from PIL.Image import Exif, Image
 
-#: Quality of lossy WebP, 0 to 100; effort of lossless WebP.
+#: Quality of lossy WebP, from 0 to 100, and effort of lossless WebP.
 LOSSY_QUALITY, LOSSLESS_EFFORT = 90, 80
-#: The longest side, in pixels: it has 14 bits.
+#: The longest side in pixels: the field has 14 bits.
 LONGEST_SIDE = 16383
-#: Chunks that are looked at before Exif is found: one a frame, and some more.
+#: The largest number of chunks that the search for Exif reads: one per frame, and some more.
 MAX_CHUNKS = 1_000_000
 
 
@@ -43,8 +43,8 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
 def _reel(recording: Recording, order: list[int], framing: Framing, report: Report) -> "Image":
     """Return an image of many frames, of which only one is in memory at a time.
 
-    Pillow makes a list of images that are to be appended, but asks one of many frames for one
-    after the other. When it asks for the next, those before are written.
+    Pillow keeps a list of separate images that are to be appended, but it reads the frames of one
+    image one after the other. When it requests a frame, it has written all frames before.
     """
     from PIL import Image
 
@@ -53,7 +53,7 @@ def _reel(recording: Recording, order: list[int], framing: Framing, report: Repo
 
     def seek(number: int) -> None:
         nonlocal position
-        # Afterwards Pillow winds back to the first, for which there is no use.
+        # After the last frame Pillow seeks back to the first one, which is not needed.
         if number != position + 1:
             return
         if number > 0:
@@ -76,10 +76,10 @@ def as_exif(parameters: Mapping[str, Any]) -> "Exif":
 
 
 def read_metadata(path: Path) -> str:
-    """Return the description in a WebP's Exif; Pillow would read all frames to reach it.
+    """Return the description in a WebP's Exif, without reading all frames as Pillow would.
 
-    Chunks as in RFC 9649, section 2.3: four letters, the length as 4 bytes, an even number of
-    bytes.
+    RFC 9649, section 2.3, defines a chunk: four letters, the length as 4 bytes, and content that is
+    padded to an even number of bytes.
     """
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""One page that plays a morph: a file that needs no network, also in notebooks."""
+"""One page that plays a morph without a network, as a file or in a notebook."""
 
 from clmorph.output.html.notebook import repr_html
 from clmorph.output.html.page import PAGE_BYTES, page, read_parameters, write_page

@@ -1,4 +1,4 @@
-"""Frames as text inside a page: without loss, unless the page would become too large."""
+"""Encode frames as text inside a page: without loss, unless the page would become too large."""
 
 import base64
 import io
@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from clmorph.errors import InputError, OutputError
 
-#: Effort of lossless WebP: a quarter smaller than PNG, at about 0.4 microseconds a pixel; the
-#: highest effort takes forty times as long for 4 % less.
+#: Options of lossless WebP. With this effort files are a quarter smaller than PNG, at about 0.4
+#: microseconds a pixel; the highest effort takes forty times as long and saves another 4 %.
 LOSSLESS: dict[str, Any] = {"lossless": True, "quality": 80, "method": 4}
-#: Qualities that are tried in turn where frames without loss would be too many bytes.
+#: Qualities that are tried in turn where frames without loss would take too many bytes.
 QUALITIES = (99, 95, 90, 80, 60)
-#: How much more than its share a frame without loss may take: the first are often the sharpest.
+#: Bytes that a frame without loss may take, as a multiple of its share: the first frames are often
+#: the sharpest.
 ADVANCE = 1.25
 #: The longest side that WebP can have.
 WEBP_SIDE = 16383
@@ -26,12 +27,12 @@ class Encoded(NamedTuple):
     Attributes
     ----------
     text : str
-        Base64.
+        The encoded frame in Base64.
     kind : str
-        Its media type.
+        The media type.
     size : (height, width)
     quality : int
-        Of lossy WebP; 100 stands for no loss.
+        Quality of lossy WebP; 100 stands for no loss.
     """
 
     text: str
@@ -41,18 +42,18 @@ class Encoded(NamedTuple):
 
 
 class Encoder:
-    """Encodes frames one by one within a budget of bytes, whatever comes later.
+    """Encodes frames one by one within a budget of bytes, without knowledge of later frames.
 
-    Each frame may take an equal share of what is left, or a quarter more if it is without loss;
-    what it does not need is the next ones'. From the first frame on that needs more, all are
-    compressed with loss, as a recording that changes between both would flicker.
+    Each frame may take an equal share of the remaining bytes, or a quarter more if it is encoded
+    without loss; unused bytes are left for the next frames. From the first frame that needs more,
+    all frames are compressed with loss, because a change between both would flicker.
 
     Parameters
     ----------
     count : int
         Number of frames.
     max_bytes : float
-        The most that all of them may take, as text.
+        The limit of the bytes that all frames may take, as text.
     """
 
     def __init__(self, count: int, max_bytes: float) -> None:
@@ -72,9 +73,9 @@ class Encoder:
         Raises
         ------
         InputError
-            If it is no (H, W, 3) or (H, W, 4) array of uint8.
+            If the frame is not an (H, W, 3) or (H, W, 4) array of uint8.
         OutputError
-            If its share of the bytes is too small for it.
+            If the frame needs more than its share of the bytes.
         """
         from PIL import Image
 

@@ -1,4 +1,4 @@
-"""How large each frame is in the common frame, so that the picture does not jump."""
+"""The size of each frame in the common frame, so that the picture does not jump."""
 
 from collections.abc import Sequence
 
@@ -7,15 +7,15 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: How far a time may be from a whole number to count as one.
+#: The largest distance from a whole number at which a time counts as whole.
 WHOLE = 1e-9
 
 
 def frame_boxes(sizes: Sequence[tuple[int, int]], times: Array, extent: str = "true") -> Array:
     """Return the size of each frame, borders of pixels included, and of the unit square in it.
 
-    The canvas grows by whole pixels (`clmorph.frames.canvas.canvas_at`), but what is on it moves
-    smoothly: pixels per unit go evenly from one image's to the next.
+    The canvas grows by whole pixels (`clmorph.frames.canvas.canvas_at`), but its content moves
+    smoothly: the pixels per unit are interpolated linearly from one image to the next.
 
     Parameters
     ----------
@@ -38,13 +38,14 @@ def frame_boxes(sizes: Sequence[tuple[int, int]], times: Array, extent: str = "t
     known = times[anchors], shapes[anchors]
     smooth = np.column_stack([np.interp(times, known[0], side) for side in known[1].T])
     per_unit = np.interp(times, known[0], known[1].max(axis=1) - 1)
-    # Frames of other sizes than a morph's are as large as they are.
+    # Frames whose sizes are not those of a morph keep their own sizes.
     other = np.any(np.abs(smooth - shapes) > 1 + WHOLE, axis=1)
     smooth[other] = shapes[other]
     per_unit[other] = shapes[other].max(axis=1) - 1
     pitch = np.repeat(1 / np.maximum(per_unit, 1.0)[:, None], 2, axis=1)
     if extent == "unit":
-        # Centers of the outer pixels stand on the borders of the square, however many are between.
+        # The centers of the outer pixels stand on the borders of the square, whatever the number
+        # of pixels between them.
         pitch *= np.maximum(smooth - 1, 0.0) / np.maximum(shapes - 1, 1.0)
         pitch[shapes == 1] = 1 / np.maximum(per_unit, 1.0)[np.nonzero(shapes == 1)[0]]
         unit = (shapes - 1) * pitch

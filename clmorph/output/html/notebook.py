@@ -1,4 +1,4 @@
-"""A morph in a notebook: the page in a frame of its own, small enough to be saved with it."""
+"""A morph in a notebook: its page in an iframe, small enough to be saved with the notebook."""
 
 from html import escape
 
@@ -9,9 +9,9 @@ from clmorph.frames.sequence import FrameSequence
 from clmorph.output.html.page import page
 from clmorph.output.html.summary import scene_of
 
-#: The most that frames may take in a notebook's output, in bytes of text.
+#: The limit of the size of all frames in a notebook's output, in bytes of text.
 NOTEBOOK_BYTES = 8e6
-#: Pixels of all frames together, above which only some of them are shown.
+#: The total number of pixels of all frames above which only some frames are shown.
 NOTEBOOK_PIXELS = 4e6
 #: Height of the frame, in CSS pixels.
 HEIGHT = 640
@@ -20,18 +20,18 @@ HEIGHT = 640
 def repr_html(
     morph: FrameSequence, *, max_pixels: float = NOTEBOOK_PIXELS, max_bytes: float = NOTEBOOK_BYTES
 ) -> str:
-    """Return a morph for a notebook: an iframe that holds its page and may reach nothing else.
+    """Return a morph for a notebook: an iframe that holds its page and has no other access.
 
-    Frames are rendered here, and not kept. Of long or large morphs only some are, evenly
-    chosen, both ends included, and a note in the page reports it.
+    This function renders the frames and does not keep them. For long or large morphs it renders
+    an evenly spaced selection that includes both ends, and a note in the page reports it.
 
     Parameters
     ----------
     morph : Morph
     max_pixels : float
-        Pixels of all frames together; at least two frames are shown.
+        The limit of the pixels of all frames together; at least two frames are shown.
     max_bytes : float
-        The most that frames may take, see `write_page`.
+        The limit of the bytes that frames may take, see `write_page`.
 
     Returns
     -------

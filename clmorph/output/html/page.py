@@ -1,4 +1,4 @@
-"""The page itself: text of one HTML file, and what can be read back from it."""
+"""Write the text of one HTML file, and read its parameters back."""
 
 import base64
 import hashlib
@@ -24,9 +24,9 @@ from clmorph.output.html.encoding import Encoder
 from clmorph.output.html.geometry import frame_boxes
 from clmorph.output.html.scene import Scene, as_json
 
-#: The most that frames may take in a page, in bytes of text; a browser on a phone still opens it.
+#: The limit of the size of all frames in a page, in bytes of text; a phone still opens such a page.
 PAGE_BYTES = 100e6
-#: Parts of the script, in this order; each sees what stands before it.
+#: Parts of the script in their order; each part can use the parts before it.
 SCRIPTS = (
     "numbers.js",
     "frames.js",
@@ -36,9 +36,9 @@ SCRIPTS = (
     "charts.js",
     "viewer.js",
 )
-#: What stands before the parameters. Nowhere else: "<" is escaped wherever text can stand.
+#: The text before the parameters. It occurs only once, because "<" is escaped in all other text.
 PARAMETERS = '<script type="application/json" id="clmorph-parameters">'
-#: Bytes within which parameters end: what stands before them is short.
+#: The number of bytes within which the parameters end, because they stand near the start.
 HEAD = 2 * MAX_HEAD
 
 
@@ -50,28 +50,28 @@ def page(scene: Scene, *, max_bytes: float = PAGE_BYTES) -> str:
 
 
 def write_page(scene: Scene, file: TextIO, *, max_bytes: float = PAGE_BYTES) -> None:
-    """Write a page that plays a scene, frame by frame: never is all of it in memory.
+    """Write a page that plays a scene, frame by frame, so that it is never in memory as a whole.
 
-    The page is plain ASCII, loads nothing from anywhere (its own Content-Security-Policy
-    forbids that) and keeps frames without loss (WebP, or PNG where Pillow has no WebP). Where
-    they would take more than `max_bytes`, all from the first on that is too large for its share
-    are compressed with loss, and a note in the page reports it.
+    The page is plain ASCII and loads no other resource, which its own Content-Security-Policy
+    forbids. It stores frames without loss (as WebP, or as PNG where Pillow has no WebP). If they
+    would take more than `max_bytes`, the first frame that is too large for its share and all
+    later ones are compressed with loss, and a note in the page reports it.
 
     Parameters
     ----------
     scene : Scene
     file : text file
-        Open for writing, in any encoding that contains ASCII. If an error is raised, what was
-        written is no page.
+        A file open for writing, in any encoding that contains ASCII. If an error is raised, the
+        text written so far is not a valid page.
     max_bytes : float
-        The most that frames may take, as text.
+        The limit of the bytes that frames may take, as text.
 
     Raises
     ------
     InputError
-        If a frame is no image of 8 bits, or their number is not that of the times.
+        If a frame is not an image of 8 bits, or the numbers of frames and of times differ.
     OutputError
-        If even with loss the frames take more than `max_bytes`.
+        If the frames take more than `max_bytes` even with loss.
     """
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e12)
     for part in _parts(scene, max_bytes):
@@ -91,7 +91,7 @@ def _parts(scene: Scene, max_bytes: float) -> Iterator[str]:
         "parameters": PARAMETERS + as_json("parameters", dict(scene.parameters)) + "</script>",
         "table": "".join(_rows({**scene.facts, **scene.parameters})),
     }
-    # Only the template's own marks count, never one inside what is put in their place.
+    # Only marks in the template are replaced, never marks inside the inserted text.
     for index, part in enumerate(re.split(r"\{\{(\w+)\}\}", _resource("viewer.html"))):
         if index % 2 == 0:
             yield part
@@ -102,7 +102,7 @@ def _parts(scene: Scene, max_bytes: float) -> Iterator[str]:
 
 
 def _frames(scene: Scene, max_bytes: float) -> Iterator[str]:
-    """Each frame as a data block, and at last what the script needs to know about them."""
+    """Yield each frame as a data block, and at last the data that the script needs about them."""
     encoder = Encoder(len(scene.times), max_bytes)
     alpha = False
     for frame in scene.frames:
@@ -144,7 +144,7 @@ def _frames(scene: Scene, max_bytes: float) -> Iterator[str]:
 
 
 def _numbers(values: NDArray[np.float64], digits: int = 5) -> Any:
-    """Return numbers for JSON, rounded to so many significant digits."""
+    """Return numbers for JSON, rounded to `digits` significant digits."""
     rounded = [float(f"{value:.{digits}g}") for value in np.ravel(values)]
     return np.reshape(rounded, np.shape(values)).tolist()
 
@@ -156,7 +156,7 @@ def _rows(parameters: Any) -> Iterator[str]:
             yield from _rows(value)
             continue
         if isinstance(value, list | tuple) and any(isinstance(item, Mapping) for item in value):
-            # Of each the first entry, its name; the rest is for programs.
+            # The table shows the first entry of each mapping, its name; the rest is for programs.
             firsts = (next(iter(dict(item).values()), "") for item in value)
             value = " → ".join(map(str, firsts))
         flat = value if isinstance(value, list | tuple) else [value]
@@ -167,9 +167,10 @@ def _rows(parameters: Any) -> Iterator[str]:
 
 
 def _ascii(text: str) -> str:
-    """Escape text for HTML; what is not ASCII becomes character references.
+    """Escape text for HTML, with character references for characters outside ASCII.
 
-    Whoever made a picture may have chosen its name: no control characters, nothing endless.
+    The name of a picture may come from an unknown source, so the result contains no control
+    characters and its length is limited.
     """
     return escape(printable(text, MESSAGE)).encode("ascii", "xmlcharrefreplace").decode("ascii")
 
@@ -191,12 +192,12 @@ def _script() -> str:
 
 
 def _digest(text: str) -> str:
-    """Hash by which a Content-Security-Policy knows an element."""
+    """Return the hash by which a Content-Security-Policy permits an element."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
 def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
-    """Return the parameters that stand in a page; nothing in it is run.
+    """Return the parameters that stand in a page, without running its script.
 
     Parameters
     ----------
@@ -210,10 +211,10 @@ def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If it cannot be read, or is no such page.
+        If the file cannot be read, or was not made by `write_page`.
     """
     try:
-        # Frames stand behind: they are never read.
+        # The frames stand behind the parameters and are not read.
         with Path(path).open("rb") as file:
             text = file.read(HEAD)
     except (OSError, ValueError, TypeError) as error:

@@ -1,4 +1,4 @@
-"""What a page shows."""
+"""The content of a page: frames, curves, arrows, parameters and notes."""
 
 import dataclasses
 import json
@@ -13,7 +13,7 @@ from clmorph.errors import InputError
 from clmorph.measures.options import EXTENTS
 from clmorph.output.options import FPS, PlaybackOptions
 
-#: What follows the last frame.
+#: The rules for the playback after the last frame.
 LOOPS = ("loop", "ping-pong", "once")
 
 
@@ -50,13 +50,13 @@ class Field:
     Attributes
     ----------
     positions : (K, 2) array
-        Where each starts: x to the right, y down.
+        Start of each arrow: x to the right, y down.
     displacement : (K, 2) array
-        How far it goes.
+        Vector from the start of each arrow to its end.
     weights : (K,) array, optional
-        Mass that each stands for, in any unit, at least 0; None if all are equal.
+        Mass that each arrow represents, in any unit, at least 0; None if all are equal.
     begin, end : float
-        Morph times between which they travel; they are drawn only then.
+        Morph times between which the arrows travel; they are drawn only then.
     """
 
     positions: NDArray[np.float64]
@@ -92,39 +92,40 @@ class Field:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene:
-    """A morph, ready to be shown.
+    """A morph with all data that its page shows.
 
     Attributes
     ----------
     frames : sequence of (H, W, 3) or (H, W, 4) uint8 arrays
-        Each of its own size; with four channels colors are straight, not multiplied by
-        opacity. Read once each, in order, and not kept.
+        Each frame has its own size. With four channels, colors are straight: not multiplied by
+        opacity. Each frame is read once, in order, and not kept.
     times : (n,) array
         Morph time of each frame, ascending: 0 to 1, or 0 to k for a chain of k morphs.
     fps : float
         Frames per second.
     hold : float
-        Seconds that the first and the last frame rest in addition.
+        Additional seconds for which the first and the last frame are shown.
     loop : {"loop", "ping-pong", "once"}
     title : str
     pixelated : bool
-        Whether pixels are enlarged as squares, at first.
+        Whether pixels are enlarged as squares when the page opens.
     curves : sequence of Curve
     field : Field or sequence of Field, optional
-        One for each morph of a chain.
+        One field for each morph of a chain.
     parameters : mapping
-        What json.dumps takes; shown as a table, and read again by `read_parameters`.
+        Values that `json.dumps` accepts. The page shows them as a table, and `read_parameters`
+        returns them.
     facts : mapping
-        Shown in the table beside them, and not read again.
+        Further rows of the table, which `read_parameters` does not return.
     extent : {"true", "unit"}
-        How the frames stand in the common frame, as the measures were lifted.
+        Position of the frames in the common frame, as the measures were lifted.
     notes : sequence of str
-        Shown under the picture.
+        Notes shown under the picture.
 
     Raises
     ------
     InputError
-        If something has another shape or type.
+        If an attribute has another shape or type.
     """
 
     frames: Sequence[NDArray[np.uint8]]
@@ -171,19 +172,19 @@ class Scene:
 
     @property
     def fields(self) -> tuple[Field, ...]:
-        """The arrows' fields, none to many."""
+        """The fields of arrows as a tuple, which may be empty."""
         if self.field is None:
             return ()
         return (self.field,) if isinstance(self.field, Field) else tuple(self.field)
 
 
 def as_json(name: str, value: Any) -> str:
-    """Return JSON in plain ASCII that can stand in a page, where no tag may end it.
+    """Return JSON in plain ASCII without the tags that would end its element in a page.
 
     Raises
     ------
     InputError
-        If it is no JSON, as NaN and infinity are not.
+        If JSON cannot represent the value, such as NaN or infinity.
     """
     try:
         text = json.dumps(value, allow_nan=False, separators=(",", ":"))

@@ -1,4 +1,4 @@
-"""From a morph to what a page shows of it: frames, curves, arrows and parameters."""
+"""Build the content of a page from a morph: frames, curves, arrows and parameters."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, overload
@@ -15,14 +15,14 @@ from clmorph.transport.plan import Plan
 
 Array = NDArray[np.float64]
 
-#: Arrows along the longer side of the source.
+#: Number of arrows along the longer side of the source.
 ARROWS = 24
-#: Mass under which a place has no arrow, as a share of the fullest place's.
+#: The least mass of a place that gets an arrow, as a share of the largest mass of a place.
 FAINTEST = 1e-3
 
 
 class RenderedFrames(Sequence[NDArray[np.uint8]]):
-    """Frames of a morph in 8 bits, each rendered when it is asked for, and not kept.
+    """Frames of a morph in 8 bits, each rendered when it is read, and not kept.
 
     Parameters
     ----------
@@ -60,21 +60,22 @@ def scene_of(
     parameters: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
 ) -> Scene:
-    """Return what a page shows of a morph.
+    """Return the content of a page about a morph.
 
     Parameters
     ----------
     morph : Morph
     frames : sequence of (H, W, 3) or (H, W, 4) arrays, optional
-        At `times`: uint8, or floats in [0, 1]; None renders each when it is asked for.
+        Frames at `times`: uint8, or floats in [0, 1]. With None each frame is rendered when it is
+        read.
     times : (n,) array, optional
-        None are the morph's own.
+        Times of the frames; those of the morph if not given.
     fps, hold, loop, title
         See `Scene`.
     pixelated : bool, optional
-        None: if both images are pixel art, as everywhere.
+        As in `Scene`; if not given, whether both images are pixel art.
     parameters : mapping, optional
-        In place of those that the morph itself knows, or beside them.
+        Parameters that replace or complement those of the morph itself.
     notes : sequence of str
 
     Returns
@@ -84,7 +85,7 @@ def scene_of(
     Raises
     ------
     InputError
-        If something does not fit, see `Scene`.
+        If an argument cannot be used, see `Scene`.
     """
     chosen = morph.times if times is None else np.asarray(times, np.float64)
     pictures: Sequence[NDArray[Any]]
@@ -124,7 +125,7 @@ class _EightBits(Sequence[NDArray[np.uint8]]):
 
 
 def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
-    """Return kernel width and the shares of mass that travels, dies and is born.
+    """Return curves of the kernel width and of the shares of mass that travels, dies and is born.
 
     Parameters
     ----------
@@ -134,7 +135,7 @@ def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
     Returns
     -------
     tuple of Curve
-        Widths in pixels of each time's canvas; masses as a share of all that is drawn then.
+        Widths in pixels of the canvas at each time; masses as a share of all mass drawn then.
     """
     widths = np.array([morph.kernel_width.at(t, morph.canvas(t)) for t in times])
     moving = morph.particles
@@ -152,18 +153,18 @@ def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
 
 
 def arrow_field(morph: FrameSequence, most: int = ARROWS) -> Field | None:
-    """Return where the mass of each place of the source goes, on average.
+    """Return the mean displacement of the mass of each place of the source.
 
     Parameters
     ----------
     morph : Morph
     most : int
-        Places along the longer side; pixels of one place share an arrow.
+        The largest number of places along the longer side; pixels of one place share an arrow.
 
     Returns
     -------
     Field or None
-        None if nothing moves.
+        None if no mass moves.
     """
     source, plan = morph.source, morph.plan
     if isinstance(plan, Plan):
@@ -190,7 +191,7 @@ def arrow_field(morph: FrameSequence, most: int = ARROWS) -> Field | None:
 
 
 def known_parameters(morph: FrameSequence) -> dict[str, Any]:
-    """Return what a morph knows of how it was made, as JSON takes it."""
+    """Return the parameters that a morph was made with, as values that JSON can represent."""
     from clmorph._shared.version import __version__
 
     width, potentials, source = morph.kernel_width, morph.potentials, morph.source
@@ -227,5 +228,5 @@ def known_parameters(morph: FrameSequence) -> dict[str, Any]:
 
 
 def _short(value: float) -> float | None:
-    """Round to six significant digits; what is not finite is None, as JSON has no word for it."""
+    """Round to six significant digits; return None for NaN and infinity, which JSON lacks."""
     return float(f"{value:.6g}") if np.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Constants with which the kernels are built, chosen by the kind of device."""
+"""Constants with which the kernels are built, chosen for the kind of device."""
 
 import math
 from dataclasses import dataclass, replace
@@ -9,23 +9,23 @@ import pyopencl as cl
 from clmorph.backends.opencl.devices.quirks import find_quirks
 from clmorph.backends.width_levels import WIDTH_LEVELS
 
-#: Stands for minus infinity in float32 exponents: far under any of them, yet the sum of
-#: a few is still finite. Exact in float32, so that it is the same number in any precision.
+#: The number that represents minus infinity in float32 exponents. It is far below all of them, yet
+#: the sum of a few is finite. It is exact in float32, hence the same number in any precision.
 SENTINEL = float(np.float32(-1e30))
-#: Log2 at which the shares of tiles are clipped; they are that large where the guess at a row's sum
-#: is far too small. The share of a whole tile is then still within float32's range.
+#: Log2 at which the shares of tiles are clipped. They are so large if the estimate of a row's sum
+#: is far too small. With the clip, the share of a whole tile is within the range of float32.
 LARGEST_SHARE = 110
-#: Particles of a bin whose moments are summed before they are added to the total.
+#: The number of particles of a bin whose moments are summed before they are added to the total.
 MOMENT_CHUNK = 1024
-#: Columns handled together where an exponent fills two registers.
+#: The number of columns handled together if an exponent fills two registers.
 PRECISE_UNROLL = 4
-#: Stored pairs of a row that are handled together.
+#: The number of stored pairs of a row that are handled together.
 STORED_UNROLL = 4
 
 
 @dataclass(frozen=True)
 class BuildConstants:
-    """Sizes that change speed and rounding only; see the headers of ``cl_kernels/*.cl``.
+    """Constants that affect speed and rounding only; see the headers of ``cl_kernels/*.cl``.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class BuildConstants:
     unroll : int
         Columns handled together in the log-sum-exp.
     exp2_builtin : int
-        1: the device's own exp2; 0: the polynomial.
+        The function for powers of two. 1: the device's built-in exp2; 0: the polynomial.
     precise : int
         Arithmetic of precise exponents, see ``cl_kernels/exponents.cl``. 2: float64;
         1: pairs of float32.
@@ -49,7 +49,7 @@ class BuildConstants:
     tile_group : int
         Work-items along each side of a splatting work-group.
     slices_per_unit : int
-        Slices of the particle list sorted at once, for every compute unit.
+        Slices of the particle list that are sorted at once, per compute unit.
     """
 
     width: int
@@ -80,13 +80,13 @@ class BuildConstants:
         Parameters
         ----------
         dimension : int
-            Of the points.
+            Dimension of the points.
         precise : bool
-            Form exponents in more than float32.
+            Whether exponents are formed in more than float32.
         listed : bool
-            Loop over listed column tiles only.
+            Whether the loop covers listed column tiles only.
         bounded : bool
-            Sum with a proven error bound; needs precise exponents.
+            Whether sums have a proven error bound, which needs precise exponents.
         """
         return {
             "BOUNDED": int(bounded),
@@ -102,7 +102,7 @@ class BuildConstants:
         }
 
     def near_field_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``near_field.cl``, beside those of the row loop."""
+        """Return the macros of ``near_field.cl`` that are not those of the row loop."""
         return {"LARGEST_SHARE": LARGEST_SHARE}
 
     def sliced_ellpack_macros(self) -> dict[str, int | float]:
@@ -148,7 +148,7 @@ class BuildConstants:
 
 
 def choose_constants(device: cl.Device, quirks: frozenset[str] | None = None) -> BuildConstants:
-    """Return constants for a device, by its type, limits and quirks.
+    """Return constants for a device, chosen by its type, limits and quirks.
 
     Parameters
     ----------

@@ -24,8 +24,8 @@ _INCLUDE = re.compile(r'^#include "([a-z_]+\.cl)"$', re.MULTILINE)
 def source(name: str) -> str:
     """Return a kernel file with its includes expanded.
 
-    Drivers cache by the text they are given and miss changes of included files, so the
-    text that they see is complete; ``#line`` keeps their messages pointing at the files.
+    Drivers cache builds by the text that they receive, and do not notice changes of included files.
+    Therefore they receive the complete text; ``#line`` makes their messages refer to the files.
 
     Parameters
     ----------
@@ -44,7 +44,8 @@ def source(name: str) -> str:
 def build(context: cl.Context, name: str, constants: dict[str, int | float]) -> cl.Program:
     """Build a kernel file for the only device of a context.
 
-    The binary is kept in the user's cache folder, by source, options, device and driver.
+    The binary is kept in the user's cache folder, under a key of source, options, device and
+    driver.
 
     Parameters
     ----------
@@ -52,12 +53,12 @@ def build(context: cl.Context, name: str, constants: dict[str, int | float]) -> 
     name : str
         File name inside ``cl_kernels/``.
     constants : dict
-        Macros given with ``-D``; a float becomes a float32 literal.
+        Macros defined with ``-D``; a float becomes a float32 literal.
 
     Raises
     ------
     DeviceError
-        If the device's compiler refuses the source; the message holds its first error.
+        If the device's compiler rejects the source; the message contains its first error.
     """
     options = ["-cl-std=CL1.2"]
     for key, value in sorted(constants.items()):
@@ -73,15 +74,15 @@ def build(context: cl.Context, name: str, constants: dict[str, int | float]) -> 
 
 
 def kernel(program: cl.Program, name: str) -> cl.Kernel:
-    """Return a kernel of a program, whatever the state of pyopencl's cache.
+    """Return a kernel of a program, even if pyopencl's cache is unusable.
 
-    pyopencl generates some Python for each kernel and keeps it in a database of its own. It
-    fails where that cannot be written or is damaged, and there it has to do without.
+    pyopencl generates some Python for each kernel and keeps it in a database of its own. It fails
+    if the database cannot be written or is damaged; this function then disables that cache.
 
     Parameters
     ----------
     program : pyopencl.Program
-        Built.
+        A built program.
     name : str
     """
     _check_pyopencl_cache()
@@ -96,10 +97,10 @@ def kernel(program: cl.Program, name: str) -> cl.Kernel:
 
 @functools.cache
 def _check_pyopencl_cache() -> None:
-    """Turn pyopencl's cache off if there is no folder for it: it fails with some noise."""
+    """Turn pyopencl's cache off if there is no folder for it, because pyopencl would then warn."""
     folder = Path(platformdirs.user_cache_dir("pytools", "pytools"))
     try:
-        if folder.is_absolute():  # or it would be made wherever we happen to be
+        if folder.is_absolute():  # a relative one would be made in the current folder
             folder.mkdir(parents=True, exist_ok=True)
             return
     except OSError:
@@ -127,32 +128,33 @@ def _from_source(context: cl.Context, name: str, options: list[str]) -> "cl._Pro
 
 
 def _build(program: "cl._Program", options: list[str]) -> None:
-    """Build as the driver does, without what `pyopencl.Program.build` adds.
+    """Build a program by the driver, without the additions of `pyopencl.Program.build`.
 
-    It warns of every build log, which Intel's compiler writes on success too, and a filter
-    of warnings is everybody's; its cache waits a minute for the lock of a process that was
-    killed, and a damaged entry of it is an error (see `_from_binary` for ours).
+    That method warns of every build log, which Intel's compiler also writes on success, and a
+    filter of warnings would apply to the whole process. Its cache waits a minute for the lock of a
+    process that was killed, and raises an error for a damaged entry (for our cache see
+    `_from_binary`).
     """
-    # What `build` calls, and at worst that itself: the name is pyopencl's own.
+    # `_build` is the private method that `build` calls; if it is missing, `build` is called.
     build = getattr(program, "_build", None) or program.build
     build(" ".join(options).encode(), None)
 
 
 def _log(program: "cl._Program", device: cl.Device) -> str:
-    """Return what the compiler said."""
+    """Return the compiler's log."""
     try:
         return program.get_build_info(device, cl.program_build_info.LOG) or ""
     except cl.Error:
         return ""
 
 
-# --- binaries: one file each, a digest and what it is the digest of ---------------------
+# --- binaries: each file holds a digest, and the binary that it belongs to --------------
 
 _DIGEST_BYTES = 32
 
 
 def _binary_file(device: cl.Device, name: str, options: list[str]) -> str | None:
-    """Return the name of a build in the cache; None if the user wants no caching."""
+    """Return the name of a build in the cache; None if the user has disabled caching."""
     if os.environ.get("PYOPENCL_NO_CACHE"):
         return None
     identity = (
@@ -164,12 +166,15 @@ def _binary_file(device: cl.Device, name: str, options: list[str]) -> str | None
 
 
 def _digest(file: str, binary: bytes) -> bytes:
-    """Return what a kept build begins with: a file under another's name is damaged too."""
+    """Return the digest of a file's name and content, with which a file in the cache begins.
+
+    A file under the name of another one thus counts as damaged too.
+    """
     return hashlib.sha256(file.encode() + binary).digest()
 
 
 def _from_binary(context: cl.Context, file: str | None, options: list[str]) -> "cl._Program | None":
-    """Load a kept build; None if there is none, or it is damaged, or the driver refuses it."""
+    """Load a cached build; return None if it is missing, damaged, or rejected by the driver."""
     content = read_cached(file) if file else b""
     digest, binary = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
     if file is None or not binary or _digest(file, binary) != digest:
@@ -183,7 +188,7 @@ def _from_binary(context: cl.Context, file: str | None, options: list[str]) -> "
 
 
 def _keep_binary(program: "cl._Program", file: str | None) -> None:
-    """Keep a build, if the driver gives its binary and the folder can be written to."""
+    """Store a build in the cache, if the driver returns its binary and the folder is writable."""
     if file is None:
         return
     try:

@@ -14,13 +14,13 @@ CANDIDATES: dict[str, tuple[int, ...]] = {
     "width": (1, 2, 4, 8, 16),
     "exp2_builtin": (0, 1),
     "group": (1, 16, 32, 64, 128, 256),
-    "tile": (32, 64, 128),  # larger ones round more, see ``sums.cl``
+    "tile": (32, 64, 128),  # larger tiles have larger rounding errors, see ``sums.cl``
     "unroll": (4, 8, 16, 32),
 }
 
 
 def is_possible(constants: BuildConstants, largest_group: int) -> bool:
-    """Return whether kernels can be built so: work-groups are allowed and divide tiles."""
+    """Return whether kernels can be built: work-groups are within the limit and divide tiles."""
     return (
         constants.group <= largest_group
         and constants.tile in CANDIDATES["tile"]
@@ -30,7 +30,7 @@ def is_possible(constants: BuildConstants, largest_group: int) -> bool:
 
 
 def save_tuning(device: cl.Device, best: BuildConstants, start: BuildConstants) -> None:
-    """Keep those constants that tuning has changed.
+    """Save the constants that tuning has changed.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def save_tuning(device: cl.Device, best: BuildConstants, start: BuildConstants) 
     best : BuildConstants
         The fastest constants.
     start : BuildConstants
-        The constants chosen by the kind of device.
+        The constants chosen for the kind of device.
     """
     entry = {
         name: getattr(best, name)
@@ -49,17 +49,17 @@ def save_tuning(device: cl.Device, best: BuildConstants, start: BuildConstants) 
 
 
 def forget_tuning(device: cl.Device) -> None:
-    """Go back to the constants chosen by the kind of device."""
+    """Forget tuned constants, so that those for the kind of device are used again."""
     forget_cached(f"{_record(device)}.json")
 
 
 def tuned_constants(device: cl.Device) -> BuildConstants:
-    """Return the constants for a device: as tuned, else by its kind; quirks are respected."""
+    """Return the constants for a device, tuned or else chosen for its kind, with its quirks."""
     constants = choose_constants(device)
     entry = load_record(_record(device))
     if not entry:
         return constants
-    # True and 16.0 equal numbers among the candidates, but are other text to a compiler.
+    # True and 16.0 are equal to integer candidates, but would be different text for the compiler.
     valid = all(
         type(value) is int and value in CANDIDATES.get(name, ()) for name, value in entry.items()
     )

@@ -1,7 +1,7 @@
-"""Small files in the user's cache folder, which can be made anew at any time.
+"""Small files in the user's cache folder, which can be made again at any time.
 
-No function here raises an error. A file that cannot be read counts as missing, and a file that
-cannot be written is not kept. Processes that write at the same time replace each other's files
+No function in this module raises an error. A file that cannot be read counts as missing, and a file
+that cannot be written is not kept. Processes that write at the same time replace each other's files
 as a whole.
 """
 
@@ -16,16 +16,17 @@ from typing import Any
 
 import platformdirs
 
-#: Ending of files that are being written, and the age in seconds at which nobody writes them
-#: any more: their process was killed.
+#: Ending of files that are being written, and the age in seconds from which such a file is assumed
+#: to belong to a killed process.
 _PART, _PART_SECONDS = ".part", 3600.0
 
 
 def cache_folder() -> Path | None:
-    """Return the folder for such files; None if none can be written to.
+    """Return the folder of the cache; None if no folder can be written to.
 
-    The user's cache folder; where that cannot be written to (a read-only home, say), one in
-    the temporary folder that is its owner's alone: kernels that are run lie there.
+    This is the user's cache folder. If that is not writable (for example in a read-only home), it
+    is a folder inside the temporary folder to which only its owner has access, because it holds
+    kernels that are executed.
     """
     for folder in _wanted_folders():
         # A relative path would be another folder after each change of directory.
@@ -37,8 +38,8 @@ def cache_folder() -> Path | None:
 def _wanted_folders() -> list[Path]:
     folders = [Path(platformdirs.user_cache_dir("clmorph", appauthor=False))]
     if not folders[0].is_absolute():
-        # The XDG specification has it that a relative XDG_CACHE_HOME be ignored.
-        with contextlib.suppress(RuntimeError):  # there is no home
+        # The XDG specification requires that a relative XDG_CACHE_HOME is ignored.
+        with contextlib.suppress(RuntimeError):  # the user has no home
             folders.append(Path.home() / ".cache" / "clmorph")
     return folders
 
@@ -52,7 +53,7 @@ def _can_write(folder: Path) -> bool:
 
 
 def _private_folder() -> Path | None:
-    """Return a folder of the user in the temporary one; None if it is not theirs alone."""
+    """Return the user's folder in the temporary folder; None if other users have access to it."""
     user = os.getuid() if hasattr(os, "getuid") else "cache"
     try:
         folder = Path(tempfile.gettempdir()) / f"clmorph-{user}"
@@ -62,19 +63,19 @@ def _private_folder() -> Path | None:
         return None
     if not stat.S_ISDIR(found.st_mode):
         return None
-    # On Windows the temporary folder itself is the user's.
+    # On Windows the temporary folder itself belongs to the user.
     if hasattr(os, "getuid") and (found.st_uid != user or found.st_mode & 0o077):
         return None
     return folder if os.access(folder, os.W_OK | os.X_OK) else None
 
 
 def read_cached(name: str) -> bytes:
-    """Return the content of a file in the cache; nothing if there is none.
+    """Return the content of a file in the cache; empty if the file is missing.
 
     Parameters
     ----------
     name : str
-        With the folder inside the cache, such as "kernels/rows.bin".
+        Path inside the cache folder, such as "kernels/rows.bin".
     """
     folder = cache_folder()
     try:
@@ -84,7 +85,7 @@ def read_cached(name: str) -> bytes:
 
 
 def write_cached(name: str, content: bytes) -> None:
-    """Keep a file in the cache, if that is possible; see `read_cached`."""
+    """Write a file to the cache, if that is possible; see `read_cached`."""
     folder = cache_folder()
     if folder is None:
         return
@@ -106,7 +107,7 @@ def forget_cached(name: str) -> None:
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write a small file so that readers see the old or the new one, never a part."""
+    """Write a small file so that readers see the old or the new content, never a part of it."""
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=_PART)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -118,7 +119,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 
 def _remove_parts(folder: Path) -> None:
-    """Remove what killed processes left half-written."""
+    """Remove the incomplete files of killed processes."""
     for file in folder.glob(f"*{_PART}"):
         with contextlib.suppress(OSError):
             if time.time() - file.stat().st_mtime > _PART_SECONDS:
@@ -131,7 +132,7 @@ def load_record(name: str) -> dict[str, Any]:
     Parameters
     ----------
     name : str
-        Without its ending, such as "devices/0123".
+        Path inside the cache folder without its ending, such as "devices/0123".
     """
     try:
         record = json.loads(read_cached(f"{name}.json"))
@@ -141,8 +142,9 @@ def load_record(name: str) -> dict[str, Any]:
 
 
 def save_record(name: str, record: dict[str, Any]) -> None:
-    """Keep a JSON object in the cache, if that is possible; see `load_record`.
+    """Write a JSON object to the cache, if that is possible; see `load_record`.
 
-    One file each: processes that find out different things at once do not undo each other.
+    Each record has its own file, so that processes that write different records at the same time do
+    not overwrite each other's results.
     """
     write_cached(f"{name}.json", json.dumps(record, indent=1, sort_keys=True).encode())

@@ -28,7 +28,7 @@ class Device:
     Attributes
     ----------
     index : str
-        "platform:device", as counted in this process.
+        Index "platform:device", as counted in this process.
     name, platform, version, driver : str
     kind : {"GPU", "CPU", "accelerator"}
     compute_units : int
@@ -37,9 +37,9 @@ class Device:
     usable : bool
         Whether the project's kernels were built and run on it.
     reason : str
-        Why not, if not.
+        The reason why the device is not usable; empty if it is.
     pairs_per_second : float
-        Point pairs through the log-sum-exp, as measured by the probe; 0 if unknown.
+        Point pairs per second in the log-sum-exp, as measured by the probe; 0 if unknown.
     handle : pyopencl.Device
     """
 
@@ -61,7 +61,7 @@ class Device:
         return f"[{self.index}] {self.name} ({self.platform}, driver {self.driver}{state})"
 
     def record(self) -> dict[str, Any]:
-        """Return what is known of the device, ready for JSON."""
+        """Return the properties of the device as values that JSON can represent."""
         from clmorph.backends.opencl.devices.quirks import find_quirks, has_float64
 
         known = {name: value for name, value in vars(self).items() if name != "handle"}
@@ -74,7 +74,7 @@ class Device:
         }
 
     def matches(self, text: str) -> bool:
-        """Whether `text` is this device's index or part of its or its platform's name."""
+        """Return whether `text` is this device's index or part of its or its platform's name."""
         if text == self.index:
             return True
         return text.lower() in f"{self.name} {self.platform} {self.version}".lower()
@@ -82,7 +82,7 @@ class Device:
 
 @Once
 def raw_devices() -> tuple[tuple[str, "cl.Device"], ...]:
-    """Enumerate (index, device) over all platforms; empty where OpenCL has none."""
+    """Return (index, device) of the devices of all platforms; empty if there are none."""
     try:
         platforms = list_platforms()
     except ImportError:
@@ -127,16 +127,16 @@ def _describe(index: str, device: "cl.Device", verdict: dict[str, Any]) -> Devic
 def find_devices() -> tuple[Device, ...]:
     """List every OpenCL device, usable or not.
 
-    The verdict on each device is remembered by driver, platform, processor and kernel sources;
-    a device that is seen for the first time takes some seconds. A test that ran out of time or
-    memory says nothing about the device, and is repeated by the next process.
+    The verdict on each device is stored under a key of driver, platform, processor and kernel
+    sources; the first test of a device takes some seconds. A test that ran out of time or memory is
+    no evidence about the device, and the next process repeats it.
 
     Raises
     ------
     InputError
-        If ``CLMORPH_PROBE_SECONDS`` is no number from 1 to 3600.
+        If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600.
     """
-    probe_seconds()  # a mistake is reported at once, not only when a device is new
+    probe_seconds()  # an invalid value is always reported, not only when a device is new
     devices = []
     for index, handle in raw_devices():
         key = verdict_key(handle)
@@ -149,29 +149,30 @@ def find_devices() -> tuple[Device, ...]:
 
 
 def forget_verdicts() -> None:
-    """Forget which devices worked, so that the next search tries them again."""
+    """Forget all verdicts on devices, so that the next search tests them again."""
     forget_all()
     find_devices.cache_clear()
 
 
 def preference(device: Device) -> tuple[int, float]:
-    """Sort key: GPUs before others before CPUs, then the faster."""
+    """Return a sort key: GPUs before other devices before CPUs, then by speed."""
     return {"GPU": 0, "CPU": 2}.get(device.kind, 1), -device.pairs_per_second
 
 
 def choose_device(spec: str = "auto") -> Device:
-    """Choose the device that a user means.
+    """Choose the device that a user specifies.
 
     Parameters
     ----------
     spec : str
-        "auto" (or "opencl"): what ``PYOPENCL_CTX`` names, if set; else the best usable
-        device. Otherwise an index such as "0:1", or part of a device's or platform's name.
+        "auto" (or "opencl") chooses the device that ``PYOPENCL_CTX`` names, if it is set, and else
+        the best usable device. Another text is an index such as "0:1", or part of a device's or
+        platform's name.
 
     Raises
     ------
     DeviceError
-        If there is no such device, or none that works; the message says what to do.
+        If there is no such device, or none that works; the message contains advice.
     """
     devices = find_devices()
     if not devices:
@@ -200,7 +201,7 @@ def choose_device(spec: str = "auto") -> Device:
 
 
 def _from_pyopencl_ctx(devices: tuple[Device, ...]) -> Device:
-    """Take the device that pyopencl itself would take for ``PYOPENCL_CTX``."""
+    """Return the device that pyopencl itself would choose for ``PYOPENCL_CTX``."""
     import pyopencl as cl
 
     value = os.environ["PYOPENCL_CTX"]
@@ -208,7 +209,7 @@ def _from_pyopencl_ctx(devices: tuple[Device, ...]) -> Device:
         handle = cl.create_some_context(interactive=False).devices[0]
         named = [device for device in devices if device.handle == handle]
     except (cl.Error, RuntimeError, ValueError, IndexError) as error:
-        # Runtimes from pip are not in pyopencl's own list; they are named as by us.
+        # Runtimes from pip are not in pyopencl's own list; clmorph's indices and names apply.
         named = [
             device for device in devices
             if device.index in (value, f"{value}:0")
@@ -230,7 +231,7 @@ def _from_pyopencl_ctx(devices: tuple[Device, ...]) -> Device:
 
 
 def _installation_hint(devices: tuple[Device, ...]) -> str:
-    """Return advice how to get a device that works, given those that were found."""
+    """Return advice on how to get a usable device, given the devices that were found."""
     if any("Intel" in device.platform for device in devices):
         return "update the drivers (clmorph devices --again), or use the backend 'numpy'"
     if intel_runtime() is not None:

@@ -1,10 +1,10 @@
-"""How to get an OpenCL device, by operating system."""
+"""Advice on how to get an OpenCL device, by operating system."""
 
 import platform
 import sys
 from pathlib import Path
 
-#: Package of an OpenCL CPU runtime by Linux family (ID or ID_LIKE of /etc/os-release).
+#: The package of an OpenCL CPU runtime by Linux family (ID or ID_LIKE of /etc/os-release).
 LINUX_PACKAGES = {
     "debian": "apt install pocl-opencl-icd",
     "ubuntu": "apt install pocl-opencl-icd",
@@ -30,7 +30,7 @@ def linux_family() -> str:
 def advice(
     system: str = sys.platform, machine: str = platform.machine(), family: str | None = None
 ) -> list[str]:
-    """Return what to install where no OpenCL device works, the easiest first.
+    """Return advice on what to install where no OpenCL device works, the easiest first.
 
     Parameters
     ----------

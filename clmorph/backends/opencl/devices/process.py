@@ -1,4 +1,4 @@
-"""When a process may use OpenCL: not after a fork, not while it ends, one thread at a time."""
+"""Restrict when a process uses OpenCL: not after a fork, not at exit, in one thread at a time."""
 
 import atexit
 import os
@@ -13,21 +13,21 @@ from clmorph.errors import DeviceError
 P = ParamSpec("P")
 T = TypeVar("T")
 
-#: The process that has turned to OpenCL; None before.
+#: The process that has started to use OpenCL; None before.
 _owner: int | None = None
-#: Locks that are held while a thread is in a driver.
+#: Locks, each of which is held while a thread is in a driver.
 _device_locks: "weakref.WeakSet[threading.RLock]" = weakref.WeakSet()
-#: Seconds that the end of a process waits for one of them.
+#: Seconds for which the end of a process waits for one of these locks.
 _PATIENCE = 10.0
 
 
 def claim_opencl() -> None:
-    """Note that this process uses OpenCL; cheap enough for every operation.
+    """Record that this process uses OpenCL; the call is cheap enough for every operation.
 
-    A driver's threads and locks do not survive ``fork``: in the child PoCL waits for ever, and
-    other drivers may, even if the parent has only listed its platforms. To be called before
-    any lock of this package is taken: a child also inherits locks that another thread of its
-    parent held.
+    A driver's threads and locks do not survive ``fork``: in the child PoCL waits forever, and
+    other drivers may, even if the parent has only listed its platforms. This function must be
+    called before any lock of this package is taken, because a child also inherits locks that
+    another thread of its parent held.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def claim_opencl() -> None:
 
 
 def device_lock() -> "threading.RLock":
-    """Return a new lock, to be held by whoever calls a driver."""
+    """Return a new lock, which a thread must hold while it calls a driver."""
     lock = threading.RLock()
     _device_locks.add(lock)
     return lock
@@ -57,25 +57,25 @@ def device_lock() -> "threading.RLock":
 def _leave_drivers() -> None:
     """Keep daemon threads out of drivers while the interpreter ends.
 
-    It stops such a thread where that next takes the interpreter's lock; if C++ called it
-    there, as pyopencl does, the whole process aborts. A thread that waits for a lock of ours
-    just stays there.
+    At its end the interpreter stops such a thread when the thread next takes the interpreter's
+    lock. If C++ code takes it, as in pyopencl, the whole process aborts. A thread that waits for
+    a lock of this module just keeps waiting.
     """
-    if _owner == os.getpid():  # a forked child has no thread that would release them
+    if _owner == os.getpid():  # a forked child has no thread that would release the locks
         for lock in list(_device_locks):
             lock.acquire(timeout=_PATIENCE)
 
 
 class Once(Generic[P, T]):
-    """A function that uses OpenCL and remembers its results: a `functools.cache` for threads.
+    """A function that uses OpenCL and caches its results: a `functools.cache` for threads.
 
-    Threads that ask at the same time wait for the first one's result instead of working it
-    out as well. An error is not remembered.
+    Threads that call it at the same time wait for the result of the first one instead of computing
+    it too. Errors are not cached.
 
     Parameters
     ----------
     function : callable
-        Its arguments are hashable.
+        A function with hashable arguments.
     """
 
     def __init__(self, function: Callable[P, T]) -> None:
@@ -85,7 +85,7 @@ class Once(Generic[P, T]):
         update_wrapper(self, function)
 
     def __call__(self, *arguments: P.args, **options: P.kwargs) -> T:
-        """Return what the function returned for these arguments."""
+        """Return the function's result for these arguments."""
         claim_opencl()
         with self._lock:
             return self._cached(*arguments, **options)  # type: ignore[arg-type]

@@ -1,7 +1,7 @@
-"""Named properties of devices that need other build options than most.
+"""Detect quirks: named properties of devices that need other build options than most.
 
-Each is found here, turned into build-time constants by `opencl.build.constants.apply_quirks`,
-and can be forced for a trial: ``CLMORPH_QUIRKS=small_groups,inexact_exp2``.
+This module detects each quirk, and `opencl.build.constants.apply_quirks` turns it into build-time
+constants. A quirk can be forced for a trial: ``CLMORPH_QUIRKS=small_groups,inexact_exp2``.
 """
 
 import os
@@ -10,7 +10,7 @@ import pyopencl as cl
 
 from clmorph.errors import InputError
 
-#: Name of each quirk, and what it means.
+#: Name and description of each quirk.
 QUIRKS = {
     "small_groups": "work-groups hold fewer than 64 work-items: groups of 16 at most",
     "inexact_exp2": "the built-in exp2 is off by more than a few units: a polynomial instead",
@@ -18,7 +18,7 @@ QUIRKS = {
     "no_float64": "no double precision: precise exponents are sums of two float32",
 }
 
-#: Devices whose built-in exp2 was found wrong: parts of the name, in lower case.
+#: Parts of the names, in lower case, of devices whose built-in exp2 was found to be wrong.
 INEXACT_EXP2: tuple[str, ...] = ()
 
 
@@ -54,5 +54,5 @@ def forced_quirks() -> frozenset[str]:
 
 
 def has_float64(device: cl.Device) -> bool:
-    """Whether a device computes in double precision."""
+    """Return whether a device computes in double precision."""
     return "cl_khr_fp64" in device.extensions.split()

@@ -1,10 +1,10 @@
 """OpenCL platforms: the loader's, and those of runtimes that were installed with pip.
 
-Intel's wheel leaves its registration file with a placeholder path, so no loader finds the
-runtime by itself. Loaders take more entries from environment variables only, which they read
-once in a process and which every thread and every child would see. The runtime is therefore
-asked for its platforms as a loader asks (extension cl_khr_icd): whatever loader there is
-passes calls on by a table in the objects themselves, and needs no list of them.
+Intel's wheel leaves a placeholder path in its registration file, so no loader detects the
+runtime. Loaders accept further entries only from environment variables, which they read once in a
+process and which every thread and every child would see. This module therefore queries the runtime
+for its platforms as a loader does (extension cl_khr_icd). Any loader forwards calls by a table in
+the objects themselves, and needs no list of them.
 """
 
 import ctypes
@@ -19,8 +19,8 @@ from clmorph._shared.signals import undisturbed
 if TYPE_CHECKING:
     import pyopencl as cl
 
-#: First entry of the table of a driver after cl_khr_icd 2.0: a loader of that kind must have
-#: met it, or its calls go astray.
+#: The first entry of the table of a driver that follows cl_khr_icd 2.0. Calls to such a driver fail
+#: unless a loader of the same version has initialized it.
 _MANAGED_BY_LOADER = 0x4F50454E434C3331
 
 
@@ -47,26 +47,26 @@ def intel_runtime() -> Path | None:
 
 
 def list_platforms() -> list["cl.Platform"]:
-    """List the loader's platforms, and behind them those of pip's runtimes that it lacks.
+    """List the loader's platforms, followed by those of pip's runtimes that it lacks.
 
-    Who has set ``OCL_ICD_VENDORS`` has chosen, and gets the loader's only.
+    If the user has set ``OCL_ICD_VENDORS``, only the loader's platforms are listed.
 
     Returns
     -------
     list of pyopencl.Platform
-        Empty if there are none.
+        The platforms; empty if there are none.
 
     Raises
     ------
     ImportError
         If pyopencl is not installed or cannot be loaded.
     """
-    with undisturbed():  # an exception from a handler, in the midst of it, aborts the process
+    with undisturbed():  # an exception from a signal handler during the call aborts the process
         import pyopencl as cl
 
     try:
         found = list(cl.get_platforms())
-    except cl.Error:  # some loaders call it an error that there is none
+    except cl.Error:  # some loaders report an error if there is no platform
         found = []
     library = intel_runtime() if sys.platform == "linux" else None
     if library is not None and "OCL_ICD_VENDORS" not in os.environ:
@@ -80,7 +80,7 @@ def list_platforms() -> list["cl.Platform"]:
 
 
 def _platforms_of(library: Path) -> list[int]:
-    """Return pointers to the platforms of a driver; none if it cannot be loaded."""
+    """Return pointers to the platforms of a driver; empty if it cannot be loaded."""
     try:
         driver = ctypes.CDLL(str(library))
         find = driver.clGetExtensionFunctionAddress

@@ -1,4 +1,4 @@
-"""How fast a device is: point pairs per second through the log-sum-exp."""
+"""Measure the speed of a device: point pairs per second in the log-sum-exp."""
 
 import time
 
@@ -11,13 +11,13 @@ THROUGHPUT_SECONDS = 0.5
 
 
 def throughput(operations: Operations, points: int = 4096) -> float:
-    """Return the best rate of a few log-sum-exps.
+    """Return the highest rate of a few runs of the log-sum-exp.
 
     Parameters
     ----------
     operations : Operations
     points : int
-        Points of the cloud, which is summed over itself.
+        Number of points of the cloud, whose rows and columns are the same points.
 
     Returns
     -------
@@ -28,7 +28,7 @@ def throughput(operations: Operations, points: int = 4096) -> float:
     cloud = operations.upload(rng.random((points, 5)), np.full(points, 1 / points))
     potential = np.zeros(points)
     best, start = np.inf, time.perf_counter()
-    # Long enough for other threads, such as those of NumPy's BLAS, to come to rest.
+    # The time suffices for other threads, such as those of NumPy's BLAS, to become idle.
     while best == np.inf or time.perf_counter() - start < THROUGHPUT_SECONDS:
         began = time.perf_counter()
         operations.softmin(cloud, cloud, potential, 0.01)

@@ -1,8 +1,8 @@
-"""Verdicts on devices: each device is tested in a process of its own, and the result is kept.
+"""Verdicts on devices: each device is tested in a separate process, and the result is stored.
 
-A driver may abort or hang its process, so the test (`opencl.probe`) does not run in this
-one. A verdict that depends on the device and its driver is kept; one that depends on the moment
-(no time, no memory, killed by hand) is not.
+A driver may abort or hang its process, so the test (`opencl.probe`) does not run in this process. A
+verdict that depends on the device and its driver is stored; a verdict with a temporary cause (a
+timeout, a lack of memory, a kill by the user) is not.
 """
 
 import hashlib
@@ -24,12 +24,12 @@ from clmorph.backends.opencl.devices.cache import forget_cached, load_record, sa
 if TYPE_CHECKING:
     import pyopencl as cl
 
-#: Seconds that a device may take to build and run the probe, and the variable that changes them.
+#: Time limit in seconds to build and run the probe, and the variable that changes it.
 PROBE_SECONDS = 60.0
 PROBE_SECONDS_VARIABLE = "CLMORPH_PROBE_SECONDS"
 #: The line that the probe prints before it opens the device.
 LOADED = "clmorph.backends.opencl.probe: loaded"
-#: The folder of verdicts in the cache: one file each.
+#: The folder of verdicts in the cache, with one file for each verdict.
 _FOLDER = "devices"
 #: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
 _FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
@@ -39,7 +39,7 @@ _UNWANTED = ("PYTHONINSPECT", "PYTHONIOENCODING", "PYTHONWARNINGS")
 
 @cache
 def cpu_identity() -> str:
-    """Return the name of the processor: CPU runtimes that build on one can fail on another."""
+    """Return the name of the processor, because builds of CPU runtimes can fail on another one."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -74,7 +74,7 @@ def verdict_key(device: "cl.Device") -> str:
 
 
 def load_verdict(key: str) -> dict[str, Any] | None:
-    """Return the verdict on a device that was kept; None if there is none, or it is damaged.
+    """Return the stored verdict on a device; None if it is missing or damaged.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def load_verdict(key: str) -> dict[str, Any] | None:
     Returns
     -------
     dict
-        usable (bool), reason (str, empty if usable), pairs_per_second (float).
+        The entries usable (bool), reason (str, empty if usable), pairs_per_second (float).
     """
     verdict = load_record(f"{_FOLDER}/{key}")
     usable, reason = verdict.get("usable"), verdict.get("reason")
@@ -101,7 +101,7 @@ def load_verdict(key: str) -> dict[str, Any] | None:
 
 
 def save_verdict(key: str, verdict: dict[str, Any]) -> None:
-    """Keep a verdict, unless it depends on the moment only."""
+    """Store a verdict, unless its cause is temporary."""
     if verdict.get("lasting", True):
         save_record(f"{_FOLDER}/{key}", verdict)
 
@@ -112,12 +112,12 @@ def forget_all() -> None:
 
 
 def probe_seconds() -> float:
-    """Return the time limit of a trial, in seconds.
+    """Return the time limit of a probe, in seconds.
 
     Raises
     ------
     InputError
-        If ``CLMORPH_PROBE_SECONDS`` is no number from 1 to 3600.
+        If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600.
     """
     text = os.environ.get(PROBE_SECONDS_VARIABLE, "").strip()
     if not text:
@@ -130,7 +130,7 @@ def probe_seconds() -> float:
 
 
 def run_probe(index: str, seconds: float | None = None) -> dict[str, Any]:
-    """Build and run the kernels on a device, in a process of its own.
+    """Build and run the kernels on a device, in a separate process.
 
     Parameters
     ----------
@@ -142,8 +142,8 @@ def run_probe(index: str, seconds: float | None = None) -> dict[str, Any]:
     Returns
     -------
     dict
-        usable (bool), reason (str), pairs_per_second (float), lasting (bool): whether another
-        trial would say the same.
+        The entries usable (bool), reason (str), pairs_per_second (float), and lasting (bool), which
+        states whether another probe would return the same verdict.
     """
     seconds = probe_seconds() if seconds is None else seconds
     python = _interpreter()
@@ -154,7 +154,7 @@ def run_probe(index: str, seconds: float | None = None) -> dict[str, Any]:
         )
     # -P: the current folder may hold another clmorph, such as a source tree.
     command = [python, "-P", "-W", "ignore", "-m", "clmorph.backends.opencl.probe", index]
-    # The probe ends when its end of this pipe does: with this process, however that ends.
+    # The probe ends when this pipe is closed, which happens however this process ends.
     reading, writing = os.pipe()
     try:
         done = subprocess.run(
@@ -189,7 +189,7 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
     noise = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     reason = noise[-1] if noise else "no output"
     reason = f"its probe ended with status {done.returncode}: {reason}"
-    # Before it turns to the device, it is not the driver that fails.
+    # If the probe has not opened the device yet, the driver is not the cause of the failure.
     lasting = LOADED in lines
     if done.returncode < 0:
         lasting, reason = True, f"its driver crashed (signal {-done.returncode}) on a kernel"
@@ -200,9 +200,9 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
 
 
 def _interpreter() -> str | None:
-    """Return the Python to run; None in a program that has one inside and has named none.
+    """Return the path of the Python interpreter; None if an embedding program does not set it.
 
-    Another program must not be started in its place: it would be the application itself.
+    The path may then be that of the application itself, which must not be started as the probe.
     """
     from multiprocessing.spawn import get_executable
 
@@ -216,7 +216,7 @@ def _environment() -> dict[str, str]:
     known = {name: value for name, value in os.environ.items() if name not in _UNWANTED}
     if sys.flags.ignore_environment:
         known = {name: value for name, value in known.items() if not name.startswith("PYTHON")}
-    # Relative entries mean the current folder, whose modules may have anybody's names.
+    # Relative entries refer to the current folder, whose modules may shadow others.
     places = [place for place in sys.path if Path(place).is_absolute()]
     root = str(Path(__file__).parents[4])
     known["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([*places, root]))

@@ -17,13 +17,13 @@ from clmorph.backends.opencl.kernels.tile_pairs import (
 )
 from clmorph.backends.records import Float64
 
-#: Entries of a block of bounds: small enough for a core's cache.
+#: The number of entries of a block of bounds, small enough for a core's cache.
 BLOCK_BOUNDS = 1 << 17
-#: Groups of tiles are bounded first where there are at least so many pairs of tiles.
+#: The number of pairs of tiles from which groups of tiles are bounded first.
 WIDE_FROM = 1 << 24
-#: Pairs of tiles that are handled together.
+#: The number of pairs of tiles that are handled together.
 CHUNK_PAIRS = 1 << 20
-#: Thresholds at which a list of shares may be cut, as parts of the budget.
+#: Thresholds at which a list of shares may be cut, as fractions of the budget.
 CUTS = 8.0 ** -np.arange(7)
 
 
@@ -49,7 +49,7 @@ def candidates(
     ----------
     rows, columns : Cloud
     of_rows, of_columns : arrays
-        Values of the sorted points, as `row_bounds` and `column_bounds` take them.
+        Values of the sorted points, the arguments of `row_bounds` and `column_bounds`.
     k : float
     budget : float
         The share of any row's sum that the excluded pairs may hold.
@@ -59,8 +59,8 @@ def candidates(
     wide = None
     if n_rows * n_columns >= WIDE_FROM:
         wide = row_bounds(rows.wide, of_rows, k), column_bounds(columns.wide, of_columns, k)
-    # All tiles under this together stay within a quarter of the budget, whatever their number;
-    # so do all groups of tiles.
+    # All tiles below this limit together stay within a quarter of the budget, whatever their
+    # number; so do all groups of tiles.
     hopeless = np.float32(np.log2(0.25 * budget / n_columns))
     first, count = 0, 0
     lengths: list[NDArray[np.int64]] = []
@@ -70,7 +70,7 @@ def candidates(
     limit = float(hopeless) + np.log2(n_columns / -(-n_columns // WIDTH_OF_GROUPS))
     for section, numbers in _blocks(n_rows, n_columns, wides, k, limit):
         bounds = tile_bounds(sides[0], section, sides[1], k, numbers)
-        # No row is without: its best tile has its largest bound.
+        # Every row keeps at least the tile with its largest bound.
         above = bounds >= np.minimum(bounds.max(axis=1), hopeless)[:, None]
         places = np.flatnonzero(above)
         lengths.append(np.count_nonzero(above, axis=1))
@@ -99,7 +99,7 @@ def possible_pairs(
     ----------
     rows, columns : Cloud
     values : list of (rows', columns') arrays
-        As `row_bounds` and `column_bounds` (of the largest term) take them.
+        Arguments of `row_bounds` and of `column_bounds` (for the largest term).
     k : float
     """
 
@@ -115,7 +115,7 @@ def possible_pairs(
     for section, numbers in _blocks(n_rows, n_columns, wides, k, 0.0):
         bounds = [tile_bounds(one, section, other, k, numbers) for one, other in sides]
         highest = functools.reduce(np.maximum, bounds)
-        # Reductions want at least one column tile for each row tile.
+        # Reductions need at least one column tile for each row tile.
         above = highest >= np.minimum(highest.max(axis=1), 0.0)[:, None]
         lengths.append(np.count_nonzero(above, axis=1))
         tiles.append(_numbered(np.flatnonzero(above), above.shape[1], numbers))
@@ -136,9 +136,9 @@ def _blocks(
     k: float,
     limit: float,
 ) -> Iterator[tuple[slice, NDArray[np.int64] | None]]:
-    """Yield row tiles, and the numbers of the column tiles to bound there; None for all.
+    """Yield row tiles and the numbers of the column tiles to bound for them; None stands for all.
 
-    Where there are bounds of groups of tiles, groups whose bound is under a limit are left out.
+    If there are bounds of groups of tiles, groups whose bound is below a limit are left out.
     """
     if not wides:
         step = max(1, BLOCK_BOUNDS // n_columns)
@@ -165,13 +165,13 @@ def _blocks(
 def _numbered(
     places: NDArray[np.int64], width: int, numbers: NDArray[np.int64] | None
 ) -> NDArray[np.uint32]:
-    """Return the column tiles at the given places of a flattened block of bounds."""
+    """Return the column tiles at the given indices of a flattened block of bounds."""
     tiles = places % width
     return (tiles if numbers is None else numbers[tiles]).astype(np.uint32)
 
 
 def joined_pairs(rows: Cloud, columns: Cloud, one: TilePairs, other: TilePairs) -> TilePairs:
-    """Return the pairs of tiles in a list of the rows, or in one of the columns."""
+    """Return the pairs of tiles that are in the list of the rows or in the list of the columns."""
     own = np.repeat(np.arange(len(rows.centers)), np.diff(one.starts)) * len(columns.centers)
     others = np.repeat(np.arange(len(columns.centers)), np.diff(other.starts))
     keys = np.union1d(own + one.tiles, other.tiles * np.int64(len(columns.centers)) + others)
@@ -187,7 +187,7 @@ def paired(
     lengths: NDArray[np.int64],
     tiles: NDArray[np.uint32],
 ) -> TilePairs:
-    """Return the pairs of some row tiles; the others have none."""
+    """Return the pairs of some row tiles as a list in which other row tiles have no pairs."""
     each = np.zeros(len(rows.centers), np.int64)
     each[part.start : part.stop] = lengths
     owner = np.repeat(np.arange(len(each)), each)
@@ -200,21 +200,21 @@ def paired(
 def kept_shares(
     starts: NDArray[np.int64], shares: NDArray[Any], budget: float
 ) -> tuple[NDArray[np.bool_], Float64]:
-    """Choose which shares to keep so that those left out add to no more than the budget.
+    """Choose the shares to keep so that the sum of the others does not exceed the budget.
 
     Parameters
     ----------
     starts : (k + 1,) array
-        Where each row's shares begin; none is without.
+        Index at which each row's shares begin; every row has at least one.
     shares : (n,) array
     budget : float
 
     Returns
     -------
     keep : (n,) array of bool
-        Each row's largest always is.
+        Mask of the kept shares, which always include each row's largest one.
     left : (k,) array
-        Sum of those left out.
+        Sum of the shares left out of each row.
     """
     lengths = np.diff(starts)
     largest = np.maximum.reduceat(shares, starts[:-1])

@@ -1,4 +1,4 @@
-"""Clouds on the device: sorted into tiles, split into what float32 holds and the rest."""
+"""Clouds on the device, sorted into tiles, with coordinates split into pairs of float32."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +15,8 @@ from clmorph.backends.opencl.kernels.tiles import tile_order
 from clmorph.backends.records import Float64
 from clmorph.errors import DeviceError
 
-#: Consecutive tiles that are bounded together: compact as well, as tiles are leaves of a tree.
+#: The number of consecutive tiles that are bounded together. They are compact too, because tiles
+#: are leaves of a tree.
 WIDTH_OF_GROUPS = 8
 
 
@@ -24,15 +25,15 @@ class Tiles(Protocol):
 
     @property
     def centers(self) -> Float64:
-        """(tiles, D), exact in float32."""
+        """Centers of the tiles: (tiles, D) array, exact in float32."""
 
     @property
     def shifts(self) -> NDArray[np.float32]:
-        """(tiles, tile, D) points less their tile's center."""
+        """Points less their tile's center: (tiles, tile, D) array."""
 
 
 class Wide(NamedTuple):
-    """Tiles of several tiles each."""
+    """Groups of tiles, each of which is a tile of its own."""
 
     centers: Float64
     shifts: NDArray[np.float32]
@@ -45,24 +46,24 @@ class Cloud:
     Attributes
     ----------
     order : (N,) array
-        Where each sorted point stood in the caller's arrays.
+        Index of each sorted point in the caller's arrays.
     centers : (tiles, D) array
         Tile centers; exact in float32.
     log2_weights : (N,) array
-        Sorted; SENTINEL for zero mass.
+        Logarithms of the masses of the sorted points; SENTINEL for zero mass.
     offsets : (N,) array
-        Sorted; what is added to the cost of each point.
+        Terms added to the costs of the sorted points.
     own_costs : (N,) array
-        Sorted; half the squared distance of each point to its tile's center, and its offset.
+        Half the squared distance of each sorted point to its tile's center, plus its offset.
     stride : int
-        N padded to whole tiles.
+        N rounded up to whole tiles.
     shifts : (tiles, tile, D) float32 array
-        Points less their tile's center; what pads the last tile repeats the last point.
+        Points less their tile's center; the padding of the last tile repeats the last point.
     shifts_buffer : (2, D, stride) float32
-        Points less their tile's center, and what that rounds off.
+        Points less their tile's center, and the rounding errors of these differences.
     centers_buffer : (tiles, D) float32
     box : (2, D) array
-        Least and largest coordinates.
+        Smallest and largest coordinates.
     """
 
     order: NDArray[np.intp]
@@ -93,7 +94,7 @@ class Cloud:
 
 
 class CloudStore:
-    """Puts clouds on the device.
+    """Uploads clouds to the device.
 
     Parameters
     ----------
@@ -106,7 +107,7 @@ class CloudStore:
         self._work, self._tile = work, tile
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
-        """Take a weighted cloud."""
+        """Upload a weighted cloud."""
         return make_cloud(self._work, self._tile, points, weights, offsets)
 
 
@@ -117,7 +118,7 @@ def make_cloud(
     weights: Float64,
     offsets: Float64 | None = None,
 ) -> Cloud:
-    """Sort a weighted cloud into tiles and put it on the device.
+    """Sort a weighted cloud into tiles and upload it to the device.
 
     Parameters
     ----------
@@ -127,7 +128,7 @@ def make_cloud(
     points : (N, D) array
     weights : (N,) array
     offsets : (N,) array, optional
-        Added to the cost of each point.
+        Terms added to the cost of each point.
 
     Raises
     ------
@@ -143,7 +144,7 @@ def make_cloud(
     padded = np.pad(points[order], ((0, n_tiles * tile - n), (0, 0)), mode="edge")
     tiles = padded.reshape(n_tiles, tile, dimension)
     centers = 0.5 * (tiles.min(axis=1) + tiles.max(axis=1))
-    # Rounded first, so that the device's copy is exact and offsets absorb the rounding.
+    # Centers are rounded first, so that the device's copy is exact and offsets absorb the rounding.
     centers = centers.astype(np.float32).astype(float)
     shifts = (tiles - centers[:, None]).reshape(-1, dimension)
     added = np.zeros(n) if offsets is None else np.asarray(offsets, float)[order]
@@ -164,18 +165,18 @@ def make_cloud(
 
 
 def split(values: Float64) -> NDArray[np.float32]:
-    """Return (2, ...) float32: the nearest, and what it rounds off."""
+    """Return a (2, ...) array of float32: the nearest numbers and their rounding errors."""
     high = values.astype(np.float32)
     return np.stack((high, (values - high).astype(np.float32)))
 
 
 def pad(values: Float64, length: int, filler: float) -> Float64:
-    """Return values with `filler` behind them, up to `length`."""
+    """Return values padded to `length` by `filler` at their end."""
     return np.concatenate((values, np.full(length - len(values), filler)))
 
 
 def unsort(cloud: Cloud, values: NDArray[Any]) -> NDArray[Any]:
-    """Bring values of sorted points back to the caller's order."""
+    """Return values of sorted points in the caller's order."""
     result = np.empty_like(values)
     result[cloud.order] = values
     return result

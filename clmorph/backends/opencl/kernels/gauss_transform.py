@@ -13,38 +13,40 @@ from clmorph.backends.opencl.kernels import launches
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.opencl.kernels.particles import SortedSplats
 
-#: Cells along a side of a bin: the moments of a bin then fit into a core's nearest cache.
+#: The number of cells along a side of a bin, so that the moments of a bin fit into a core's nearest
+#: cache.
 BIN_CELLS = 8
-#: Largest side of a cell, in kernel widths: the expansion then is off by at most
+#: Largest side of a cell, in kernel widths, for which the error of the expansion is at most
 #: `clmorph.backends.interface.KERNEL_ERROR`.
 LARGEST_CELL = 0.75
-#: Least and largest side of a cell, in pixels: narrower kernels are cheap to gather.
+#: Smallest and largest side of a cell, in pixels; the gather of narrower kernels is cheap.
 SIDES = 0.25, 64.0
-#: The farthest cut of a kernel, in kernel widths, for which cells are used.
+#: The largest radius of a kernel, in kernel widths, for which cells are used.
 FARTHEST_CUT = 8.0
-#: As in the kernels: the number of pairs (a, b), and of values of a (of b, rounded up).
+#: The number of pairs (a, b), and of values of a (of b, rounded up), the same as in the kernels.
 TERMS, ORDERS = 40, 8
-#: Bytes of moments at a time: so many stay in cache.
+#: Bytes of moments that are handled together, so that they stay in the cache.
 STRIP_BYTES = 1 << 23
-#: Pixels of a row that one work-item of a CPU takes.
+#: The number of pixels of a row that one work-item of a CPU handles.
 SPAN = 16
-#: Nodes of the interpolation that gives Chebyshev coefficients; far more than coefficients.
+#: The number of nodes of the interpolation that determines the Chebyshev coefficients, far larger
+#: than the number of coefficients.
 NODES = 32
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of one side, and the Gaussian as seen from them.
+    """Cells of one size, and the expansion of the Gaussian over them.
 
     Attributes
     ----------
     side : float
-        In pixels, a power of two.
+        Side of a cell in pixels, a power of two.
     reach : int
-        Number of cells that the kernel extends before the cell in which pixel 0 begins.
+        Number of cells by which the kernel extends before the cell in which pixel 0 begins.
     coefficients : (phases, taps, ORDERS) array
-        Chebyshev coefficients of the kernel over a cell, by where a pixel is in the coarser
-        of both grids, and by cell; 0 for cells without a point within the cut.
+        Chebyshev coefficients of the kernel over a cell, by the position of a pixel in the coarser
+        of both grids, and by cell; 0 for cells without a point within the radius of the kernel.
     """
 
     side: float
@@ -53,7 +55,7 @@ class Cells:
 
 
 def cell_side(sigma: float, radius: float) -> float | None:
-    """Return the side of the cells for a kernel, in pixels; None if cells cannot serve it."""
+    """Return the side of the cells for a kernel, in pixels; None if cells are unsuitable for it."""
     if not SIDES[0] <= LARGEST_CELL * sigma < 2 * SIDES[1] or radius > FARTHEST_CUT * sigma:
         return None
     return float(2.0 ** np.floor(np.log2(LARGEST_CELL * sigma)))
@@ -80,7 +82,7 @@ def make_cells(sigma: float, radius: float) -> Cells:
 def moments_pay(
     count: int, shape: tuple[int, int], sigma: float, radius: float, block: int
 ) -> bool:
-    """Return whether moments of cells can serve a kernel, and likely cost less than the gather.
+    """Return whether moments of cells suit a kernel and probably take less time than the gather.
 
     The costs are in nanoseconds, fitted to measurements on a CPU with two cores of 16 lanes. On
     other devices both are faster or slower.
@@ -88,11 +90,11 @@ def moments_pay(
     Parameters
     ----------
     count : int
-        Particles.
+        Number of particles.
     shape : (height, width) of the canvas
     sigma, radius : float
     block : int
-        Side of the squares of pixels for which the gather looks at a particle.
+        Side of the blocks of pixels for each of which the gather visits a particle.
     """
     side = cell_side(sigma, radius)
     if side is None:
@@ -108,7 +110,7 @@ def moments_pay(
 
 
 class Moments:
-    """Adds splats to the sums of a canvas by moments of cells, where splats are many.
+    """Adds many splats to the sums of a canvas by moments of cells.
 
     Parameters
     ----------
@@ -141,13 +143,13 @@ class Moments:
         Parameters
         ----------
         bins : SortedSplats
-            With a margin of no less than the kernel's radius.
+            Sorted splats with a margin of at least the kernel's radius.
         starts : (bins + 1,) array
-            Those of the width level.
+            Starts of the bins of the width level.
         cells : Cells
         shape : (height, width) of the canvas
         stride, plane : int
-            From one row, and from one channel, of the sums to the next.
+            Distance from one row, and from one channel, of the sums to the next.
         sums : buffer of float32
         """
         per_bin = round(bins.side / cells.side)
@@ -157,7 +159,7 @@ class Moments:
         moments, partial = (self._work.empty(strip * row_bytes) for _ in range(2))
         along_x = self._work.empty(strip * per_bin * shape[1] * ORDERS * 16)
         starts_buffer = self._work.buffer(starts, np.uint32)
-        # Four channels are multiplied by each.
+        # Each coefficient multiplies four channels.
         coefficients = self._work.buffer(np.repeat(cells.coefficients, 4))
         phases, taps, _ = cells.coefficients.shape
         per_pixel = max(1, round(1 / cells.side))
@@ -174,7 +176,7 @@ class Moments:
                     *geometry, starts_buffer, coefficients, moments, along_x,
                 ),
             )  # fmt: skip
-            # Pixels that something of the strip can reach, and a few more.
+            # The pixels that kernels of the strip can reach, and a few more.
             first_row = (top - bins.margin) * per_bin
             low = int((first_row - taps) * cells.side)
             high = int((first_row + rows * per_bin + taps + 1) * cells.side) + 1
@@ -197,13 +199,13 @@ class Moments:
         moments: cl.Buffer,
         partial: cl.Buffer,
     ) -> None:
-        """Give every cell of a strip its moments."""
+        """Compute the moments of every cell of a strip."""
         bins_x = bins.shape[1]
         strip = slice(top * bins_x, (top + rows) * bins_x)
         counts = np.diff(starts[strip.start : strip.stop + 1])
         per_bin = round(bins.side / cells.side)
         first_particle, end = int(starts[strip.start]), int(starts[strip.stop])
-        # As in the gather: crowded bins in parts, of a fixed size.
+        # As in the gather, crowded bins are summed in parts of a fixed size.
         most = launches.LAUNCH_PARTICLES
         part = most if counts.max() > most else end - first_particle
         work = np.minimum(counts, part) + per_bin**2
@@ -224,7 +226,7 @@ class Moments:
     def _over_rows(
         self, name: str, first: int, end: int, width: int, cost: int, arguments: tuple
     ) -> None:
-        """Run a kernel over rows of cells or pixels; cost: work of one pixel."""
+        """Run a kernel over rows of cells or pixels; `cost` is the work of one pixel."""
         budget = self._budgets[name]
         items = -(-width // self._span)
         group = None if self._span == 1 else (1, 1)

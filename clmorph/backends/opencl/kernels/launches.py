@@ -14,9 +14,10 @@ from pyopencl.tools import ImmediateAllocator, MemoryPool
 
 #: The duration that launches aim at, in seconds; well under the limit of 0.2 s.
 TARGET_SECONDS = 0.08
-#: The most particles that one launch moves or sorts, or that a block of pixels visits in it.
+#: The largest number of particles that one launch moves or sorts, or that a block of pixels visits
+#: in a launch.
 LAUNCH_PARTICLES = 1 << 20
-#: The most bytes of released buffers that are kept for later ones.
+#: The largest number of bytes of released buffers that are kept for reuse.
 HELD_BYTES = 1 << 28
 
 
@@ -38,7 +39,7 @@ class LaunchBudget:
         return self._pairs
 
     def parts(self, work: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
-        """Split items in a row, given the work of each, into launches: (first, stop)."""
+        """Split consecutive items into launches by the work of each item: (first, stop)."""
         total = np.cumsum(work)
         first = 0
         while first < len(total):
@@ -56,12 +57,12 @@ class LaunchBudget:
         elapsed = time.perf_counter() - began
         self.longest = max(self.longest, elapsed)
         affordable = pairs * TARGET_SECONDS / max(elapsed, 1e-6)
-        # Slow steps up: a short launch is mostly overhead and says little about a long one.
+        # The size grows slowly: a short launch is mostly overhead and hardly predicts a long one.
         self._pairs = max(1, int(min(affordable, 4 * self._pairs)))
 
 
 class Workspace:
-    """Where the kernels of one device run: its context, its queue, and their buffers.
+    """The context, the queue and the buffers of the kernels on one device.
 
     Parameters
     ----------
@@ -79,10 +80,10 @@ class Workspace:
         return cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values, dtype))
 
     def empty(self, n_bytes: int) -> cl.MemoryObject:
-        """Return a buffer that holds anything, to be written first.
+        """Return an uninitialized buffer.
 
-        When it is garbage, the next one of its size gets its place: the first touch of fresh
-        memory costs a CPU more than what most kernels do there.
+        When it is garbage, the next buffer of its size reuses its memory: on a CPU the first access
+        to fresh memory takes longer than the work of most kernels there.
         """
         if self._pool.managed_bytes - self._pool.active_bytes > HELD_BYTES:
             self._pool.free_held()
@@ -97,9 +98,9 @@ class Workspace:
     ) -> None:
         """Run a kernel and wait for it.
 
-        Arguments are NumPy scalars and buffers; holding them here keeps buffers alive until
-        the launch has ended, which a kernel does not. They are set one by one: pyopencl's
-        `set_args` generates code for each kernel, which costs more at start than it saves.
+        Arguments are NumPy scalars and buffers. This function keeps references to the buffers until
+        the launch has ended, because a kernel does not. Arguments are set one by one, because
+        pyopencl's `set_args` generates code for each kernel, which takes more time than it saves.
         """
         for number, argument in enumerate(arguments):
             kernel.set_arg(number, argument)

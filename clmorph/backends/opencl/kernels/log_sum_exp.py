@@ -8,10 +8,10 @@ from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import Float64, NearPairs
 
-#: Relative errors of arithmetic in pairs of float32: of an operation, and of a power of two.
+#: Relative errors of an operation, and of a power of two, in pairs of float32.
 PAIRS_ERRORS = 2.0**-45, 2.0**-31
-#: The error bound holds while a row's maximum (log2) is at most the first number, as float32
-#: rounds larger ones too far; a sum is then larger than the second number.
+#: The error bound holds if a row's maximum (log2) is at most the first number, because float32
+#: rounds larger ones too coarsely. A sum is then larger than the second number.
 LARGEST_MAXIMUM, SMALLEST_SUM = 2.0**28, 2.0**-70
 
 
@@ -37,7 +37,7 @@ class LogSumExp:
     ) -> Float64:
         """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
         maxima, sums, offsets = self._log_sum_exp(rows, columns, potential, epsilon, precise, near)
-        # Overflow leaves NaN where float32 cannot hold the numbers; the caller checks results.
+        # Overflow gives NaN if float32 cannot hold the numbers; the caller checks the results.
         with np.errstate(invalid="ignore"):
             return unsort(rows, -epsilon / LOG2_E * (maxima + offsets + np.log2(sums)))
 
@@ -63,7 +63,7 @@ class LogSumExp:
     def _error_bound(
         self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
     ) -> float:
-        """Return the bound of `bounded_softmin`, in nats: every rounding at its worst.
+        """Return the bound of `bounded_softmin` in nats, with every rounding error at its largest.
 
         An exponent is a sum of products no larger than `size`, formed in 3 D + 6 operations from
         numbers that pairs of float32 hold to 2^-49. The constant of a row is at most `of_row`
@@ -120,7 +120,7 @@ class LogSumExp:
         for part in loop.parts(kernel, rows, columns, pairs=pairs):
             n_rows = len(part) * tile
             found = np.empty((shares, n_rows), np.float32)
-            # The sums, and what their nearest float32 rounds off.
+            # The buffer holds the sums and the rounding errors of their nearest float32.
             planes = np.empty((1 + bounded, shares, n_rows), np.float32)
             buffers = loop.work.empty(found.nbytes), loop.work.empty(planes.nbytes)
             loop.launch(

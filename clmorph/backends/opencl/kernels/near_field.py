@@ -14,9 +14,9 @@ from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, half_sides
 from clmorph.backends.records import Float64, NearPairs
 
-#: Share of the budget that tiles may hold which bounds alone exclude.
+#: Share of the budget that is available for the tiles that bounds alone exclude.
 UNSEEN = 0.5
-#: The search for tiles with small terms only is given up where it leaves more than this share.
+#: The search for tiles with small terms only ends if it leaves more than this share of the tiles.
 WORTHWHILE = 0.5
 #: Rounding errors of a measured share in float32: a factor, and an error in log2 for each unit of
 #: the exponent's size.
@@ -24,7 +24,7 @@ MARGIN, EXPONENT_ERROR = 1.05, 2.0**-22
 
 
 class _Clouds(NamedTuple):
-    """Two clouds, what forms their exponents, and a guess at log2 of the rows' sums."""
+    """Two clouds, the terms of their exponents, and an estimate of log2 of the rows' sums."""
 
     rows: Cloud
     columns: Cloud
@@ -54,15 +54,15 @@ class NearField:
     ) -> NearPairs:
         """Find the pairs that contribute to the rows' sums.
 
-        Bounds over pairs of tiles exclude most of them. The rest is summed once, and a tile whose
-        measured share is small in all rows is left out as well.
+        Bounds over pairs of tiles exclude most pairs. The others are summed once, and a tile whose
+        measured share is small in all rows is excluded too.
         """
         k, tile, n = LOG2_E / epsilon, self._loop.constants.tile, len(rows)
         values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
         guess = -k * (softmin[rows.order] - rows.offsets)
         values = np.maximum(values, SENTINEL)
         logits, tile_max = self._loop.column_logits(columns, potential, k)
-        # The level of each row tile is that of the pairs that a launch looks at.
+        # The level of each row tile is set by the pairs that a launch visits.
         exponents = Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
         found, skipped = np.empty(rows.stride), np.empty(len(rows.centers))
         kept: list[TilePairs] = []
@@ -79,7 +79,7 @@ class NearField:
             section = slice(part.start * tile, part.stop * tile)
             sums, shares = self._measured(clouds, pairs, part)
             found[section] = sums
-            # Difference of guess and sum (log2), at its largest and least in each row tile.
+            # The largest and smallest difference of guess and sum (log2) in each row tile.
             off = np.full((2, len(sums)), [[-np.inf], [np.inf]])
             off[:, : n - section.start] = guess[section] - sums[: n - section.start]
             above, below = off.reshape(2, len(part), tile)
@@ -87,7 +87,7 @@ class NearField:
             factor = MARGIN * np.exp2(np.clip(above.max(axis=1) + off_by, -900.0, 600.0))
             starts = pairs.starts[part.start : part.stop + 1]
             shares *= np.repeat(factor, np.diff(starts))
-            # Where the guess is far below the sum of some row, shares were clipped: keep all.
+            # If the guess is far below the sum of a row, shares were clipped, so all are kept.
             shares[np.repeat(below.min(axis=1) < -LARGEST_SHARE, np.diff(starts))] = 1.0
             keep, left = kept_shares(starts, shares, (1 - UNSEEN) * budget)
             left += factor * unseen
@@ -109,7 +109,7 @@ class NearField:
         )
 
     def _measured(self, clouds: _Clouds, pairs: TilePairs, part: range) -> tuple[Float64, Float64]:
-        """Return log2 of the sums of a part's rows, and each pair's largest share, by the guess."""
+        """Return log2 of the sums of a part's rows, and each pair's largest share by the guess."""
         sums, shares = np.empty(len(part) * self._loop.constants.tile), np.empty(len(pairs.tiles))
         for own, section, constants, out in self._looks("measure_tiles", 2, clouds, pairs, part):
             with np.errstate(divide="ignore"):
@@ -120,7 +120,7 @@ class NearField:
     def _without_small(
         self, clouds: _Clouds, pairs: TilePairs, part: range, budget: float
     ) -> tuple[TilePairs, Float64]:
-        """Leave out tiles with small terms only; return the others, and the share left out."""
+        """Exclude tiles with small terms only; return the other tiles and the excluded share."""
         largest = np.empty(len(pairs.tiles))
         for _, section, _, out in self._looks("largest_shares", 0, clouds, pairs, part):
             largest[section] = out[0]
@@ -137,9 +137,9 @@ class NearField:
     ) -> Iterator[tuple[slice, slice, Float64, list[NDArray[np.float32]]]]:
         """Run a kernel over the pairs of a part's rows, in launches.
 
-        Yields, for every launch: the places of its rows in the part, the places of its pairs, the
-        offsets of its rows, and the kernel's results, `of_rows` numbers for each row and then one
-        for each pair.
+        For every launch, the method yields the indices of its rows in the part, the indices of its
+        pairs, the offsets of its rows, and the kernel's results: `of_rows` numbers for each row,
+        and one number for each pair.
         """
         (rows, columns, exponents, guess), loop, n = clouds, self._loop, len(clouds.rows)
         _, tile_max, row_level, k = exponents

@@ -42,7 +42,7 @@ class Splats:
 
 
 class SortedSplats(NamedTuple):
-    """Splats by width level and bin: see `records.Bins`; `order` still on the device."""
+    """Splats by width level and bin, see `records.Bins`; `order` is on the device."""
 
     shape: tuple[int, int]
     side: float  # of a bin, in pixels
@@ -62,7 +62,7 @@ def sort_splats(
     margin: int,
     side: float,
 ) -> SortedSplats:
-    """Sort splats into bins, without atomics: count by slice, add up, fill.
+    """Sort splats into bins without atomics: count in each slice, add the counts up, fill the bins.
 
     Parameters
     ----------
@@ -73,9 +73,9 @@ def sort_splats(
     splats : Splats
     shape : (height, width) of the canvas, in pixels
     margin : int
-        Bins added on every side.
+        Number of bins added on every side.
     side : float
-        Of a bin in pixels, a power of two.
+        Side of a bin in pixels, a power of two.
     """
     n = splats.count
     grid = bin_grid(shape, margin, side)
@@ -84,14 +84,14 @@ def sort_splats(
     device = work.context.devices[0]
     slices = constants.slices_per_unit * device.max_compute_units
     slices = max(1, min(slices, COUNT_ENTRIES // n_bins, n))
-    # Slices are few: left alone, drivers of CPUs put all of them into one work-group, on
-    # one core, and turn them into the lanes of scattered accesses.
+    # There are few slices. By default, drivers of CPUs put all of them into one work-group on one
+    # core, and vectorize over them with scattered accesses.
     group = (1,) if device.type & cl.device_type.CPU else None
     slice_size = -(-n // slices)
     per_launch = max(1, launches.LAUNCH_PARTICLES // slice_size)
     counts = np.zeros((slices, n_bins), np.uint32)
     counts_buffer = work.buffer(counts, np.uint32)
-    # Counts for nothing where all widths are equal, but drivers want a buffer.
+    # The kernel ignores this buffer if all widths are equal, but drivers require one.
     levels = splats.positions if splats.width_levels is None else splats.width_levels
 
     def over_slices(name: str, *arguments: Any) -> None:

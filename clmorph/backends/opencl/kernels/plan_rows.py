@@ -14,12 +14,12 @@ from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64, PlanRows
 
-#: From so many pairs on rows of plans are sought by lists of tiles.
+#: The number of pairs of points from which rows of plans are searched by lists of tiles.
 LISTED_FROM = 1 << 27
 
 
 class Plan(NamedTuple):
-    """A plan, and which of its pairs are kept: see `Operations.plan_rows`."""
+    """A plan and the thresholds of its kept pairs, see `Operations.plan_rows`."""
 
     rows: Cloud
     columns: Cloud
@@ -28,11 +28,11 @@ class Plan(NamedTuple):
     epsilon: float
     row_thresholds: Float64
     column_thresholds: Float64
-    looked_at: TilePairs | None = None  #: pairs of tiles beyond which no pair is looked for
+    looked_at: TilePairs | None = None  #: the only pairs of tiles that are searched; None for all
 
 
 class Section(NamedTuple):
-    """Some row tiles of a plan, and what kernels need to find the kept pairs there."""
+    """Some row tiles of a plan, and the arguments of the kernels that find the kept pairs there."""
 
     within: range
     pairs: TilePairs | None  #: pairs of tiles to look at; None for all
@@ -106,11 +106,11 @@ class PlanRowReductions:
         plan : Plan
         section : Section
         part : range
-            Of those that `fill_parts` yields.
+            A part that `fill_parts` yields.
         starts : (rows of the part,) array
-            Where the first pair of each row goes.
+            Index of the first pair of each row in the buffers.
         step : int
-            From one pair of a row to the next.
+            Distance from one pair of a row to the next in the buffers.
         buffers : (columns, log2 masses)
         precise : bool
         """
@@ -157,7 +157,7 @@ class PlanRowReductions:
         precise: bool = False,
         counts: NDArray[np.int64] | None = None,
     ) -> PlanRows:
-        """Return the pairs of the plan (Eq. 2) above a threshold, each row at its own place."""
+        """Return the pairs of the plan (Eq. 2) above a threshold, in the caller's order."""
         plan = Plan(rows, columns, f, g, epsilon, row_thresholds, column_thresholds)
         if counts is None:
             counts = self.count(plan, precise)
@@ -184,13 +184,13 @@ class PlanRowReductions:
         )
 
     def sections(self, plan: Plan) -> Iterator[Section]:
-        """Yield parts of the row tiles, and what kernels need to find the kept pairs there."""
+        """Yield parts of the row tiles with the arguments of the kernels that find kept pairs."""
         rows, columns = plan.rows, plan.columns
         by_row = _log2_threshold(plan.row_thresholds)[rows.order]
         by_column = _log2_threshold(plan.column_thresholds)[columns.order]
         for within, pairs in _possible_pairs(plan):
             exponents = self._loop.exponents(rows, columns, plan.g, plan.epsilon, pairs, within)
-            # log2 pi_ij = e_ij + offsets_i; a row without mass keeps nothing.
+            # log2 pi_ij = e_ij + offsets_i; a row without mass keeps no pair.
             offsets = self._loop.row_offsets(rows, exponents)
             offsets += plan.f[rows.order] * exponents.k + rows.log2_weights
             offsets[rows.log2_weights <= SENTINEL] = SENTINEL
@@ -205,7 +205,7 @@ class PlanRowReductions:
 def _possible_pairs(plan: Plan) -> Iterator[tuple[range, TilePairs | None]]:
     """Yield parts of the row tiles, and the pairs of tiles that can hold a kept pair there.
 
-    What bounds exclude holds no pair above a threshold, so nothing is lost.
+    The pairs of tiles that bounds exclude contain no pair above a threshold, so none is lost.
     """
     rows, columns, f, g, epsilon, row_thresholds, column_thresholds, looked_at = plan
     if looked_at is not None:
@@ -231,7 +231,7 @@ def _possible_pairs(plan: Plan) -> Iterator[tuple[range, TilePairs | None]]:
 
 
 def _log2_threshold(values: Float64) -> Float64:
-    """Convert nats to base 2, and infinities to what float32 arithmetic survives."""
+    """Convert nats to base 2, and infinities to numbers that are finite in float32 arithmetic."""
     return np.clip(np.asarray(values, float) * LOG2_E, 0.25 * SENTINEL, -SENTINEL)
 
 
@@ -242,7 +242,7 @@ def _unsort_rows(
     indices: NDArray[np.int32],
     mass: Float64,
 ) -> PlanRows:
-    """Bring plan rows, and the columns inside each, back to the caller's order."""
+    """Return plan rows, and the columns inside each row, in the caller's order."""
     from scipy.sparse import csr_array
 
     indptr = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))

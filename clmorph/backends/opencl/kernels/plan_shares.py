@@ -9,7 +9,7 @@ from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
 from clmorph.backends.records import Float64, NearPairs
 
-#: Thresholds of draws stay below row sums that rounding made a little less than 1.
+#: The largest threshold of a draw, below row sums that rounding has made slightly less than 1.
 LARGEST_THRESHOLD = 1.0 - 1e-5
 
 
@@ -94,14 +94,14 @@ class PlanShares:
                 offsets, loop.work.buffer(ordered[section]), buffer, precise=precise, pairs=pairs,
             )  # fmt: skip
             cl.enqueue_copy(loop.work.queue, draws[section], buffer)
-        # Row sums that rounding keeps from the last thresholds: as the draw before them.
+        # If rounding keeps a row's sum below its last thresholds, the draw before is repeated.
         for number in range(1, n_draws):
             missing = draws[:n, number] < 0
             draws[:n][missing, number] = draws[:n][missing, number - 1]
         return unsort(rows, columns.order[np.maximum(draws[:n], 0)].astype(np.int32))
 
     def _offsets(self, rows: Cloud, softmin: Float64, exponents: Exponents) -> cl.Buffer:
-        """Return the row offsets that make log2 of pi_ij / (pi 1)_i of e_ij."""
+        """Return the row offsets whose sum with e_ij is log2 of pi_ij / (pi 1)_i."""
         offsets = self._loop.row_offsets(rows, exponents)
         offsets += exponents.k * softmin[rows.order]
         return self._loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))

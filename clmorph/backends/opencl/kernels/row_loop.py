@@ -1,4 +1,4 @@
-"""The host's half of ``cl_kernels/row_loop.cl``: what every reduction over rows needs."""
+"""The host side of ``cl_kernels/row_loop.cl``, which every reduction over rows uses."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -14,10 +14,10 @@ from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64
 
-#: Natural logarithms times this are logarithms to base 2.
+#: The factor that converts natural logarithms to base 2.
 LOG2_E = float(np.log2(np.e))
-#: Kept pairs that one launch may write (12 bytes each on the device): a first touch of memory
-#: takes longer than what is written there.
+#: The largest number of kept pairs that one launch writes (12 bytes each on the device): the first
+#: access to memory takes longer than writing the pairs.
 FILL_PAIRS = 1 << 22
 #: The kernels of each file that includes the row loop.
 KERNELS = {
@@ -29,7 +29,7 @@ KERNELS = {
 
 
 class Exponents(NamedTuple):
-    """What the exponents e_ij of two clouds are formed of, see ``cl_kernels/row_loop.cl``."""
+    """The terms of the exponents e_ij of two clouds, see ``cl_kernels/row_loop.cl``."""
 
     column_logits: cl.Buffer  #: (2, stride) float32: k g + log2 b, less its tile's largest
     tile_max: Float64  #: (column tiles,) the largest k g + log2 b of each tile
@@ -38,7 +38,7 @@ class Exponents(NamedTuple):
 
 
 class RowLoop:
-    """Runs kernels that loop over the columns of every row, in launches of a bounded length.
+    """Runs kernels that loop over the columns of every row, in launches of a bounded duration.
 
     Parameters
     ----------
@@ -60,12 +60,12 @@ class RowLoop:
         listed: bool = False,
         bounded: bool = False,
     ) -> cl.Kernel:
-        """Return a kernel for the dimension of some rows; its file is built when first needed.
+        """Return a kernel for the dimension of some rows; its file is built at the first call.
 
         Parameters
         ----------
         file, name : str
-            As in `KERNELS`.
+            A file and a kernel of `KERNELS`.
         rows : Cloud
         precise, listed, bounded : bool
             See `BuildConstants.row_macros`.
@@ -84,7 +84,7 @@ class RowLoop:
     def column_logits(
         self, columns: Cloud, potential: Float64, k: float
     ) -> tuple[cl.Buffer, Float64]:
-        """Split k g + log2 b into the largest of each tile (float64) and the rest (device)."""
+        """Split k g + log2 b into each tile's maximum (float64) and the rest (on the device)."""
         values = pad(
             (potential[columns.order] - columns.offsets) * k + columns.log2_weights,
             columns.stride,
@@ -104,7 +104,7 @@ class RowLoop:
         pairs: TilePairs | None = None,
         within: range | None = None,
     ) -> Exponents:
-        """Return what forms the exponents of the rows, over all pairs of tiles or those listed.
+        """Return the terms of the rows' exponents, over all pairs of tiles or the listed ones.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class RowLoop:
         epsilon : float, cost units
         pairs : TilePairs, optional
         within : range, optional
-            The row tiles that are wanted; all if not given.
+            The row tiles that are needed; all if not given.
         """
         k = LOG2_E / epsilon
         logits, tile_max = self.column_logits(columns, potential, k)
@@ -133,12 +133,12 @@ class RowLoop:
         return Exponents(logits, tile_max, row_level, k)
 
     def row_offsets(self, rows: Cloud, exponents: Exponents) -> Float64:
-        """Return what e_ij lacks, (N,): the level of the row's tile, and its own cost."""
+        """Return the term missing in e_ij, the level of the row's tile less its own cost: (N,)."""
         levels = np.repeat(exponents.row_level, self.constants.tile)[: len(rows)]
         return levels - exponents.k * rows.own_costs
 
     def column_shares(self, rows: Cloud, columns: Cloud) -> int:
-        """Work-groups along the columns: more than one where the rows alone are too few."""
+        """Return the number of work-groups along the columns, more than 1 if rows are few."""
         if self.constants.width > 1:
             return 1
         groups = max(1, rows.stride // self.constants.group)
@@ -146,7 +146,7 @@ class RowLoop:
         return max(1, min(wanted, len(columns.centers), 64))
 
     def _budget(self, kernel: cl.Kernel) -> LaunchBudget:
-        """Return how much a launch of this kernel may do: some take many times as long a pair."""
+        """Return the budget of launches of this kernel, because kernels differ in time per pair."""
         return self._budgets.setdefault(kernel.int_ptr, LaunchBudget())
 
     def parts(
@@ -158,7 +158,7 @@ class RowLoop:
         pairs: TilePairs | None = None,
         within: range | None = None,
     ) -> Iterator[range]:
-        """Split the row tiles so that no launch runs long, nor writes too much.
+        """Split the row tiles so that no launch takes too long or writes too many pairs.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class RowLoop:
         counts : (stride,) array, optional
             Pairs that the kernel writes for each row; see `FILL_PAIRS`.
         pairs : TilePairs, optional
-            The pairs of tiles that the kernel looks at; all if not given.
+            The pairs of tiles that the kernel visits; all if not given.
         within : range, optional
             The row tiles to split; all if not given.
         """
@@ -213,13 +213,13 @@ class RowLoop:
         part : range
             The row tiles.
         *arguments
-            The kernel's own, behind those of the row loop.
+            The kernel's own arguments, which follow those of the row loop.
         shares : int
-            Work-groups along the columns.
+            Number of work-groups along the columns.
         precise : bool
-            Whether the kernel was built so.
+            Whether the kernel was built with precise exponents.
         pairs : TilePairs, optional
-            The pairs of tiles to look at, for a kernel that was built with lists.
+            The pairs of tiles to visit, for a kernel that was built with lists.
         """
         _, tile_max, row_level, k = exponents
         section = slice(part.start, part.stop)
@@ -253,7 +253,7 @@ class RowLoop:
 
 
 def _levels(row_centers: Float64, column_centers: Float64, tile_max: Float64, k: float) -> Float64:
-    """Log2-kernel between tile centers with the columns' largest logits: (rows, columns)."""
+    """Return the log2-kernel of tile centers plus the columns' largest logits: (rows, columns)."""
     result = np.empty((len(row_centers), len(column_centers)))
     result[:] = tile_max
     for d in range(row_centers.shape[1]):

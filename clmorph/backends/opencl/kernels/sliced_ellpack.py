@@ -20,11 +20,11 @@ from clmorph.backends.opencl.kernels.plan_rows import Plan, PlanRowReductions
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import Float64, NearPairs, StoredPairs
 
-#: Bytes of a pair, by row and by column together.
+#: Bytes of a pair, which is stored both by row and by column.
 BYTES_PER_PAIR = 18
-#: The format's sigma: rows that are sorted by their length together.
+#: The format's sigma: the number of consecutive rows that are sorted by length together.
 WINDOW = 1024
-#: Changes of potentials are clipped here (log2): sums at larger changes are of no use.
+#: The limit (log2) at which changes of potentials are clipped: sums at larger changes are useless.
 LARGEST_CHANGE = 1e4
 
 
@@ -46,13 +46,13 @@ class _Side(NamedTuple):
 
 
 class SlicedEllpack:
-    """Keeps the pairs of a plan and sums over them.
+    """Stores the pairs of a plan and sums over them.
 
     Parameters
     ----------
     loop : RowLoop
     plan_rows : PlanRowReductions
-        Finds the pairs.
+        The object that finds the pairs.
     """
 
     def __init__(self, loop: RowLoop, plan_rows: PlanRowReductions) -> None:
@@ -92,7 +92,7 @@ class SlicedEllpack:
         return StoredPairs((sides[0], sides[1]), n_pairs)
 
     def _stored(self, plan: Plan, counts: NDArray[np.int64]) -> _Side:
-        """Write the pairs of every row in slices; counts are those of the caller's rows."""
+        """Write the pairs of every row in slices; `counts` has the caller's order of rows."""
         rows, tile, side = plan.rows, self._constants.tile, self._constants.slice_rows
         ordered = np.zeros(rows.stride, np.int64)
         ordered[: len(rows)] = counts[rows.order]
@@ -119,7 +119,7 @@ class SlicedEllpack:
         side: _Side = stored.pairs[by_column]
         rows, columns = side.rows, side.columns
         ordered = np.clip(changes[columns.order] * LOG2_E, -LARGEST_CHANGE, LARGEST_CHANGE)
-        # In the middle, so that float32 rounds the least.
+        # The changes are centered around 0, so that the rounding errors of float32 are smallest.
         middle = 0.5 * float(ordered.min() + ordered.max())
         change_buffer = self._work.buffer(pad(ordered - middle, columns.stride, 0.0))
         kernel = self._kernel("sum_stored")
@@ -153,5 +153,5 @@ class SlicedEllpack:
 
 
 def _by_length(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sort rows by length inside each window, so that the rows of a slice are of like length."""
+    """Sort rows by length inside each window, so that the rows of a slice have similar lengths."""
     return np.lexsort((counts, np.arange(len(counts)) // WINDOW))

@@ -24,10 +24,10 @@ from clmorph.backends.records import Bins, Float32, Float64
 from clmorph.backends.width_levels import WIDTH_LEVELS
 from clmorph.errors import DeviceError
 
-#: Bins around the canvas; particles farther out fall into the outermost ones.
+#: The number of bins around the canvas; particles farther out fall into the outermost ones.
 MARGIN = 1
-#: Of splats with widths of their own, moments are used for widths from `sigma` to so many times
-#: `sigma`; the sides of bins are chosen for these.
+#: For splats with individual widths, moments are used for widths from `sigma` to this multiple of
+#: `sigma`, and the sides of bins are chosen for these widths.
 WIDEST = 2
 #: The kernels of ``particles.cl``.
 PARTICLE_KERNELS = (
@@ -48,12 +48,12 @@ class Splatting:
         self._work, self._constants = work, constants
         self._budget = LaunchBudget()
         self._block = constants.width * constants.tile_group  # pixels of a work-group's side
-        #: "gather"; "moments", where cells can serve a kernel; "auto": the cheaper of both.
+        #: "gather"; "moments", if cells suit the kernel; "auto", the faster of both.
         self.method = "auto"
 
     @functools.cached_property
     def _kernels(self) -> dict[str, cl.Kernel]:
-        """The kernels of both files, built when first needed."""
+        """The kernels of both files, built at the first access."""
         kernels: dict[str, cl.Kernel] = {}
         for file, macros, names in (
             ("particles.cl", self._constants.particle_macros(), PARTICLE_KERNELS),
@@ -70,7 +70,7 @@ class Splatting:
     def upload_particles(
         self, table: Float64, links: NDArray[np.uint32], weights: Float64
     ) -> ParticleSet:
-        """Take particles that move; see `clmorph.backends.interface.Operations`."""
+        """Upload particles that move; see `clmorph.backends.interface.Operations`."""
         unit = _unit(weights)
         return ParticleSet(
             count=_checked_count(len(links)),
@@ -87,7 +87,7 @@ class Splatting:
         weights: Float32,
         spacings: Float32 | None = None,
     ) -> Splats:
-        """Take particles at rest; see `clmorph.backends.interface.Operations`."""
+        """Upload particles at rest; see `clmorph.backends.interface.Operations`."""
         unit = _unit(weights)
         samples = np.column_stack((weights.astype(float) / unit, colors))
         return Splats(
@@ -105,7 +105,7 @@ class Splatting:
         scale: tuple[float, float],
         center: tuple[float, float],
     ) -> Splats:
-        """Move particles to time t and into pixels; see `interface.Operations`."""
+        """Move particles to time t and to pixel coordinates; see `interface.Operations`."""
         n = particles.count
         positions, samples = self._work.empty(8 * n), self._work.empty(16 * n)
         spacings = self._work.empty(4 * n)
@@ -135,7 +135,7 @@ class Splatting:
         return replace(splats, samples=scaled, width_levels=levels)
 
     def _over_particles(self, name: str, count: int, *arguments: Any) -> None:
-        """Run a kernel of one work-item a particle, in launches of a bounded size."""
+        """Run a kernel with one work-item per particle, in launches of a bounded size."""
         for first in range(0, count, launches.LAUNCH_PARTICLES):
             items = min(launches.LAUNCH_PARTICLES, count - first)
             self._run(name, (items,), None, np.uint32(first), *arguments)
@@ -225,8 +225,8 @@ class Splatting:
         visits = self._visits(bins, starts, blocks, side, float(kernel[1]))
         group = self._constants.tile_group
         first_particle, end = int(starts[0]), int(starts[-1])
-        # Crowded blocks are given their particles in parts, of a fixed size so that rounding
-        # does not depend on how fast the device is today.
+        # Crowded blocks receive their particles in parts. The parts have a fixed size, so that
+        # rounding does not depend on the measured speed of the device.
         most = launches.LAUNCH_PARTICLES
         part = most if visits.max() > most else end - first_particle
         work = (np.minimum(visits, most) + 1) * side
@@ -271,12 +271,12 @@ class Splatting:
 
 
 def _cost(visits: NDArray[np.int64], side: int) -> int:
-    """Return the work of a launch: particles visited, once for every row of a block."""
+    """Return the work of a launch: the particles visited, counted for every row of a block."""
     return int((visits + 1).sum()) * side
 
 
 def _unit(weights: NDArray[Any]) -> float:
-    """Return the largest weight: weights divided by it keep clear of float32's smallest numbers."""
+    """Return the largest weight; weights divided by it do not underflow in float32."""
     largest = float(np.max(weights, initial=0.0))
     return largest if largest > 0 else 1.0
 

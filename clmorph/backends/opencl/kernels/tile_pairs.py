@@ -1,13 +1,13 @@
 """Lists of column tiles for every row tile, and bounds of the share of a pair of tiles.
 
-With p, q the centers of a row and a column tile, x = p + u and y_j = q + v_j points of theirs,
-and c_j = k g_j + log2 b_j, the sum over the column tile is 2^(s(x)),
+Let p and q be the centers of a row tile and a column tile, x = p + u and y_j = q + v_j points of
+these tiles, and c_j = k g_j + log2 b_j. The sum over the column tile is 2^(s(x)) with
 
     s(x) = log2 sum_j 2^(c_j - k |x - y_j|^2 / 2).
 
-c_j - k |a - v_j|^2 / 2 hardly depends on j for the right a (q + a is then about where these
-columns get their mass from): with A = log2 sum_j 2^(that), H the half sides of the column tile's
-box and d = p - q + u,
+For a suitable a, the term c_j - k |a - v_j|^2 / 2 hardly depends on j (q + a is then roughly the
+place from which these columns get their mass). With A = log2 sum_j 2^(c_j - k |a - v_j|^2 / 2), the
+half sides H of the column tile's box, and d = p - q + u,
 
     s(x) <= A + k |a|^2 / 2 - k |d|^2 / 2 + k H . |d - a|.
 
@@ -16,8 +16,8 @@ sum of row i, so the tile's share in any of these rows is at most 2^B,
 
     B = A + k |a|^2 / 2 - r - k |p - q|^2 / 2 + k (h . |p - q + w| + H . (|p - q - a| + h))
 
-with the half sides h of the row tile's box. Everything is right for any a and w; the best are
-found by least squares.
+with the half sides h of the row tile's box. The bound holds for any a and w; least squares gives
+good ones.
 """
 
 from typing import NamedTuple
@@ -29,7 +29,7 @@ from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.clouds import Tiles
 from clmorph.backends.records import Float64
 
-#: Rounding error of a bound in float32, as a share of its largest terms.
+#: Rounding error of a bound in float32, relative to its largest terms.
 ROUNDOFF = 2.0**-20
 
 
@@ -51,7 +51,7 @@ class TilePairs(NamedTuple):
 
 
 class TileBounds(NamedTuple):
-    """One side of B for every tile: see the head of the module."""
+    """The terms of B from one side, for every tile: see the docstring of the module."""
 
     centers: NDArray[np.float32]  #: (tiles, D)
     sides: NDArray[np.float32]  #: (tiles, D) half sides of the boxes: h or H
@@ -60,7 +60,7 @@ class TileBounds(NamedTuple):
 
 
 def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False) -> TileBounds:
-    """Return the columns' side.
+    """Return the terms of B from the columns' side.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False
         c_j of the sorted points; SENTINEL where there is no mass.
     k : float
     largest : bool
-        Bound the largest term, not the sum.
+        Whether the bound applies to the largest term in place of the sum.
     """
     c = _padded(values, cloud)
     present = c > 0.5 * SENTINEL
@@ -84,13 +84,13 @@ def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False
 
 
 def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
-    """Return the rows' side.
+    """Return the terms of B from the rows' side.
 
     Parameters
     ----------
     cloud : Cloud or Tiles
     values : (N,) array
-        R_i of the sorted points; -SENTINEL where nothing needs to be seen.
+        R_i of the sorted points; -SENTINEL for rows whose sums are not needed.
     k : float
     """
     r = _padded(values, cloud)
@@ -134,12 +134,15 @@ def tile_bounds(
 
 def _padded(values: Float64, cloud: Tiles) -> Float64:
     tiles, size, _ = cloud.shifts.shape
-    # What pads is a copy of the last point, and of its value; columns' copies only add.
+    # The padding repeats the last point and its value; in columns it can only raise the bound.
     return np.pad(values, (0, tiles * size - len(values)), mode="edge").reshape(tiles, size)
 
 
 def _slopes(shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bool_]) -> Float64:
-    """Least squares of values over shifts, in each tile, over the points present: (tiles, D)."""
+    """Return the least-squares slopes of values over shifts in each tile: (tiles, D) array.
+
+    Only the points that are present count.
+    """
     weights = present.astype(float)
     count = np.maximum(weights.sum(axis=1), 1.0)
     u = shifts - (np.einsum("ntd,nt->nd", shifts, weights) / count[:, None])[:, None]
@@ -150,11 +153,11 @@ def _slopes(shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bo
     ridge = 1e-6 * np.trace(normal, axis1=1, axis2=2) + 1e-30
     normal += ridge[:, None, None] * np.eye(shifts.shape[2])
     slopes = np.linalg.solve(normal, right[..., None])[..., 0]
-    return slopes.astype(np.float32).astype(float)  # as the bounds have them
+    return slopes.astype(np.float32).astype(float)  # as the bounds use them
 
 
 def half_sides(cloud: Tiles) -> NDArray[np.float32]:
-    """Half sides of the tiles' boxes, (tiles, D), rounded up."""
+    """Return the half sides of the tiles' boxes, rounded up: (tiles, D) array."""
     return np.abs(cloud.shifts).max(axis=1) * np.float32(1 + 1e-6)
 
 

@@ -1,13 +1,13 @@
 """Order points into compact tiles (a k-d tree's leaves).
 
-Tiles make differences inside them small, which is what lets float32 hold the exponents
-of the transport kernel, and bound what a whole tile can contribute.
+Differences inside a tile are small. Therefore float32 suffices for the exponents of the transport
+kernel, and the contribution of a whole tile can be bounded.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-#: Bits of a sorting key: where in its segment a point lies, and which point it is.
+#: Bits of a sorting key: the position of a point in its segment, and the index of the point.
 PLACE_BITS, POINT_BITS = 20, 24
 
 
@@ -20,14 +20,14 @@ def tile_order(points: NDArray[np.float64], size: int) -> NDArray[np.intp]:
     Parameters
     ----------
     points : (N, D) array
-        Of at most 2^24 points.
+        Coordinates of at most 2^24 points.
     size : int
         Points of one tile.
 
     Returns
     -------
     (N,) array of int
-        Permutation; ties keep their order, so equal input gives equal output.
+        A permutation. Ties keep their order, so equal input gives equal output.
     """
     count = len(points)
     everyone = np.arange(count)
@@ -49,7 +49,7 @@ def tile_order(points: NDArray[np.float64], size: int) -> NDArray[np.intp]:
         places = columns.ravel().take(np.repeat(axis * count, counts) + everyone)
         places -= np.repeat(low[axis, number], counts)
         places *= np.repeat(scale, counts)
-        # One integer to sort by: segment, place in it, and the point itself, so that none tie.
+        # Each key is one integer of segment, position in it, and index, so that keys are distinct.
         keys = np.repeat(number << PLACE_BITS, counts)
         keys += places.astype(np.int64)
         keys <<= POINT_BITS
