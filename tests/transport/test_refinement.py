@@ -227,7 +227,7 @@ def test_mistakes(rng):
         ({"max_particles": 0}, "max_particles=0"),
         ({"max_memory": 0}, "max_memory=0"),
         ({"max_memory": -1}, "max_memory=-1"),
-        ({"solve_size": 4, "color_metric": metric}, "not with a color metric for each pixel"),
+        ({"solve_size": 4, "color_metric": metric}, "give solve_size=None"),
     ):
         with pytest.raises(InputError, match=words):
             plain.morph(*images, 3, backend="numpy", **options)
