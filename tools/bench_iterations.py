@@ -8,7 +8,7 @@ is both updates; the two softmins that certify the result are not counted.
 import argparse
 
 import numpy as np
-from plain import COLOR_WEIGHT
+from plain_options import COLOR_WEIGHT
 from skimage import data
 from skimage.transform import resize
 

@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from plain import COLOR_WEIGHT
+from plain_options import COLOR_WEIGHT
 
 from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.backends.select import get_backend

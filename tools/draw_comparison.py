@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from evaluate_splatting import picture
 from PIL import Image, ImageDraw, ImageFont
-from plain import PLAIN
+from plain_options import PLAIN
 
 import clmorph
 from clmorph.images.pixels import to_bytes

@@ -14,7 +14,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from plain import PLAIN
+from plain_options import PLAIN
 from rich.progress import track
 from skimage import data
 

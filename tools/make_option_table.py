@@ -8,7 +8,7 @@
 import sys
 from pathlib import Path
 
-from clmorph._shared.options import default, specifications, to_outside
+from clmorph._shared.options import specifications, to_outside
 from clmorph.cli.options import names_outside
 from clmorph.pipeline.options import MorphOptions
 
@@ -28,7 +28,7 @@ def table() -> str:
     known, names = specifications(MorphOptions), names_outside()
     assert {option.panel for option in known.values()} == set(PANELS)
     for name, option in sorted(known.items(), key=lambda item: PANELS.index(item[1].panel)):
-        value = to_outside(option, default(MorphOptions, name))
+        value = to_outside(option, getattr(MorphOptions, name))
         usual = "no" if value is False else f"{value:g}" if isinstance(value, float) else str(value)
         unit = f" {option.unit}" if option.unit and not isinstance(value, str) else ""
         lines.append(f"| `{names[name]}` | {cell(option.help)} | {usual}{unit} |\n")

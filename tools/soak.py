@@ -10,7 +10,6 @@ command that repeats it, and a summary; ends with 1 if there was a finding.
 import argparse
 import ctypes
 import gc
-import inspect
 import multiprocessing
 import os
 import random
@@ -34,6 +33,7 @@ from clmorph.frames.options import ENDPOINTS, SPLATTING, UNMATCHED
 from clmorph.images.color import COLOR_SPACES
 from clmorph.output.options import EASES
 from clmorph.output.save import FORMATS
+from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
 
 #: Values that options are drawn from, beside those of a preset.
@@ -49,8 +49,6 @@ CHOICES: dict[str, list[Any]] = {
     "ease": list(EASES),
     "sample": [None, 3],
 }
-#: What a morph takes of a preset.
-KEYWORDS = tuple(inspect.signature(clmorph.morph).parameters)
 #: Bytes by which this process may grow after every set was worked out once.
 GROWTH = 64 << 20
 #: A set of options: of the morph, its pictures and its file.
@@ -63,9 +61,9 @@ def draw(seed: int, count: int) -> list[Options]:
     sets = []
     for number in range(count):
         name = list(PRESETS)[number % len(PRESETS)]
-        chosen = {key: value for key, value in PRESETS[name].options.items() if key in KEYWORDS}
-        for key in rng.sample(sorted(CHOICES), 3):
-            chosen[key] = rng.choice(CHOICES[key])
+        drawn = {key: rng.choice(CHOICES[key]) for key in rng.sample(sorted(CHOICES), 3)}
+        # Drawn options take the place of the preset's, and of their alternatives there.
+        chosen = MorphOptions.layered((PRESETS[name].options, drawn))
         sets.append({
             "morph": chosen,
             "format": list(FORMATS)[number % len(FORMATS)],

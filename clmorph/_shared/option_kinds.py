@@ -63,28 +63,15 @@ def _is_whole(value: Any) -> bool:
     return _is_number(value) and float(as_float(value) or 0.0).is_integer()
 
 
-def number(
-    low: float, high: float, *, open_low: bool = False, check: Callable[[Any], Any] | None = None
-) -> Kind:
-    """Return the kind of numbers in [low, high], or (low, high].
+def number(low: float, high: float, *, open_low: bool = False) -> Kind:
+    """Return the kind of numbers in [low, high], or (low, high] if `open_low`."""
 
-    Parameters
-    ----------
-    low, high : float
-    open_low : bool
-        Whether `low` itself is excluded.
-    check : callable, optional
-        A function of the value that replaces the check of the range.
-    """
-
-    def checked(name: str, value: Any) -> Any:
-        if check is not None:
-            return check(value)
+    def check(name: str, value: Any) -> float:
         return check_number(name, value, low, high, open_low=open_low)
 
     least = "exclusiveMinimum" if open_low else "minimum"
     schema = {"type": "number", least: low, "maximum": high}
-    return Kind(checked, "a finite number", "number", float, schema, _is_number)
+    return Kind(check, "a finite number", "number", float, schema, _is_number)
 
 
 def integer(low: int, high: int) -> Kind:

@@ -11,16 +11,13 @@ and a word for None.
 """
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from typing import Any, Self
 
 from clmorph._shared.option_kinds import Kind
-from clmorph._shared.validation import (
-    as_float,
-    shown,
-)
+from clmorph._shared.validation import as_float, shown
 from clmorph.errors import InputError
 
 #: The name of None in error messages of Python; outside, the option's word takes its place.
@@ -87,10 +84,45 @@ class Options:
         for name in given:
             if name not in known:
                 raise InputError(unknown_option(name, known))
-        values = {name: default(type(self), name) for name in known} | given
+        values = {name: getattr(type(self), name) for name in known} | given
         for name, value in self.settle(values, given).items():
-            object.__setattr__(self, name, check(known[name], name, value))
+            object.__setattr__(self, name, self.checked(name, value))
         self.check_together()
+
+    @classmethod
+    def checked(cls, name: str, value: Any) -> Any:
+        """Return the checked value of an option; None is valid if the option has a word for it.
+
+        Functions that take one option check it by this method, so that its range stands once.
+
+        Raises
+        ------
+        InputError
+            If the value is invalid.
+        """
+        known = specifications(cls)[name]
+        if value is None and known.word:
+            return None
+        try:
+            return known.kind.check(name, value)
+        except InputError as error:
+            more = f", or {WITHOUT}" if known.word and WITHOUT not in str(error) else ""
+            raise InputError(f"{error}{more}") from None
+
+    @classmethod
+    def json_schema(cls) -> dict[str, Any]:
+        """Return the JSON Schema of the options in the form of files, by their names outside."""
+        properties = {
+            outside_name(name, known): _described(known, getattr(cls, name))
+            for name, known in specifications(cls).items()
+        }
+        return {
+            "$schema": "https://json-schema.org/draft/2020-12/schema",
+            "title": cls.__name__,
+            "type": "object",
+            "properties": properties,
+            "additionalProperties": False,
+        }
 
     def settle(self, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values, completed by values that other options imply; callers set `given`."""
@@ -124,36 +156,9 @@ class Options:
         return dict(sorted(found.items()))
 
 
-def check(known: Option, name: str, value: Any) -> Any:
-    """Return the checked value; None is valid if the option has a word for it.
-
-    Raises
-    ------
-    InputError
-        If the value is invalid.
-    """
-    if value is None and known.word:
-        return None
-    try:
-        return known.kind.check(name, value)
-    except InputError as error:
-        more = f", or {WITHOUT}" if known.word and WITHOUT not in str(error) else ""
-        raise InputError(f"{error}{more}") from None
-
-
 def specifications(options: type[Options]) -> dict[str, Option]:
     """Return the definition of each option of a class, by its name."""
-    return {each.name: each.metadata["option"] for each in _fields(options)}
-
-
-def _fields(options: type[Options]) -> Iterator[Field[Any]]:
-    return (each for each in fields(options) if "option" in each.metadata)
-
-
-def default(options: type[Options], name: str) -> Any:
-    """Return an option's default."""
-    found = next(each.default for each in _fields(options) if each.name == name)
-    return None if found is MISSING else found
+    return {each.name: each.metadata["option"] for each in fields(options)}
 
 
 def outside_name(name: str, known: Option) -> str:
@@ -238,20 +243,18 @@ def _expected(known: Option) -> str:
     return " or ".join([known.kind.expected, *map(repr, filter(None, words)), *several])
 
 
-def schema(options: type[Options]) -> dict[str, Any]:
-    """Return the JSON Schema of a file of options, by their names outside."""
-    properties = {}
-    for name, known in specifications(options).items():
-        one: dict[str, Any] = dict(known.kind.schema)
-        if known.word:
-            one = {"anyOf": [one, {"const": known.word}]}
-        one["description"] = known.help + (f" Unit: {known.unit}." if known.unit else "")
-        one["default"] = to_outside(known, default(options, name))
-        properties[outside_name(name, known)] = one
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": options.__name__,
-        "type": "object",
-        "properties": properties,
-        "additionalProperties": False,
+def _described(known: Option, usual: Any) -> dict[str, Any]:
+    """Return the JSON Schema of one option, in its unit outside."""
+    one = {
+        key: value / known.scale if isinstance(value, int | float) else value
+        for key, value in known.kind.schema.items()
     }
+    words = [{"const": word} for word in (known.word, *dict(known.kind.words)) if word]
+    if words:
+        one = {"anyOf": [one, *words]}
+    if known.kind.pair:
+        pair = {"type": "array", "items": one, "minItems": 2, "maxItems": 2}
+        one = {"anyOf": [one, pair]}
+    one["description"] = known.help + (f" Unit: {known.unit}." if known.unit else "")
+    one["default"] = to_outside(known, usual)
+    return one

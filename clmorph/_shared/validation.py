@@ -88,31 +88,6 @@ def check_max_pixels(value: Any) -> int:
     return check_integer("max_pixels", value, 1, 1 << 40)
 
 
-def check_blur(value: Any) -> float:
-    """Return a checked blur: positive, in the unit of the points (for images: the longer side)."""
-    return check_number("blur", value, 1e-6, 1e6)
-
-
-def check_reach(value: Any) -> float | None:
-    """Return a checked reach: positive, in blur's unit; None or infinity is balanced transport."""
-    if value is None or as_float(value) == math.inf:
-        return None
-    try:
-        return check_number("reach", value, 1e-6, 1e6)
-    except InputError as error:
-        raise InputError(f"{error}, or None for balanced transport") from None
-
-
-def check_color_weight(value: Any) -> float:
-    """Return a checked color weight: at least 0."""
-    return check_number("color_weight", value, 0.0, 1e3)
-
-
-def check_sigma(name: str, value: Any) -> float:
-    """Return a checked kernel width: at least a thousandth of a pixel."""
-    return check_number(name, value, 1e-3, 1e4)
-
-
 def check_flag(name: str, value: Any) -> bool:
     """Return a truth value of Python or NumPy as bool.
 

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clmorph._shared.options import specifications
-from clmorph._shared.validation import check_number, check_sigma
+from clmorph._shared.validation import check_number
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.kernel_width import KernelWidth, effective_count
+from clmorph.frames.options import WIDTH
 from clmorph.frames.particles import particles
 from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.pixels import as_rgb
@@ -148,8 +149,8 @@ def channel_morph(
     """
     options = PAPER.chosen(CHANNEL_OPTIONS, given)
     start, end, gamma = (
-        check_sigma("sigma_start", options.sigma_start),
-        check_sigma("sigma_end", options.sigma_end),
+        WIDTH.check("sigma_start", options.sigma_start),
+        WIDTH.check("sigma_end", options.sigma_end),
         options.gamma or 0.0,
     )
     operations = get_backend(backend)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from clmorph._shared.options import specifications
 from clmorph._shared.progress import StageProgress
-from clmorph._shared.validation import check_flag, check_number, check_progress
+from clmorph._shared.validation import check_flag, check_progress
 from clmorph.analysis.report import Inspection, Seconds
 from clmorph.analysis.timing import SAMPLED_PAIRS, fill_seconds, frame_seconds
 from clmorph.backends.interface import Operations
@@ -115,7 +115,7 @@ def inspect(
     True
     """
     chosen = as_options(options, preset, given)
-    max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
+    max_bytes = PruningOptions.checked("max_bytes", max_bytes)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
     problem = Problem(fitted((image_a, image_b), chosen, weights, color_metric), chosen)

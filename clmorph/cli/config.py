@@ -22,14 +22,10 @@ from clmorph.cli.terminal import note
 from clmorph.errors import FileError, InputError
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
-from clmorph.pipeline.recipe import IMAGES, PRESET, options_of, read_recipe, read_toml
+from clmorph.pipeline.recipe import IMAGES, OUTPUT, OWN, PRESET, options_of, read_recipe, read_toml
 
 Settings = dict[str, Any]
 
-#: Key of the output, which a file of settings may contain beside options.
-OUTPUT = "output"
-#: Settings that only the user decides, on the command line or in TOML; in recipes they are ignored.
-OWN = (OUTPUT, "format", "recipe", "max_pixels")
 #: Names that Windows reserves for devices, with any ending.
 DEVICES = re.compile(
     r"(con|prn|aux|nul|(com|lpt)[0-9¹²³]|conin\$|conout\$) *(\..*)?", re.IGNORECASE

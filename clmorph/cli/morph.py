@@ -31,8 +31,8 @@ from clmorph.errors import (
 )
 from clmorph.images.detail import is_pixel_art
 from clmorph.images.pixels import MAX_PIXELS
-from clmorph.measures.pixel_blocks import solved_size
-from clmorph.output.framing import FrameStyle, enlargement_note
+from clmorph.measures.pixel_blocks import block_side, solved_size
+from clmorph.output.framing import enlargement_note
 from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
@@ -89,9 +89,7 @@ class _Run:
     particles: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        wanted = self.options
-        self.style = FrameStyle(wanted.canvas, wanted.scaling, wanted.background, wanted.lossless)
-        self.motion = motion_of(wanted, held_frames(len(self.images), wanted.n_frames))
+        self.motion = motion_of(self.options, held_frames(len(self.images), self.options.n_frames))
         for output in self.outputs:
             output.check_motion(self.motion)
 
@@ -115,14 +113,11 @@ class _Run:
     def _blocks(self, pictures: Sequence[NDArray[np.float64]]) -> str:
         """Return a text with the number of blocks that are solved; "" if pixels are solved."""
         most = self.options.solve_size
-        if most is None:
+        shapes = [(picture.shape[0], picture.shape[1]) for picture in pictures]
+        taken = {solved_size(shape, most) for shape in shapes if block_side(shape, most) > 1}
+        if not taken:
             return ""
-        sizes = {max(picture.shape[:2]): picture.shape[:2] for picture in pictures}
-        taken = {solved_size((shape[0], shape[1]), most): longer for longer, shape in sizes.items()}
-        reduced = [blocks for blocks, longer in taken.items() if blocks < longer]
-        if not reduced:
-            return ""
-        numbers = " and ".join(map(str, sorted(reduced)))
+        numbers = " and ".join(map(str, sorted(taken)))
         return f"; solved at {numbers} blocks of pixels along the longer side"
 
     def morphs(
@@ -193,7 +188,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
                 # so the recipe must contain the limit.
                 run.options = run.options.replace(max_memory=default_memory(operations))
                 film = replace(film, parameters=metadata())
-            enlarged = enlargement_note(run.style, film.shapes, film.pixelated, run.options.size)
+            enlarged = enlargement_note(run.options, film.shapes, film.pixelated, run.options.size)
             if enlarged and any("canvas" in place.format.relevant_options for place in places):
                 note(enlarged)
             texts = {}
@@ -201,7 +196,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
                 folder = beside.resolve().parent
                 texts[beside] = json.dumps(metadata(folder), indent=2) + "\n"
             write_all(
-                places, film, run.style,
+                places, film, run.options,
                 lambda place, share: stages(f"write {place.path.name}", share), texts,
             )  # fmt: skip
             summary = _summary(run, film, stages, notes)

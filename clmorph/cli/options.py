@@ -15,7 +15,6 @@ import rich_click as click
 from clmorph._shared.options import (
     Option,
     Options,
-    default,
     from_line,
     outside_name,
     specifications,
@@ -25,7 +24,7 @@ from clmorph.errors import InputError
 from clmorph.frames.options import RenderOptions
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.measures.options import LiftOptions
-from clmorph.output.options import PlaybackOptions, StyleOptions
+from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.output.save import FORMATS
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
 from clmorph.transport.options import PlanOptions, SolverOptions
@@ -165,7 +164,7 @@ def _one(name: str, known: Option) -> Callable[[Command], Command]:
     line = names_outside()[name]
     is_flag = not known.kind.metavar
     # The default of `MorphOptions` can differ from that of the stage's own class.
-    usual = to_outside(known, default(MorphOptions, name))
+    usual = to_outside(known, getattr(MorphOptions, name))
     number = not isinstance(usual, str)
     unit = f" {known.unit}" if known.unit and number else ""
     shown = "" if is_flag or usual == "none" else f"  [default: {_plainly(usual)}{unit}]"
@@ -216,7 +215,7 @@ file_options = _together(
         "File", "--format", type=click.Choice(list(FORMATS)),
         help="Format of the file, in place of what its ending says.",
     ),
-    _of(StyleOptions),
+    _of(FrameStyle),
     _option(
         "File", "--recipe/--no-recipe", is_flag=True, default=None,
         help="Write OUTPUT.json beside the file; --config repeats the run from it.",

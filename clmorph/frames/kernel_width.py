@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import check_choice, check_number, check_sigma
 from clmorph.frames.canvas import Canvas
-from clmorph.frames.options import SPLATTING, Splatting
+from clmorph.frames.options import WIDTH, RenderOptions, Splatting
 from clmorph.frames.render import Widths
 
 
@@ -51,10 +50,10 @@ class KernelWidth:
     curve: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def __post_init__(self) -> None:
-        check_choice("splatting", self.splatting, SPLATTING)
-        check_sigma("sigma_start", self.sigma_start)
-        check_sigma("sigma_end", self.sigma_end)
-        check_number("gamma", self.gamma, 0.0, 1e4)
+        RenderOptions.checked("splatting", self.splatting)
+        WIDTH.check("sigma_start", self.sigma_start)
+        WIDTH.check("sigma_end", self.sigma_end)
+        RenderOptions.checked("gamma", self.gamma)
 
     def count(self, t: float) -> float:
         """Effective number of particles at time t."""

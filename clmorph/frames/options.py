@@ -24,7 +24,9 @@ UNMATCHED = get_args(Unmatched)
 #: A kernel width in pixels, or "auto": half the smallest detail of the image.
 Sigma = float | Literal["auto"]
 
-_WIDTH = number_or("auto", number(1e-3, 1e4))
+#: A kernel width in pixels, and the same or "auto".
+WIDTH = number(1e-3, 1e4)
+_WIDTH = number_or("auto", WIDTH)
 #: The default height of the bulge of Eq. 4.
 GAMMA = 0.5
 

@@ -6,10 +6,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import check_choice, check_number
+from clmorph._shared.validation import check_number
 from clmorph.errors import InputError
-from clmorph.frames.options import UNMATCHED
-from clmorph.images.color import COLOR_SPACES, to_space
+from clmorph.frames.options import RenderOptions
+from clmorph.images.color import to_space
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_image_measure
 from clmorph.transport.barycentric import Barycentric, check_barycentric
@@ -143,8 +143,8 @@ def particles(
     >>> len(clmorph.particles(source, target, plan, unmatched="drop")) == len(plan)
     True
     """
-    check_choice("unmatched", unmatched, UNMATCHED)
-    check_choice("path_space", path_space, COLOR_SPACES)
+    RenderOptions.checked("unmatched", unmatched)
+    RenderOptions.checked("path_space", path_space)
     source, target = (
         as_image_measure(name, measure, "particles have positions and colors")
         for name, measure in (("source", source), ("target", target))

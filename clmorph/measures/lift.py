@@ -6,13 +6,12 @@ import numpy as np
 
 from clmorph._shared.arrays import as_floats
 from clmorph._shared.typing import Array, ArrayLike
-from clmorph._shared.validation import check_choice, check_color_weight
 from clmorph.backends.interface import MAX_POINTS
 from clmorph.errors import InputError
 from clmorph.images.color import ColorSpace, as_metric, to_space
 from clmorph.images.pixels import as_pixels, split_alpha
 from clmorph.measures.measure import Measure, check_masses
-from clmorph.measures.options import EXTENTS, MASSES, Extent, LiftOptions, Mass
+from clmorph.measures.options import Extent, LiftOptions, Mass
 
 #: Weights of linear red, green and blue in luminance (ITU-R BT.709).
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -106,9 +105,9 @@ def lift(
     [0.0, 0.25, 2.0, 0.0, 0.0]
     """
     colors, alpha = split_alpha(as_pixels(image, max_pixels=MAX_POINTS))
-    color_weight = check_color_weight(color_weight)
-    check_choice("extent", extent, EXTENTS)
-    check_choice("mass", mass, MASSES)
+    color_weight = LiftOptions.checked("color_weight", color_weight)
+    LiftOptions.checked("extent", extent)
+    LiftOptions.checked("mass", mass)
     shape = (colors.shape[0], colors.shape[1])
     n = shape[0] * shape[1]
     if weights is None:

@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph._shared.validation import check_choice, check_color_weight, shown
+from clmorph._shared.validation import shown
 from clmorph.errors import InputError
-from clmorph.images.color import COLOR_SPACES, square_root, to_space
-from clmorph.measures.options import EXTENTS
+from clmorph.images.color import square_root, to_space
+from clmorph.measures.options import LiftOptions
 
 #: Placement of pixels in the common frame: "true" keeps the aspect ratio, "unit" stretches each
 #: axis to [0, 1].
@@ -143,9 +143,8 @@ def check_measure(name: str, measure: Measure) -> None:
         n = int(height) * int(width)
         if min(height, width) < 1:
             raise InputError(f"its shape is {height} x {width}")
-        check_color_weight(measure.color_weight)
-        check_choice("extent", measure.extent, EXTENTS)
-        check_choice("color_space", measure.color_space, COLOR_SPACES)
+        for name in ("color_weight", "extent", "color_space"):
+            LiftOptions.checked(name, getattr(measure, name))
     except (TypeError, ValueError) as error:
         reason = f": {error}" if isinstance(error, InputError) else ""
         raise InputError(f"{name} is no usable Measure{reason}; {remedy}") from None

@@ -5,7 +5,6 @@ from typing import Literal, get_args
 
 from clmorph._shared.option_kinds import choice, number
 from clmorph._shared.options import Options, option
-from clmorph._shared.validation import check_color_weight
 from clmorph.images.color import ColorSpace
 
 #: Placement of pixels in the common frame: the longer side spans [0, 1] and the shorter one is
@@ -23,7 +22,7 @@ class LiftOptions(Options):
     """Options of `clmorph.lift`."""
 
     color_weight: float = option(
-        0.5, number(0.0, 1e3, check=check_color_weight),
+        0.5, number(0.0, 1e3),
         "Weight lambda of color distance against distance in the picture: a high one keeps "
         "colors and moves mass far, a low one keeps places and changes colors.",
         "Transport", unit="image sides per unit of a channel", word="",

@@ -52,15 +52,16 @@ class PixelBlocks:
         )  # fmt: skip
 
 
-def block_side(shape: tuple[int, int], size: int) -> int:
+def block_side(shape: tuple[int, int], size: int | None) -> int:
     """Return the side of the blocks in which an image is solved.
 
     Parameters
     ----------
     shape : (height, width)
         Shape of the image, in pixels.
-    size : int
-        Largest number of blocks along the longer side (`solve_size` of `clmorph.morph`).
+    size : int or None
+        Largest number of blocks along the longer side (`solve_size` of `clmorph.morph`); None
+        stands for blocks of one pixel.
 
     Returns
     -------
@@ -74,12 +75,12 @@ def block_side(shape: tuple[int, int], size: int) -> int:
     2
     """
     side = 1
-    while -(-max(shape) // side) > size:
+    while size is not None and -(-max(shape) // side) > size:
         side *= 2
     return side
 
 
-def solved_size(shape: tuple[int, int], size: int) -> int:
+def solved_size(shape: tuple[int, int], size: int | None) -> int:
     """Return the actual number of blocks along the longer side of an image.
 
     The side of a block is a power of two of pixels, so the number can be as small as half of the
@@ -98,15 +99,16 @@ def solved_size(shape: tuple[int, int], size: int) -> int:
     return -(-max(shape) // block_side(shape, size))
 
 
-def group_pixels(measure: Measure, size: int) -> PixelBlocks:
+def group_pixels(measure: Measure, size: int | None) -> PixelBlocks:
     """Gather an image's pixels into square blocks.
 
     Parameters
     ----------
     measure : Measure
         A lifted image.
-    size : int
+    size : int or None
         Largest number of blocks along the longer side; `solved_size` returns the actual number.
+        None stands for blocks of one pixel.
 
     Returns
     -------

@@ -2,64 +2,18 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import check_choice, check_flag
-from clmorph.output.checks import as_canvas, check_color
-from clmorph.output.options import SCALINGS, Scaling, StyleOptions
+from clmorph.output.options import FrameStyle
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 #: The enlargement from which frames look soft.
 ENLARGED = 1.25
-
-
-@dataclass(frozen=True)
-class FrameStyle:
-    """The style in which frames are written to a file: canvas, scaling, background and loss.
-
-    Attributes
-    ----------
-    canvas : {"dynamic", "source", "target"} or (width, height)
-        "dynamic" keeps the size of every frame where the format allows it. Otherwise it uses a
-        canvas that holds all frames, and enlarges small ones. The other values scale all frames
-        to one size, with bars where shapes differ. "source" is the size of the first given
-        picture and "target" that of the last one, even if the morph is shown in reverse.
-    scaling : {"auto", "nearest", "smooth"}
-        "auto" is "nearest" for pixel art and "smooth" for other pictures.
-    background : str, optional
-        A color that Pillow knows, such as "white" or "#204060", for bars and behind transparent
-        pixels. By default opacity is kept where the format can hold it, and otherwise frames
-        are laid on white; bars beside opaque frames are black.
-    lossless : bool
-        Whether WebP is written without loss.
-
-    Raises
-    ------
-    InputError
-        If one of the attributes has an invalid value.
-    """
-
-    canvas: Any = "dynamic"
-    scaling: Scaling = StyleOptions.scaling
-    background: str | None = None
-    lossless: bool = False
-
-    def is_nearest(self, pixelated: bool) -> bool:
-        """Return whether pixels are enlarged as squares, for pictures that are pixel art or not."""
-        return pixelated if self.scaling == "auto" else self.scaling == "nearest"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "canvas", as_canvas(self.canvas))
-        check_choice("scaling", self.scaling, SCALINGS)
-        object.__setattr__(self, "lossless", check_flag("lossless", self.lossless))
-        if self.background is not None:
-            check_color(self.background)
 
 
 def in_time(shapes: Iterable[tuple[int, ...]], times: NDArray[Any]) -> list[tuple[int, ...]]:
@@ -168,7 +122,7 @@ class Framing:
         elif style.canvas == "target":
             self.size = shapes[-1][1], shapes[-1][0]
         else:
-            self.size = style.canvas
+            self.size = cast(tuple[int, int], style.canvas)
         self._inner = self.size
         if even:
             self.size = self.size[0] + self.size[0] % 2, self.size[1] + self.size[1] % 2

@@ -59,11 +59,15 @@ def _is_canvas(value: object) -> bool:
     )
 
 
-_CANVAS = replace(text("dynamic|source|target|WxH", as_canvas), scalar=_is_canvas)
+_SIDES = {"type": "array", "items": {"type": "integer"}, "minItems": 2, "maxItems": 2}
+_CANVAS = replace(
+    text("dynamic|source|target|WxH", as_canvas), scalar=_is_canvas,
+    schema={"anyOf": [{"type": "string"}, _SIDES]},
+)  # fmt: skip
 
 
 @dataclass(frozen=True, init=False)
-class StyleOptions(Options):
+class FrameStyle(Options):
     """Options of the style in which frames are written to a file."""
 
     canvas: str | tuple[int, int] = option(
@@ -84,3 +88,7 @@ class StyleOptions(Options):
         "File",
     )  # fmt: skip
     lossless: bool = option(False, flag(), "Write WebP without loss.", "File", word="")
+
+    def is_nearest(self, pixelated: bool) -> bool:
+        """Return whether pixels are enlarged as squares, for pictures that are pixel art or not."""
+        return pixelated if self.scaling == "auto" else self.scaling == "nearest"

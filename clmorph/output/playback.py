@@ -7,9 +7,9 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import check_choice, check_number
+from clmorph._shared.validation import check_number
 from clmorph.errors import InputError
-from clmorph.output.options import EASES, FPS, LOOPS, Ease, Loop, PlaybackOptions
+from clmorph.output.options import FPS, Ease, Loop, PlaybackOptions
 
 #: The frame rate from which nobody sees that a hold is rounded to whole frames.
 SMOOTH = 30
@@ -35,7 +35,7 @@ def eased(times: NDArray[np.float64], ease: Ease) -> NDArray[np.float64]:
     InputError
         If `ease` has another value.
     """
-    check_choice("ease", ease, EASES)
+    PlaybackOptions.checked("ease", ease)
     if ease == "smooth":
         return times**2 * (3.0 - 2.0 * times)
     if ease == "in":
@@ -67,9 +67,8 @@ class Motion:
     loop: Loop = PlaybackOptions.loop
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "fps", check_number("fps", self.fps, 0.1, 240.0))
-        object.__setattr__(self, "hold", check_number("hold", self.hold, 0.0, 3600.0))
-        check_choice("loop", self.loop, LOOPS)
+        for name in ("fps", "hold", "loop"):
+            object.__setattr__(self, name, PlaybackOptions.checked(name, getattr(self, name)))
 
     @classmethod
     def lasting(

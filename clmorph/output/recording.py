@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from clmorph._shared.progress import Share
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
-from clmorph.output.framing import FrameStyle, Framing, in_time
+from clmorph.output.framing import Framing, in_time
+from clmorph.output.options import FrameStyle
 from clmorph.output.playback import Motion
 from clmorph.output.spool import Spool
 

@@ -28,14 +28,13 @@ from clmorph.errors import InputError, OutputError
 from clmorph.frames.sequence import FrameSequence
 from clmorph.output.formats.format import PACE, SIZES, Format
 from clmorph.output.formats.registry import FORMATS, by_ending, usual_endings
-from clmorph.output.framing import FrameStyle
 from clmorph.output.metadata import as_text
-from clmorph.output.options import PlaybackOptions, StyleOptions
+from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.output.playback import Motion, motion_of
 from clmorph.output.recording import Recording, StageProgress, recorded
 
 #: The options of `save`.
-SAVED = ("fps", "duration", "hold", "loop", "reverse", *specifications(StyleOptions))
+SAVED = ("fps", "duration", "hold", "loop", "reverse", *specifications(FrameStyle))
 
 __all__ = ["FORMATS", "PACE", "SIZES", "Output", "metadata_of", "save", "write_all"]
 
@@ -173,7 +172,7 @@ def save(
     progress : callable, optional
         Called with a stage's name and the share of it done.
     **given
-        Options of `PlaybackOptions` (fps, duration, hold, loop, reverse) and of `StyleOptions`
+        Options of `PlaybackOptions` (fps, duration, hold, loop, reverse) and of `FrameStyle`
         (canvas, scaling, background, lossless), in place of those that the first morph was made
         with.
 
@@ -207,7 +206,6 @@ def save(
         if name not in SAVED:
             raise InputError(unknown_option(name, dict.fromkeys(SAVED)))
     options = chain[0].options.replace(**given)
-    style = FrameStyle(options.canvas, options.scaling, options.background, options.lossless)
     motion = motion_of(options, held_frames_of(chain))
     output.check_motion(motion)
     report = check_progress(progress)
@@ -231,7 +229,7 @@ def save(
         pixelated=all(morph.pixelated for morph in chain), parameters=metadata,
         folder=output.folder, progress=progress,
     ) as recording:  # fmt: skip
-        write_all([output], recording, style, lambda place, share: report(f"write {path}", share))
+        write_all([output], recording, options, lambda place, share: report(f"write {path}", share))
 
 
 def _as_chain(
@@ -265,7 +263,7 @@ def metadata_of(morphs: Sequence[FrameSequence], options: Options) -> dict[str, 
         The first morph's options, with those given to `save`. If some morphs were made with other
         options than the first, the recipe lists all morphs.
     """
-    pace = {*specifications(PlaybackOptions), *specifications(StyleOptions)}
+    pace = {*specifications(PlaybackOptions), *specifications(FrameStyle)}
     each = [
         {name: value for name, value in morph.options.as_dict().items() if name not in pace}
         for morph in morphs

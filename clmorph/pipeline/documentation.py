@@ -4,6 +4,7 @@ Both follow from the option classes, so that no option is described twice.
 """
 
 import inspect
+import re
 import textwrap
 from collections.abc import Callable
 from dataclasses import fields
@@ -75,5 +76,6 @@ def _described(each: Any, default: Any) -> str:
     known: Option = each.metadata["option"]
     unit = f" Unit: {known.unit if known.scale == 1.0 else 'bytes'}." if known.unit else ""
     first = f"    {each.name} : {annotation(each.type)}, default {default!r}\n"
-    words = known.help.replace("none:", "None:") + unit
+    words = re.sub(rf"\b{known.word}:", "None:", known.help) if known.word else known.help
+    words += unit
     return first + textwrap.indent("\n".join(textwrap.wrap(words, WIDTH - 8)), " " * 8) + "\n"

@@ -60,8 +60,9 @@ def morph(
         `size`.
     options : MorphOptions, optional
         All options at once; options given by name replace those of this object.
-    preset : {"photo", "paper", "pixel-art", "crossfade", "balanced"}, optional
-        The set of options from which those given by name differ; "photo" by default.
+    preset : str, optional
+        The name of the set of options (`clmorph.pipeline.presets.PRESETS`) from which those given
+        by name differ; "photo" by default.
     backend : str or Operations
         See `clmorph.get_backend`.
     weights : (map_a, map_b), optional
@@ -208,8 +209,8 @@ class Problem:
 
     def blocks(self, source: Measure, target: Measure) -> tuple[PixelBlocks, PixelBlocks]:
         """Group pixels into blocks, between which the transport is solved."""
-        coarsest = self.options.solve_size or max(source.shape + target.shape)
-        return group_pixels(source, coarsest), group_pixels(target, coarsest)
+        most = self.options.solve_size
+        return group_pixels(source, most), group_pixels(target, most)
 
     def morph(
         self,

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -12,7 +12,6 @@ import numpy as np
 from clmorph._shared.option_kinds import integer, number
 from clmorph._shared.options import (
     Options,
-    default,
     option,
     specifications,
     unknown_option,
@@ -22,7 +21,7 @@ from clmorph._shared.validation import as_float, check_choice, shown
 from clmorph.errors import InputError
 from clmorph.frames.options import BULGING, GAMMA, RenderOptions
 from clmorph.measures.options import LiftOptions
-from clmorph.output.options import PlaybackOptions, StyleOptions
+from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.pipeline.presets import PRESETS
 from clmorph.transport.options import PlanOptions, Reach, SolverOptions
 from clmorph.transport.regularization import regularization
@@ -60,11 +59,11 @@ NO_DIVERGENCE = (
 )
 
 
-def _check_memory(value: Any) -> float:
+def _check_memory(name: str, value: Any) -> float:
     number = as_float(value)
     if number is None or not 1.0 <= number <= 1e18:
         raise InputError(
-            f"max_memory={shown(value)}: expected bytes in Python, or gigabytes in the command "
+            f"{name}={shown(value)}: expected bytes in Python, or gigabytes in the command "
             "line, above 0"
         )
     return number
@@ -94,7 +93,7 @@ class BudgetOptions(Options):
         "Transport",
     )  # fmt: skip
     max_memory: float | None = option(
-        None, number(1.0, 1e18, check=_check_memory),
+        None, replace(number(1.0, 1e18), check=_check_memory),
         "Memory that the morph may take; if the plan needs more, fewer particles are drawn; "
         "none: half of the device's.",
         "Transport", unit="GB", scale=1e9,
@@ -103,7 +102,7 @@ class BudgetOptions(Options):
 
 @dataclass(frozen=True, init=False)
 class MorphOptions(
-    StyleOptions,
+    FrameStyle,
     PlaybackOptions,
     RenderOptions,
     PlanOptions,
@@ -183,9 +182,9 @@ class MorphOptions(
             if given.get(other) is not None and name not in given:
                 values[name] = None
         if values["blur"] is None and values["epsilon"] is None:
-            values["blur"] = default(type(self), "blur")
+            values["blur"] = type(self).blur
         if values["fps"] is None and values["duration"] is None:
-            values["fps"] = default(type(self), "fps")
+            values["fps"] = type(self).fps
         if _bulges(values["splatting"]) and values["gamma"] is None:
             values["gamma"] = GAMMA
         return values
@@ -281,7 +280,7 @@ def preset_options(name: str | None) -> dict[str, Any]:
     """
     chosen = PRESETS[check_choice("preset", "photo" if name is None else name, tuple(PRESETS))]
     decided = {option for preset in PRESETS.values() for option in preset.options}
-    usual = {name: default(MorphOptions, name) for name in specifications(MorphOptions)}
+    usual = {name: getattr(MorphOptions, name) for name in specifications(MorphOptions)}
     return {name: value for name, value in usual.items() if name in decided} | dict(chosen.options)
 
 

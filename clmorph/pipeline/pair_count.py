@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import check_integer, check_number
+from clmorph._shared.validation import check_integer
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.points import AnyMeasure, MeasureLike, WeightedPoints, as_pair
-from clmorph.transport.options import PruningOptions
+from clmorph.transport.options import PlanOptions, PruningOptions
 from clmorph.transport.potentials import Potentials
-from clmorph.transport.pruning import check_log_threshold
 
 Array = NDArray[np.float64]
 
@@ -59,9 +58,8 @@ def predict_pairs(
         If an argument cannot be used.
     """
     source, target = as_pair(source, target)
-    relative = check_number("relative", relative, 0.0, 1.0, open_low=True)
-    if log_threshold is not None:
-        log_threshold = check_log_threshold(log_threshold)
+    relative = PruningOptions.checked("relative", relative)
+    log_threshold = PlanOptions.checked("log_threshold", log_threshold)
     rows = check_integer("rows", rows, 1, 1 << 24)
     rng = np.random.default_rng(check_integer("seed", seed, 0, 2**63))
     operations = get_backend(backend)

@@ -17,9 +17,10 @@ from clmorph.output.bounded import MAX_TEXT
 from clmorph.output.provenance import read_parameters
 from clmorph.pipeline.options import MorphOptions
 
-#: Keys beside options in a file of settings; only the command line uses them.
-PRESET, IMAGES = "preset", "images"
-NOT_OPTIONS = (IMAGES, "output", "format", "recipe", "max_pixels")
+#: Keys beside options in a file of settings.
+PRESET, IMAGES, OUTPUT = "preset", "images", "output"
+#: Keys that only the user decides, in the command line or in TOML; recipes do not contain them.
+OWN = (OUTPUT, "format", "recipe", "max_pixels")
 
 
 def recipe(
@@ -73,7 +74,7 @@ def options_of(settings: Mapping[str, Any], where: str) -> dict[str, Any]:
             found[PRESET] = value
             continue
         if outside not in known:
-            names = [*known, PRESET, *NOT_OPTIONS]
+            names = [*known, PRESET, IMAGES, *OWN]
             raise InputError(f"{where}: {unknown_option(key, dict.fromkeys(names))}")
         name, each = known[outside]
         try:
@@ -164,6 +165,6 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
     settings = read_toml(file) if own else read_recipe(file)["options"]
     options = {
         name: value for name, value in settings.items()
-        if name.replace("-", "_") not in NOT_OPTIONS
+        if name.replace("-", "_") not in (IMAGES, *OWN)
     }  # fmt: skip
     return options_of(options, str(file))

@@ -112,7 +112,7 @@ class Morph(FrameSequence):
         The side of a block is a power of two of pixels, so there can be fewer blocks than the
         option `solve_size` allows.
         """
-        most = self.options.solve_size or max(self.source.shape + self.target.shape)
+        most = self.options.solve_size
         return solved_size(self.source.shape, most), solved_size(self.target.shape, most)
 
     @property

@@ -15,9 +15,9 @@ import numpy as np
 from clmorph._shared.arrays import as_floats
 from clmorph._shared.options import specifications
 from clmorph._shared.typing import Array, ArrayLike
-from clmorph._shared.validation import check_choice, check_number, check_sigma
+from clmorph._shared.validation import check_number
 from clmorph.errors import InputError
-from clmorph.frames.options import UNMATCHED
+from clmorph.frames.options import WIDTH, RenderOptions
 from clmorph.images.pixels import as_rgb
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_image_measure
@@ -120,8 +120,8 @@ def render(
         as_image_measure(name, measure, "frames are images")
         for name, measure in (("source", source), ("target", target))
     )
-    t, sigma = check_number("t", t, 0.0, 1.0), check_sigma("sigma", sigma)
-    check_choice("unmatched", unmatched, UNMATCHED)
+    t, sigma = check_number("t", t, 0.0, 1.0), WIDTH.check("sigma", sigma)
+    RenderOptions.checked("unmatched", unmatched)
     plan = as_floats("plan", plan, "an array (N, M) of masses")
     sizes = len(source), len(target)
     if plan.shape != sizes or not np.all(np.isfinite(plan) & (plan >= 0)):
@@ -289,8 +289,8 @@ def morph(image_a: ArrayLike, image_b: ArrayLike, **given: Unpack[MorphKeywords]
     [0.0, 0.5, 1.0]
     """
     options = PAPER.chosen(REFERENCE_OPTIONS, given)
-    sigma_start = check_sigma("sigma_start", options.sigma_start)
-    sigma_end = check_sigma("sigma_end", options.sigma_end)
+    sigma_start = WIDTH.check("sigma_start", options.sigma_start)
+    sigma_end = WIDTH.check("sigma_end", options.sigma_end)
     source, target = (
         _lift(as_rgb(image, name), options.color_weight, options.extent)
         for name, image in (("image_a", image_a), ("image_b", image_b))

@@ -9,14 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph._shared.validation import check_integer, check_number
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_measures
 from clmorph.transport.certificate import Certificate
-from clmorph.transport.options import Reach, SolverOptions
+from clmorph.transport.options import PlanOptions, Reach, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
-from clmorph.transport.pruning import check_log_threshold, no_pair_kept
+from clmorph.transport.pruning import no_pair_kept
 from clmorph.transport.regularization import Regularization, regularization
 
 #: Largest number of pairs of a dense plan; coordinate differences alone then take 1.3 GB.
@@ -122,8 +121,8 @@ def sinkhorn(
     (True, 0.828)
     """
     given = regularization(blur, reach, epsilon, rho)
-    tol = check_number("tol", tol, 0.0, 1e3, open_low=True)
-    max_iter = check_integer("max_iter", max_iter, 1, 10**9)
+    tol = SolverOptions.checked("tol", tol)
+    max_iter = SolverOptions.checked("max_iter", max_iter)
     source, target = as_measures(source, target)
     epsilon = given.epsilon
     # Delta = rho / (rho + epsilon), the proximal step of the marginal penalty (math: damping)
@@ -252,8 +251,7 @@ def transport_plan(
     >>> reference.transport_plan(source, target, potentials).round(3).tolist()
     [[0.27, 0.0], [0.144, 0.144], [0.0, 0.27]]
     """
-    if log_threshold is not None:
-        log_threshold = check_log_threshold(log_threshold)
+    log_threshold = PlanOptions.checked("log_threshold", log_threshold)
     source, target = as_measures(source, target)
     check_potentials("potentials", potentials, (len(source), len(target)))
     log_plan = _log_plan(source, target, potentials.f, potentials.g, potentials.epsilon)

@@ -28,13 +28,19 @@ LOWEST, HIGHEST = -1e4, 1e4
 #: Largest number of random draws from a row of a plan.
 MAX_DRAWS = 4096
 
-_LENGTH = number(1e-6, 1e6)
+#: Lengths, in the unit of the points (for images: the longer side), and their squares.
+LENGTH = number(1e-6, 1e6)
+_SQUARE = replace(number(1e-12, 1e12), check=lambda name, value: value)
 #: The value is checked by `clmorph.transport.regularization`, which handles reach and rho.
 _REACH = replace(
-    _LENGTH, check=lambda name, value: value, pair=True, expected="a number",
+    LENGTH, check=lambda name, value: value, pair=True, expected="a number",
     metavar="number|balanced|source,target",
 )  # fmt: skip
-_RHO = replace(_REACH, words=(("balanced", math.inf),))
+_RHO = replace(
+    _REACH,
+    schema=_SQUARE.schema,
+    words=(("balanced", math.inf),),
+)
 
 
 @dataclass(frozen=True, init=False)
@@ -42,18 +48,18 @@ class SolverOptions(Options):
     """Options of `clmorph.sinkhorn` that define the problem and when the solver stops."""
 
     blur: float | None = option(
-        0.03, _LENGTH,
+        0.03, LENGTH,
         "Length scale of the entropic blur; a smaller one is sharper and slower.",
         "Transport", unit="image sides",
     )  # fmt: skip
     reach: Reach = option(
         None, _REACH,
-        "Length scale beyond which mass fades rather than moves; balanced: nothing fades; two "
-        "values, as in 0.3,balanced, for source and target.",
+        "Length scale beyond which mass fades rather than moves; balanced: nothing fades. Two "
+        "values belong to source and target.",
         "Transport", unit="image sides", word="balanced", off=(),
     )  # fmt: skip
     epsilon: float | None = option(
-        None, replace(_LENGTH, check=lambda name, value: value),
+        None, _SQUARE,
         "The square of blur, in its place.", "Transport", unit="cost units",
     )  # fmt: skip
     rho: Rho = option(
@@ -88,9 +94,9 @@ class PlanOptions(Options):
     """Options of the plan, which select the pairs that become particles."""
 
     log_threshold: float | None = option(
-        None, number(LOWEST, HIGHEST),
-        "Keep the pairs of the plan with log pi above this threshold (the paper's tau is -13), or "
-        "those relative to the largest of their row or column.",
+        None, number(-1e4, 1e4),
+        "Drop the pairs of the plan whose log pi is below this threshold (the paper's tau is -13); "
+        "relative: drop those that are small beside the largest of their row or column.",
         "Transport", unit="nats", word="relative",
     )  # fmt: skip
     barycentric: bool = option(
@@ -113,6 +119,11 @@ class PruningOptions(Options):
     relative: float = option(
         1e-4, number(0.0, 1.0, open_low=True),
         "A pair is kept from this share of the largest pair of its row or column on.",
+        "Transport", word="",
+    )  # fmt: skip
+    relative_to: RelativeTo = option(
+        "rows", choice(RelativeTo),
+        "The pair to which `relative` refers: the largest of the row or column, or of the plan.",
         "Transport", word="",
     )  # fmt: skip
     max_bytes: float = option(

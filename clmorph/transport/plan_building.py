@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from clmorph._shared.validation import check_choice, check_number
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError, PlanSizeError
 from clmorph.measures.points import MeasureLike, as_pair
 from clmorph.transport._solver.plan_softmin import plan_softmin
 from clmorph.transport._solver.problem import largest_cost
-from clmorph.transport.options import RELATIVE_TO, PruningOptions, RelativeTo
+from clmorph.transport.options import PlanOptions, PruningOptions, RelativeTo
 from clmorph.transport.plan import BYTES_PER_PAIR, Plan
 from clmorph.transport.potentials import Potentials, check_origin, check_potentials
 from clmorph.transport.pruning import (
-    check_log_threshold,
     no_pair_kept,
     only,
     strictly_above,
@@ -28,7 +26,7 @@ def transport_plan(
     potentials: Potentials,
     *,
     relative: float = PruningOptions.relative,
-    relative_to: RelativeTo = "rows",
+    relative_to: RelativeTo = PruningOptions.relative_to,
     log_threshold: float | None = None,
     max_bytes: float = PruningOptions.max_bytes,
     backend: Backend = "auto",
@@ -89,11 +87,10 @@ def transport_plan(
     [[0.27, 0.0], [0.144, 0.144], [0.0, 0.27]]
     """
     source, target = as_pair(source, target)
-    relative = check_number("relative", relative, 0.0, 1.0, open_low=True)
-    check_choice("relative_to", relative_to, RELATIVE_TO)
-    max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e18)
-    if log_threshold is not None:
-        log_threshold = check_log_threshold(log_threshold)
+    relative = PruningOptions.checked("relative", relative)
+    PruningOptions.checked("relative_to", relative_to)
+    max_bytes = PruningOptions.checked("max_bytes", max_bytes)
+    log_threshold = PlanOptions.checked("log_threshold", log_threshold)
     check_potentials("potentials", potentials, (len(source), len(target)))
     f, g, epsilon = potentials.f, potentials.g, potentials.epsilon
     operations = get_backend(backend)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph._shared.validation import as_float, check_blur, check_flag, shown
+from clmorph._shared.validation import as_float, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.transport.certificate import Certificate
-from clmorph.transport.options import Reach
+from clmorph.transport.options import LENGTH, Reach
 from clmorph.transport.regularization import regularization
 
 #: The ways in which a solve can end, with a description of each.
@@ -207,7 +207,7 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
             f"{name}: f or g holds NaN or infinity; expected Potentials as clmorph.sinkhorn "
             "returns them"
         )
-    check_blur(value.blur)
+    LENGTH.check("blur", value.blur)
     lengths = value.reach if isinstance(value.reach, tuple) else (value.reach,)
     numbers = [value.residual, value.truncation_error, value.visited, value.n_iter]
     numbers += [each for each in (*lengths, value.truncation) if each is not None]

@@ -7,16 +7,12 @@ large ones. The default is therefore relative to the largest pair of a row or a 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from clmorph._shared.typing import Array, BoolArray
-from clmorph._shared.validation import check_number
 from clmorph.backends.records import PlanRows
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure
-from clmorph.transport.options import HIGHEST, LOWEST
 from clmorph.transport.potentials import Potentials
 
 #: Pairs within this many rounding errors of the threshold are decided in float64.
@@ -28,22 +24,6 @@ REMEDY = (
     "lower it, or keep pairs relative to the largest ones (None; in the command line "
     "'relative'); the paper's -13 is for images of about 48 pixels"
 )
-
-
-def check_log_threshold(value: Any) -> float:
-    """Return the threshold on log pi as a number.
-
-    Parameters
-    ----------
-    value : float
-        The threshold in nats.
-
-    Raises
-    ------
-    InputError
-        If the value is no number within the bounds.
-    """
-    return check_number("log_threshold", value, LOWEST, HIGHEST)
 
 
 def check_reachable(log_threshold: float, source: AnyMeasure, target: AnyMeasure) -> None:

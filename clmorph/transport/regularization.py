@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from clmorph._shared.validation import as_float, check_blur, check_reach, shown
+from clmorph._shared.validation import as_float, shown
 from clmorph.errors import InputError
-from clmorph.transport.options import Reach, SolverOptions
+from clmorph.transport.options import LENGTH, Reach, SolverOptions
 
 
 class Regularization(NamedTuple):
@@ -67,20 +68,34 @@ def regularization(
                 f"blur={shown(blur)} and epsilon={shown(epsilon)} are two names of one strength "
                 "(epsilon = blur^2): give one of them"
             )
-        blur = _root("epsilon", epsilon, check_blur)
+        blur = _root("epsilon", epsilon, _check_blur)
     if rho is not None:
         if reach is not None:
             raise InputError(
                 f"reach={shown(reach)} and rho={shown(rho)} are two names of one strength "
                 "(rho = reach^2): give one of them"
             )
-        reach = _each("rho", rho, lambda value: _root("rho", value, check_reach))
-    blur = check_blur(SolverOptions.blur if blur is None else blur)
-    lengths = _each("reach", reach, check_reach)
+        reach = _each("rho", rho, lambda value: _root("rho", value, _check_reach))
+    blur = _check_blur(SolverOptions.blur if blur is None else blur)
+    lengths = _each("reach", reach, _check_reach)
     rhos = tuple(np.inf if length is None else length**2 for length in lengths)
     return Regularization(
         blur, lengths[0] if lengths[0] == lengths[1] else lengths, blur**2, (rhos[0], rhos[1])
     )
+
+
+def _check_blur(value: Any) -> float:
+    return float(LENGTH.check("blur", value))
+
+
+def _check_reach(value: Any) -> float | None:
+    """Return a checked reach; None or infinity is balanced transport."""
+    if value is None or as_float(value) == math.inf:
+        return None
+    try:
+        return float(LENGTH.check("reach", value))
+    except InputError as error:
+        raise InputError(f"{error}, or None for balanced transport") from None
 
 
 def _each(name: str, value: Any, function: Any) -> tuple[float | None, float | None]:

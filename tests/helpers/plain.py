@@ -6,15 +6,14 @@ random, so that images of a few pixels show what is tested.
 
 from typing import Any
 
+from plain_options import COLOR_WEIGHT, PLAIN
+
 import clmorph
 from clmorph import reference as dense
 from clmorph.pipeline.options import MorphOptions
 
-STRENGTHS = {"blur": 0.05, "reach": 0.3}
-OPTIONS = MorphOptions(
-    size=None, solve_size=None, max_particles=None, color_weight=2.0, sigma_start=1.2,
-    sigma_end=0.5, splatting="adaptive", path_space="srgb", **STRENGTHS,
-)  # fmt: skip
+OPTIONS = MorphOptions(**PLAIN)
+STRENGTHS = {name: PLAIN[name] for name in ("blur", "reach")}
 
 
 def morph(image_a, image_b, *numbers, backend="auto", **given) -> Any:
@@ -33,7 +32,7 @@ def inspect(image_a, image_b, **given) -> Any:
     return clmorph.inspect(image_a, image_b, OPTIONS.replace(**given), **own)
 
 
-def lift(image, color_weight=2.0, **options) -> Any:
+def lift(image, color_weight=COLOR_WEIGHT, **options) -> Any:
     return clmorph.lift(image, color_weight, **options)
 
 

@@ -23,7 +23,7 @@ from clmorph import InputError, OutputError
 from clmorph.images.pixels import to_bytes
 from clmorph.output.formats.sheet import Layout
 from clmorph.output.formats.video import CONTAINERS
-from clmorph.output.framing import FrameStyle
+from clmorph.output.options import FrameStyle
 from clmorph.output.playback import Motion, held_frames
 from clmorph.output.provenance import read_parameters
 from clmorph.output.recording import Recording
@@ -170,7 +170,7 @@ def test_videos_last_as_long_as_the_film(tmp_path, name, n_images, n_frames, pac
     frames = [np.full((16, 16, 3), 9 * n, np.uint8) for n in range(len(holds))]
     times = np.linspace(0, n_images - 1, len(holds))
     film = Recording(frames, [frame.shape for frame in frames], times, holds, motion)
-    write_all([Output(tmp_path / name)], film, FrameStyle("source"))
+    write_all([Output(tmp_path / name)], film, FrameStyle(canvas="source"))
     told = probe(tmp_path / name)
     rate = Fraction(told["r_frame_rate"])
     assert rate == motion.rate_for([seconds for _, seconds in film.played()])
@@ -192,7 +192,7 @@ def test_videos_have_true_colors(tmp_path, name):
     frames = [np.full((32, 32, 3), color, np.uint8) for color in colors]
     film = Recording(frames, [frame.shape for frame in frames], np.linspace(0, 1, 5),
                 np.zeros(5, bool), Motion())  # fmt: skip
-    write_all([Output(tmp_path / name)], film, FrameStyle("source"))
+    write_all([Output(tmp_path / name)], film, FrameStyle(canvas="source"))
     for frame, color in zip(decoded(tmp_path / name), colors, strict=True):
         assert np.abs(frame.astype(int) - color).max() <= 4
 
@@ -371,7 +371,7 @@ def test_a_sprites_rarest_color_is_exact(tmp_path, busy):
     frames[2, 411, 77] = 7, 250, 40
     film = Recording(list(frames), [(600, 600, 3)] * 3, np.array([0, 0.5, 1]),
                 np.array([True, False, True]), Motion(), pixelated=True)  # fmt: skip
-    write_all([Output(tmp_path / "out.gif")], film, FrameStyle("source"))
+    write_all([Output(tmp_path / "out.gif")], film, FrameStyle(canvas="source"))
     told, _ = stills(tmp_path / "out.gif")
     for index in (0, 2):
         assert np.array_equal(told[index][..., :3], frames[index])
@@ -383,7 +383,9 @@ def test_bars_beside_pixel_art_have_the_backgrounds_color(tmp_path):
     frames = rng.integers(0, 255, (2, 12, 12, 3), np.uint8)
     film = Recording(list(frames), [(12, 12, 3)] * 2, np.array([0.0, 1.0]), np.ones(2, bool),
                 Motion(), pixelated=True)  # fmt: skip
-    write_all([Output(tmp_path / "out.gif")], film, FrameStyle("40x40", background="#0a64c8"))
+    write_all(
+        [Output(tmp_path / "out.gif")], film, FrameStyle(canvas="40x40", background="#0a64c8")
+    )
     for frame in stills(tmp_path / "out.gif")[0]:
         assert np.all(frame[:2, :, :3] == (10, 100, 200))
         assert np.all(frame[:, 38:, :3] == (10, 100, 200))
@@ -464,9 +466,9 @@ def test_contact_sheets_of_large_frames_are_small(tmp_path, pixelated):
     film = Recording([large] * 12, [large.shape] * 12, np.linspace(0, 1, 12), np.zeros(12, bool),
                 Motion(), pixelated)  # fmt: skip
     for look, size in (
-        (FrameStyle(), (192, 128)), (FrameStyle("30x20"), (30, 20)),
-        (FrameStyle("300x100"), (300, 100)),
-        (FrameStyle("source"), (1500, 1000)), (FrameStyle(scaling="nearest"), (192, 128)),
+        (FrameStyle(), (192, 128)), (FrameStyle(canvas="30x20"), (30, 20)),
+        (FrameStyle(canvas="300x100"), (300, 100)),
+        (FrameStyle(canvas="source"), (1500, 1000)), (FrameStyle(scaling="nearest"), (192, 128)),
     ):  # fmt: skip
         write_all([Output(tmp_path / "sheet.png")], film, look)
         with Image.open(tmp_path / "sheet.png") as sheet:
@@ -489,7 +491,7 @@ def test_captions_of_a_contact_sheet_can_be_read(tmp_path, side):
     """Seen as a whole, or at its own size if that is small; none is cut off."""
     frames = [np.full((8, 8, 3), 128, np.uint8)] * 3
     film = Recording(frames, [(8, 8, 3)] * 3, np.linspace(0, 1, 3), np.zeros(3, bool), Motion())
-    write_all([Output(tmp_path / "sheet.png")], film, FrameStyle(side))
+    write_all([Output(tmp_path / "sheet.png")], film, FrameStyle(canvas=side))
     width, height = map(int, side.split("x"))
     gap, label, *_ = Layout.around(width, height)
     with Image.open(tmp_path / "sheet.png") as sheet:
@@ -504,7 +506,7 @@ def test_captions_of_a_contact_sheet_do_not_touch(tmp_path):
     frames = np.zeros((5, 40, 1, 3), np.uint8)
     film = Recording(list(frames), [(40, 1, 3)] * 5, np.linspace(0, 12, 5), np.zeros(5, bool),
                 Motion())  # fmt: skip
-    write_all([Output(tmp_path / "sheet.png")], film, FrameStyle("1x40"))
+    write_all([Output(tmp_path / "sheet.png")], film, FrameStyle(canvas="1x40"))
     with Image.open(tmp_path / "sheet.png") as sheet:
         gray = np.asarray(sheet.convert("L"))
     ink = np.flatnonzero((gray[12 + 40 + 1 : -8] < 128).any(axis=0))
@@ -592,14 +594,14 @@ import sys
 import numpy as np
 from clmorph.output.save import Output, write_all
 from clmorph.output.recording import Recording
-from clmorph.output.framing import FrameStyle
+from clmorph.output.options import FrameStyle
 from clmorph.output.playback import Motion
 
 squares = np.random.default_rng(0).integers(0, 255, (8, 17, 22, 3), np.uint8)
 frames = list(np.kron(squares, np.ones((1, 16, 16, 1), np.uint8)))
 film = Recording(frames, [frames[0].shape] * 8, np.linspace(0, 1, 8), np.ones(8, bool),
                  Motion(20, 0.1))
-write_all([Output(sys.argv[1])], film, FrameStyle("source"))
+write_all([Output(sys.argv[1])], film, FrameStyle(canvas="source"))
 """
 
 
@@ -745,7 +747,7 @@ from clmorph.output.save import Output, write_all
 from clmorph.output.recording import Recording
 from clmorph.output.formats.sheet import Layout
 from clmorph.output.formats.video import CONTAINERS
-from clmorph.output.framing import FrameStyle
+from clmorph.output.options import FrameStyle
 from clmorph.output.playback import Motion
 
 def most():
@@ -765,7 +767,7 @@ peaks = []
 for count in map(int, counts):
     film = Recording(Frames(int(side)), [(int(side), int(side), 3)] * count,
                      np.linspace(0, 1, count), np.zeros(count, bool), Motion())
-    write_all([Output(f"{folder}/{count}{name}")], film, FrameStyle("source"))
+    write_all([Output(f"{folder}/{count}{name}")], film, FrameStyle(canvas="source"))
     peaks.append(most())
 print(peaks[1] - peaks[0])
 """
@@ -818,7 +820,7 @@ def test_frames_that_repeat_or_stay_for_minutes_last_as_long(tmp_path, name, dep
     holds = np.array([True, False, False, False, True])
     film = Recording(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 5), holds,
                 Motion(10, 700.0, "ping-pong"))  # fmt: skip
-    write_all([Output(tmp_path / name)], film, FrameStyle("source", lossless=True))
+    write_all([Output(tmp_path / name)], film, FrameStyle(canvas="source", lossless=True))
     told, durations = stills(tmp_path / name)
     assert sum(durations) == pytest.approx(1000 * film.duration)
     ends, shown = np.cumsum(durations), np.cumsum([seconds for _, seconds in film.played()]) * 1000
@@ -843,7 +845,7 @@ def test_ffmpeg_sees_the_same_frames(tmp_path, rng, name, clear):
     frames = frames if clear else frames[..., :3]
     film = Recording(list(frames), [frame.shape for frame in frames], np.linspace(0, 1, 6),
                 np.zeros(6, bool), Motion(10))  # fmt: skip
-    write_all([Output(tmp_path / name)], film, FrameStyle("source"))
+    write_all([Output(tmp_path / name)], film, FrameStyle(canvas="source"))
     raw = subprocess.run(
         [program("ffmpeg"), "-v", "error", "-i", tmp_path / name, "-f", "rawvideo", "-pix_fmt",
          "rgba", "-"], capture_output=True, check=True,
@@ -871,7 +873,7 @@ def test_the_palette_does_not_hold_the_frames(tmp_path, monkeypatch):
         film = Recording(spool, shapes, np.linspace(0, 1, 100), np.zeros(100, bool), Motion())
         tracemalloc.start()
         try:
-            write_all([Output(tmp_path / "out.gif")], film, FrameStyle("source"))
+            write_all([Output(tmp_path / "out.gif")], film, FrameStyle(canvas="source"))
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from clmorph.images.detail import is_pixel_art
+from clmorph.output.checks import as_canvas
 from clmorph.output.framing import (
     FrameStyle,
     Framing,
-    as_canvas,
     enlargement,
     enlargement_note,
     in_time,
@@ -22,22 +22,24 @@ def test_sizes():
     assert Framing(FrameStyle(), SHAPES, True, 40).size == (32, 48)  # whole pixels
     assert Framing(FrameStyle(), SHAPES, False, 40).size == (27, 40)
     assert Framing(FrameStyle(), SHAPES, False, 40, even=True).size == (28, 40)
-    assert Framing(FrameStyle("source"), SHAPES, False, 99).size == (8, 6)
-    assert Framing(FrameStyle("target"), SHAPES, False, 99).size == (8, 12)
-    assert Framing(FrameStyle("31x20"), SHAPES, False, 99).size == (31, 20)
+    assert Framing(FrameStyle(canvas="source"), SHAPES, False, 99).size == (8, 6)
+    assert Framing(FrameStyle(canvas="target"), SHAPES, False, 99).size == (8, 12)
+    assert Framing(FrameStyle(canvas="31x20"), SHAPES, False, 99).size == (31, 20)
     assert as_canvas((31, 20)) == as_canvas("31×20") == (31, 20)
 
 
 def test_a_frame_of_the_canvas_size_is_left_alone(rng):
     frame = rng.integers(0, 256, (6, 8, 3), np.uint8)
     for scaling in ("nearest", "smooth"):
-        framing = Framing(FrameStyle("source", scaling), SHAPES, False)
+        framing = Framing(FrameStyle(canvas="source", scaling=scaling), SHAPES, False)
         assert np.array_equal(np.asarray(framing(frame)), frame)
 
 
 def test_an_odd_border_is_repeated(rng):
     frame = rng.integers(0, 256, (5, 7, 3), np.uint8)
-    picture = np.asarray(Framing(FrameStyle("source"), [frame.shape], False, even=True)(frame))
+    picture = np.asarray(
+        Framing(FrameStyle(canvas="source"), [frame.shape], False, even=True)(frame)
+    )
     assert picture.shape == (6, 8, 3)
     assert np.array_equal(picture[:5, :7], frame)
     assert np.array_equal(picture[5], picture[4])
@@ -46,11 +48,13 @@ def test_an_odd_border_is_repeated(rng):
 
 def test_nearest_makes_squares_and_smooth_does_not(rng):
     frame = rng.integers(0, 256, (6, 8, 3), np.uint8)
-    squares = np.asarray(Framing(FrameStyle("80x60"), SHAPES, True)(frame))
+    squares = np.asarray(Framing(FrameStyle(canvas="80x60"), SHAPES, True)(frame))
     assert np.array_equal(squares, np.kron(frame, np.ones((10, 10, 1))))
-    smooth = np.asarray(Framing(FrameStyle("80x60"), SHAPES, False)(frame))
+    smooth = np.asarray(Framing(FrameStyle(canvas="80x60"), SHAPES, False)(frame))
     assert len(np.unique(smooth.reshape(-1, 3), axis=0)) > 48
-    forced = np.asarray(Framing(FrameStyle("80x60", "nearest"), SHAPES, False)(frame))
+    forced = np.asarray(
+        Framing(FrameStyle(canvas="80x60", scaling="nearest"), SHAPES, False)(frame)
+    )
     assert np.array_equal(forced, squares)
 
 
@@ -58,8 +62,9 @@ def test_pixels_of_pixel_art_stay_squares_of_one_size(rng):
     """Between the ends frames fit the canvas by no whole factor."""
     frame = rng.integers(1, 256, (6, 7, 3), np.uint8)
     for look, opaque in (
-        (FrameStyle("40x30"), True), (FrameStyle("40x30", background="#000102"), True),
-        (FrameStyle("40x30"), False),
+        (FrameStyle(canvas="40x30"), True),
+        (FrameStyle(canvas="40x30", background="#000102"), True),
+        (FrameStyle(canvas="40x30"), False),
     ):  # fmt: skip
         own = frame if opaque else np.dstack((frame, np.full((6, 7), 255, np.uint8)))
         picture = np.asarray(Framing(look, [own.shape], True)(own))
@@ -68,10 +73,10 @@ def test_pixels_of_pixel_art_stay_squares_of_one_size(rng):
         ground = ([0, 1, 2] if look.background else [0, 0, 0]) if opaque else [0] * 4
         assert np.all(picture[:, :2] == ground)
         assert np.all(picture[:, 37:] == ground)
-    even = np.asarray(Framing(FrameStyle("39x29"), [frame.shape], True, even=True)(frame))
+    even = np.asarray(Framing(FrameStyle(canvas="39x29"), [frame.shape], True, even=True)(frame))
     assert even.shape == (30, 40, 3)
     assert np.count_nonzero(even) == (4 * 6) * (4 * 7) * 3
-    smooth = np.asarray(Framing(FrameStyle("40x30"), [frame.shape], False)(frame))
+    smooth = np.asarray(Framing(FrameStyle(canvas="40x30"), [frame.shape], False)(frame))
     assert np.count_nonzero(smooth.any(-1).any(0)) == 35  # as large as fits
 
 
@@ -83,17 +88,18 @@ def test_shapes_are_put_in_the_order_of_time():
 
 def test_bars_and_backgrounds():
     white = np.full((6, 8, 3), 255, np.uint8)
-    black = np.asarray(Framing(FrameStyle("16x6"), SHAPES, False)(white))
+    black = np.asarray(Framing(FrameStyle(canvas="16x6"), SHAPES, False)(white))
     assert np.array_equal(black[0, :, 0], [0] * 4 + [255] * 8 + [0] * 4)
-    blue = Framing(FrameStyle("16x6", background="#0000ff"), SHAPES, False)
+    blue = Framing(FrameStyle(canvas="16x6", background="#0000ff"), SHAPES, False)
     assert np.asarray(blue(np.full((6, 8, 3), 9, np.uint8)))[0, 0].tolist() == [0, 0, 255]
     clear = np.zeros((6, 8, 4), np.uint8)
     clear[2:4, 2:4] = 200, 10, 10, 255
     shapes = [clear.shape]
-    kept = np.asarray(Framing(FrameStyle("source"), shapes, False)(clear))
+    kept = np.asarray(Framing(FrameStyle(canvas="source"), shapes, False)(clear))
     assert np.array_equal(kept, clear)
     for look, opacity, ground in (
-        (FrameStyle("source"), False, 255), (FrameStyle("source", "auto", "black"), True, 0),
+        (FrameStyle(canvas="source"), False, 255),
+        (FrameStyle(canvas="source", background="black"), True, 0),
     ):  # fmt: skip
         framing = Framing(look, shapes, False, opacity=opacity)
         flat = np.asarray(framing(clear))
@@ -107,7 +113,7 @@ def test_unseen_colors_do_not_bleed_when_enlarged():
     clear = np.zeros((4, 4, 4), np.uint8)
     clear[..., 1] = 255  # green, and not there
     clear[1:3, 1:3] = 255, 0, 0, 255
-    large = np.asarray(Framing(FrameStyle("40x40"), [clear.shape], False)(clear))
+    large = np.asarray(Framing(FrameStyle(canvas="40x40"), [clear.shape], False)(clear))
     seen = large[large[..., 3] > 10]
     assert seen[:, 1].max() < 30
 
@@ -149,18 +155,20 @@ def test_a_canvas_that_enlarges_all_frames_is_noted():
     shapes = [(192, 256, 3), (256, 256, 3)]
     assert enlargement((1280, 720), shapes) == pytest.approx(720 / 256)
     assert enlargement("source", shapes) == 1.0
-    said = enlargement_note(FrameStyle("1280x720"), shapes, False, 256)
+    said = enlargement_note(FrameStyle(canvas="1280x720"), shapes, False, 256)
     assert said == (
         "frames of up to 256x256 pixels are enlarged 2.8 times to fit the canvas of 1280x720; for "
         "sharper frames, which take longer, add --size 720"
     )
-    small = enlargement_note(FrameStyle("1280x720"), shapes, False, 300)
+    small = enlargement_note(FrameStyle(canvas="1280x720"), shapes, False, 300)
     assert "the pictures themselves have no more pixels" in small
     assert "the pictures themselves" in enlargement_note(
-        FrameStyle("1280x720"), shapes, False, None
+        FrameStyle(canvas="1280x720"), shapes, False, None
     )
     for style, pixelated in (
-        (FrameStyle("1280x720"), True), (FrameStyle("1280x720", "nearest"), False),
-        (FrameStyle("256x256"), False), (FrameStyle("target"), False), (FrameStyle(), False),
+        (FrameStyle(canvas="1280x720"), True),
+        (FrameStyle(canvas="1280x720", scaling="nearest"), False),
+        (FrameStyle(canvas="256x256"), False), (FrameStyle(canvas="target"), False),
+        (FrameStyle(), False),
     ):  # fmt: skip
         assert enlargement_note(style, shapes, pixelated, 256) is None

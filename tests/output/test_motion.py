@@ -7,7 +7,8 @@ import plain
 import pytest
 
 from clmorph import InputError
-from clmorph.output.playback import EASES, Motion, eased, held_frames, whole_units
+from clmorph.output.options import EASES
+from clmorph.output.playback import Motion, eased, held_frames, whole_units
 
 EVEN = np.linspace(0, 1, 11)
 

@@ -15,13 +15,13 @@ from clmorph import InputError, MorphOptions
 from clmorph._shared.options import Options, specifications
 from clmorph.frames.options import RenderOptions
 from clmorph.measures.options import LiftOptions
-from clmorph.output.options import PlaybackOptions, StyleOptions
+from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.pipeline.options import BudgetOptions
 from clmorph.pipeline.presets import PRESETS
 from clmorph.transport.options import PlanOptions, SolverOptions
 
 STAGES = (
-    LiftOptions, SolverOptions, PlanOptions, RenderOptions, PlaybackOptions, StyleOptions,
+    LiftOptions, SolverOptions, PlanOptions, RenderOptions, PlaybackOptions, FrameStyle,
     BudgetOptions,
 )  # fmt: skip
 ROOT = Path(__file__).parents[2]
@@ -83,6 +83,10 @@ def test_pictures_are_reduced_by_default(rng):
         large, large, size=None, n_frames=2, backend="numpy", solve_size=16, barycentric=True
     )
     assert whole.source.shape == (40, 300)
+    small = clmorph.fit(large, 64)
+    clmorph.morph(  # the map is of the image that stays as it is
+        small, large, size=64, weights=(np.ones((9, 64)), None), n_frames=2, backend="numpy"
+    )
     for maps in ({"weights": (np.ones((40, 300)), None)}, {"color_metric": np.ones((40, 300))}):
         with pytest.raises(InputError, match="size=None"):
             clmorph.morph(large, large, backend="numpy", **maps)

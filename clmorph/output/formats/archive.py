@@ -16,8 +16,8 @@ from clmorph.errors import InputError
 from clmorph.output.bounded import MAX_HEAD, UNREADABLE, from_text
 from clmorph.output.formats.format import Format
 from clmorph.output.formats.npz import Arrays
-from clmorph.output.framing import FrameStyle
 from clmorph.output.metadata import as_text
+from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan

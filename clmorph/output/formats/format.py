@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clmorph._shared.progress import Report
-from clmorph.output.framing import FrameStyle
+from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
 
 #: Options that decide about sizes and colors, and about when frames are shown.

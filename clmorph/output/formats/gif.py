@@ -13,8 +13,9 @@ from clmorph._shared.progress import Report, tracked
 from clmorph.output.formats.animation import SIDE, box_of, changed, pieces, timed_frames
 from clmorph.output.formats.format import Format
 from clmorph.output.formats.limits import check_sides, encoding
-from clmorph.output.framing import FrameStyle, Framing
+from clmorph.output.framing import Framing
 from clmorph.output.metadata import as_text, image_head
+from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:

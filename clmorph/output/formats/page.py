@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from clmorph._shared.progress import Report, Share
 from clmorph.output.formats.format import Format
-from clmorph.output.framing import FrameStyle
 from clmorph.output.html import Curve, Field, Scene, read_parameters, write_page
 from clmorph.output.html.summary import arrow_field, known_parameters, morph_curves
+from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from clmorph._shared.progress import Report, tracked
 from clmorph.output.formats.format import SIZES, Format
 from clmorph.output.formats.limits import encoding
-from clmorph.output.framing import FrameStyle, Framing, in_time
+from clmorph.output.framing import Framing, in_time
 from clmorph.output.metadata import as_png_info, read_png
+from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
 
 #: Longer side, in pixels, of each picture; of small pixel art at least.
@@ -93,7 +94,7 @@ def _fitting(style: FrameStyle, shapes: list[tuple[int, ...]]) -> FrameStyle:
     canvas = [max(1, round(side * SIDE / longest)) for side in (width, height)]
     # Pixel art is reduced smoothly: with pixels left out it would be hard to recognize.
     scaling = "smooth" if style.scaling == "auto" else style.scaling
-    return replace(style, canvas=canvas, scaling=scaling)
+    return style.replace(canvas=canvas, scaling=scaling)
 
 
 FORMATS = (

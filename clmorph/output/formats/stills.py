@@ -11,7 +11,6 @@ import numpy as np
 from clmorph._shared.progress import Report, tracked
 from clmorph.output.formats.format import SIZES, Format
 from clmorph.output.formats.limits import encoding
-from clmorph.output.framing import FrameStyle
 from clmorph.output.metadata import (
     IMAGE_DESCRIPTION,
     as_png_info,
@@ -19,6 +18,7 @@ from clmorph.output.metadata import (
     image_head,
     read_png,
 )
+from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from clmorph._shared.progress import Report, tracked
 from clmorph.errors import OutputError
 from clmorph.output.formats.format import Format
 from clmorph.output.formats.limits import check_sides, encoding
-from clmorph.output.framing import FrameStyle
 from clmorph.output.metadata import as_text
+from clmorph.output.options import FrameStyle
 from clmorph.output.playback import whole_units
 from clmorph.output.recording import Recording
 

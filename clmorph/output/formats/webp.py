@@ -10,8 +10,9 @@ from clmorph.output.bounded import MAX_HEAD, MAX_TEXT
 from clmorph.output.formats.animation import SIDE, timed_frames
 from clmorph.output.formats.format import PACE, SIZES, Format
 from clmorph.output.formats.limits import check_sides, encoding
-from clmorph.output.framing import FrameStyle, Framing
+from clmorph.output.framing import Framing
 from clmorph.output.metadata import IMAGE_DESCRIPTION, as_text
+from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
 
 if TYPE_CHECKING:

@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from clmorph._shared.validation import check_choice, check_integer, check_number, shown
+from clmorph._shared.validation import check_choice, check_number, shown
 from clmorph.backends.interface import Operations
 from clmorph.errors import DeviceError, InputError
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import largest_cost
-from clmorph.transport.options import METHODS, PRECISIONS, AlgorithmOptions, SolverOptions
+from clmorph.transport.options import AlgorithmOptions, SolverOptions
 from clmorph.transport.regularization import Regularization
 
 #: Values of `multiscale` beside True and False.
@@ -24,9 +24,9 @@ MAX_SPREAD = 1e12
 def check_solver_options(
     tol: Any = SolverOptions.tol,
     max_iter: Any = SolverOptions.max_iter,
-    method: Any = "certified",
+    method: Any = AlgorithmOptions.method,
     scaling: Any = AlgorithmOptions.scaling,
-    precision: Any = "auto",
+    precision: Any = AlgorithmOptions.precision,
     multiscale: Any = "auto",
 ) -> tuple[float, int, float]:
     """Check options of `sinkhorn` without solving the problem.
@@ -40,14 +40,14 @@ def check_solver_options(
     InputError
         If an option is invalid.
     """
-    check_choice("method", method, METHODS)
-    check_choice("precision", precision, PRECISIONS)
+    AlgorithmOptions.checked("method", method)
+    AlgorithmOptions.checked("precision", precision)
     if not isinstance(multiscale, bool | np.bool_):
         check_choice("multiscale", multiscale, MULTISCALE)
     return (
-        check_number("tol", tol, 0.0, 1e3, open_low=True),
-        check_integer("max_iter", max_iter, 1, 10**9),
-        check_number("scaling", scaling, 0.01, 0.999),
+        SolverOptions.checked("tol", tol),
+        SolverOptions.checked("max_iter", max_iter),
+        AlgorithmOptions.checked("scaling", scaling),
     )
 
 
