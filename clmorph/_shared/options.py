@@ -125,7 +125,7 @@ class Options:
         }
 
     def settle(self, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values, completed by values that other options imply; callers set `given`."""
+        """Return all values, after filling in those that the caller's options, `given`, imply."""
         del given
         return values
 
@@ -170,8 +170,8 @@ def unknown_option(name: str, known: Mapping[str, Any]) -> str:
     """Return the error message for a name that belongs to no option."""
     if name in ("backend", "device"):
         return (
-            f"unknown option {name!r}; it does not belong to the picture: the command line has "
-            "--device and --backend, and clmorph.morph an argument"
+            f"unknown option {name!r}; the device is no option of the picture: choose it by "
+            "--device or --backend of the command line, or by the argument backend of clmorph.morph"
         )
     near = get_close_matches(name[:99], list(known), 1)
     few = len(known) <= FEW

@@ -29,7 +29,7 @@ from clmorph.pipeline.budget import (
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.memory import estimate
-from clmorph.pipeline.morph import Problem, as_options, fitted
+from clmorph.pipeline.morph import ImagePair, as_options, fitted
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
 from clmorph.pipeline.presets import PresetName
 from clmorph.transport.barycentric import Barycentric
@@ -118,9 +118,9 @@ def inspect(
     max_bytes = PruningOptions.checked("max_bytes", max_bytes)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
-    problem = Problem(fitted((image_a, image_b), chosen, weights, color_metric), chosen)
-    whole = problem.measures(weights, color_metric)
-    blocks = problem.blocks(*whole)
+    pair = ImagePair(fitted((image_a, image_b), chosen, weights, color_metric), chosen)
+    whole = pair.measures(weights, color_metric)
+    blocks = pair.blocks(*whole)
     source, target = blocks[0].coarse, blocks[1].coarse
     tol, max_iter, log_threshold = chosen.tol, chosen.max_iter, chosen.log_threshold
     max_particles, max_memory, n_frames = chosen.max_particles, chosen.max_memory, chosen.n_frames

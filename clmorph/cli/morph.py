@@ -38,7 +38,7 @@ from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
 from clmorph.pipeline.budget import default_memory
 from clmorph.pipeline.memory import estimate
-from clmorph.pipeline.morph import Problem, fitted
+from clmorph.pipeline.morph import ImagePair, fitted
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.recipe import recipe
 from clmorph.pipeline.result import Morph
@@ -126,7 +126,7 @@ class _Run:
         """Compute the morphs of successive pictures, one at a time."""
         for number, pair in enumerate(itertools.pairwise(pictures)):
             mark = f" {number + 1}" if len(pictures) > 2 else ""
-            morph = Problem(pair, self.options).morph(operations, stages.marked(mark))
+            morph = ImagePair(pair, self.options).morph(operations, stages.marked(mark))
             self.solved.append(morph.potentials)
             self.particles.append(len(morph.particles))
             yield morph

@@ -62,7 +62,7 @@ class OutputName(FileName):
 
 
 class Value(click.ParamType):
-    """The valid text of an option; `given_options` converts it to a value.
+    """A text of the command line that an option accepts; `given_options` converts it.
 
     Click interprets None as "not given", but some texts stand for None.
     """

@@ -109,8 +109,8 @@ def morph(
     True
     """
     chosen = as_options(options, preset, given)
-    problem = Problem(fitted((image_a, image_b), chosen, weights, color_metric), chosen)
-    return problem.morph(backend, check_progress(progress), weights, color_metric)
+    pair = ImagePair(fitted((image_a, image_b), chosen, weights, color_metric), chosen)
+    return pair.morph(backend, check_progress(progress), weights, color_metric)
 
 
 def as_options(options: MorphOptions | None, preset: str | None, given: Any) -> MorphOptions:
@@ -186,7 +186,7 @@ def fitted(
 
 
 @dataclass(frozen=True)
-class Problem:
+class ImagePair:
     """Two images at the size at which they are drawn, and the options of their morph.
 
     Attributes

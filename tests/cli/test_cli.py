@@ -105,7 +105,7 @@ def test_options_reach_the_morph(pictures, monkeypatch):
         seen.update(problem.options.as_dict(), shapes=tuple(p.shape for p in problem.images))
         raise clmorph.InputError("seen")
 
-    monkeypatch.setattr("clmorph.pipeline.morph.Problem.morph", spy)
+    monkeypatch.setattr("clmorph.pipeline.morph.ImagePair.morph", spy)
     arguments = "morph a.png b.jpg -o x.gif --backend numpy --frames 7 --size 6 --blur 0.1"
     arguments += " --reach balanced --color-weight 3 --sigma-start 2 --sigma-end 1 --gamma 0.1"
     assert main(arguments.split()) == 2
@@ -185,7 +185,7 @@ def test_ctrl_c_while_the_second_file_is_written(pictures, monkeypatch, capfd):
 
 
 def test_what_cannot_be_written_is_said_before_anything_is_solved(pictures, monkeypatch, capfd):
-    monkeypatch.setattr("clmorph.pipeline.morph.Problem.morph", None)
+    monkeypatch.setattr("clmorph.pipeline.morph.ImagePair.morph", None)
     Path("r.gif.json").mkdir()
     Image.new("RGBA", (5, 5)).save("void.png")
     for arguments, words in (

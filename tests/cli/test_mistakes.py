@@ -245,7 +245,7 @@ LIBRARY = [
     (lambda: clmorph.morph(SMALL, SMALL, sigma_start="AUTO"), "or 'auto'"),
     (lambda: clmorph.morph(SMALL, SMALL, solve_size="none"), "or None"),
     (lambda: clmorph.morph(SMALL, SMALL, splatting=SMALL), "splatting=an array"),
-    (lambda: clmorph.morph(SMALL, SMALL, device="0:0"), "--device and --backend"),
+    (lambda: clmorph.morph(SMALL, SMALL, device="0:0"), "--device or --backend"),
     (lambda: clmorph.MorphOptions().replace(preset="paper"), "preset"),
     (lambda: clmorph.reference.morph(SMALL, SMALL, sigma_start="auto"), "sigma_start='auto'"),
     (lambda: clmorph.analysis.metrics.step_sizes([]), "0 frames"),

@@ -202,7 +202,7 @@ def test_a_recipe_may_lower_the_limit_of_memory_but_not_raise_it(capfd, monkeypa
         seen.append(problem.options.max_memory)
         raise InputError("seen")
 
-    monkeypatch.setattr("clmorph.pipeline.morph.Problem.morph", spy)
+    monkeypatch.setattr("clmorph.pipeline.morph.ImagePair.morph", spy)
     monkeypatch.setattr("clmorph.cli.morph.default_memory", lambda operations: 2e9)
     for file, amount, want in (
         ("x.json", 1.5, 1.5e9),

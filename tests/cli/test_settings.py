@@ -19,7 +19,7 @@ from clmorph.cli.main import main
 from clmorph.errors import InputError
 from clmorph.output.provenance import read_parameters
 from clmorph.output.save import FORMATS
-from clmorph.pipeline.morph import Problem
+from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
 from clmorph.pipeline.recipe import load_options, options_of
@@ -140,13 +140,13 @@ def test_the_papers_threshold_is_a_setting(capfd, monkeypatch):
     Path("x.toml").write_text('preset = "paper"\nlog-threshold = -12\n')
     assert dumped(capfd, "--config", "x.toml")["log_threshold"] == -12
     seen = []
-    make = Problem.morph
+    make = ImagePair.morph
 
     def spy(problem, *more):
         seen.append(problem.options.log_threshold)
         return make(problem, *more)
 
-    monkeypatch.setattr(Problem, "morph", spy)
+    monkeypatch.setattr(ImagePair, "morph", spy)
     few = ["a.png", "b.png", "--frames", "2", "--preset", "paper"]
     assert main(["morph", *few, "-o", "first.gif"]) == 0
     assert main(["morph", "--config", "first.gif", "-o", "again.gif"]) == 0
@@ -388,7 +388,7 @@ def test_mistakes_in_files(capfd):
         "blur = 0.05\nepsilon = 0.0025": "x.toml: blur=0.05 and epsilon=0.0025 contradict",
         "frames = 1": "x.toml: n_frames=1",
         "reach = [0.3]": "a pair",
-        'device = "0:0"': "--device and --backend",
+        'device = "0:0"': "--device or --backend",
     }
     for text, words in cases.items():
         Path("x.toml").write_text(text)

@@ -729,7 +729,7 @@ def test_no_other_folder_is_needed(morph, monkeypatch):
 
 
 def test_an_output_that_is_a_full_folder_is_refused_before_any_work(monkeypatch):
-    monkeypatch.setattr("clmorph.pipeline.morph.Problem.morph", None)
+    monkeypatch.setattr("clmorph.pipeline.morph.ImagePair.morph", None)
     Path("frames").mkdir()
     Path("frames/mine").write_text("kept")
     assert run("-o", "frames") == 2
