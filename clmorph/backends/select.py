@@ -1,8 +1,9 @@
 """Select the operations for the value of ``backend=`` that a user gives."""
 
 import os
+from collections.abc import Sequence
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 from clmorph._shared.validation import shown
 from clmorph.backends.interface import Operations
@@ -10,7 +11,7 @@ from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import InputError
 
 #: The type of `backend`, see `get_backend`.
-Backend = str | Operations
+Backend = str | Operations | Sequence[str | Operations]
 
 
 def get_backend(backend: Backend = "auto") -> Operations:
@@ -18,17 +19,20 @@ def get_backend(backend: Backend = "auto") -> Operations:
 
     Parameters
     ----------
-    backend : str or Operations
+    backend : str, Operations, or list of them
         "auto": the device that ``CLMORPH_DEVICE`` names, else the one that ``PYOPENCL_CTX`` names,
         else the best usable OpenCL device (GPUs first, then by speed). "opencl": the same without
         ``CLMORPH_DEVICE``. "numpy": no device, float64. An index such as "0:1" or part of a
         device's or platform's name ("pocl", "intel", "nvidia"). An object with the
-        operations is returned as it is.
+        operations is returned as it is. A list such as ["0:0", "0:1"] or ["intel", "numpy"], or
+        such names joined by commas ("0:0,0:1", also in ``CLMORPH_DEVICE``): the work is divided
+        over these devices in proportion to their recorded speeds, see `backends/README.md`.
 
     Raises
     ------
     InputError
-        If `backend` is neither a text nor such an object.
+        If `backend` is neither a text nor such an object, nor a list of these; if a list is empty,
+        holds another list, or names a device twice.
     DeviceError
         If there is no such device, if it does not work, or if this process was forked from a
         process that had used OpenCL.
@@ -40,19 +44,39 @@ def get_backend(backend: Backend = "auto") -> Operations:
     >>> clmorph.get_backend(operations) is operations
     True
     """
+    if isinstance(backend, list | tuple):
+        return _several(backend)
     if not isinstance(backend, str):
         if hasattr(backend, "softmin") and not isinstance(backend, type):
-            return backend
+            return cast(Operations, backend)
         raise InputError(
             f"backend={shown(backend)}: expected 'auto', 'numpy', 'opencl', a device's name or "
-            "index, or a backend object"
+            "index, a backend object, or a list of these"
         )
     name = backend.strip() or "auto"
     if name == "auto":
         name = os.environ.get("CLMORPH_DEVICE", "").strip() or "auto"
+        if "," in name:
+            # The names in the variable do not refer to the variable again.
+            names = [part.strip() for part in name.split(",")]
+            return _several(["opencl" if part == "auto" else part for part in names])
+    if "," in name:
+        return _several(name.split(","))
     if name == "numpy":
         return _numpy()
     return _named_backend(name, os.environ.get("PYOPENCL_CTX", ""))
+
+
+def _several(given: Sequence[Any]) -> Operations:
+    """Return the operations on several devices, each of them as `get_backend` takes it."""
+    from clmorph.backends.several import open_several
+
+    for one in given:
+        if isinstance(one, list | tuple) or (isinstance(one, str) and "," in one):
+            raise InputError(f"backend: expected one device for each entry, not {shown(one)}")
+        if isinstance(one, str) and not one.strip():
+            raise InputError(f"backend={shown(list(given))}: expected a name for each device")
+    return open_several([get_backend(one) for one in given], given)
 
 
 # Backends are imported where they are used, so that the package needs no driver.

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.numpy.handles import Cloud
 from clmorph.backends.records import Float64, NearPairs
 
@@ -30,6 +31,7 @@ def exponent_blocks(
     """Yield (g_j - C_ij) / epsilon + log b_j for blocks of rows."""
     step = max(1, BLOCK_ENTRIES // max(1, len(columns.points)))
     for first in range(0, len(rows.points), step):
+        check_cancelled()
         block = slice(first, first + step)
         exponents = -costs(rows.points[block], columns.points)
         exponents += potential - columns.offsets

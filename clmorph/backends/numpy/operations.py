@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
 from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
 from clmorph.backends.records import (
@@ -36,7 +37,9 @@ class NumPyOperations:
     sum_roundoff = exponent_roundoff = precise_roundoff = 2.0**-53
     has_float64 = True
     memory_bytes: int | None = None
-    shares_host_memory = True
+    shares_host_memory = on_processor = True
+    record_key = "numpy"
+    pairs_per_second = 0.0
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
         """Upload a weighted cloud."""
@@ -323,6 +326,7 @@ class NumPyOperations:
         sums = np.zeros((4, height, width))
         chunk = max(1, BLOCK_ENTRIES // (4 * (height + width)))
         for first in range(0, len(splats.weights), chunk):
+            check_cancelled()
             part = slice(first, first + chunk)
             x = np.arange(width) - splats.positions[part, 0, None]
             y = np.arange(height) - splats.positions[part, 1, None]

@@ -9,6 +9,7 @@ import pyopencl as cl
 from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.build.tuned_record import tuned_constants
 from clmorph.backends.opencl.devices.process import claim_opencl, device_lock
+from clmorph.backends.opencl.devices.speed import probed_speed, record_key
 from clmorph.backends.opencl.kernels.clouds import CloudStore
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
@@ -54,6 +55,8 @@ class OpenCLOperations:
         self.memory_bytes: int | None = int(device.global_mem_size)
         # OpenCL 2.0 deprecates the property, and a driver may lack it.
         self.shares_host_memory = bool(getattr(device, "host_unified_memory", False))
+        self.on_processor = bool(device.type & cl.device_type.CPU)
+        self.record_key, self.pairs_per_second = record_key(device), probed_speed(device)
         self.description = (
             f"{' '.join(device.name.split())} "
             f"({device.platform.name.strip()}, driver {device.driver_version.strip()})"

@@ -61,7 +61,7 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants
             tell(f"{speed / 1e9:6.2f}·10⁹ pairs/s with {changed}")
             if speed > after * (1 + LEAST_GAIN):
                 best, after = other, speed
-    save_tuning(device, best, start)
+    save_tuning(device, best, start, after)
     return best, before, after
 
 

@@ -7,6 +7,7 @@ import pyopencl as cl
 from clmorph.backends.opencl.build.constants import BuildConstants, apply_quirks, choose_constants
 from clmorph.backends.opencl.devices.cache import forget_cached, load_record, save_record
 from clmorph.backends.opencl.devices.quirks import find_quirks
+from clmorph.backends.opencl.devices.speed import forget_speed, save_speed
 from clmorph.backends.opencl.devices.verdicts import verdict_key
 
 #: The constants that tuning tries, one after the other, and their values.
@@ -29,8 +30,10 @@ def is_possible(constants: BuildConstants, largest_group: int) -> bool:
     )
 
 
-def save_tuning(device: cl.Device, best: BuildConstants, start: BuildConstants) -> None:
-    """Save the constants that tuning has changed.
+def save_tuning(
+    device: cl.Device, best: BuildConstants, start: BuildConstants, pairs_per_second: float
+) -> None:
+    """Save the constants that tuning has changed, and the speed that it has reached.
 
     Parameters
     ----------
@@ -39,6 +42,8 @@ def save_tuning(device: cl.Device, best: BuildConstants, start: BuildConstants) 
         The fastest constants.
     start : BuildConstants
         The constants chosen for the kind of device.
+    pairs_per_second : float
+        The speed with the fastest constants, by which several devices share their work.
     """
     entry = {
         name: getattr(best, name)
@@ -46,11 +51,13 @@ def save_tuning(device: cl.Device, best: BuildConstants, start: BuildConstants) 
         if getattr(best, name) != getattr(start, name)
     }
     save_record(_record(device), entry)
+    save_speed(device, pairs_per_second)
 
 
 def forget_tuning(device: cl.Device) -> None:
     """Forget tuned constants, so that those for the kind of device are used again."""
     forget_cached(f"{_record(device)}.json")
+    forget_speed(device)
 
 
 def tuned_constants(device: cl.Device) -> BuildConstants:

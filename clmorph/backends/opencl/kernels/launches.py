@@ -12,6 +12,8 @@ import pyopencl as cl
 from numpy.typing import NDArray
 from pyopencl.tools import ImmediateAllocator, MemoryPool
 
+from clmorph.backends.cancellation import check_cancelled
+
 #: The duration that launches aim at, in seconds; well under the limit of 0.2 s.
 TARGET_SECONDS = 0.08
 #: The largest number of particles that one launch moves or sorts, or that a block of pixels visits
@@ -102,6 +104,7 @@ class Workspace:
         the launch has ended, because a kernel does not. Arguments are set one by one, because
         pyopencl's `set_args` generates code for each kernel, which takes more time than it saves.
         """
+        check_cancelled()
         for number, argument in enumerate(arguments):
             kernel.set_arg(number, argument)
         cl.enqueue_nd_range_kernel(self.queue, kernel, size, group).wait()

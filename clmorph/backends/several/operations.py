@@ -1,0 +1,394 @@
+"""The operations of `clmorph.backends.interface.Operations` on several devices at once."""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph._shared.validation import shown
+from clmorph.backends.interface import Operations
+from clmorph.backends.records import Float64, NearPairs, PlanRows, StoredPairs
+from clmorph.backends.several.clouds import Cloud, Part, divide_rows
+from clmorph.backends.several.plan_rows import joined_rows
+from clmorph.backends.several.threads import run_at_once
+from clmorph.errors import InputError
+
+T = TypeVar("T")
+
+
+class _Stored(NamedTuple):
+    """The pairs of a plan, each on the device of its row."""
+
+    rows: Cloud
+    pairs: list[StoredPairs]  #: of each part of the rows
+
+
+class SeveralDevices:
+    """Operations whose rows are divided over devices; safe to share between threads.
+
+    Each device holds the whole cloud as columns, and its share of the points as rows. An operation
+    runs on all devices at the same time, one thread a device, and its result has the caller's
+    order. Particles are on one device, the one with the largest share, because
+    `clmorph.frames.spread` gives whole frames to devices.
+
+    Parameters
+    ----------
+    members : sequence of Operations
+        Backends of single devices.
+    shares : sequence of float, optional
+        The share of the rows, and of the frames, of each device, above 0; equal if not given. They
+        decide how results are rounded.
+
+    Attributes
+    ----------
+    members : list of Operations
+    shares : list of float
+        Their sum is 1.
+    memory_bytes : int or None
+        The least memory of a device, because each device holds the whole problem. Devices in the
+        host's memory have equal parts of what each of them reports.
+
+    Raises
+    ------
+    InputError
+        If `members` is empty or `shares` do not suit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph.backends.numpy import NumPyOperations
+    >>> from clmorph.backends.several import SeveralDevices
+    >>> both = SeveralDevices([NumPyOperations(), NumPyOperations()], [0.75, 0.25])
+    >>> points = np.linspace(0.0, 1.0, 300)[:, None]
+    >>> cloud = both.upload(points, np.full(300, 1 / 300))
+    >>> [len(part.rows) for part in cloud.parts]
+    [256, 44]
+    >>> both.softmin(cloud, cloud, np.zeros(300), epsilon=0.01).shape
+    (300,)
+    """
+
+    def __init__(
+        self, members: Sequence[Operations], shares: Sequence[float] | None = None
+    ) -> None:
+        self.members = list(members)
+        given = [1.0] * len(self.members) if shares is None else list(shares)
+        total = sum(given)
+        if not self.members or len(given) != len(self.members) or not _are_shares(given):
+            raise InputError(
+                f"shares={shown(shares)}: expected a number above 0 for each of "
+                f"{len(self.members)} devices"
+            )
+        self.shares = [share / total for share in given]
+
+        self.description = " + ".join(
+            f"{100 * share:.3g} % {member.description}"
+            for share, member in zip(self.shares, self.members, strict=True)
+        )
+        self.sum_roundoff = max(member.sum_roundoff for member in members)
+        self.exponent_roundoff = max(member.exponent_roundoff for member in members)
+        self.precise_roundoff = max(member.precise_roundoff for member in members)
+        self.has_float64 = all(member.has_float64 for member in members)
+        self.memory_bytes = _least_memory(members)
+        self.shares_host_memory = any(member.shares_host_memory for member in members)
+        self.on_processor = all(member.on_processor for member in members)
+        self.pairs_per_second = sum(member.pairs_per_second for member in members)
+        keys = "|".join(member.record_key for member in members)
+        self.record_key = hashlib.sha256(keys.encode()).hexdigest()[:32]
+
+        lone = self.members[int(np.argmax(self.shares))]
+        self.bin_size = lone.bin_size
+        self.upload_particles = lone.upload_particles
+        self.upload_splats = lone.upload_splats
+        self.advect = lone.advect
+        self.deposit = lone.deposit
+        self.adapt_widths = lone.adapt_widths
+        self.width_levels = lone.width_levels
+        self.bin_splats = lone.bin_splats
+        self.splat = lone.splat
+
+    def __repr__(self) -> str:
+        return f"<SeveralDevices: {self.description}>"
+
+    def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
+        """Upload a weighted cloud to every device, and its rows to one device each."""
+        points, weights = np.asarray(points, float), np.asarray(weights, float)
+        divided = dict(divide_rows(points, self.shares))
+
+        def upload(number: int) -> tuple[Any, Any]:
+            whole = self.members[number].upload(points, weights, offsets)
+            rows = divided.get(number)
+            if rows is None or len(divided) == 1:
+                return whole, whole
+            of_rows = None if offsets is None else offsets[rows]
+            return whole, self.members[number].upload(points[rows], weights[rows], of_rows)
+
+        made = run_at_once([partial(upload, number) for number in range(len(self.members))])
+        parts = [Part(number, rows, made[number][1]) for number, rows in divided.items()]
+        if len(parts) == 1:
+            # The whole cloud is in the caller's order.
+            parts = [parts[0]._replace(rows=np.arange(len(points)))]
+        return Cloud(len(points), [whole for whole, _ in made], parts)
+
+    def _over_parts(
+        self, rows: Cloud, work: Callable[[Operations, Part, int], T]
+    ) -> list[tuple[Part, T]]:
+        """Run an operation on the device of each part, given the part and its place."""
+        tasks = [
+            partial(work, self.members[part.member], part, place)
+            for place, part in enumerate(rows.parts)
+        ]
+        return list(zip(rows.parts, run_at_once(tasks), strict=True))
+
+    def softmin(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> Float64:
+        """Return -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon)."""
+
+        def of_part(member: Operations, part: Part, place: int) -> Float64:
+            whole = columns.whole[part.member]
+            own = _own(near, place)
+            return member.softmin(part.cloud, whole, potential, epsilon, precise, own)
+
+        return _in_order(rows, self._over_parts(rows, of_part))
+
+    def bounded_softmin(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, float]:
+        """Return the soft minimum, and the largest of the devices' bounds of its rounding error."""
+
+        def of_part(member: Operations, part: Part, place: int) -> tuple[Float64, float]:
+            whole = columns.whole[part.member]
+            return member.bounded_softmin(part.cloud, whole, potential, epsilon, _own(near, place))
+
+        found = self._over_parts(rows, of_part)
+        softmin = _in_order(rows, [(part, values) for part, (values, _) in found])
+        return softmin, max(error for _, (_, error) in found)
+
+    def near_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        softmin: Float64,
+        epsilon: float,
+        budget: float,
+    ) -> NearPairs:
+        """Find the pairs that contribute to the rows' sums, each device for its rows."""
+
+        def of_part(member: Operations, part: Part, place: int) -> NearPairs:
+            whole = columns.whole[part.member]
+            guess = softmin[part.rows]
+            return member.near_pairs(part.cloud, whole, potential, guess, epsilon, budget)
+
+        found = self._over_parts(rows, of_part)
+        near = [own for _, own in found]
+        return NearPairs(
+            near,
+            _in_order(rows, [(part, own.softmin) for part, own in found]),
+            _in_order(rows, [(part, own.skipped) for part, own in found]),
+            sum(own.n_pairs for own in near),
+            max(own.n_columns for own in near),
+            max(own.largest for own in near),
+        )
+
+    def row_maxima(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        near: NearPairs | None = None,
+    ) -> Float64:
+        """Return max_j [(g_j - C_ij) / epsilon + log b_j], in nats."""
+
+        def of_part(member: Operations, part: Part, place: int) -> Float64:
+            whole = columns.whole[part.member]
+            return member.row_maxima(part.cloud, whole, potential, epsilon, _own(near, place))
+
+        return _in_order(rows, self._over_parts(rows, of_part))
+
+    def count_plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        precise: bool = False,
+    ) -> NDArray[np.int64]:
+        """Return how many pairs of each row `plan_rows` keeps."""
+
+        def of_part(member: Operations, part: Part, place: int) -> NDArray[np.int64]:
+            return member.count_plan_rows(
+                part.cloud, columns.whole[part.member], f[part.rows], g, epsilon,
+                row_thresholds[part.rows], column_thresholds, precise,
+            )  # fmt: skip
+
+        return _in_order(rows, self._over_parts(rows, of_part))
+
+    def plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        precise: bool = False,
+        counts: NDArray[np.int64] | None = None,
+    ) -> PlanRows:
+        """Return the pairs of the plan (Eq. 2) above a threshold, in the caller's order."""
+
+        def of_part(member: Operations, part: Part, place: int) -> PlanRows:
+            return member.plan_rows(
+                part.cloud, columns.whole[part.member], f[part.rows], g, epsilon,
+                row_thresholds[part.rows], column_thresholds, precise,
+                None if counts is None else counts[part.rows],
+            )  # fmt: skip
+
+        found = self._over_parts(rows, of_part)
+        if len(found) == 1:
+            return found[0][1]
+        return joined_rows(rows.size, [(part.rows, own) for part, own in found])
+
+    def store_pairs(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        f: Float64,
+        g: Float64,
+        epsilon: float,
+        row_thresholds: Float64,
+        column_thresholds: Float64,
+        max_pairs: int,
+        near: tuple[NearPairs | None, NearPairs | None] = (None, None),
+    ) -> StoredPairs | None:
+        """Store log pi_ij of the pairs above a threshold, each pair on the device of its row.
+
+        `near` is ignored: a device has the list of its rows, but not the columns' list for them.
+        So a pair above a threshold is stored even if it is in neither list.
+        """
+        counts = self.count_plan_rows(
+            rows, columns, f, g, epsilon, row_thresholds, column_thresholds
+        )
+        if counts.sum() > max_pairs:
+            return None
+
+        def of_part(member: Operations, part: Part, place: int) -> StoredPairs | None:
+            return member.store_pairs(
+                part.cloud, columns.whole[part.member], f[part.rows], g, epsilon,
+                row_thresholds[part.rows], column_thresholds, max_pairs,
+            )  # fmt: skip
+
+        found = [own for _, own in self._over_parts(rows, of_part)]
+        stored = [own for own in found if own is not None]
+        n_pairs = sum(own.n_pairs for own in stored)
+        if len(stored) < len(found) or n_pairs > max_pairs:
+            return None
+        return StoredPairs(_Stored(rows, stored), n_pairs)
+
+    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
+        """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row, or column.
+
+        A column's pairs are on several devices, whose sums are added on the host.
+        """
+        rows, pairs = stored.pairs
+
+        def of_part(member: Operations, part: Part, place: int) -> Float64:
+            own = changes[part.rows] if by_column else changes
+            return member.sum_stored(pairs[place], own, by_column)
+
+        found = self._over_parts(rows, of_part)
+        if by_column:
+            return np.logaddexp.reduce([logarithms for _, logarithms in found], axis=0)
+        return _in_order(rows, found)
+
+    def plan_moments(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, Float64]:
+        """Return mean and covariance of each row's destinations."""
+
+        def of_part(member: Operations, part: Part, place: int) -> tuple[Float64, Float64]:
+            whole = columns.whole[part.member]
+            sums = softmin[part.rows]
+            own = _own(near, place)
+            return member.plan_moments(part.cloud, whole, g, sums, epsilon, precise, own)
+
+        found = self._over_parts(rows, of_part)
+        mean = _in_order(rows, [(part, own) for part, (own, _) in found])
+        return mean, _in_order(rows, [(part, own) for part, (_, own) in found])
+
+    def sample_plan_rows(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        softmin: Float64,
+        epsilon: float,
+        thresholds: Float64,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> NDArray[np.int32]:
+        """Return columns drawn from each plan row."""
+
+        def of_part(member: Operations, part: Part, place: int) -> NDArray[np.int32]:
+            return member.sample_plan_rows(
+                part.cloud, columns.whole[part.member], g, softmin[part.rows], epsilon,
+                thresholds[part.rows], precise, _own(near, place),
+            )  # fmt: skip
+
+        return _in_order(rows, self._over_parts(rows, of_part))
+
+
+def _are_shares(values: Sequence[Any]) -> bool:
+    """Return whether all values are finite numbers above 0."""
+    return all(isinstance(value, int | float) and 0 < value < float("inf") for value in values)
+
+
+def _least_memory(members: Sequence[Operations]) -> int | None:
+    """Return the memory that every device has; None if none has a limit of its own."""
+    on_host = sum(member.shares_host_memory for member in members)
+    limits = [
+        member.memory_bytes // (on_host if member.shares_host_memory else 1)
+        for member in members
+        if member.memory_bytes is not None
+    ]
+    return min(limits, default=None)
+
+
+def _own(near: NearPairs | None, place: int) -> NearPairs | None:
+    """Return the near pairs of one part."""
+    return None if near is None else near.pairs[place]
+
+
+def _in_order(rows: Cloud, found: Sequence[tuple[Part, NDArray[Any]]]) -> NDArray[Any]:
+    """Return the values of all parts' rows in the caller's order."""
+    first = found[0][1]
+    result = np.empty((rows.size, *first.shape[1:]), first.dtype)
+    for part, values in found:
+        result[part.rows] = values
+    return result

@@ -1,0 +1,173 @@
+"""Run the work of several devices at the same time, one thread a device."""
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import copy_context
+from typing import TypeVar
+
+from clmorph.backends.cancellation import Cancellation, Cancelled, check_cancelled
+
+T = TypeVar("T")
+
+#: Seconds of one wait for a thread. On Windows, Ctrl-C takes effect only between waits.
+PATIENCE = 0.2
+
+
+def run_at_once(tasks: Sequence[Callable[[], T]]) -> list[T]:
+    """Run tasks at the same time, the first of them in the calling thread.
+
+    If one fails, or the user interrupts the calling thread, the others stop at their next launch.
+    All threads have ended when this function returns or raises.
+
+    Parameters
+    ----------
+    tasks : sequence of callables
+        At least one.
+
+    Returns
+    -------
+    list
+        The result of each task.
+
+    Raises
+    ------
+    BaseException
+        What the first task that failed has raised, an interruption of the calling thread first.
+    """
+    if len(tasks) == 1:
+        return [tasks[0]()]
+    stop = Cancellation()
+    results: dict[int, T] = {}
+    errors: dict[int, BaseException] = {}
+
+    def run(number: int) -> None:
+        try:
+            with stop.applies():
+                results[number] = tasks[number]()
+        except BaseException as error:
+            errors[number] = error
+            stop.request()
+
+    threads = [_thread(run, number) for number in range(1, len(tasks))]
+    try:
+        with _running(threads, stop):
+            run(0)
+        if errors:
+            raise _first(errors)
+    finally:
+        errors.clear()  # an error refers to this function's variables, which refer to the error
+    return [results[number] for number in range(len(tasks))]
+
+
+def _thread(work: Callable[[int], None], number: int) -> threading.Thread:
+    """Return a thread that works in a copy of the caller's context, such as `numpy.errstate`.
+
+    It is a daemon: a thread that waits for the consumer of frames must not keep the interpreter
+    from its end. `opencl.devices.process` keeps daemons out of drivers then.
+    """
+    return threading.Thread(target=copy_context().run, args=(work, number), daemon=True)
+
+
+@contextmanager
+def _running(threads: Sequence[threading.Thread], stop: Cancellation) -> Iterator[None]:
+    """Run threads beside a `with` block, and wait for them; after an error in it they stop."""
+    try:
+        for thread in threads:
+            thread.start()
+        yield
+    except BaseException:
+        stop.request()
+        raise
+    finally:
+        try:
+            _join(threads)
+        except BaseException:
+            stop.request()
+            _join(threads)
+            raise
+
+
+def _join(threads: Sequence[threading.Thread]) -> None:
+    for thread in threads:
+        while thread.is_alive():  # not so if it was never started
+            thread.join(PATIENCE)
+
+
+def _first(errors: dict[int, BaseException]) -> BaseException:
+    """Return the error to raise: a task that was stopped because of another one is no cause."""
+    causes = [number for number, error in errors.items() if not isinstance(error, Cancelled)]
+    return errors[min(causes or errors)]
+
+
+def results_in_order(turns: Sequence[int], work: Callable[[int, int], T]) -> Iterator[T]:
+    """Compute results in one thread a worker, and yield them in order.
+
+    A worker computes its results one after the other, and waits with a finished one while the one
+    before it has not been taken. So at most two results of each worker are in memory.
+
+    Parameters
+    ----------
+    turns : sequence of int
+        The worker that computes each result.
+    work : callable
+        Takes a worker and the number of a result, and returns the result.
+
+    Yields
+    ------
+    The results.
+
+    Raises
+    ------
+    BaseException
+        What a worker has raised, after the others have ended.
+    """
+    stop, changed = Cancellation(), threading.Condition()
+    done: dict[int, T] = {}
+    errors: dict[int, BaseException] = {}
+    waiting = dict.fromkeys(turns, False)
+
+    def run(worker: int) -> None:
+        try:
+            with stop.applies():
+                for number in [place for place, turn in enumerate(turns) if turn == worker]:
+                    check_cancelled()
+                    result = work(worker, number)
+                    with changed:
+                        changed.wait_for(lambda: stop.requested or not waiting[worker])
+                        done[number], waiting[worker] = result, True
+                        changed.notify_all()
+                    del result
+        except BaseException as error:
+            with changed:
+                errors[worker] = error
+                stop.request()
+                changed.notify_all()
+
+    def take(number: int, worker: int) -> T:
+        with changed:
+            while number not in done and not errors:
+                changed.wait(PATIENCE)
+                check_cancelled()
+            if errors:
+                raise Cancelled
+            waiting[worker] = False
+            changed.notify_all()
+            return done.pop(number)
+
+    threads = [_thread(run, worker) for worker in waiting]
+    try:
+        # With an error here `take` raises `Cancelled`, and so all threads end before the cause.
+        with suppress(Cancelled), _running(threads, stop):
+            try:
+                for number, worker in enumerate(turns):
+                    yield take(number, worker)
+            finally:
+                with changed:
+                    stop.request()
+                    changed.notify_all()
+        check_cancelled()
+        if errors:
+            raise _first(errors)
+    finally:
+        errors.clear()
