@@ -9,6 +9,7 @@ difference that remains at the ends even so (pixels from which nothing travels i
 is dropped, or rounding) fades at its place.
 """
 
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -106,6 +107,12 @@ class Details:
         self._links = links[kept].astype(np.uint32)
         self._weights = np.column_stack((weights, weights))[kept]
 
+    def on(self, operations: Operations) -> "Details":
+        """Return the same particles for another device."""
+        other = copy(self)
+        other._operations = operations
+        return other
+
     def at(self, t: float, canvas: Canvas, width: float) -> Array | float:
         """Return the correction of a frame before it is faded: (H, W, 3) array.
 
@@ -144,6 +151,13 @@ class EndCorrection:
     def __init__(self, details: tuple[Details | None, Details | None]) -> None:
         self._details = details
         self._rest: list[Array | None] = [None, None]
+
+    def on(self, operations: Operations) -> "EndCorrection":
+        """Return the same correction for another device."""
+        source, target = (None if one is None else one.on(operations) for one in self._details)
+        other = EndCorrection((source, target))
+        other._rest = self._rest
+        return other
 
     def moving(self, t: float, canvas: Canvas, width: float) -> Array | float:
         """Return the correction of the colors at time t, in the space of the path."""

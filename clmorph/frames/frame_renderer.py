@@ -51,11 +51,31 @@ class FrameRenderer:
         endpoints: str,
         unmatched: str,
     ) -> None:
+        #: The renderer on another device, whose correction of the ends this one uses.
+        self._like: FrameRenderer | None = None
         self._measures, self._plan, self._particles = (source, target), plan, particles
         self._kernel_width, self._operations = kernel_width, operations
         self._endpoints, self._unmatched = endpoints, unmatched
         #: Time and opacity of the frame that was rendered last.
         self._last_opacity: tuple[float, NDArray[np.float64]] | None = None
+
+    @property
+    def operations(self) -> Operations:
+        """The backend that renders the frames."""
+        return self._operations
+
+    def on(self, operations: Operations) -> "FrameRenderer":
+        """Return a renderer of the same morph on another device, with the same correction."""
+        other = FrameRenderer(
+            *self._measures, self._plan, self._particles, self._kernel_width, operations,
+            self._endpoints, self._unmatched,
+        )  # fmt: skip
+        other._like = self
+        return other
+
+    def prepare(self) -> None:
+        """Compute the correction of the ends, which otherwise the first frame does."""
+        _ = self._correction
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t."""
@@ -106,8 +126,9 @@ class FrameRenderer:
 
     def _opacity(self, t: float) -> NDArray[np.float64]:
         """Return the opacity of the frame at t, without correction of the ends: (H, W) array."""
-        if self._last_opacity is not None and self._last_opacity[0] == t:
-            return self._last_opacity[1]
+        last = self._last_opacity
+        if last is not None and last[0] == t:
+            return last[1]
         assert self._alpha_particles is not None
         area, canvas = self._alpha_particles.mass(t), self.canvas(t)
         sums = render(
@@ -136,6 +157,9 @@ class FrameRenderer:
         """The correction of both ends; None if the frames there stay as the kernel draws them."""
         if self._endpoints == "paper":
             return None
+        if self._like is not None:
+            correction = self._like._correction
+            return None if correction is None else correction.on(self._operations)
         lacking = self._lacking(0.0), self._lacking(1.0)
         correction = EndCorrection(
             make_details(self._operations, self._measures, self._plan, lacking, self._unmatched)

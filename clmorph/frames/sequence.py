@@ -90,8 +90,13 @@ class FrameSequence(Sequence[Frame]):
             return [self[i] for i in range(*index.indices(len(self)))]
         return self.frame(float(self.times[index]))
 
-    def iter_frames(self) -> Iterator[Frame]:
+    def iter_frames(self, first: int = 0) -> Iterator[Frame]:
         """Render the frames one by one, without keeping them.
+
+        Parameters
+        ----------
+        first : int
+            Number of the first frame.
 
         Examples
         --------
@@ -103,7 +108,7 @@ class FrameSequence(Sequence[Frame]):
         >>> [frame.shape for frame in morph.iter_frames()]
         [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
         """
-        return (self.frame(float(t)) for t in self.times)
+        return (self[index] for index in range(first, len(self)))
 
 
 def check_frame_sequence(morph: FrameSequence) -> None:

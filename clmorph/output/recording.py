@@ -126,12 +126,11 @@ def recorded(
             if keep:
                 kept.append(morph)
             name = f"frames {number + 1}" if n_morphs > 1 else "frames"
-            for index, t in enumerate(morph.times):
-                if number == 0 or index > 0:
-                    frame = morph[index]
-                    spool.append(frame if exact else to_bytes(frame))
-                    times.append(number + float(t))
-                    holds.append(index in (0, len(morph.times) - 1))
+            first = 0 if number == 0 else 1
+            for index, frame in enumerate(morph.iter_frames(first), first):
+                spool.append(frame if exact else to_bytes(frame))
+                times.append(number + float(morph.times[index]))
+                holds.append(index in (0, len(morph.times) - 1))
                 done = index + 1
                 report(name, Share(done / len(morph.times), f"{done} of {len(morph.times)}"))
         step = -1 if reverse else 1

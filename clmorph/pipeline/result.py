@@ -1,5 +1,6 @@
 """The result `Morph`: a sequence of frames that can be rendered and saved."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, overload
@@ -7,7 +8,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import check_number, shown
+from clmorph._shared.validation import check_integer, check_number, shown
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
@@ -15,7 +16,8 @@ from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths
-from clmorph.frames.sequence import FrameSequence
+from clmorph.frames.sequence import Frame, FrameSequence
+from clmorph.frames.spread import SpreadRenderer
 from clmorph.images.detail import is_pixel_art
 from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import solved_size
@@ -47,7 +49,8 @@ class Morph(FrameSequence):
         The times of the frames, ascending from 0 to 1.
     kernel_width : KernelWidth
     operations : Operations
-        The backend that renders the frames.
+        The backend that renders the frames. Several devices share them, see
+        `clmorph.frames.spread`.
     endpoints : {"exact", "paper"}
         Whether the first and the last frame are the images themselves.
     unmatched : {"fade", "drop"}
@@ -85,7 +88,7 @@ class Morph(FrameSequence):
     unmatched: str = "fade"
     options: MorphOptions = field(default_factory=MorphOptions, repr=False)
     arrays: tuple[str, ...] = ()
-    _renderer: FrameRenderer = field(init=False, repr=False, compare=False)
+    _renderer: SpreadRenderer = field(init=False, repr=False, compare=False)
     #: Cache of rendered frames: it holds no frame or all frames.
     _kept: list[NDArray[np.float32]] = field(
         default_factory=list, init=False, repr=False, compare=False
@@ -96,7 +99,7 @@ class Morph(FrameSequence):
             self.source, self.target, self.plan, self.particles, self.kernel_width,
             self.operations, self.endpoints, self.unmatched,
         )  # fmt: skip
-        object.__setattr__(self, "_renderer", renderer)
+        object.__setattr__(self, "_renderer", SpreadRenderer(renderer, self.times))
 
     def __repr__(self) -> str:
         (h, w), (height, width) = self.source.shape, self.target.shape
@@ -130,6 +133,29 @@ class Morph(FrameSequence):
         Frames are rendered unless `frames` has cached them.
         """
         return self._kept[index] if self._kept else super().__getitem__(index)
+
+    def iter_frames(self, first: int = 0) -> Iterator[Frame]:
+        """Render the frames one by one, without keeping them.
+
+        Several devices work at once. Frames that `frames` has cached are not rendered again.
+
+        Parameters
+        ----------
+        first : int
+            Number of the first frame.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> [frame.shape for frame in morph.iter_frames()]
+        [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
+        """
+        first = check_integer("first", first, 0, len(self))
+        return iter(self._kept[first:]) if self._kept else self._renderer.frames(first)
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t.

@@ -13,7 +13,7 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.records import Float64, NearPairs, PlanRows, StoredPairs
 from clmorph.backends.several.clouds import Cloud, Part, divide_rows
 from clmorph.backends.several.plan_rows import joined_rows
-from clmorph.backends.several.threads import run_at_once
+from clmorph.backends.several.threads import Workers
 from clmorph.errors import InputError
 
 T = TypeVar("T")
@@ -82,6 +82,7 @@ class SeveralDevices:
                 f"{len(self.members)} devices"
             )
         self.shares = [share / total for share in given]
+        self._workers = Workers(len(self.members) - 1)
 
         self.description = " + ".join(
             f"{100 * share:.3g} % {member.description}"
@@ -125,7 +126,9 @@ class SeveralDevices:
             of_rows = None if offsets is None else offsets[rows]
             return whole, self.members[number].upload(points[rows], weights[rows], of_rows)
 
-        made = run_at_once([partial(upload, number) for number in range(len(self.members))])
+        made = self._workers.run_at_once(
+            [partial(upload, number) for number in range(len(self.members))]
+        )
         parts = [Part(number, rows, made[number][1]) for number, rows in divided.items()]
         if len(parts) == 1:
             # The whole cloud is in the caller's order.
@@ -140,7 +143,7 @@ class SeveralDevices:
             partial(work, self.members[part.member], part, place)
             for place, part in enumerate(rows.parts)
         ]
-        return list(zip(rows.parts, run_at_once(tasks), strict=True))
+        return list(zip(rows.parts, self._workers.run_at_once(tasks), strict=True))
 
     def softmin(
         self,

@@ -1,7 +1,9 @@
 """Run the work of several devices at the same time, one thread a device."""
 
+import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from contextvars import copy_context
 from typing import TypeVar
@@ -14,78 +16,102 @@ T = TypeVar("T")
 PATIENCE = 0.2
 
 
-def run_at_once(tasks: Sequence[Callable[[], T]]) -> list[T]:
-    """Run tasks at the same time, the first of them in the calling thread.
-
-    If one fails, or the user interrupts the calling thread, the others stop at their next launch.
-    All threads have ended when this function returns or raises.
+class Workers:
+    """Threads that wait for work, because to start one takes as long as a small operation.
 
     Parameters
     ----------
-    tasks : sequence of callables
-        At least one.
-
-    Returns
-    -------
-    list
-        The result of each task.
-
-    Raises
-    ------
-    BaseException
-        What the first task that failed has raised, an interruption of the calling thread first.
+    count : int
+        Number of threads. They are started when they are first needed, and end with this object.
     """
-    if len(tasks) == 1:
-        return [tasks[0]()]
-    stop = Cancellation()
-    results: dict[int, T] = {}
-    errors: dict[int, BaseException] = {}
 
-    def run(number: int) -> None:
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._pool: ThreadPoolExecutor | None = None
+        self._owner, self._lock = 0, threading.Lock()
+
+    def run_at_once(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
+        """Run tasks at the same time, the first of them in the calling thread.
+
+        If one fails, or the user interrupts the calling thread, the others stop at their next
+        launch. All have ended when this method returns or raises.
+
+        Parameters
+        ----------
+        tasks : sequence of callables
+            At least one, and at most one more than there are threads.
+
+        Returns
+        -------
+        list
+            The result of each task.
+
+        Raises
+        ------
+        BaseException
+            What the first task that failed has raised.
+        """
+        if len(tasks) == 1:
+            return [tasks[0]()]
+        stop = Cancellation()
+        results: dict[int, T] = {}
+        errors: dict[int, BaseException] = {}
+
+        def run(number: int) -> None:
+            try:
+                with stop.applies():
+                    check_cancelled()
+                    results[number] = tasks[number]()
+            except BaseException as error:
+                errors[number] = error
+                stop.request()
+
+        futures: list[Future[None]] = []
         try:
-            with stop.applies():
-                results[number] = tasks[number]()
-        except BaseException as error:
-            errors[number] = error
-            stop.request()
+            with _waited_for(stop, lambda: _await(futures)):
+                pool = self._threads()
+                for number in range(1, len(tasks)):
+                    # Settings of the caller, such as `numpy.errstate`, hold for the work too.
+                    futures.append(pool.submit(copy_context().run, run, number))
+                run(0)
+            if errors:
+                raise _first(errors)
+        finally:
+            errors.clear()  # an error refers to this function's variables, which refer to the error
+        return [results[number] for number in range(len(tasks))]
 
-    threads = [_thread(run, number) for number in range(1, len(tasks))]
-    try:
-        with _running(threads, stop):
-            run(0)
-        if errors:
-            raise _first(errors)
-    finally:
-        errors.clear()  # an error refers to this function's variables, which refer to the error
-    return [results[number] for number in range(len(tasks))]
-
-
-def _thread(work: Callable[[int], None], number: int) -> threading.Thread:
-    """Return a thread that works in a copy of the caller's context, such as `numpy.errstate`.
-
-    It is a daemon: a thread that waits for the consumer of frames must not keep the interpreter
-    from its end. `opencl.devices.process` keeps daemons out of drivers then.
-    """
-    return threading.Thread(target=copy_context().run, args=(work, number), daemon=True)
+    def _threads(self) -> ThreadPoolExecutor:
+        """Return the threads, which do not survive a fork."""
+        if self._owner != os.getpid():
+            self._owner, self._pool, self._lock = os.getpid(), None, threading.Lock()
+        with self._lock:
+            if self._pool is None:
+                self._pool = ThreadPoolExecutor(self._count, "clmorph device")
+            return self._pool
 
 
 @contextmanager
-def _running(threads: Sequence[threading.Thread], stop: Cancellation) -> Iterator[None]:
-    """Run threads beside a `with` block, and wait for them; after an error in it they stop."""
+def _waited_for(stop: Cancellation, wait: Callable[[], None]) -> Iterator[None]:
+    """Wait for other threads at the end of a `with` block; after an error in it they stop."""
     try:
-        for thread in threads:
-            thread.start()
         yield
     except BaseException:
         stop.request()
         raise
     finally:
         try:
-            _join(threads)
+            wait()
         except BaseException:
             stop.request()
-            _join(threads)
+            wait()
             raise
+
+
+def _await(futures: Sequence[Future[None]]) -> None:
+    for future in futures:
+        while not future.done():
+            with suppress(TimeoutError):
+                future.result(PATIENCE)
 
 
 def _join(threads: Sequence[threading.Thread]) -> None:
@@ -155,11 +181,18 @@ def results_in_order(turns: Sequence[int], work: Callable[[int, int], T]) -> Ite
             changed.notify_all()
             return done.pop(number)
 
-    threads = [_thread(run, worker) for worker in waiting]
+    # They are daemons, because a consumer that leaves the last frames out must not keep the
+    # interpreter from its end. `opencl.devices.process` keeps them out of drivers then.
+    threads = [
+        threading.Thread(target=copy_context().run, args=(run, worker), daemon=True)
+        for worker in waiting
+    ]
     try:
         # With an error here `take` raises `Cancelled`, and so all threads end before the cause.
-        with suppress(Cancelled), _running(threads, stop):
+        with suppress(Cancelled), _waited_for(stop, lambda: _join(threads)):
             try:
+                for thread in threads:
+                    thread.start()
                 for number, worker in enumerate(turns):
                     yield take(number, worker)
             finally:

@@ -1,0 +1,82 @@
+"""Render the frames of one morph on all devices of a backend, each frame on one of them."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.several import frame_turns, members_of, results_in_order
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.frame_renderer import FrameRenderer
+from clmorph.frames.render import Sums, Widths
+
+
+class SpreadRenderer:
+    """Renders a morph by the devices of a backend, as `FrameRenderer` does by one device.
+
+    The number of a frame and the devices' shares of the work decide which device renders it, so
+    that frames repeat to the bit. A frame at another time is rendered by the device with the
+    largest share. That device also computes the correction of the ends, which all devices use.
+
+    Parameters
+    ----------
+    renderer : FrameRenderer
+        A renderer of the morph; its operations may be several devices.
+    times : (n_frames,) array
+        The times of the frames.
+    """
+
+    def __init__(self, renderer: FrameRenderer, times: NDArray[np.float64]) -> None:
+        members = members_of(renderer.operations)
+        shares = [share for _, share in members]
+        self._first = renderer
+        self._renderers = [renderer]
+        if len(members) > 1:
+            lone = int(np.argmax(shares))
+            self._first = renderer.on(members[lone][0])
+            self._renderers = [
+                self._first if number == lone else self._first.on(member)
+                for number, (member, _) in enumerate(members)
+            ]
+        self._times = times
+        self._turns = frame_turns(shares, len(times)).tolist()
+        self._turn_at = {float(t): turn for t, turn in zip(times, self._turns, strict=True)}
+
+    def canvas(self, t: float) -> Canvas:
+        """Return the canvas at time t."""
+        return self._first.canvas(t)
+
+    def _at(self, t: float) -> FrameRenderer:
+        turn = self._turn_at.get(t)
+        return self._first if turn is None else self._renderers[turn]
+
+    def frame(self, t: float) -> NDArray[np.float32]:
+        """Render the frame at time t; see `FrameRenderer.frame`."""
+        return self._at(t).frame(t)
+
+    def sums(self, t: float, widths: Widths | None = None) -> Sums:
+        """Render colors, coverage and density at time t; see `FrameRenderer.sums`."""
+        return self._at(t).sums(t, widths)
+
+    def frames(self, first: int) -> Iterator[NDArray[np.float32]]:
+        """Render frames one by one, or as many at once as there are devices.
+
+        At most two frames of each device are in memory, beside the one that the caller has.
+
+        Parameters
+        ----------
+        first : int
+            Number of the first frame.
+        """
+        if len(self._renderers) == 1:
+            return (self._first.frame(float(t)) for t in self._times[first:])
+        return self._at_once(first)
+
+    def _at_once(self, first: int) -> Iterator[NDArray[np.float32]]:
+        # The correction of the ends is computed before the threads start, and so only once.
+        self._first.prepare()
+
+        def frame(turn: int, number: int) -> NDArray[np.float32]:
+            return self._renderers[turn].frame(float(self._times[first + number]))
+
+        yield from results_in_order(self._turns[first:], frame)
