@@ -3,14 +3,18 @@
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from contextvars import copy_context
-from typing import TypeVar
+from functools import partial
+from queue import SimpleQueue
+from typing import TypeAlias, TypeVar
+from weakref import finalize
 
 from clmorph.backends.cancellation import Cancellation, Cancelled, check_cancelled
 
 T = TypeVar("T")
+#: Tasks of threads; None ends one of them.
+Queue: TypeAlias = "SimpleQueue[Callable[[], None] | None]"
 
 #: Seconds of one wait for a thread. On Windows, Ctrl-C takes effect only between waits.
 PATIENCE = 0.2
@@ -23,12 +27,14 @@ class Workers:
     ----------
     count : int
         Number of threads. They are started when they are first needed, and end with this object.
+        They are daemons, like all threads of this module: a thread that waits must not keep the
+        interpreter from its end. `opencl.devices.process` keeps daemons out of drivers then.
     """
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._pool: ThreadPoolExecutor | None = None
-        self._owner, self._lock = 0, threading.Lock()
+        #: The process that the threads belong to, as they do not survive a fork, and their queue.
+        self._team: tuple[int, Queue] | None = None
 
     def run_at_once(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
         """Run tasks at the same time, the first of them in the calling thread.
@@ -66,13 +72,11 @@ class Workers:
                 errors[number] = error
                 stop.request()
 
-        futures: list[Future[None]] = []
+        ended: list[threading.Lock] = []
         try:
-            with _waited_for(stop, lambda: _await(futures)):
-                pool = self._threads()
+            with _waited_for(stop, lambda: _acquire(ended)):
                 for number in range(1, len(tasks)):
-                    # Settings of the caller, such as `numpy.errstate`, hold for the work too.
-                    futures.append(pool.submit(copy_context().run, run, number))
+                    ended.append(self._start(partial(run, number)))
                 run(0)
             if errors:
                 raise _first(errors)
@@ -80,14 +84,44 @@ class Workers:
             errors.clear()  # an error refers to this function's variables, which refer to the error
         return [results[number] for number in range(len(tasks))]
 
-    def _threads(self) -> ThreadPoolExecutor:
-        """Return the threads, which do not survive a fork."""
-        if self._owner != os.getpid():
-            self._owner, self._pool, self._lock = os.getpid(), None, threading.Lock()
-        with self._lock:
-            if self._pool is None:
-                self._pool = ThreadPoolExecutor(self._count, "clmorph device")
-            return self._pool
+    def _start(self, task: Callable[[], None]) -> threading.Lock:
+        """Let a thread run a task, and return a lock that is released at the task's end."""
+        team = self._team
+        if team is None or team[0] != os.getpid():
+            team = self._team = os.getpid(), self._engaged()
+        running = threading.Lock()
+        running.acquire()
+        context = copy_context()  # settings of the caller, such as `numpy.errstate`
+
+        def run() -> None:
+            try:
+                context.run(task)
+            finally:
+                running.release()
+
+        team[1].put(run)
+        return running
+
+    def _engaged(self) -> Queue:
+        """Start the threads, and return their queue."""
+        queue: Queue = SimpleQueue()
+        finalize(self, _dismiss, queue, self._count).atexit = False
+        for _ in range(self._count):
+            threading.Thread(target=_serve, args=(queue,), daemon=True).start()
+        return queue
+
+
+def _serve(queue: Queue) -> None:
+    """Run the tasks of a queue, until there is a None."""
+    while (task := queue.get()) is not None:
+        task()
+        del task  # it refers to clouds on the device
+
+
+def _dismiss(queue: Queue, count: int) -> None:
+    """End the threads that serve a queue."""
+    for _ in range(count):
+        queue.put(None)
 
 
 @contextmanager
@@ -107,11 +141,12 @@ def _waited_for(stop: Cancellation, wait: Callable[[], None]) -> Iterator[None]:
             raise
 
 
-def _await(futures: Sequence[Future[None]]) -> None:
-    for future in futures:
-        while not future.done():
-            with suppress(TimeoutError):
-                future.result(PATIENCE)
+def _acquire(locks: Sequence[threading.Lock]) -> None:
+    """Wait until all locks have been released once."""
+    for lock in locks:
+        while not lock.acquire(timeout=PATIENCE):
+            pass
+        lock.release()
 
 
 def _join(threads: Sequence[threading.Thread]) -> None:
@@ -181,8 +216,6 @@ def results_in_order(turns: Sequence[int], work: Callable[[int, int], T]) -> Ite
             changed.notify_all()
             return done.pop(number)
 
-    # They are daemons, because a consumer that leaves the last frames out must not keep the
-    # interpreter from its end. `opencl.devices.process` keeps them out of drivers then.
     threads = [
         threading.Thread(target=copy_context().run, args=(run, worker), daemon=True)
         for worker in waiting
