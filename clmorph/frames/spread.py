@@ -58,8 +58,13 @@ class SpreadRenderer:
         """Render colors, coverage and density at time t; see `FrameRenderer.sums`."""
         return self._at(t).sums(t, widths)
 
+    @property
+    def at_once(self) -> bool:
+        """Whether frames are rendered at the same time, by several devices."""
+        return len(self._renderers) > 1
+
     def frames(self, first: int) -> Iterator[NDArray[np.float32]]:
-        """Render frames one by one, or as many at once as there are devices.
+        """Render frames, as many at once as there are devices, and yield them in order.
 
         At most two frames of each device are in memory, beside the one that the caller has.
 
@@ -68,11 +73,6 @@ class SpreadRenderer:
         first : int
             Number of the first frame.
         """
-        if len(self._renderers) == 1:
-            return (self._first.frame(float(t)) for t in self._times[first:])
-        return self._at_once(first)
-
-    def _at_once(self, first: int) -> Iterator[NDArray[np.float32]]:
         # The correction of the ends is computed before the threads start, and so only once.
         self._first.prepare()
 

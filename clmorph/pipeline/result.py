@@ -155,7 +155,9 @@ class Morph(FrameSequence):
         [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
         """
         first = check_integer("first", first, 0, len(self))
-        return iter(self._kept[first:]) if self._kept else self._renderer.frames(first)
+        if self._kept or not self._renderer.at_once:
+            return super().iter_frames(first)
+        return self._renderer.frames(first)
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t.

@@ -75,13 +75,12 @@ class SeveralDevices:
     ) -> None:
         self.members = list(members)
         given = [1.0] * len(self.members) if shares is None else list(shares)
-        total = sum(given)
         if not self.members or len(given) != len(self.members) or not _are_shares(given):
             raise InputError(
                 f"shares={shown(shares)}: expected a number above 0 for each of "
                 f"{len(self.members)} devices"
             )
-        self.shares = [share / total for share in given]
+        self.shares = [share / sum(given) for share in given]
         self._workers = Workers(len(self.members) - 1)
 
         self.description = " + ".join(

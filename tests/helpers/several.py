@@ -1,0 +1,41 @@
+"""Several devices on one machine: parts of one device, and NumPy beside a device."""
+
+import numpy as np
+import pyopencl as cl
+
+from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.several import SeveralDevices
+
+
+def two_parts(handle, constants=None):
+    """Return operations on two parts of a device, one compute unit each.
+
+    Where a driver has no parts, such as llvmpipe's, two backends share the device.
+    """
+    try:
+        parts = handle.create_sub_devices([cl.device_partition_property.EQUALLY, 1])[:2]
+    except cl.Error:
+        parts = []
+    if len(parts) < 2:
+        parts = [handle, handle]
+    return [OpenCLOperations(part, constants) for part in parts]
+
+
+#: name -> function of operations on one device that returns several devices.
+KINDS = {
+    "halves": lambda device: SeveralDevices(two_parts(device.device)),
+    "99 to 1": lambda device: SeveralDevices(two_parts(device.device), [0.99, 0.01]),
+    "with NumPy": lambda device: SeveralDevices([NumPyOperations(), device], [0.3, 0.7]),
+    "three": lambda device: SeveralDevices([*two_parts(device.device), device], [1, 2, 3]),
+}
+
+
+def pictures(sides=(20, 17)):
+    """Return two smooth pictures."""
+    made = []
+    for phase, side in enumerate(sides):
+        y, x = np.mgrid[:side, :side] / side
+        waves = [np.sin(5 * x + k * y + phase) * np.cos(3 * y - k * phase) for k in (1, 3, 6)]
+        made.append(0.5 + 0.5 * np.stack(waves, axis=-1))
+    return made
