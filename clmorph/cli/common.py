@@ -106,8 +106,12 @@ def open_backend(device: str | None, backend: str | None) -> Any:
     if device is not None and backend not in (None, "auto", "opencl"):
         raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
     from clmorph.backends.select import get_backend
+    from clmorph.backends.several import sharing_note
 
     with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
         operations = get_backend(device or backend or "auto")
     say(f"device: {operations.description}")
+    shared = sharing_note(operations)
+    if shared is not None:
+        note(shared)
     return operations

@@ -225,7 +225,8 @@ file_options = _together(
 device_options = _together(
     _option(
         "Device", "--device", metavar="NAME",
-        help="OpenCL device: an index (0:1) or part of a name.",
+        help="OpenCL device: an index (0:1) or part of a name; several, joined by commas, share "
+        "the work.",
     ),
     _option(
         "Device", "--backend", metavar="NAME",

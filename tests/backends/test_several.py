@@ -76,7 +76,10 @@ def test_several_devices_have_the_protocols_signatures():
         assert list(inspect.signature(getattr(several, name)).parameters) == wanted, name
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind",
+    ["halves", *(pytest.param(name, marks=pytest.mark.full) for name in KINDS if name != "halves")],
+)
 def test_all_operations_pass_the_check(device, kind):
     findings = list(check(KINDS[kind](device)))
     assert len(findings) > 30

@@ -1,0 +1,243 @@
+"""Whole solves, plans and morphs on several devices: those of one device, to rounding."""
+
+import json
+import subprocess
+import sys
+import time
+import weakref
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import TESTED
+from several import KINDS, pictures
+
+import clmorph
+from clmorph.backends.several import SeveralDevices, members_of
+from clmorph.frames.frame_renderer import FrameRenderer
+
+COMMAND = Path(sys.executable).with_name("clmorph")
+
+
+def clouds(rng, sizes):
+    return [(np.full(size, 1 / size), rng.random((size, 5))) for size in sizes]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("reach", "settings"),
+    [
+        (None, {}),
+        (0.3, {}),
+        (0.3, {"multiscale": True, "truncation": 1e-4}),
+        (None, {"multiscale": True, "truncation": 1e-4}),
+        (0.3, {"method": "geomloss"}),
+    ],
+)
+def test_a_solve_is_that_of_one_device(device, rng, kind, reach, settings):
+    pair = clouds(rng, (700, 600))
+    several = KINDS[kind](device)
+    one, two = (
+        clmorph.sinkhorn(*pair, blur=0.05, reach=reach, backend=backend, **settings)
+        for backend in (device, several)
+    )
+    assert two.n_iter == one.n_iter
+    epsilon = 0.05**2
+    for ours, theirs in ((one.f, two.f), (one.g, two.g)):
+        assert np.abs(ours - theirs).max() <= 5e-3 * epsilon
+    values = [
+        float(clmorph.sinkhorn_divergence(*pair, 0.1, reach, backend=backend))
+        for backend in (device, several)
+    ]
+    assert values[1] == pytest.approx(values[0], rel=1e-4)
+    again = clmorph.sinkhorn(*pair, blur=0.05, reach=reach, backend=KINDS[kind](device), **settings)
+    assert (again.f.tobytes(), again.g.tobytes()) == (two.f.tobytes(), two.g.tobytes())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_plans_are_those_of_one_device(device, rng, kind):
+    pair = clouds(rng, (400, 330))
+    several = KINDS[kind](device)
+    potentials = clmorph.sinkhorn(*pair, blur=0.05, reach=0.3, backend=device)
+    one, two = (
+        clmorph.transport_plan(*pair, potentials, backend=backend) for backend in (device, several)
+    )
+    for own, other in ((one, two), (two, one)):
+        # Pairs near the threshold may be kept by one only.
+        difference = own.to_scipy() - other.to_scipy()
+        assert abs(difference).max() <= 1e-3 * own.mass.max()
+        assert abs(difference).sum() <= 1e-3 * own.mass.sum()
+    means = [clmorph.barycentric_plan(*pair, potentials, backend=b) for b in (device, several)]
+    assert np.abs(means[0].positions - means[1].positions).max() <= 1e-3
+    drawn = [clmorph.sample_plan(*pair, potentials, 4, backend=b) for b in (several, several)]
+    assert np.array_equal(drawn[0].indices, drawn[1].indices)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"preset": "paper"},
+        {"sample": 4, "seed": 3},
+        {"barycentric": True},
+    ],
+    ids=["default", "paper", "sample", "barycentric"],
+)
+def test_a_morph_is_that_of_one_device(device, kind, options):
+    images, several = pictures(), KINDS[kind](device)
+    one = clmorph.morph(*images, n_frames=7, backend=device, **options)
+    two = clmorph.morph(*images, n_frames=7, backend=several, **options)
+    frames = list(two.iter_frames())
+    assert len(frames) == 7
+    # Draws depend on the order of tiles, which parts of a cloud have for themselves.
+    tolerance = 0.05 if "sample" in options else 1e-3
+    for ours, theirs in zip(one.iter_frames(), frames, strict=True):
+        assert np.abs(ours - theirs).max() <= tolerance
+    again = clmorph.morph(*images, n_frames=7, backend=KINDS[kind](device), **options)
+    assert [frame.tobytes() for frame in again.iter_frames()] == [f.tobytes() for f in frames]
+    # However a frame is asked for, the same device renders it.
+    assert [two[index].tobytes() for index in range(7)] == [f.tobytes() for f in frames]
+    assert two.frame(float(two.times[3])).tobytes() == frames[3].tobytes()
+    assert [f.tobytes() for f in two.iter_frames(5)] == [f.tobytes() for f in frames[5:]]
+    assert two.parameters["device"] == several.description
+
+
+def test_frames_with_opacity_are_spread_too(device):
+    y, x = np.mgrid[:24, :24]
+    discs = [
+        np.dstack((np.full((24, 24, 3), value), ((x - c) ** 2 + (y - 12) ** 2 < 40).astype(float)))
+        for value, c in ((0.9, 7), (0.3, 16))
+    ]
+    one, two = (
+        clmorph.morph(*discs, n_frames=6, backend=backend)
+        for backend in (device, KINDS["halves"](device))
+    )
+    for ours, theirs in zip(one.frames, two.frames, strict=True):
+        assert ours.shape[2] == 4
+        assert np.abs(ours - theirs).max() <= 1e-3
+    assert list(two.iter_frames(4)) == two.frames[4:]
+
+
+def test_each_device_renders_its_share(device, monkeypatch):
+    several = SeveralDevices(KINDS["halves"](device).members, [0.75, 0.25])
+    rendered = []
+    render = FrameRenderer.frame
+
+    def frame(self, t):
+        rendered.append((several.members.index(self.operations), t))
+        return render(self, t)
+
+    monkeypatch.setattr(FrameRenderer, "frame", frame)
+    made = clmorph.morph(*pictures(), n_frames=9, backend=several)
+    list(made.iter_frames())
+    turns = {t: member for member, t in rendered}
+    assert [turns[t] for t in made.times] == [0, 0, 1, 0, 0, 0, 1, 0, 0]
+    rendered.clear()
+    made.frame(0.123)
+    assert rendered == [(0, 0.123)]
+
+
+def test_few_frames_are_in_memory(device, monkeypatch):
+    """Two of each device, and the one that the caller holds, however slow the caller is."""
+    alive, most = [0], []
+    render = FrameRenderer.frame
+
+    def gone():
+        alive[0] -= 1
+
+    def watched(self, t):
+        frame = render(self, t).copy()
+        alive[0] += 1
+        weakref.finalize(frame, gone)
+        most.append(alive[0])
+        return frame
+
+    monkeypatch.setattr(FrameRenderer, "frame", watched)
+    made = clmorph.morph(*pictures((9, 9)), n_frames=30, backend=KINDS["halves"](device))
+    for number, _frame in enumerate(made.iter_frames()):
+        time.sleep(0.05 if number < 5 else 0.0)
+    assert len(most) == 30
+    assert max(most) <= 2 * 2 + 1
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_a_device_that_fails_ends_the_frames(device, monkeypatch, failing):
+    several = KINDS["halves"](device)
+    made = clmorph.morph(*pictures((12, 12)), n_frames=12, backend=several)
+
+    def fail(*arguments):
+        raise clmorph.DeviceError("it has gone")
+
+    frames = made.iter_frames()
+    next(frames)
+    monkeypatch.setattr(several.members[failing], "splat", fail)
+    with pytest.raises(clmorph.DeviceError, match="it has gone"):
+        list(frames)
+    assert all(member.lock.acquire(blocking=False) for member in several.members)
+    for member in several.members:
+        member.lock.release()
+
+
+def test_tiny_images_on_several_devices(device):
+    """Fewer points than one tile: one device has all rows; frames are spread nevertheless."""
+    images = [np.zeros((1, 1, 3)), np.ones((2, 3, 3))]
+    for kind in KINDS:
+        one, two = (
+            clmorph.morph(*images, n_frames=4, backend=backend)
+            for backend in (device, KINDS[kind](device))
+        )
+        for ours, theirs in zip(one.frames, two.frames, strict=True):
+            assert np.abs(ours - theirs).max() <= 1e-3
+
+
+@pytest.mark.needs_device
+def test_devices_of_two_platforms(rng):
+    if len({device.platform for device in TESTED}) < 2:
+        pytest.skip("needs two platforms")
+    first = TESTED[0]
+    other = next(device for device in TESTED if device.platform != first.platform)
+    one = clmorph.morph(*pictures(), n_frames=5, backend=first.index)
+    two = clmorph.morph(*pictures(), n_frames=5, backend=[first.index, other.index])
+    assert [member.device for member, _ in members_of(two.operations)] == [
+        first.handle, other.handle,
+    ]  # fmt: skip
+    for ours, theirs in zip(one.frames, two.frames, strict=True):
+        assert np.abs(ours - theirs).max() <= 1e-3
+
+
+def test_the_command_line_takes_several_devices(device, tmp_path, monkeypatch):
+    from PIL import Image
+
+    monkeypatch.chdir(tmp_path)
+    for name, picture in zip(("a.png", "b.png"), pictures(), strict=True):
+        Image.fromarray((255 * picture).astype(np.uint8)).save(name)
+
+    def run(*arguments):
+        return subprocess.run(
+            [COMMAND, *arguments], capture_output=True, text=True, check=False, timeout=300
+        )
+
+    index = next(found.index for found in TESTED if found.handle == device.device)
+    monkeypatch.delenv("CLMORPH_DEVICE", raising=False)
+    made = run(
+        "morph", "a.png", "b.png", "-o", "out.npz", "--frames", "4", "--recipe",
+        "--device", f"{index},numpy",
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr
+    described = json.loads(Path("out.npz.json").read_text())["device"]
+    assert device.description in described
+    assert "NumPy float64" in described
+    assert ("cannot be faster" in made.stderr) == device.on_processor
+    monkeypatch.setenv("CLMORPH_DEVICE", f"{index},numpy")
+    again = run("morph", "a.png", "b.png", "-o", "other.npz", "--frames", "4")
+    assert again.returncode == 0, again.stderr
+    assert described in again.stderr
+    first, second = (np.load(name, allow_pickle=False) for name in ("out.npz", "other.npz"))
+    assert all(
+        np.array_equal(first[key], second[key]) for key in first.files if key != "parameters"
+    )
+    for wrong in (f"{index},{index}", "numpy,"):
+        refused = run("morph", "a.png", "b.png", "-o", "no.gif", "--device", wrong)
+        assert (refused.returncode, len(refused.stderr.splitlines())) == (2, 1), refused.stderr
+        assert not Path("no.gif").exists()
