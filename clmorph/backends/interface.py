@@ -235,7 +235,8 @@ class Operations(Protocol):
         max_pairs : int
             The largest number of pairs that may be stored.
         near : (NearPairs of the rows, NearPairs of the columns), optional
-            Lists of pairs; only pairs in at least one of them are considered.
+            Lists of pairs. Pairs in none of them may be left out, although they are above a
+            threshold.
 
         Returns
         -------

@@ -284,8 +284,8 @@ class SeveralDevices:
     ) -> StoredPairs | None:
         """Store log pi_ij of the pairs above a threshold, each pair on the device of its row.
 
-        `near` is ignored: a device has the list of its rows, but not the columns' list for them.
-        So a pair above a threshold is stored even if it is in neither list.
+        `near` is ignored, and no pair above a threshold is left out: a device has the list of its
+        rows, but not the columns' list for them.
         """
         counts = self.count_plan_rows(
             rows, columns, f, g, epsilon, row_thresholds, column_thresholds
