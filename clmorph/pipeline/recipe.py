@@ -159,7 +159,13 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
             f"path={shown(path)}: expected the path of a file that clmorph has written"
         )
     file = Path(path)
-    if not file.exists():
+    try:
+        found = file.exists()
+    except OSError as error:  # such as a name that is too long
+        raise InputError(
+            f"path={shown(path)}: expected the path of a file ({reason_of(error)})"
+        ) from error
+    if not found:
         raise InputError(f"{file}: no such file")
     own = file.suffix.lower() == ".toml"
     settings = read_toml(file) if own else read_recipe(file)["options"]

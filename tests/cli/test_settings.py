@@ -438,6 +438,11 @@ def test_python_and_the_command_line_have_the_same_defaults():
         load_options("two.gif")
 
 
+def test_a_path_that_no_system_takes_is_refused():
+    with pytest.raises(InputError, match="expected the path of a file"):
+        load_options("x" * 5000)
+
+
 @pytest.mark.parametrize("preset", list(PRESETS))
 def test_presets_make_something(preset, capfd):
     """Ends as the pictures (or seen through the kernel), something else in between."""

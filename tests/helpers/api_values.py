@@ -188,7 +188,7 @@ def cases() -> dict[str, dict[str, Any]]:
         "Morph.coverage": {"self": some["morph"], "t": 0.5},
         "Morph.canvas": {"self": some["morph"], "t": 0.5},
         "Morph.sums": {"self": some["morph"], "t": 0.5, "widths": None},
-        "Morph.iter_frames": {"self": some["morph"]},
+        "Morph.iter_frames": {"self": some["morph"], "first": 0},
         "Morph.save": {"self": some["morph"], "path": "out.png"},
         "Plan.mean_destinations": {
             "self": some["plan"], "source": some["source"].positions,
