@@ -2,15 +2,25 @@
 
 import os
 from functools import cache
-from typing import Any
+from typing import Protocol, cast
 
 from clmorph._shared.validation import shown
+from clmorph.backends.arrays import is_of_pyopencl
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import InputError
 
+
+class OpenCLObject(Protocol):
+    """A `pyopencl.Device`, `pyopencl.Context` or `pyopencl.CommandQueue`."""
+
+    @property
+    def int_ptr(self) -> int:
+        """The address of OpenCL's object."""
+
+
 #: The type of `backend`, see `get_backend`.
-Backend = str | Operations
+Backend = str | Operations | OpenCLObject
 
 
 def get_backend(backend: Backend = "auto") -> Operations:
@@ -18,17 +28,19 @@ def get_backend(backend: Backend = "auto") -> Operations:
 
     Parameters
     ----------
-    backend : str or Operations
+    backend : str, Operations, pyopencl.Device, pyopencl.Context or pyopencl.CommandQueue
         "auto": the device that ``CLMORPH_DEVICE`` names, else the one that ``PYOPENCL_CTX`` names,
         else the best usable OpenCL device (GPUs first, then by speed). "opencl": the same without
         ``CLMORPH_DEVICE``. "numpy": no device, float64. An index such as "0:1" or part of a
         device's or platform's name ("pocl", "intel", "nvidia"). An object with the
-        operations is returned as it is.
+        operations is returned as it is. A device, a context of one device, or a queue of a host
+        program: all work runs in that context and queue, and the same object gives the same
+        operations again.
 
     Raises
     ------
     InputError
-        If `backend` is neither a text nor such an object.
+        If `backend` is neither a text nor such an object, or a context of several devices.
     DeviceError
         If there is no such device, if it does not work, or if this process was forked from a
         process that had used OpenCL.
@@ -40,12 +52,16 @@ def get_backend(backend: Backend = "auto") -> Operations:
     >>> clmorph.get_backend(operations) is operations
     True
     """
+    if is_of_pyopencl(backend):
+        from clmorph.backends.opencl.host_program import operations_in
+
+        return operations_in(backend)
     if not isinstance(backend, str):
         if hasattr(backend, "softmin") and not isinstance(backend, type):
-            return backend
+            return cast(Operations, backend)
         raise InputError(
             f"backend={shown(backend)}: expected 'auto', 'numpy', 'opencl', a device's name or "
-            "index, or a backend object"
+            "index, a pyopencl Device, Context or CommandQueue, or a backend object"
         )
     name = backend.strip() or "auto"
     if name == "auto":
@@ -69,13 +85,6 @@ def _numpy() -> Operations:
 def _named_backend(name: str, pyopencl_ctx: str) -> Operations:
     # pyopencl_ctx is part of the cache's key: choose_device reads it for "auto".
     from clmorph.backends.opencl.devices.find import choose_device
+    from clmorph.backends.opencl.host_program import opened
 
-    return _opened(choose_device(name).handle)
-
-
-@Once
-def _opened(handle: Any) -> Operations:
-    """Return the operations on a `pyopencl.Device`, the same object for each name of the device."""
-    from clmorph.backends.opencl.backend import OpenCLOperations
-
-    return OpenCLOperations(handle)
+    return opened(choose_device(name).handle)

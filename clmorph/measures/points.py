@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from clmorph._shared.arrays import as_floats
 from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array, ArrayLike
+from clmorph.backends.arrays import as_floats
 from clmorph.backends.interface import MAX_DIMENSION, MAX_POINTS
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure, check_masses, check_measure

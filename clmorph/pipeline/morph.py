@@ -9,9 +9,9 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clmorph._shared.arrays import as_array
 from clmorph._shared.progress import StageProgress
 from clmorph._shared.validation import check_progress, shown
+from clmorph.backends.arrays import as_array
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.frames.kernel_width import KernelWidth, effective_count

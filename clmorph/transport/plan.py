@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.arrays import as_floats
 from clmorph._shared.typing import Array, IntArray
 from clmorph._shared.validation import shown
+from clmorph.backends.arrays import as_floats
 from clmorph.errors import InputError
 
 if TYPE_CHECKING:
