@@ -75,6 +75,14 @@ kernel void advance(
 """
 
 
+def built(context: cl.Context, source: str) -> cl.Program:
+    """Build a program."""
+    with warnings.catch_warnings():
+        # pyopencl warns of Intel's compiler, which reports that all went well.
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        return cl.Program(context, source).build()
+
+
 @dataclass
 class HostProgram:
     """The program, which keeps all its arrays so that their transfers can be counted.
@@ -89,10 +97,7 @@ class HostProgram:
     arrays: dict[str, cl_array.Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        with warnings.catch_warnings():
-            # pyopencl warns of Intel's compiler, which reports that all went well.
-            warnings.simplefilter("ignore", cl.CompilerWarning)
-            program = cl.Program(self.queue.context, SOURCE).build()
+        program = built(self.queue.context, SOURCE)
         self._kernels = {each.function_name: each for each in program.all_kernels()}
 
     def _empty(self, name: str, *shape: int) -> cl_array.Array:

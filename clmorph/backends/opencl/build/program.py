@@ -76,7 +76,7 @@ def build(
     program = _from_binary(context, device, file, options)
     if program is None:
         program = _from_source(context, device, name, options)
-        _keep_binary(program, device, file)
+        _keep_binary(program, file)
     return cl.Program(program)
 
 
@@ -197,13 +197,13 @@ def _from_binary(
     return program
 
 
-def _keep_binary(program: "cl._Program", device: cl.Device, file: str | None) -> None:
+def _keep_binary(program: "cl._Program", file: str | None) -> None:
     """Store a build in the cache, if the driver returns its binary and the folder is writable."""
     if file is None:
         return
     try:
-        devices = program.get_info(cl.program_info.DEVICES)
-        binary = program.get_info(cl.program_info.BINARIES)[devices.index(device)]
+        # In a context of several devices, those that the program was not built for have none.
+        binary = next(filter(None, program.get_info(cl.program_info.BINARIES)), b"")
     except cl.Error:
         return
     if binary:
