@@ -85,6 +85,8 @@ def _numpy() -> Operations:
 def _named_backend(name: str, pyopencl_ctx: str) -> Operations:
     # pyopencl_ctx is part of the cache's key: choose_device reads it for "auto".
     from clmorph.backends.opencl.devices.find import choose_device
+
+    handle = choose_device(name).handle
     from clmorph.backends.opencl.host_program import opened
 
-    return opened(choose_device(name).handle)
+    return opened(handle)

@@ -207,7 +207,8 @@ def real_type(queue: cl.CommandQueue, dtype: Any) -> np.dtype[Any]:
         return np.dtype(np.float64 if possible else np.float32)
     try:
         chosen = np.dtype(dtype)
-    except TypeError:
+    except Exception:
+        # NumPy raises errors of several classes for what names no dtype.
         chosen = np.dtype(object)
     if chosen not in (np.dtype(np.float32), np.dtype(np.float64)):
         raise InputError(f"dtype={shown(dtype)}: expected 'float32', 'float64' or None")
