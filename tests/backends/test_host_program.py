@@ -42,6 +42,16 @@ def clouds(rng):
     return tuple((weights / weights.sum(), rng.random((N, 2))) for _ in range(2))
 
 
+def n_maps(buffer):
+    """Return how often a buffer is mapped; None where the driver does not count."""
+    queue = cl.CommandQueue(buffer.context)
+    other = cl.Buffer(buffer.context, cl.mem_flags.READ_WRITE, 64)
+    mapped, _ = cl.enqueue_map_buffer(queue, other, cl.map_flags.READ, 0, (64,), np.uint8)
+    counts = other.get_info(cl.mem_info.MAP_COUNT) == 1
+    mapped.base.release(queue).wait()
+    return buffer.get_info(cl.mem_info.MAP_COUNT) if counts else None
+
+
 def solved(clouds, backend):
     return clmorph.sinkhorn(*clouds, blur=0.1, reach=0.5, backend=backend)
 
@@ -214,7 +224,7 @@ def test_device_arrays_stand_for_host_arrays(clouds, expected, queue, any_backen
     for cloud, copies in zip(given, before, strict=True):
         for array, copy in zip(cloud, copies, strict=True):
             assert np.array_equal(array.get(), copy)
-            assert array.base_data.get_info(cl.mem_info.MAP_COUNT) == 0
+            assert n_maps(array.base_data) in (0, None)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.bool_, np.float32, np.float64])
@@ -304,14 +314,13 @@ def test_memory_that_the_host_shares_is_read_in_place(context, queue, device):
         found = as_array("points", given)
         assert found.ctypes.data == place.ctypes.data
         assert np.array_equal(found, np.arange(1024))
-        assert buffer.get_info(cl.mem_info.MAP_COUNT) == 1
         part = found[3:5]
         del found
-        assert buffer.get_info(cl.mem_info.MAP_COUNT) == 1
         assert part.tolist() == [3, 4]
-        del part
-        assert buffer.get_info(cl.mem_info.MAP_COUNT) == 0
     assert count.of([given]) == {"map": 1}
+    assert n_maps(buffer) in (1, None)
+    del part
+    assert n_maps(buffer) in (0, None)
 
 
 # --- events -------------------------------------------------------------------------------------
@@ -487,7 +496,7 @@ def test_potentials_and_plans(clouds, expected, queue, device):
             assert found.context == queue.context
             assert found.dtype == (real if wanted.dtype.kind == "f" else wanted.dtype)
             assert np.array_equal(found.get(), wanted.astype(found.dtype))
-            assert found.data.get_info(cl.mem_info.MAP_COUNT) == 0
+            assert n_maps(found.data) in (0, None)
     assert expected.to_device(clmorph.get_backend(queue)).f.queue == queue
 
 
