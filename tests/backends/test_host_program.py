@@ -116,7 +116,8 @@ def halves(device):
 def test_sub_devices(clouds, expected, device):
     part = halves(device)[0]
     operations = clmorph.get_backend(part)
-    assert operations.device.max_compute_units == 1
+    assert operations.queue.device == operations.device == part
+    assert part.max_compute_units == 1
     assert operations is clmorph.get_backend(part)
     assert np.allclose(solved(clouds, part).f, expected.f, rtol=0, atol=1e-6)
 
@@ -131,7 +132,8 @@ def test_a_context_of_several_devices(clouds, expected, device):
             clmorph.get_backend(context)
     for part in parts:
         queue = cl.CommandQueue(context, part)
-        assert clmorph.get_backend(queue).device == part
+        operations = clmorph.get_backend(queue)
+        assert operations.queue.device == operations.device == part
         assert np.allclose(solved(clouds, queue).f, expected.f, rtol=0, atol=1e-6)
 
 

@@ -70,7 +70,8 @@ class OpenCLOperations:
             try:
                 # A queue of Intel's runtime does not retain its context, so this object does.
                 self.context = cl.Context([device]) if queue is None else queue.context
-                self.queue = queue or cl.CommandQueue(self.context)
+                # PoCL 3.1 gives a context of a sub-device a queue on the whole device by default.
+                self.queue = queue or cl.CommandQueue(self.context, device)
             except cl.Error as error:
                 raise DeviceError(
                     f"{self.description} cannot be opened: {error}; "
