@@ -82,7 +82,7 @@ def path_divergence(
         Tolerance of each solve, in units of epsilon.
     max_points : int
         See `particle_measure`; intervals hold for the merged particles.
-    backend : str or Operations, optional
+    backend : str, object of pyopencl, or Operations, optional
         That of the morph if not given.
     progress : callable, optional
 

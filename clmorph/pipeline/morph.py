@@ -63,7 +63,7 @@ def morph(
     preset : str, optional
         The name of the set of options (`clmorph.pipeline.presets.PRESETS`) from which those given
         by name differ; "photo" by default.
-    backend : str or Operations
+    backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
     weights : (map_a, map_b), optional
         Maps (H, W) of mass, which replace `mass` and are not normalized. If one of them is None,

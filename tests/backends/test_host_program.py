@@ -1,10 +1,13 @@
 """Objects and arrays of a host program that uses pyopencl: its queues, its arrays, its events."""
 
 import gc
+import os
+import re
 import subprocess
 import sys
 import threading
 import weakref
+from collections import Counter
 
 import host_program as example
 import numpy as np
@@ -395,7 +398,7 @@ def test_a_failed_event_is_reported(context, queue):
 
 def test_arrays_that_cannot_be_read(context, queue, device):
     array = cl_array.zeros(queue, 3, np.float32)
-    with pytest.raises(InputError, match=r"^points is a Buffer of pyopencl: [^\n]*Array[^\n]*$"):
+    with pytest.raises(InputError, match=r"^points is of [^\n]*Buffer[^\n]*Array[^\n]*$"):
         as_array("points", array.data)
     with pytest.raises(InputError, match=r"^points has no queue[^\n]*with_queue[^\n]*$"):
         as_array("points", array.with_queue(None))
@@ -547,6 +550,28 @@ def test_the_example_copies_none_of_its_arrays(device, capsys):
     assert example.main([index]) == 0
     told = capsys.readouterr().out
     assert "read 0, write 0, copy 0, fill 0, migrate 0; mapped 20 times" in told
+
+
+@pytest.mark.full
+def test_the_driver_sees_no_other_transfers(device, tmp_path):
+    """PoCL's own log holds the commands that the example has counted, and no more."""
+    if "Portable" not in device.device.platform.name:
+        pytest.skip("only PoCL writes such a log")
+    log = tmp_path / "log"
+    index = next(each.index for each in USABLE if each.handle == device.device)
+    done = subprocess.run(
+        [sys.executable, example.__file__, index], capture_output=True, text=True, check=True,
+        env=os.environ | {"POCL_TRACING": "text", "POCL_TRACING_OPT": str(log)}, timeout=300,
+    )  # fmt: skip
+    if not log.exists():
+        pytest.skip("this PoCL is built without its log")
+    seen = Counter(re.findall(r"\| (\w+) \| complete \|", log.read_text()))
+    reads = int(re.search(r"own state: read (\d+)", done.stdout)[1])
+    assert reads > 10
+    assert seen["read_buffer"] == reads
+    assert seen["map_buffer"] == 20
+    copies = {"write_buffer", "copy_buffer", "fill_buffer", "read_buffer_rect"}
+    assert not copies & set(seen), seen
 
 
 def test_the_example_computes_what_the_host_would(queue):

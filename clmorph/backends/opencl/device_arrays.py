@@ -76,8 +76,8 @@ def read_in_place(name: str, value: Any, expected: str) -> NDArray[Any]:
     """
     if not isinstance(value, cl_array.Array):
         raise InputError(
-            f"{name} is a {printable(type(value).__name__)} of pyopencl: expected {expected}; make "
-            "a pyopencl.array.Array of it"
+            f"{name} is of pyopencl's type {printable(type(value).__name__)}: expected {expected}; "
+            "make a pyopencl.array.Array of it"
         )
     if value.queue is None:
         raise InputError(
