@@ -123,7 +123,7 @@ def channel_morph(
         See `clmorph.images.pixels.as_rgb`. A channel's mass is its light. The mass is scaled to 1
         for the transport, so that balanced transport works for channels of any brightness; the
         total light of the frames changes linearly with time.
-    backend : str or Operations
+    backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
     {options}
 

@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clmorph._shared.arrays import as_floats
 from clmorph._shared.validation import (
     check_choice,
     check_integer,
@@ -16,6 +15,7 @@ from clmorph._shared.validation import (
     check_progress,
     shown,
 )
+from clmorph.backends.arrays import as_floats
 from clmorph.backends.select import Backend
 from clmorph.errors import InputError
 from clmorph.frames.as_measure import (
@@ -82,7 +82,7 @@ def path_divergence(
         Tolerance of each solve, in units of epsilon.
     max_points : int
         See `particle_measure`; intervals hold for the merged particles.
-    backend : str or Operations, optional
+    backend : str, object of pyopencl, or Operations, optional
         That of the morph if not given.
     progress : callable, optional
 

@@ -3,15 +3,26 @@
 import os
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 from clmorph._shared.validation import shown
+from clmorph.backends.arrays import is_of_pyopencl
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import InputError
 
+
+class OpenCLObject(Protocol):
+    """A `pyopencl.Device`, `pyopencl.Context` or `pyopencl.CommandQueue`."""
+
+    @property
+    def int_ptr(self) -> int:
+        """The address of OpenCL's object."""
+
+
 #: The type of `backend`, see `get_backend`.
-Backend = str | Operations | Sequence[str | Operations]
+Single = str | Operations | OpenCLObject
+Backend = Single | Sequence[Single]
 
 
 def get_backend(backend: Backend = "auto") -> Operations:
@@ -19,20 +30,22 @@ def get_backend(backend: Backend = "auto") -> Operations:
 
     Parameters
     ----------
-    backend : str, Operations, or list of them
+    backend : str, Operations, pyopencl.Device, Context or CommandQueue, or list of them
         "auto": the device that ``CLMORPH_DEVICE`` names, else the one that ``PYOPENCL_CTX`` names,
         else the best usable OpenCL device (GPUs first, then by speed). "opencl": the same without
         ``CLMORPH_DEVICE``. "numpy": no device, float64. An index such as "0:1" or part of a
         device's or platform's name ("pocl", "intel", "nvidia"). An object with the
-        operations is returned as it is. A list such as ["0:0", "0:1"] or ["intel", "numpy"], or
+        operations is returned as it is. A device, a context of one device, or a queue of a host
+        program: all work runs in that context and queue, and the same object gives the same
+        operations again. A list such as ["0:0", "0:1"] or ["intel", "numpy"], or
         such names joined by commas ("0:0,0:1", also in ``CLMORPH_DEVICE``): the work is divided
         over these devices in proportion to their recorded speeds, see `backends/README.md`.
 
     Raises
     ------
     InputError
-        If `backend` is neither a text nor such an object, nor a list of these; if a list is empty,
-        holds another list, or names a device twice.
+        If `backend` is neither a text nor such an object, nor a list of these; if a context has
+        several devices; if a list is empty, holds another list, or names a device twice.
     DeviceError
         If there is no such device, if it does not work, or if this process was forked from a
         process that had used OpenCL.
@@ -46,12 +59,17 @@ def get_backend(backend: Backend = "auto") -> Operations:
     """
     if isinstance(backend, list | tuple):
         return _several(backend)
+    if is_of_pyopencl(backend):
+        from clmorph.backends.opencl.host_program import operations_in
+
+        return operations_in(backend)
     if not isinstance(backend, str):
         if hasattr(backend, "softmin") and not isinstance(backend, type):
             return cast(Operations, backend)
         raise InputError(
             f"backend={shown(backend)}: expected 'auto', 'numpy', 'opencl', a device's name or "
-            "index, a backend object, or a list of these"
+            "index, a pyopencl Device, Context or CommandQueue, a backend object, or a list of "
+            "these"
         )
     name = backend.strip() or "auto"
     if name == "auto":
@@ -94,12 +112,7 @@ def _named_backend(name: str, pyopencl_ctx: str) -> Operations:
     # pyopencl_ctx is part of the cache's key: choose_device reads it for "auto".
     from clmorph.backends.opencl.devices.find import choose_device
 
-    return _opened(choose_device(name).handle)
+    handle = choose_device(name).handle
+    from clmorph.backends.opencl.host_program import opened
 
-
-@Once
-def _opened(handle: Any) -> Operations:
-    """Return the operations on a `pyopencl.Device`, the same object for each name of the device."""
-    from clmorph.backends.opencl.backend import OpenCLOperations
-
-    return OpenCLOperations(handle)
+    return opened(handle)

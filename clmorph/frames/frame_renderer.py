@@ -82,13 +82,13 @@ class FrameRenderer:
         source, target = self._measures
         return canvas_at(t, source.shape, target.shape, source.extent)
 
-    def frame(self, t: float) -> NDArray[np.float32]:
+    def frame(self, t: float) -> NDArray[np.float64]:
         """Render the frame at time t: (H, W, 3) or, with opacity, (H, W, 4) array."""
         canvas = self.canvas(t)
         picture = self._picture(t, self.sums(t), self._correction)
         if self._correction is not None:
             picture = np.clip(picture + self._correction.resting(t, canvas), 0.0, 1.0)
-        return picture.astype(np.float32)
+        return picture
 
     def sums(self, t: float, widths: Widths | None = None) -> Sums:
         """Render colors, coverage and density at time t, without the correction of the ends.

@@ -14,9 +14,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from clmorph._shared.arrays import as_floats
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_choice
+from clmorph.backends.arrays import as_floats
 from clmorph.errors import InputError
 
 #: "srgb": the stored values (as in the paper). "linear": linear light. "lab", "luv": CIE 1976 with

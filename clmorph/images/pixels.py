@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.arrays import as_array
 from clmorph._shared.printable import reason_of
 from clmorph._shared.typing import AnyArray, Array, ArrayLike
 from clmorph._shared.validation import check_integer, check_max_pixels, is_path, shown
+from clmorph.backends.arrays import as_array
 from clmorph.errors import FileError, ImageWarning, InputError
 
 #: Largest number of pixels of a file that is decoded, unless the caller sets another limit.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clmorph._shared.arrays import as_floats
 from clmorph._shared.typing import Array, ArrayLike
+from clmorph.backends.arrays import as_floats
 from clmorph.backends.interface import MAX_POINTS
 from clmorph.errors import InputError
 from clmorph.images.color import ColorSpace, as_metric, to_space

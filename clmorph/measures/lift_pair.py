@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from clmorph._shared.arrays import as_array
 from clmorph._shared.typing import ArrayLike
+from clmorph.backends.arrays import as_array
 from clmorph.errors import InputError
 from clmorph.images.color import ColorSpace
 from clmorph.measures.lift import lift

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from clmorph._shared.arrays import as_floats
 from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array, ArrayLike
+from clmorph.backends.arrays import as_floats
 from clmorph.backends.interface import MAX_DIMENSION, MAX_POINTS
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure, check_masses, check_measure
@@ -25,7 +25,8 @@ class WeightedPoints:
     Attributes
     ----------
     points : (N, D) array
-        Finite coordinates in any unit, D from 1 to 11; `blur` and `reach` have the same unit.
+        Finite coordinates in any unit, D from 1 to 11; `blur` and `reach` have the same unit. Any
+        array that `clmorph.backends.arrays.as_array` takes.
     weights : (N,) array
         Masses a_i, at least 0, of positive sum.
     offsets : (N,) array, optional
@@ -52,7 +53,7 @@ class WeightedPoints:
     @property
     def mass(self) -> float:
         """Total mass."""
-        return float(self.weights.sum())
+        return float(as_floats("weights", self.weights).sum())
 
 
 #: Both kinds of measure that the solver takes.

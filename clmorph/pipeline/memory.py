@@ -130,7 +130,7 @@ def estimate(
         Whether one of the images is not opaque.
     dimension : int
         Dimension of the lifted points: 5, or 11 with a color metric for each source pixel.
-    backend : str or Operations
+    backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
 
     Returns

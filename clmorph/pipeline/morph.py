@@ -9,9 +9,9 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clmorph._shared.arrays import as_array
 from clmorph._shared.progress import StageProgress
 from clmorph._shared.validation import check_progress, shown
+from clmorph.backends.arrays import as_array
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.frames.kernel_width import KernelWidth, effective_count
@@ -63,7 +63,7 @@ def morph(
     preset : str, optional
         The name of the set of options (`clmorph.pipeline.presets.PRESETS`) from which those given
         by name differ; "photo" by default.
-    backend : str or Operations
+    backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
     weights : (map_a, map_b), optional
         Maps (H, W) of mass, which replace `mass` and are not normalized. If one of them is None,

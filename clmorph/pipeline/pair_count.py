@@ -45,7 +45,7 @@ def predict_pairs(
     rows : int
         Number of random rows, and of random columns, in the sample.
     seed : int
-    backend : str or Operations
+    backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
 
     Returns

@@ -209,7 +209,49 @@ class Morph(FrameSequence):
         >>> frame.shape, frame.dtype.name
         ((6, 6, 3), 'float32')
         """
-        return self._renderer.frame(check_number("t", t, 0.0, 1.0))
+        return self._renderer.frame(check_number("t", t, 0.0, 1.0)).astype(np.float32)
+
+    def device_frame(self, t: float, queue: Any = None) -> Any:
+        """Render the frame at time t into a new array in the memory of a device.
+
+        Parameters
+        ----------
+        t : float in [0, 1]
+        queue : pyopencl.CommandQueue or Operations, optional
+            The queue of the array, or the backend whose queue it is; by default the queue on which
+            the morph itself is computed.
+
+        Returns
+        -------
+        (H(t), W(t), 3) or (H(t), W(t), 4) `pyopencl.array.Array` of float32
+            The same values as those of `frame`, in C order. Its ``events`` hold the end of the
+            writing; work that is enqueued on its queue is ordered after it, if the queue is in
+            order.
+
+        Raises
+        ------
+        InputError
+            If `t` or `queue` cannot be used; also if there is no queue, with the backend "numpy".
+        DeviceError
+            If the array cannot be made, or the device fails.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> try:
+        ...     morph.device_frame(0.3)
+        ... except clmorph.InputError:
+        ...     print("NumPy has no queue")
+        NumPy has no queue
+        """
+        from clmorph.backends.opencl.device_arrays import as_queue, to_device
+
+        queue = as_queue(self.operations if queue is None else queue)
+        return to_device(queue, self._renderer.frame(check_number("t", t, 0.0, 1.0)), np.float32)
 
     def coverage(self, t: float) -> NDArray[np.float32]:
         """Return how well the particles cover each pixel at time t, before filling.

@@ -12,10 +12,10 @@ from typing import Unpack
 
 import numpy as np
 
-from clmorph._shared.arrays import as_floats
 from clmorph._shared.options import specifications
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_number
+from clmorph.backends.arrays import as_floats
 from clmorph.errors import InputError
 from clmorph.frames.options import WIDTH, RenderOptions
 from clmorph.images.pixels import as_rgb

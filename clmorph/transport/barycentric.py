@@ -115,7 +115,7 @@ def barycentric_plan(
     source, target : Measure, WeightedPoints, or (weights, points)
         The measures of the potentials. Destinations have colors only between two images.
     potentials : Potentials
-    backend : str or Operations
+    backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
 
     Returns

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.arrays import as_floats
 from clmorph._shared.typing import Array, IntArray
 from clmorph._shared.validation import shown
+from clmorph.backends.arrays import as_floats
 from clmorph.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,6 +20,14 @@ if TYPE_CHECKING:
 
 #: Bytes of a kept pair: 4 for its column and 8 for its mass.
 BYTES_PER_PAIR = 12
+
+
+class DevicePlan(NamedTuple):
+    """Kept pairs of a plan in the memory of a device, as sparse rows, see `Plan.to_device`."""
+
+    indptr: Any  #: (N + 1,) `pyopencl.array.Array` of int64, as `Plan.indptr`
+    indices: Any  #: (kept,) `pyopencl.array.Array` of int32, as `Plan.indices`
+    mass: Any  #: (kept,) `pyopencl.array.Array`, as `Plan.mass`
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -174,6 +182,54 @@ class Plan:
             np.divide(np.column_stack(sums), mass[:, None], out=mean, where=mass[:, None] > 0)
             means.append(mean)
         return means[0], means[1]
+
+    def to_device(self, queue: Any, dtype: Any = None) -> DevicePlan:
+        """Return the kept pairs as new arrays in the memory of a device.
+
+        Parameters
+        ----------
+        queue : pyopencl.CommandQueue or Operations
+            The queue of the arrays, or the backend whose queue it is.
+        dtype : dtype, optional
+            The dtype of the masses, float32 or float64; by default float64 where the device has it,
+            and float32 elsewhere.
+
+        Returns
+        -------
+        DevicePlan
+            A named tuple of three `pyopencl.array.Array`: the pairs of source point i are those
+            from ``indptr[i]`` to ``indptr[i + 1]``. Their ``events`` hold the end of the writing;
+            work that is enqueued on `queue` is ordered after it, if the queue is in order.
+
+        Raises
+        ------
+        InputError
+            If `queue` or `dtype` cannot be used.
+        DeviceError
+            If the arrays cannot be made.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+        >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+        >>> potentials = clmorph.sinkhorn(source, target, blur=0.1, reach=0.3, backend="numpy")
+        >>> plan = clmorph.transport_plan(source, target, potentials, backend="numpy")
+        >>> try:
+        ...     plan.to_device(clmorph.get_backend("numpy"))
+        ... except clmorph.InputError:
+        ...     print("NumPy has no queue")
+        NumPy has no queue
+        """
+        from clmorph.backends.opencl.device_arrays import as_queue, real_type, to_device
+
+        queue = as_queue(queue)
+        return DevicePlan(
+            to_device(queue, self.indptr, np.int64),
+            to_device(queue, self.indices, np.int32),
+            to_device(queue, self.mass, real_type(queue, dtype)),
+        )
 
     def to_scipy(self) -> csr_array[Any, tuple[int, int]]:
         """Return the plan as a `scipy.sparse.csr_array` of shape (N, M).

@@ -61,7 +61,7 @@ def transport_plan(
         pairs.
     max_bytes : float
         Largest number of bytes of the pairs, 12 each; it is checked before they are written.
-    backend : str or Operations
+    backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
 
     Returns

@@ -100,7 +100,7 @@ def sample_plan(
         masses.
     seed : int
         Seed of the random numbers.
-    backend : str or Operations
+    backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`. Backends order points differently, so the same seed gives
         different draws.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,13 @@ STATUSES = {
     "precision": "the residual is at the device's rounding, above the tolerance",
     "schedule": "a fixed schedule ended, whatever the residual",
 }
+
+
+class DevicePotentials(NamedTuple):
+    """Dual potentials in the memory of a device, see `Potentials.to_device`."""
+
+    f: Any  #: (N,) `pyopencl.array.Array`, cost units
+    g: Any  #: (M,) `pyopencl.array.Array`, cost units
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -128,6 +135,48 @@ class Potentials:
             masses=self.certificate.masses[::-1],
         )
         return replace(self, f=self.g, g=self.f, reach=reach, certificate=certificate)
+
+    def to_device(self, queue: Any, dtype: Any = None) -> DevicePotentials:
+        """Return f and g as new arrays in the memory of a device, for kernels of a host program.
+
+        Parameters
+        ----------
+        queue : pyopencl.CommandQueue or Operations
+            The queue of the arrays, or the backend whose queue it is.
+        dtype : dtype, optional
+            float32 or float64; by default float64 where the device has it, and float32 elsewhere.
+
+        Returns
+        -------
+        DevicePotentials
+            A named tuple of two `pyopencl.array.Array`. Their ``events`` hold the end of the
+            writing; work that is enqueued on `queue` is ordered after it, if the queue is in order.
+
+        Raises
+        ------
+        InputError
+            If `queue` or `dtype` cannot be used.
+        DeviceError
+            If the arrays cannot be made.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+        >>> target = np.full(2, 1 / 2), np.array([0.25, 0.75])
+        >>> potentials = clmorph.sinkhorn(source, target, blur=0.1, reach=0.3, backend="numpy")
+        >>> try:
+        ...     potentials.to_device(clmorph.get_backend("numpy"))
+        ... except clmorph.InputError:
+        ...     print("NumPy has no queue")
+        NumPy has no queue
+        """
+        from clmorph.backends.opencl.device_arrays import as_queue, real_type, to_device
+
+        queue = as_queue(queue)
+        chosen = real_type(queue, dtype)
+        return DevicePotentials(*(to_device(queue, each, chosen) for each in (self.f, self.g)))
 
     @property
     def primal(self) -> float:

@@ -77,7 +77,7 @@ def sinkhorn(
         Residual at which the iteration stops, in units of epsilon.
     max_iter : int
         Largest number of iterations; one iteration updates both potentials.
-    backend : str or Operations
+    backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
     epsilon : float, optional
         blur^2, in place of `blur`.

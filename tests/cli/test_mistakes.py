@@ -11,6 +11,7 @@ from PIL import Image
 
 import clmorph
 import clmorph.analysis.metrics
+from clmorph.backends.opencl import host_program
 from clmorph.cli.main import main
 
 NUMBERS = {
@@ -192,7 +193,7 @@ def test_one_line(folder, monkeypatch, capfd, arguments, words):
 @pytest.mark.needs_device
 def test_the_environment(folder, monkeypatch, capfd, environment, words):
     clmorph.backends.select._named_backend.cache_clear()
-    clmorph.backends.select._opened.cache_clear()
+    host_program.opened.cache_clear()
     monkeypatch.delenv("CLMORPH_DEVICE", raising=False)
     monkeypatch.chdir(folder)
     for name, value in environment.items():

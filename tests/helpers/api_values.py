@@ -124,7 +124,14 @@ def examples() -> dict[str, Any]:
         "divergence": divergence,
         "inspection": clmorph.inspect(a, b, n_frames=2, backend="numpy"),
         "plain": (np.ones(3), np.arange(6.0).reshape(3, 2)),
+        "queue": _any_queue(),
     }
+
+
+def _any_queue() -> Any:
+    """Return the operations on a usable device, which have a queue; those of NumPy without one."""
+    usable = [device.index for device in find_devices() if device.usable]
+    return clmorph.get_backend(usable[0] if usable else "numpy")
 
 
 #: Options that `morph` and its like share.
@@ -185,6 +192,7 @@ def cases() -> dict[str, dict[str, Any]]:
             "progress": Idle(),
         } | playback,
         "Morph.frame": {"self": some["morph"], "t": 0.5},
+        "Morph.device_frame": {"self": some["morph"], "t": 0.5, "queue": some["queue"]},
         "Morph.coverage": {"self": some["morph"], "t": 0.5},
         "Morph.canvas": {"self": some["morph"], "t": 0.5},
         "Morph.sums": {"self": some["morph"], "t": 0.5, "widths": None},
@@ -195,8 +203,12 @@ def cases() -> dict[str, dict[str, Any]]:
             "target": some["target"].positions,
         },
         "Plan.to_scipy": {"self": some["plan"]},
+        "Plan.to_device": {"self": some["plan"], "queue": some["queue"], "dtype": None},
         "Particles.mass": {"self": some["morph"].particles, "t": 0.5},
         "Potentials.swapped": {"self": some["potentials"]},
+        "Potentials.to_device": {
+            "self": some["potentials"], "queue": some["queue"], "dtype": "float32",
+        },
         "Divergence.closer_than": {"self": some["divergence"], "other": some["divergence"]},
         "Inspection.summary": {"self": some["inspection"]},
         "Inspection.lines": {"self": some["inspection"]},
@@ -252,6 +264,19 @@ class OnDevice:
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
         raise TypeError("can't convert cuda:0 device type tensor to numpy")
+
+
+class OnlyDLPack:
+    """An array of another library that has DLPack alone, in memory of a type (1: the host's)."""
+
+    def __init__(self, values: Any, kind: Any = 1) -> None:
+        self.values, self.kind = values, kind
+
+    def __dlpack__(self, **options: Any) -> Any:
+        return self.values.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> Any:
+        return self.kind, 0
 
 
 class Frame:
@@ -353,6 +378,8 @@ NASTY: dict[str, Callable[[], Any]] = {
     "Ellipsis": lambda: ...,
     "hostile": Hostile,
     "on a device": OnDevice,
+    "DLPack": lambda: OnlyDLPack(_picture()),
+    "DLPack on a device": lambda: OnlyDLPack(_picture(), 2),
     "ragged": lambda: [[1.0, 2.0], [3.0]],
     "endless": _endless_list,
     "empty array": lambda: np.zeros((0, 3)),

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import NO_DEVICE
 from PIL import Image
 from skimage import data
 
@@ -340,8 +341,25 @@ def solver_names(names):
     }
 
 
+def host_names(names):
+    """What a program with arrays on a device has."""
+    from pyopencl.array import to_device
+
+    rng = np.random.default_rng(5)
+    operations = clmorph.get_backend()
+    if not hasattr(operations, "queue"):
+        pytest.skip(NO_DEVICE)
+    queue = operations.queue
+    arrays = {f"picture_{each}": rng.random((12, 16, 3), np.float32) for each in "ab"}
+    arrays |= {f"points_{each}": rng.random((90, 2), np.float32) for each in "ab"}
+    arrays |= {f"masses_{each}": np.full(90, 1 / 90, np.float32) for each in "ab"}
+    made = {name: to_device(queue, array) for name, array in arrays.items()}
+    return {"queue": queue, **made}
+
+
 #: Names that blocks use and do not define, by their pages and headings.
 GIVEN = {
+    ("clmorph/backends/README.md", "In your own OpenCL program"): host_names,
     ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
     ("clmorph/transport/README.md", "The solver alone"): solver_names,
 }

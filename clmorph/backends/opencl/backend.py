@@ -36,6 +36,9 @@ class OpenCLOperations:
     device : pyopencl.Device
     constants : BuildConstants, optional
         Build constants; if not given, the tuned ones, else those for the kind of device.
+    queue : pyopencl.CommandQueue, optional
+        The queue of a host program on this device, in which all work runs; a queue in a context of
+        its own if not given.
 
     Raises
     ------
@@ -43,7 +46,12 @@ class OpenCLOperations:
         If the device cannot be opened.
     """
 
-    def __init__(self, device: cl.Device, constants: BuildConstants | None = None) -> None:
+    def __init__(
+        self,
+        device: cl.Device,
+        constants: BuildConstants | None = None,
+        queue: cl.CommandQueue | None = None,
+    ) -> None:
         claim_opencl()
         self.device = device
         self.lock = device_lock()
@@ -63,8 +71,10 @@ class OpenCLOperations:
         )
         with self.lock:
             try:
-                self.context = cl.Context([device])
-                self.queue = cl.CommandQueue(self.context)
+                # A queue of Intel's runtime does not retain its context, so this object does.
+                self.context = cl.Context([device]) if queue is None else queue.context
+                # PoCL 3.1 gives a context of a sub-device a queue on the whole device by default.
+                self.queue = queue or cl.CommandQueue(self.context, device)
             except cl.Error as error:
                 raise DeviceError(
                     f"{self.description} cannot be opened: {error}; "

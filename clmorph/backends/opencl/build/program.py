@@ -41,8 +41,13 @@ def source(name: str) -> str:
     return f'#line 1 "{name}"\n' + _INCLUDE.sub(expand, text)
 
 
-def build(context: cl.Context, name: str, constants: dict[str, int | float]) -> cl.Program:
-    """Build a kernel file for the only device of a context.
+def build(
+    context: cl.Context,
+    name: str,
+    constants: dict[str, int | float],
+    device: cl.Device | None = None,
+) -> cl.Program:
+    """Build a kernel file for one device of a context.
 
     The binary is kept in the user's cache folder, under a key of source, options, device and
     driver.
@@ -54,6 +59,8 @@ def build(context: cl.Context, name: str, constants: dict[str, int | float]) -> 
         File name inside ``cl_kernels/``.
     constants : dict
         Macros defined with ``-D``; a float becomes a float32 literal.
+    device : pyopencl.Device, optional
+        The device; the first one of the context if not given.
 
     Raises
     ------
@@ -64,11 +71,11 @@ def build(context: cl.Context, name: str, constants: dict[str, int | float]) -> 
     for key, value in sorted(constants.items()):
         text = f"{value:.9g}f" if isinstance(value, float) else str(value)
         options.append(f"-D{key}={text}")
-    device = context.devices[0]
+    device = device or context.devices[0]
     file = _binary_file(device, name, options)
-    program = _from_binary(context, file, options)
+    program = _from_binary(context, device, file, options)
     if program is None:
-        program = _from_source(context, name, options)
+        program = _from_source(context, device, name, options)
         _keep_binary(program, file)
     return cl.Program(program)
 
@@ -108,11 +115,12 @@ def _check_pyopencl_cache() -> None:
     cl._PYOPENCL_NO_CACHE = True
 
 
-def _from_source(context: cl.Context, name: str, options: list[str]) -> "cl._Program":
-    device = context.devices[0]
+def _from_source(
+    context: cl.Context, device: cl.Device, name: str, options: list[str]
+) -> "cl._Program":
     program = cl._Program(context, source(name))
     try:
-        _build(program, options)
+        _build(program, device, options)
     except cl.Error as error:
         lines = [line.strip() for line in f"{_log(program, device)}\n{error}".splitlines()]
         lines = [line for line in lines if line]
@@ -127,7 +135,7 @@ def _from_source(context: cl.Context, name: str, options: list[str]) -> "cl._Pro
     return program
 
 
-def _build(program: "cl._Program", options: list[str]) -> None:
+def _build(program: "cl._Program", device: cl.Device, options: list[str]) -> None:
     """Build a program by the driver, without the additions of `pyopencl.Program.build`.
 
     That method warns of every build log, which Intel's compiler also writes on success, and a
@@ -137,7 +145,7 @@ def _build(program: "cl._Program", options: list[str]) -> None:
     """
     # `_build` is the private method that `build` calls; if it is missing, `build` is called.
     build = getattr(program, "_build", None) or program.build
-    build(" ".join(options).encode(), None)
+    build(" ".join(options).encode(), [device])
 
 
 def _log(program: "cl._Program", device: cl.Device) -> str:
@@ -173,15 +181,17 @@ def _digest(file: str, binary: bytes) -> bytes:
     return hashlib.sha256(file.encode() + binary).digest()
 
 
-def _from_binary(context: cl.Context, file: str | None, options: list[str]) -> "cl._Program | None":
+def _from_binary(
+    context: cl.Context, device: cl.Device, file: str | None, options: list[str]
+) -> "cl._Program | None":
     """Load a cached build; return None if it is missing, damaged, or rejected by the driver."""
     content = read_cached(file) if file else b""
     digest, binary = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
     if file is None or not binary or _digest(file, binary) != digest:
         return None
     try:
-        program = cl._Program(context, context.devices, [binary])
-        _build(program, options)
+        program = cl._Program(context, [device], [binary])
+        _build(program, device, options)
     except cl.Error:
         return None
     return program
@@ -192,7 +202,8 @@ def _keep_binary(program: "cl._Program", file: str | None) -> None:
     if file is None:
         return
     try:
-        binary = program.get_info(cl.program_info.BINARIES)[0]
+        # In a context of several devices, those that the program was not built for have none.
+        binary = next(filter(None, program.get_info(cl.program_info.BINARIES)), b"")
     except cl.Error:
         return
     if binary:

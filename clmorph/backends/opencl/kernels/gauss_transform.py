@@ -121,7 +121,7 @@ class Moments:
     def __init__(self, work: Workspace, constants: BuildConstants) -> None:
         self._work = work
         macros = constants.gauss_transform_macros()
-        built = program.build(work.context, "gauss_transform.cl", macros)
+        built = program.build(work.context, "gauss_transform.cl", macros, work.device)
         self._group = int(macros["MOMENT_GROUP"])
         self._span = 1 if constants.width == 1 else SPAN
         names = ("sum_moments", "sum_rows", "sum_columns")

@@ -69,11 +69,13 @@ class Workspace:
     Parameters
     ----------
     context : pyopencl.Context
+        The context may have further devices.
     queue : pyopencl.CommandQueue
+        The queue may run commands out of order: every launch is awaited before the next command.
     """
 
     def __init__(self, context: cl.Context, queue: cl.CommandQueue) -> None:
-        self.context, self.queue = context, queue
+        self.context, self.queue, self.device = context, queue, queue.device
         self._pool = MemoryPool(ImmediateAllocator(queue, cl.mem_flags.READ_WRITE))
 
     def buffer(self, values: NDArray[Any], dtype: Any = np.float32) -> cl.Buffer:

@@ -81,7 +81,7 @@ def sort_splats(
     grid = bin_grid(shape, margin, side)
     bins = grid[0] * grid[1]
     n_bins = bins * (1 if splats.width_levels is None else WIDTH_LEVELS.count)
-    device = work.context.devices[0]
+    device = work.device
     slices = constants.slices_per_unit * device.max_compute_units
     slices = max(1, min(slices, COUNT_ENTRIES // n_bins, n))
     # There are few slices. By default, drivers of CPUs put all of them into one work-group on one

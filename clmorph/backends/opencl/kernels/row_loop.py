@@ -75,7 +75,7 @@ class RowLoop:
             macros = self.constants.row_macros(*key)
             if file == "near_field.cl":
                 macros |= self.constants.near_field_macros()
-            built = program.build(self.work.context, file, macros)
+            built = program.build(self.work.context, file, macros, self.work.device)
             self._kernels[file, *key] = {
                 each: program.kernel(built, each) for each in KERNELS[file]
             }
@@ -142,7 +142,7 @@ class RowLoop:
         if self.constants.width > 1:
             return 1
         groups = max(1, rows.stride // self.constants.group)
-        wanted = -(-8 * self.work.context.devices[0].max_compute_units // groups)
+        wanted = -(-8 * self.work.device.max_compute_units // groups)
         return max(1, min(wanted, len(columns.centers), 64))
 
     def _budget(self, kernel: cl.Kernel) -> LaunchBudget:

@@ -85,7 +85,7 @@ class SlicedEllpack:
             n_pairs = int(counts.sum())
             if (
                 n_pairs > max_pairs
-                or BYTES_PER_PAIR * n_pairs > self._work.context.devices[0].global_mem_size // 4
+                or BYTES_PER_PAIR * n_pairs > self._work.device.global_mem_size // 4
             ):
                 return None
             sides.append(self._stored(plan, counts))
@@ -145,7 +145,9 @@ class SlicedEllpack:
     def _kernel(self, name: str) -> cl.Kernel:
         if not self._kernels:
             macros = self._constants.sliced_ellpack_macros()
-            built = program.build(self._work.context, "sliced_ellpack.cl", macros)
+            built = program.build(
+                self._work.context, "sliced_ellpack.cl", macros, self._work.device
+            )
             self._kernels = {
                 name: program.kernel(built, name) for name in ("clear_stored", "sum_stored")
             }

@@ -59,7 +59,7 @@ class Splatting:
             ("particles.cl", self._constants.particle_macros(), PARTICLE_KERNELS),
             ("splat.cl", self._constants.splat_macros(), ("splat",)),
         ):
-            built = program.build(self._work.context, file, macros)
+            built = program.build(self._work.context, file, macros, self._work.device)
             kernels |= {name: program.kernel(built, name) for name in names}
         return kernels
 

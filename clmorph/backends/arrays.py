@@ -1,9 +1,10 @@
 """Conversion of callers' arguments to arrays of numbers, in one way everywhere.
 
 Every value from which NumPy can make an array is accepted: lists, arrays of any order and byte
-order, read-only arrays, data frames, tensors on the host. Values that NumPy could convert only with
-a loss (masked entries, imaginary parts, texts, sparse matrices) raise an error that names the
-remedy.
+order, read-only arrays, data frames, tensors on the host, and whatever else has ``__array__``,
+``__array_interface__`` or ``__dlpack__``. A `pyopencl.array.Array` is mapped and read in place.
+Values that NumPy could convert only with a loss (masked entries, imaginary parts, texts, sparse
+matrices) raise an error that names the remedy.
 """
 
 from typing import Any
@@ -27,19 +28,25 @@ def as_array(name: str, value: Any, expected: str = "an array of numbers") -> An
     name : str
         The name of the value in error messages.
     value : array_like
+        A `pyopencl.array.Array` is read when the work that its ``events`` and its queue hold has
+        ended.
     expected : str
         The description of the expected value in error messages.
 
     Returns
     -------
     array of bool, integers or floats
-        It can share memory with `value`.
+        It can share memory with `value`. The memory of a device stays mapped until this array and
+        all its views are garbage.
 
     Raises
     ------
     InputError
         If the value is no array of real numbers, or one of its entries is masked.
+    DeviceError
+        If a device fails while its memory is mapped.
     """
+    value = _on_host(name, value, expected)
     if hasattr(value, "getbands") and getattr(value, "mode", "RGB") not in _PLAIN_MODES:
         raise InputError(
             f"{name} is a Pillow image of mode {value.mode!r}, whose values are not RGB: convert "
@@ -79,6 +86,55 @@ def as_floats(name: str, value: Any, expected: str = "an array of numbers") -> A
     """
     with np.errstate(over="ignore"):
         return np.array(as_array(name, value, expected), dtype=np.float64, order="C", subok=False)
+
+
+def is_of_pyopencl(value: Any) -> bool:
+    """Return whether the type of a value, or a base of it, is of pyopencl, without its import."""
+    return _is_type_of_pyopencl(type(value))
+
+
+def _is_type_of_pyopencl(kind: type) -> bool:
+    modules = (getattr(base, "__module__", "") for base in kind.__mro__)
+    return any(str(module).partition(".")[0] == "pyopencl" for module in modules)
+
+
+def _on_host(name: str, value: Any, expected: str) -> Any:
+    """Return a value that NumPy can convert, in place of one that only other ways can read."""
+    if is_of_pyopencl(value):
+        from clmorph.backends.opencl.device_arrays import read_in_place
+
+        return read_in_place(name, value, expected)
+    if isinstance(value, list | tuple) and any(map(_is_type_of_pyopencl, set(map(type, value)))):
+        # NumPy would take each entry of such an array from the device by itself.
+        return [_on_host(name, part, expected) for part in value]
+    if hasattr(value, "__dlpack__") and not any(hasattr(value, each) for each in _NUMPY_READS):
+        return _from_dlpack(name, value, expected)
+    return value
+
+
+#: Attributes by which NumPy itself converts an object.
+_NUMPY_READS = ("__array__", "__array_interface__", "__array_struct__")
+#: DLPack's device types whose memory the host can read: the host's own, and what CUDA or ROCm have
+#: pinned there.
+_HOST_TYPES = (1, 3, 11)
+
+
+def _from_dlpack(name: str, value: Any, expected: str) -> AnyArray:
+    """Return an array that shares the memory of an object with ``__dlpack__``."""
+    try:
+        kind = int(value.__dlpack_device__()[0])
+        if kind in _HOST_TYPES:
+            return np.from_dlpack(value)
+    except Exception as error:
+        # Foreign types can raise any exception.
+        reason = printable(str(error) or type(error).__name__, 120)
+        raise InputError(
+            f"{name} cannot be read through DLPack ({reason}): expected {expected}"
+        ) from None
+    raise InputError(
+        f"{name} is in the memory of a device (type {kind} of DLPack): expected {expected}; copy "
+        "it to the host first, or give a pyopencl.array.Array"
+    )
 
 
 #: Pillow's modes whose values are luma alone, or red, green and blue.
