@@ -7,6 +7,7 @@ from typing import Any
 from clmorph._shared.validation import shown
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.devices.process import Once
+from clmorph.backends.opencl.devices.verdicts import refusals
 from clmorph.errors import InputError
 
 #: The type of `backend`, see `get_backend`.
@@ -52,7 +53,7 @@ def get_backend(backend: Backend = "auto") -> Operations:
         name = os.environ.get("CLMORPH_DEVICE", "").strip() or "auto"
     if name == "numpy":
         return _numpy()
-    return _named_backend(name, os.environ.get("PYOPENCL_CTX", ""))
+    return _named_backend(name, os.environ.get("PYOPENCL_CTX", ""), refusals())
 
 
 # Backends are imported where they are used, so that the package needs no driver.
@@ -66,8 +67,9 @@ def _numpy() -> Operations:
 
 
 @Once
-def _named_backend(name: str, pyopencl_ctx: str) -> Operations:
-    # pyopencl_ctx is part of the cache's key: choose_device reads it for "auto".
+def _named_backend(name: str, pyopencl_ctx: str, refusals: int) -> Operations:
+    # The last two are part of the cache's key: choose_device reads pyopencl_ctx for "auto", and
+    # chooses anew after a device was refused.
     from clmorph.backends.opencl.devices.find import choose_device
 
     return _opened(choose_device(name).handle)
