@@ -10,10 +10,13 @@ import json
 import math
 import os
 import platform
+import queue
 import re
 import signal
 import subprocess
 import sys
+import tempfile
+import threading
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +27,7 @@ from clmorph.backends.opencl.devices.cache import forget_cached, load_record, sa
 if TYPE_CHECKING:
     import pyopencl as cl
 
-#: Time limit in seconds to build and run the probe, and the variable that changes it.
+#: Time limit in seconds to build and check a program, and the variable that changes it.
 PROBE_SECONDS = 60.0
 PROBE_SECONDS_VARIABLE = "CLMORPH_PROBE_SECONDS"
 #: The line that the probe prints before it opens the device.
@@ -207,7 +210,7 @@ def forget_programs() -> None:
 
 
 def probe_seconds() -> float:
-    """Return the time limit of a probe, in seconds.
+    """Return the time limit of the check of a program, in seconds.
 
     Raises
     ------
@@ -236,7 +239,7 @@ def run_probe(
     index : str
         The device, as counted by `clmorph.backends.opencl.devices.find.raw_devices`.
     seconds : float, optional
-        Time limit; if not given, `probe_seconds`.
+        Time limit for each program; if not given, `probe_seconds`.
     request : str, optional
         The programs to verify, see `clmorph.backends.opencl.build.programs.make_request`. If not
         given, those that most morphs use, and the speed is measured.
@@ -254,20 +257,13 @@ def run_probe(
             f"cannot be tried, because {sys.executable or 'an empty sys.executable'!r} is no "
             "Python interpreter: name one with multiprocessing.set_executable"
         )
-    # -P: the current folder may hold another clmorph, such as a source tree.
-    command = [python, "-P", "-W", "ignore", "-m", "clmorph.backends.opencl.probe", index]
-    command += [] if request is None else [request]
+    command = _command(python, index, request)
     # The probe ends when this pipe is closed, which happens however this process ends.
     reading, writing = os.pipe()
     try:
-        done = subprocess.run(
-            command, env=_environment(), timeout=seconds, capture_output=True, text=True,
-            errors="replace", stdin=reading, check=False,
-        )  # fmt: skip
+        done = _run(command, seconds, reading)
     except subprocess.TimeoutExpired as error:
-        output = error.stdout or ""
-        text = output.decode(errors="replace") if isinstance(output, bytes) else output
-        under_check = _keep_program_verdicts(text.splitlines())[1]
+        under_check = _keep_program_verdicts(str(error.output or "").splitlines())[1]
         return _untried(
             f"did not build and verify {under_check or 'the kernels'} within {seconds:g} s; it is "
             f"tried again next time, and {PROBE_SECONDS_VARIABLE} sets how many seconds it may take"
@@ -278,6 +274,46 @@ def run_probe(
         os.close(reading)
         os.close(writing)
     return _judge(done)
+
+
+def _command(python: str, index: str, request: str | None) -> list[str]:
+    # -P: the current folder may hold another clmorph, such as a source tree.
+    command = [python, "-P", "-W", "ignore", "-m", "clmorph.backends.opencl.probe", index]
+    return command if request is None else [*command, request]
+
+
+def _run(command: list[str], seconds: float, reading: int) -> "subprocess.CompletedProcess[str]":
+    """Run a process, which may take `seconds` for each of the lines that it prints."""
+    found: queue.Queue[str | None] = queue.Queue()
+    lines: list[str] = []
+    with (
+        tempfile.TemporaryFile() as noise,
+        subprocess.Popen(
+            command, env=_environment(), stdin=reading, stdout=subprocess.PIPE, stderr=noise,
+            text=True, errors="replace",
+        ) as process,
+    ):  # fmt: skip
+
+        def read() -> None:
+            assert process.stdout is not None
+            for line in process.stdout:
+                found.put(line)
+            found.put(None)
+
+        threading.Thread(target=read, daemon=True).start()
+        try:
+            while (line := found.get(timeout=seconds)) is not None:
+                lines.append(line)
+            code = process.wait(timeout=seconds)
+        except (queue.Empty, subprocess.TimeoutExpired):
+            process.kill()
+            raise subprocess.TimeoutExpired(command, seconds, "".join(lines)) from None
+        except BaseException:  # an interruption
+            process.kill()
+            raise
+        noise.seek(0)
+        complaints = noise.read().decode(errors="replace")
+    return subprocess.CompletedProcess(command, code, "".join(lines), complaints)
 
 
 def _untried(reason: str) -> dict[str, Any]:
