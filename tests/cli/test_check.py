@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import TESTED, USABLE
+from conftest import TESTED, USABLE, found_anew
 
 from clmorph import InputError
 from clmorph.backends.comparison import Finding
@@ -86,7 +86,7 @@ def test_check_of_one_device(capfd):
 @pytest.mark.needs_device
 def test_a_failed_check_ends_with_1(monkeypatch, capfd):
     monkeypatch.setattr(
-        "clmorph.cli.conformance.check", lambda operations: [Finding("x", 2.0, 1.0, "u")]
+        "clmorph.cli.conformance.check", lambda operations, kernels: [Finding("x", 2.0, 1.0, "u")]
     )
     assert main(["check", "--device", TESTED[0].index]) == 1
     assert "FAIL" in capfd.readouterr().out
@@ -94,7 +94,7 @@ def test_a_failed_check_ends_with_1(monkeypatch, capfd):
 
 @pytest.mark.needs_device
 def test_a_failing_driver_is_told_in_one_line(monkeypatch, capfd):
-    def fail(operations):
+    def fail(operations, kernels):
         raise RuntimeError("out of\nresources")
         yield
 
@@ -122,7 +122,7 @@ def test_devices_table(capfd):
 
 
 @pytest.mark.needs_device
-def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path):
+def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path, fresh_search):
     """What pip's PoCL is on processors it does not know: listed, with its reason, not chosen."""
     monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
     broken, real = TESTED[0].index, devices.run_probe
@@ -130,9 +130,7 @@ def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path):
     monkeypatch.setattr(
         devices, "run_probe", lambda index: crashed if index == broken else real(index)
     )
-    found = find_devices.__wrapped__()
-    monkeypatch.setattr(devices, "find_devices", lambda: found)
-    monkeypatch.setattr("clmorph.cli.devices.find_devices", lambda: found)
+    found = found_anew()
     others = [d.index for d in found if d.usable]
     assert broken not in others
     assert main(["devices", "--json"]) == (0 if others else 1)
