@@ -23,7 +23,6 @@ from clmorph.backends.opencl.devices import runtimes, verdicts
 from clmorph.backends.opencl.devices.find import choose_device, find_devices, run_probe
 from clmorph.reference import NumPyOperations
 
-
 _COUNTER = itertools.count()
 
 

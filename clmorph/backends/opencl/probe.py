@@ -71,7 +71,7 @@ def _check(operations: OpenCLOperations, variant: Variant) -> tuple[str, bool]:
     try:
         return first_failure(operations, variant), True
     except Exception as error:  # as in `probe`
-        return _words(error), not _is_passing(error)
+        return f"{variant}: {_words(error)}", not _is_passing(error)
 
 
 def _words(error: Exception) -> str:

@@ -7,7 +7,7 @@ from typing import Protocol
 from clmorph.backends.comparison import Finding
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
-from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.build.variants import KERNELS, Variant
 from clmorph.backends.opencl.devices.verdicts import WRONG
 from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
 from clmorph.backends.opencl.kernels.splat import Splatting
@@ -29,6 +29,7 @@ from clmorph.backends.verification.splats import (
     check_splat,
     thinned,
 )
+from clmorph.errors import ClmorphError
 
 #: Number of splats and canvas of the checks: bins of more than MOMENT_CHUNK splats, several blocks
 #: of pixels of any size, and sides that divide none.
@@ -67,9 +68,16 @@ def check_program(operations: Adjustable, variant: Variant) -> Iterator[Finding]
 
 def first_failure(operations: Adjustable, variant: Variant) -> str:
     """Return what is wrong with a program, in words; '' if nothing is."""
-    for finding in check_program(operations, variant):
-        if not finding.passed:
-            return f"{WRONG}{variant}: {finding}"
+    try:
+        for finding in check_program(operations, variant):
+            if not finding.passed:
+                return f"{WRONG}{variant}: {finding}"
+    except (ArithmeticError, AssertionError, IndexError, ValueError) as error:
+        if isinstance(error, ClmorphError):
+            raise
+        # Kernels return indices, counts and sizes, too.
+        words = " ".join(f"{type(error).__name__}: {error}".split())
+        return f"{WRONG}{variant}: {', '.join(KERNELS[variant.file])} ended in {words}"[:300]
     return ""
 
 
