@@ -78,7 +78,7 @@ def test_a_planted_fault_is_found(monkeypatch, fault):
     reason = _planted_failure(monkeypatch, fault, of_file(fault.file))
     assert reason.startswith(f"{verdicts.WRONG}{fault.file}"), reason
     assert fault.operation in reason
-    assert "tolerance" in reason
+    assert "tolerance" in reason or "IndexError" in reason
 
 
 @pytest.mark.full
