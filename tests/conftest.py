@@ -9,6 +9,7 @@ tests that need a device are skipped.
 
 import os
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -20,7 +21,8 @@ from programs import PROGRAMS
 import clmorph
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import apply_quirks, cpu_constants, gpu_constants
-from clmorph.backends.opencl.devices.find import Device, find_devices
+from clmorph.backends.opencl.devices import verdicts
+from clmorph.backends.opencl.devices.find import Device, find_devices, tried
 
 DEVICES = find_devices()
 USABLE = [device for device in DEVICES if device.usable]
@@ -225,9 +227,11 @@ def variant(request: pytest.FixtureRequest) -> OpenCLOperations:
     """Operations on a device, built with its own constants or with those of the other kind."""
     device, swapped = request.param
     if not swapped:
-        return OpenCLOperations(device.handle)
+        return OpenCLOperations(device.handle, verify=False)
     constants = gpu_constants(256) if device.kind == "CPU" else cpu_constants(4)
-    return OpenCLOperations(device.handle, apply_quirks(constants, frozenset({"no_float64"})))
+    # The tests themselves compare with NumPy.
+    quirks = frozenset({"no_float64"})
+    return OpenCLOperations(device.handle, apply_quirks(constants, quirks), verify=False)
 
 
 @pytest.fixture(scope="session")
@@ -243,8 +247,34 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20261121)
 
 
+def found_anew() -> tuple[Device, ...]:
+    """Find all devices as a new process would."""
+    tried.cache_clear()
+    find_devices.cache_clear()
+    return find_devices()
+
+
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
+def fresh_search() -> Iterator[None]:
+    """Let what a test finds, and verdicts that it fakes, be forgotten before and after it."""
+    known = vars(verdicts)
+    kept = {name: known[name].copy() for name in ("_programs", "_momentary", "_refused")}
+
+    def forget() -> None:
+        tried.cache_clear()
+        find_devices.cache_clear()
+        for name in kept:
+            known[name].clear()
+
+    forget()
+    yield
+    forget()
+    for name, content in kept.items():
+        known[name].update(content)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, fresh_search: None) -> list[str]:
     """Indexes of the devices probed, in an empty cache; every probe is content."""
     probed: list[str] = []
 

@@ -23,10 +23,7 @@ def bundles(folder: Path) -> list[dict[str, Any]]:
 def row(bundle: dict[str, Any]) -> str:
     device = bundle["device"]
     failed = [finding["name"] for finding in bundle["findings"] if not finding["passed"]]
-    worst = max(
-        (finding["error"] / finding["tolerance"] for finding in bundle["findings"]
-         if finding["tolerance"]), default=0.0,
-    )  # fmt: skip
+    worst = max((finding["share"] for finding in bundle["findings"] if not failed), default=0.0)
     verdict = f"fails: {', '.join(failed)}" if failed else f"pass ({worst:.0%} of the tolerance)"
     return " | ".join([
         f"| {device['name']}", f"{device['platform']}, {device['driver']}", device["kind"],

@@ -91,3 +91,14 @@ class Finding:
     def passed(self) -> bool:
         """Whether the error is within the tolerance."""
         return bool(self.error <= self.tolerance)
+
+    @property
+    def share(self) -> float:
+        """The error as a share of the tolerance; infinite for an error where none is tolerated."""
+        if self.tolerance > 0:
+            return self.error / self.tolerance
+        return 0.0 if self.error == 0 else float("inf")
+
+    def __str__(self) -> str:
+        off = f"{self.error:.2g} {self.unit} (tolerance {self.tolerance:.2g})"
+        return f"{self.name} is off by {off}"

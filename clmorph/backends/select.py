@@ -9,6 +9,7 @@ from clmorph._shared.validation import shown
 from clmorph.backends.arrays import is_of_pyopencl
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.devices.process import Once
+from clmorph.backends.opencl.devices.verdicts import refusals
 from clmorph.errors import InputError
 
 
@@ -82,7 +83,7 @@ def get_backend(backend: Backend = "auto") -> Operations:
         return _several(name.split(","))
     if name == "numpy":
         return _numpy()
-    return _named_backend(name, os.environ.get("PYOPENCL_CTX", ""))
+    return _named_backend(name, os.environ.get("PYOPENCL_CTX", ""), refusals())
 
 
 def _several(given: Sequence[Any]) -> Operations:
@@ -108,8 +109,9 @@ def _numpy() -> Operations:
 
 
 @Once
-def _named_backend(name: str, pyopencl_ctx: str) -> Operations:
-    # pyopencl_ctx is part of the cache's key: choose_device reads it for "auto".
+def _named_backend(name: str, pyopencl_ctx: str, refusals: int) -> Operations:
+    # The last two are part of the cache's key: choose_device reads pyopencl_ctx for "auto", and
+    # chooses anew after a device was refused.
     from clmorph.backends.opencl.devices.find import choose_device
 
     handle = choose_device(name).handle

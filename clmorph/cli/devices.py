@@ -1,6 +1,7 @@
 """The commands ``clmorph devices``, ``clmorph check`` and ``clmorph tune``."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,19 +9,25 @@ import click
 
 from clmorph._shared.files import atomic_path, check_file_place
 from clmorph._shared.printable import printable, reason_of
+from clmorph.backends.comparison import Finding
 from clmorph.backends.opencl.devices.cache import cache_folder
 from clmorph.backends.opencl.devices.find import (
     Device,
     choose_device,
     find_devices,
     forget_verdicts,
+    mark_unusable,
+    try_again,
 )
+from clmorph.backends.opencl.devices.verdicts import WRONG
 from clmorph.cli.terminal import NOTES, RESULTS, note
 from clmorph.errors import ClmorphError, DeviceError
 
+_TRYING = "trying OpenCL devices (remembered from the second time on)"
+
 
 def _find() -> tuple[Device, ...]:
-    with NOTES.status("trying OpenCL devices (remembered from the second time on)"):
+    with NOTES.status(_TRYING):
         return find_devices()
 
 
@@ -86,10 +93,14 @@ def _print_table(devices: tuple[Device, ...], auto: str) -> None:
     RESULTS.print(table)
 
 
-def _choose(spec: str | None, every: bool) -> list[Device]:
+def _choose(spec: str | None, every: bool, even_wrong: bool = False) -> list[Device]:
     """Return the device that the user chose, or every usable device."""
-    devices = [device for device in _find() if device.usable]
-    return devices if every and devices else [choose_device(spec or "auto")]
+    if every:
+        devices = [device for device in _find() if device.usable]
+        if devices:
+            return devices
+    with NOTES.status(_TRYING):
+        return [choose_device(spec or "auto", even_wrong)]
 
 
 def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
@@ -108,12 +119,33 @@ def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
         click.echo(f"  {before / 1e9:.2f} to {after / 1e9:.2f}·10⁹ pairs/s")
 
 
-def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
-    """Compare devices with NumPy, print the results; return 1 if one is out of tolerance."""
-    devices = _choose(spec, every)
+def check_devices(
+    spec: str | None, every: bool, report: Path | None, kernels: Sequence[str] = ()
+) -> int:
+    """Compare devices with NumPy, print the results; return 1 if one is out of tolerance.
+
+    A device that is named is compared even if it is unusable because of a wrong result. What is
+    found is remembered: a failure makes the device unusable, and a device that passes everything
+    is no longer unusable because of a wrong result.
+
+    Parameters
+    ----------
+    spec : str, optional
+        The device; if not given, the one that "auto" selects.
+    every : bool
+        Whether to compare every usable device.
+    report : Path, optional
+        The file for a report.
+    kernels : sequence of str
+        Kernels and files; only operations that use one of them are compared. All if empty.
+    """
+    from clmorph.cli.conformance import check_kernel_names
+
+    check_kernel_names(kernels)
+    devices = _choose(spec, every, even_wrong=spec is not None)
     if report is not None:
         check_file_place(report)  # before the comparison begins
-    bundles = [_check_one(device) for device in devices]
+    bundles = [_check_one(device, kernels) for device in devices]
     if report is not None:
         text = json.dumps(bundles[0] if len(bundles) == 1 else bundles, indent=1) + "\n"
         with atomic_path(report) as new:
@@ -122,18 +154,19 @@ def check_devices(spec: str | None, every: bool, report: Path | None) -> int:
     return 0 if all(f["passed"] for bundle in bundles for f in bundle["findings"]) else 1
 
 
-def _check_one(device: Device) -> dict[str, Any]:
-    from rich.table import Table
-
+def _check_one(device: Device, kernels: Sequence[str]) -> dict[str, Any]:
     from clmorph.backends.opencl.backend import OpenCLOperations
     from clmorph.backends.opencl.devices.throughput import throughput
     from clmorph.cli.conformance import check, report
 
     click.echo(f"[{device.index}] {device.name} ({device.platform}, driver {device.driver})")
-    operations = OpenCLOperations(device.handle)
+    if not device.usable:
+        note(f"it is unusable: {device.reason}; it is compared because it was named")
+    # A wrong program is to be a row of the table, so programs are not verified before their use.
+    operations = OpenCLOperations(device.handle, verify=False)
     findings = []
     try:
-        for finding in check(operations):
+        for finding in check(operations, kernels):
             findings.append(finding)
         speed = throughput(operations)
     except ClmorphError:
@@ -143,13 +176,41 @@ def _check_one(device: Device) -> dict[str, Any]:
             f"{device.name} failed after {len(findings)} checks: {reason_of(error)}; "
             "update its driver, or choose another device"
         ) from error
+    _print_findings(findings)
+    click.echo(f"log-sum-exp, 4096²: {speed / 1e9:.2f}·10⁹ pairs/s")
+    _remember(device, findings, whole=not kernels)
+    return report(device, findings, speed)
+
+
+def _print_findings(findings: list[Finding]) -> None:
+    from rich.table import Table
+
+    from clmorph.cli.conformance import nearest
+
     table = Table(box=None, pad_edge=False)
-    for title in ("operation", "largest error", "tolerance", "", "verdict"):
-        table.add_column(title)
+    for title in ("operation", "largest error", "tolerance", "", "share", "verdict"):
+        table.add_column(title, justify="right" if title == "share" else "left")
     for f in findings:
         table.add_row(
-            f.name, f"{f.error:.1e}", f"{f.tolerance:.1e}", f.unit, "pass" if f.passed else "FAIL"
-        )
+            f.name, f"{f.error:.1e}", f"{f.tolerance:.1e}", f.unit, _percent(f),
+            "pass" if f.passed else "FAIL",
+        )  # fmt: skip
     RESULTS.print(table)
-    click.echo(f"log-sum-exp, 4096²: {speed / 1e9:.2f}·10⁹ pairs/s")
-    return report(device, findings, speed)
+    if close := nearest(findings):
+        click.echo(f"nearest its tolerance: {close.name} ({_percent(close)} of it)")
+
+
+def _percent(finding: Finding) -> str:
+    return f"{finding.share:.0%}" if finding.share < 100 else f"{finding.share:.2g} times"
+
+
+def _remember(device: Device, findings: list[Finding], whole: bool) -> None:
+    """Remember that a device computes wrongly, or forget it if it has passed everything."""
+    failed = [finding for finding in findings if not finding.passed]
+    if failed:
+        worst = max(failed, key=lambda finding: finding.share)
+        mark_unusable(device.handle, f"{WRONG}clmorph check: {worst}")
+        note("the device is unusable from now on; clmorph devices --again forgets that")
+    elif whole and not device.usable:
+        try_again(device.handle)
+        note("what was remembered of the device is forgotten: it is tried again when it is needed")

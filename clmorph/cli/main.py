@@ -253,14 +253,15 @@ def demo(device: str | None, backend: str | None) -> None:
 
 @cli.command()
 @click.option("--json", "as_json", is_flag=True, help="For programs.")
-@click.option("--again", is_flag=True, help="Try every device anew.")
+@click.option("--again", is_flag=True, help="Try every device anew, and forget what is remembered.")
 def devices(as_json: bool, again: bool) -> int:
     """List OpenCL devices: which work, why others do not, which one "auto" takes.
 
-    A device that is new is tried in a process of its own for at most 60 s, or for as long as
-    CLMORPH_PROBE_SECONDS says (1 to 3600). What the trial says of the device is remembered:
-    that it works, that it crashes, computes wrong results or is refused. What it says of the
-    moment is not (a lack of time or of memory): the device is tried again the next time.
+    A device that is new is tried in a process of its own: the programs that most morphs use are
+    built and compared with NumPy, each within 60 s or what CLMORPH_PROBE_SECONDS says (1 to 3600).
+    What the trial says of the device is remembered: that it works, that it crashes, computes
+    wrong results or is refused. What it says of the moment is not (a lack of time or of memory):
+    the device is tried again the next time. "auto" tries devices only up to the first that works.
     """
     from clmorph.cli.devices import list_devices
 
@@ -270,17 +271,25 @@ def devices(as_json: bool, again: bool) -> int:
 @cli.command()
 @click.option("--device", metavar="NAME", help="The device to check.  [default: auto's]")
 @click.option("--all", "every", is_flag=True, help="Check every usable device.")
+@click.option(
+    "--kernel",
+    "kernels",
+    metavar="NAME",
+    multiple=True,
+    help="Check only operations that use this kernel or kernel file. Can be repeated.",
+)
 @click.option("--report", type=options.FileName(), help="Write a JSON file to share.")
-def check(device: str | None, every: bool, report: Path | None) -> int:
+def check(device: str | None, every: bool, kernels: tuple[str, ...], report: Path | None) -> int:
     """Compare a device with NumPy: every operation and one whole morph.
 
-    Ends with 0 if all is within tolerance, else with 1.
+    Ends with 0 if all is within tolerance, else with 1. A device that fails is unusable from then
+    on. With --device it can be checked again, and is tried anew once it passes.
     """
     from clmorph.cli.devices import check_devices
 
     if device is not None and every:
         raise InputError(f"--device {device} and --all contradict: give one of them")
-    return check_devices(device, every, report)
+    return check_devices(device, every, report, kernels)
 
 
 @cli.command()

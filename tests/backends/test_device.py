@@ -1,14 +1,16 @@
 """Test how devices are found, tested and chosen."""
 
+import itertools
 import os
 import shutil
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pyopencl as cl
 import pytest
-from conftest import TESTED, USABLE
+from conftest import TESTED, USABLE, found_anew
 
 import clmorph
 from clmorph import DeviceError, InputError
@@ -18,55 +20,156 @@ from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import runtimes, verdicts
-from clmorph.backends.opencl.devices.find import Device, choose_device, find_devices, run_probe
+from clmorph.backends.opencl.devices.find import choose_device, find_devices, run_probe
 from clmorph.reference import NumPyOperations
 
+_COUNTER = itertools.count()
 
-def made(index="0:0", name="Thing", kind="CPU", usable=True, speed=1e9, platform="Works"):
-    reason = "" if usable else "its driver crashed"
-    return Device(
-        index, name, platform, "OpenCL 3.0", "1.0", kind, 2, 1 << 30, usable, reason, speed, None
-    )  # fmt: skip
+
+def handle(name="Thing", platform="Works", kind="CPU", **properties):
+    """Make up a device as drivers announce it."""
+    announced = {
+        "name": name,
+        "platform": SimpleNamespace(name=platform, version="OpenCL 3.0", vendor="Nobody"),
+        "driver_version": f"1.{next(_COUNTER)}",  # devices of the same driver share a verdict
+        "type": getattr(cl.device_type, kind),
+        "max_compute_units": 2,
+        "native_vector_width_float": 1,
+        "max_clock_frequency": 1000,
+        "host_unified_memory": kind == "CPU",
+        "global_mem_size": 1 << 30,
+    }
+    return SimpleNamespace(**announced | properties)
 
 
 @pytest.fixture
-def pretend(monkeypatch):
-    """Replace the machine's devices by made-up ones."""
+def pretend(monkeypatch, tmp_path, fresh_search):
+    """Replace the machine's devices by made-up ones; return the indices of those that are tried."""
+    asked = []
 
-    def replace(*found):
-        monkeypatch.setattr(devices, "find_devices", lambda: found)
+    def replace(*found, broken=()):
+        listed = tuple((f"{number}:0", device) for number, device in enumerate(found))
+        bad = {listed[found.index(device)][0] for device in broken}
+
+        def probe(index):
+            asked.append(index)
+            reason = "its driver crashed" if index in bad else ""
+            return {"usable": not reason, "reason": reason, "pairs_per_second": 1.0}
+
+        devices.tried.cache_clear()
+        devices.find_devices.cache_clear()
+        asked.clear()
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        folder.mkdir()
+        monkeypatch.setattr(devices, "raw_devices", lambda: listed)
+        monkeypatch.setattr(devices, "run_probe", probe)
+        monkeypatch.setattr(storage, "cache_folder", lambda: folder)
         monkeypatch.delenv("PYOPENCL_CTX", raising=False)
+        return asked
 
     return replace
 
 
-def test_gpus_come_first_then_the_faster(pretend):
-    slow, fast = made("0:0", speed=1e9), made("1:0", speed=5e9)
-    gpu = made("2:0", kind="GPU", speed=5e8)
-    broken = made("3:0", kind="GPU", usable=False, speed=0)
-    pretend(slow, fast, broken)
-    assert choose_device() is fast
-    pretend(slow, fast, gpu, broken)
-    assert choose_device("auto") is gpu
-    assert choose_device("opencl") is gpu
+def chosen(spec="auto"):
+    return choose_device(spec).handle
+
+
+INTEL, POCL = "Intel(R) OpenCL", "Portable Computing Language"
+
+
+def test_the_order_is_what_devices_announce(pretend):
+    """GPUs first, discrete before integrated; CPUs last, by what is known of their drivers."""
+    rusticl, other = handle(platform="rusticl"), handle(platform="Something else")
+    pocl, intel = handle(platform=POCL, max_compute_units=8), handle(platform=INTEL)
+    accelerator = handle(kind="ACCELERATOR")
+    integrated = handle(kind="GPU", host_unified_memory=True, max_compute_units=64)
+    small, large = handle(kind="GPU"), handle(kind="GPU", max_compute_units=20)
+    order = [large, small, integrated, accelerator, intel, pocl, other, rusticl]
+    for number in range(len(order)):
+        rest = order[number:]
+        asked = pretend(*reversed(rest))
+        assert chosen() is order[number]
+        assert chosen("opencl") is order[number]
+        assert asked == [f"{len(rest) - 1}:0"]  # no other device was tried
+    wide, narrow = handle(native_vector_width_float=16), handle(max_clock_frequency=4000)
+    pretend(narrow, wide)
+    assert chosen() is wide
+    twins = handle(), handle()
+    pretend(*twins)
+    assert chosen() is twins[0]
+
+
+def test_no_measured_speed_decides(pretend, monkeypatch):
+    slow, fast = handle(platform=INTEL), handle(platform=POCL)
+    pretend(fast, slow)
+    find_devices()  # as clmorph devices does
+    assert chosen() is slow
+
+
+def test_the_search_ends_at_the_first_usable_device(pretend):
+    first, second, third = handle(platform=INTEL), handle(platform=POCL), handle(platform="Else")
+    asked = pretend(third, second, first, broken=[first])
+    assert chosen() is second
+    assert asked == ["2:0", "1:0"]
+    assert chosen() is second
+    assert asked == ["2:0", "1:0"]
+    find_devices()
+    assert asked == ["2:0", "1:0", "0:0"]
 
 
 def test_by_index_and_by_name(pretend):
-    pretend(made("0:0", "EPYC", platform="PoCL"), made("1:0", "EPYC", platform="Intel(R) OpenCL"))
-    assert choose_device("1:0").index == "1:0"
-    assert choose_device("intel").index == "1:0"
-    assert choose_device("pocl").index == "0:0"
+    pocl, intel = handle("EPYC", POCL), handle("EPYC", INTEL)
+    asked = pretend(pocl, intel)
+    assert chosen("1:0") is intel
+    assert chosen("intel") is intel
+    assert asked == ["1:0"]
+    assert chosen("portable") is pocl
+    assert chosen("EPYC") is intel
     with pytest.raises(DeviceError, match="nvidia"):
         choose_device("nvidia")
 
 
 def test_unusable_devices_are_never_chosen(pretend):
-    pretend(made("0:0", usable=False), made("1:0", usable=True, speed=1.0))
-    assert choose_device().index == "1:0"
+    bad, good = handle(platform=INTEL), handle()
+    pretend(bad, good, broken=[bad])
+    assert chosen() is good
     with pytest.raises(DeviceError, match="its driver crashed"):
         choose_device("0:0")
-    pretend(made(usable=False))
+    pretend(bad, broken=[bad])
     with pytest.raises(DeviceError, match=r"no OpenCL device is usable.*its driver crashed"):
+        choose_device()
+
+
+@pytest.mark.parametrize(
+    ("value", "names"),
+    [
+        ("0", [0]), ("0:0", [0]), ("intel", [1]), ("portable", [2, 0]), ("PORTABLE:epyc", [2, 0]),
+        ("portable:0", [2, 0]), ("1:EPYC", [1]), ("1:1", []), ("7", []), ("nobody", []),
+        ("portable:0,epyc", [2, 0]), ("epyc", [2, 1, 0]), (":0", [2, 1, 0]),
+    ],
+)  # fmt: skip
+def test_pyopencl_ctx_follows_the_same_rule(pretend, monkeypatch, value, names):
+    """The first usable device of those that the variable names, in the fixed order."""
+    found = handle("EPYC", POCL), handle("EPYC", INTEL), handle("EPYC", POCL, max_compute_units=8)
+    for broken in ([], [found[2]]):
+        pretend(*found, broken=broken)
+        monkeypatch.setenv("PYOPENCL_CTX", value)
+        usable = sorted(
+            (found[name] for name in names if found[name] not in broken), key=devices.preference
+        )
+        if usable:
+            assert chosen() is usable[0]
+            continue
+        with pytest.raises(DeviceError, match="PYOPENCL_CTX=") as caught:
+            choose_device()
+        assert "\n" not in str(caught.value)
+
+
+def test_pyopencl_ctx_may_name_broken_devices_only(pretend, monkeypatch):
+    bad, good = handle("EPYC", POCL), handle("EPYC", INTEL)
+    pretend(bad, good, broken=[bad])
+    monkeypatch.setenv("PYOPENCL_CTX", "portable")
+    with pytest.raises(DeviceError, match=r"PYOPENCL_CTX='portable' names .*its driver crashed"):
         choose_device()
 
 
@@ -124,10 +227,7 @@ def test_the_probe_finds_a_working_device():
 def test_a_broken_driver_breaks_only_the_probe(monkeypatch, tmp_path, body, words):
     script = tmp_path / "probe.py"
     script.write_text(body)
-    real = subprocess.run
-    monkeypatch.setattr(
-        subprocess, "run", lambda command, **options: real([sys.executable, script], **options)
-    )
+    monkeypatch.setattr(verdicts, "_command", lambda *_: [sys.executable, str(script)])
     verdict = run_probe("0:0", seconds=2)
     assert not verdict["usable"]
     assert words in verdict["reason"]
@@ -135,19 +235,19 @@ def test_a_broken_driver_breaks_only_the_probe(monkeypatch, tmp_path, body, word
 
 @pytest.mark.needs_device
 def test_verdicts_are_remembered(monkeypatch, tmp_path, asked):
-    first = find_devices.__wrapped__()
+    first = found_anew()
     assert asked == [device.index for device in first]
-    assert find_devices.__wrapped__() == first
+    assert found_anew() == first
     assert len(asked) == len(first)
     # A damaged record is as good as none.
     records = sorted((tmp_path / "devices").iterdir())
     for record in records:
         record.write_text("{")
-    find_devices.__wrapped__()
+    found_anew()
     assert len(asked) == 2 * len(first)
     # Another driver is another verdict.
     monkeypatch.setattr(verdicts, "cpu_identity", lambda: "another processor")
-    find_devices.__wrapped__()
+    found_anew()
     assert len(asked) == 3 * len(first)
     assert len(list((tmp_path / "devices").iterdir())) == 2 * len(records)
 

@@ -11,8 +11,8 @@ from clmorph.backends.interface import KERNEL_ERROR, Operations
 from clmorph.backends.opencl.build.constants import MOMENT_CHUNK
 from clmorph.backends.opencl.kernels.gauss_transform import cell_side, make_cells, moments_pay
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
+from clmorph.backends.verification.clouds import log_sum_exp_tolerance
 from clmorph.backends.width_levels import WIDTH_LEVELS
-from clmorph.cli.conformance import log_sum_exp_tolerance
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()

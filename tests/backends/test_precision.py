@@ -9,7 +9,7 @@ import clmorph
 from clmorph import ConvergenceWarning, DeviceError, lift, sinkhorn
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import apply_quirks, choose_constants
-from clmorph.cli.conformance import log_sum_exp_tolerance
+from clmorph.backends.verification.clouds import log_sum_exp_tolerance
 from clmorph.reference import NumPyOperations
 
 REFERENCE = NumPyOperations()

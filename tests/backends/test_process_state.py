@@ -13,7 +13,7 @@ import warnings
 import numpy as np
 import pyopencl as cl
 import pytest
-from conftest import TESTED, USABLE
+from conftest import TESTED, USABLE, found_anew
 
 import clmorph
 from clmorph import DeviceError, InputError
@@ -60,7 +60,7 @@ def test_threads_share_one_trial_of_a_device(asked, monkeypatch):
         return WORKS
 
     monkeypatch.setattr(devices, "run_probe", slow)
-    find = Once(find_devices.__wrapped__)
+    find = find_devices
     answers = in_threads(find)
     assert len(asked) == len(answers[0]) > 0
     assert all(answer is answers[0] for answer in answers)
@@ -99,10 +99,7 @@ def test_threads_share_one_backend(monkeypatch):
 def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, lasting):
     script = tmp_path / "probe.py"
     script.write_text(body)
-    real = subprocess.run
-    monkeypatch.setattr(
-        subprocess, "run", lambda command, **options: real([sys.executable, script], **options)
-    )
+    monkeypatch.setattr(verdicts, "_command", lambda *_: [sys.executable, str(script)])
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
     # Only what sleeps runs out of time; the others may start late on a busy machine.
     verdict = verdicts.run_probe("0:0", seconds=1 if "sleep" in body else 60)
@@ -112,16 +109,16 @@ def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, lasti
 
 
 @pytest.mark.needs_device
-def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path):
+def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path, fresh_search):
     closed = []
 
-    def interrupted(command, **options):
-        closed.append(options["stdin"])
+    def interrupted(command, seconds, reading):
+        closed.append(reading)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(subprocess, "run", interrupted)
+    monkeypatch.setattr(verdicts, "_run", interrupted)
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
-    find = Once(find_devices.__wrapped__)
+    find = find_devices
     for _ in range(2):  # the lock is free again
         with pytest.raises(KeyboardInterrupt):
             find()
@@ -131,10 +128,10 @@ def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path):
 
 
 def test_a_trial_without_time_says_what_to_do(monkeypatch):
-    def late(command, **options):
-        raise subprocess.TimeoutExpired(command, options["timeout"])
+    def late(command, seconds, reading):
+        raise subprocess.TimeoutExpired(command, seconds)
 
-    monkeypatch.setattr(subprocess, "run", late)
+    monkeypatch.setattr(verdicts, "_run", late)
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "7.5")
     reason = verdicts.run_probe("0:0")["reason"]
     for words in ("within 7.5 s", "tried again", "CLMORPH_PROBE_SECONDS"):
@@ -145,7 +142,7 @@ def test_a_trial_without_time_says_what_to_do(monkeypatch):
 def test_the_time_limit_is_checked(monkeypatch, value):
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", value)
     with pytest.raises(InputError, match=r"CLMORPH_PROBE_SECONDS=.*expected a number"):
-        find_devices.__wrapped__()
+        found_anew()
 
 
 def test_a_failure_of_the_moment_is_told_apart():
@@ -161,7 +158,7 @@ def test_a_failure_of_the_moment_is_told_apart():
 def test_no_other_program_is_started_in_place_of_python(monkeypatch, executable):
     monkeypatch.setattr("multiprocessing.spawn.get_executable", lambda: os.fsencode(executable))
     monkeypatch.setattr(sys, "executable", executable)
-    monkeypatch.setattr(subprocess, "run", None)
+    monkeypatch.setattr(subprocess, "Popen", None)
     verdict = verdicts.run_probe("0:0")
     assert "no Python interpreter" in verdict["reason"]
     assert not verdict["lasting"]
@@ -233,10 +230,10 @@ def test_no_probe_outlives_its_parent():
 )  # fmt: skip
 @pytest.mark.needs_device
 def test_a_damaged_verdict_is_none(asked, tmp_path, damaged):
-    first = find_devices.__wrapped__()
+    first = found_anew()
     for file in (tmp_path / "devices").iterdir():
         file.write_text(damaged, "latin-1")
-    assert find_devices.__wrapped__() == first
+    assert found_anew() == first
     assert len(asked) == 2 * len(first)
 
 
@@ -244,7 +241,7 @@ def test_a_damaged_verdict_is_none(asked, tmp_path, damaged):
 @pytest.mark.parametrize("kind", ["folder", "loop", "a file for a folder"])
 @pytest.mark.needs_device
 def test_what_is_no_file_is_none(asked, tmp_path, kind):
-    first = find_devices.__wrapped__()
+    first = found_anew()
     for file in (tmp_path / "devices").iterdir():
         file.unlink()
         if kind == "folder":
@@ -254,7 +251,7 @@ def test_what_is_no_file_is_none(asked, tmp_path, kind):
     if kind.startswith("a file"):
         (tmp_path / "devices").rmdir()
         (tmp_path / "devices").write_text("")
-    assert find_devices.__wrapped__() == first
+    assert found_anew() == first
     devices.forget_all()
 
 
@@ -479,6 +476,6 @@ def test_errors_pass_between_processes():
 @pytest.mark.needs_device
 def test_records_are_json(asked, tmp_path):
     """Others may read what is remembered."""
-    find_devices.__wrapped__()
+    found_anew()
     for file in (tmp_path / "devices").iterdir():
         assert json.loads(file.read_text()) == WORKS

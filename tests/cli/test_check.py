@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import TESTED, USABLE
+from conftest import TESTED, USABLE, found_anew
 
-from clmorph import InputError
+from clmorph import DeviceError, InputError
 from clmorph.backends.comparison import Finding
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.backend import OpenCLOperations
@@ -22,10 +22,13 @@ from clmorph.backends.opencl.build.constants import (
     cpu_constants,
     gpu_constants,
 )
+from clmorph.backends.opencl.build.variants import KERNELS
 from clmorph.backends.opencl.devices import find as devices
-from clmorph.backends.opencl.devices.find import find_devices
+from clmorph.backends.opencl.devices import verdicts
+from clmorph.backends.opencl.devices.find import choose_device, find_devices
 from clmorph.backends.opencl.devices.install_hints import LINUX_PACKAGES, advice
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
+from clmorph.cli import conformance
 from clmorph.cli.conformance import check
 from clmorph.cli.main import main
 from clmorph.reference import NumPyOperations
@@ -83,18 +86,106 @@ def test_check_of_one_device(capfd):
     assert capfd.readouterr().out.startswith(f"[{TESTED[0].index}] ")
 
 
+@pytest.fixture
+def faked(monkeypatch, asked):
+    """Let `check` find what is in a list, in an empty cache and without real trials."""
+    findings = [Finding("fine", 0.1, 1.0, "u"), Finding("splat, sigma 5", 2.0, 1.0, "u")]
+    monkeypatch.setattr("clmorph.cli.conformance.check", lambda operations, kernels: findings)
+    monkeypatch.setattr("clmorph.backends.opencl.devices.throughput.throughput", lambda *_: 1e9)
+    return findings
+
+
 @pytest.mark.needs_device
-def test_a_failed_check_ends_with_1(monkeypatch, capfd):
-    monkeypatch.setattr(
-        "clmorph.cli.conformance.check", lambda operations: [Finding("x", 2.0, 1.0, "u")]
-    )
-    assert main(["check", "--device", TESTED[0].index]) == 1
-    assert "FAIL" in capfd.readouterr().out
+def test_a_failed_check_ends_with_1_and_is_remembered(faked, capfd, asked):
+    index = TESTED[0].index
+    assert main(["check", "--device", index]) == 1
+    printed = capfd.readouterr()
+    assert "FAIL" in printed.out
+    assert "nearest its tolerance: splat, sigma 5 (200% of it)" in printed.out
+    assert "unusable from now on" in printed.err
+    verdicts._refused.clear()  # as in a new process
+    device = next(device for device in found_anew() if device.index == index)
+    assert not device.usable
+    assert "clmorph check: splat, sigma 5 is off by 2 u (tolerance 1)" in device.reason
+    with pytest.raises(DeviceError, match="clmorph check"):
+        choose_device(index)
+    tries = len(asked)
+
+    # It can be checked again where it is named, alone and by single kernels.
+    for more in ([], ["--kernel", "splat"]):
+        assert main(["check", "--device", index, *more]) == 1
+        assert "compared because it was named" in capfd.readouterr().err
+    del faked[1]
+    assert main(["check", "--device", index, "--kernel", "splat"]) == 0
+    assert not next(d for d in found_anew() if d.index == index).usable  # others may still fail
+    assert len(asked) == tries
+    assert main(["check", "--device", index]) == 0
+    assert "is forgotten" in capfd.readouterr().err
+    assert next(d for d in found_anew() if d.index == index).usable
+    assert len(asked) == tries + 1
+
+
+@pytest.mark.needs_device
+def test_trying_again_forgets_what_check_found(faked, capfd, asked):
+    index = TESTED[0].index
+    assert main(["check", "--device", index]) == 1
+    assert main(["devices", "--again"]) == 0
+    assert next(device for device in find_devices() if device.index == index).usable
+
+
+@pytest.mark.needs_device
+def test_auto_passes_over_what_check_found(faked, capfd):
+    first = choose_device("auto")
+    assert main(["check", "--device", first.index]) == 1
+    others = [device for device in find_devices() if device.usable]
+    assert first.index not in [device.index for device in others]
+    if others:
+        assert choose_device("auto").index != first.index
+
+
+def test_check_of_some_kernels(device):
+    named = [finding.name for finding in check(device, ["sample_plan_rows"])]
+    assert any("sample_plan_rows" in name for name in named)
+    assert not any("softmin" in name or "moments" in name for name in named)
+    for kernel in ("near_field", "near_field.cl", "measure_tiles"):
+        assert any("near_pairs" in f.name for f in _first(check(device, [kernel]), 3))
+
+
+def _first(findings, count):
+    return [finding for finding, _ in zip(findings, range(count), strict=False)]
+
+
+@pytest.mark.needs_device
+def test_an_unknown_kernel_is_told(capfd):
+    assert main(["check", "--device", TESTED[0].index, "--kernel", "grumpy"]) == 2
+    err = capfd.readouterr().err
+    assert err.count("\n") == 1
+    for words in ("grumpy", "--kernel", *KERNELS, "largest_shares", "sum_columns"):
+        assert words in err
+
+
+def test_every_kernel_has_a_comparison():
+    """One of its own, beside the morph, which uses all."""
+    checks = [each.kernels for each in conformance._checks(NumPyOperations())]
+    assert checks.count(conformance._EVERY) == 1
+    compared = {kernel for kernels in checks if kernels != conformance._EVERY for kernel in kernels}
+    assert compared == set(conformance._EVERY)
+
+
+@pytest.mark.needs_device
+def test_a_report_has_what_the_table_shows(faked, tmp_path, capfd):
+    faked[1] = Finding("bins", 3.0, 0.0, "entries")
+    assert main(["check", "--device", TESTED[0].index, "--report", str(tmp_path / "r.json")]) == 1
+    bundle = json.loads((tmp_path / "r.json").read_text(), parse_constant=pytest.fail)
+    assert bundle["nearest"] == "bins"
+    fine, bins = bundle["findings"]
+    assert fine["share"] == pytest.approx(0.1)
+    assert (bins["share"], bins["error"], bins["passed"]) == (None, 3.0, False)
 
 
 @pytest.mark.needs_device
 def test_a_failing_driver_is_told_in_one_line(monkeypatch, capfd):
-    def fail(operations):
+    def fail(operations, kernels):
         raise RuntimeError("out of\nresources")
         yield
 
@@ -122,7 +213,7 @@ def test_devices_table(capfd):
 
 
 @pytest.mark.needs_device
-def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path):
+def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path, fresh_search):
     """What pip's PoCL is on processors it does not know: listed, with its reason, not chosen."""
     monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)
     broken, real = TESTED[0].index, devices.run_probe
@@ -130,9 +221,7 @@ def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path):
     monkeypatch.setattr(
         devices, "run_probe", lambda index: crashed if index == broken else real(index)
     )
-    found = find_devices.__wrapped__()
-    monkeypatch.setattr(devices, "find_devices", lambda: found)
-    monkeypatch.setattr("clmorph.cli.devices.find_devices", lambda: found)
+    found = found_anew()
     others = [d.index for d in found if d.usable]
     assert broken not in others
     assert main(["devices", "--json"]) == (0 if others else 1)

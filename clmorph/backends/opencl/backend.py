@@ -7,7 +7,9 @@ from typing import ParamSpec, TypeVar
 import pyopencl as cl
 
 from clmorph.backends.opencl.build.constants import BuildConstants
+from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.tuned_record import tuned_constants
+from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices.process import claim_opencl, device_lock
 from clmorph.backends.opencl.devices.speed import probed_speed, record_key
 from clmorph.backends.opencl.kernels.clouds import CloudStore
@@ -19,6 +21,7 @@ from clmorph.backends.opencl.kernels.plan_shares import PlanShares
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.sliced_ellpack import SlicedEllpack
 from clmorph.backends.opencl.kernels.splat import Splatting
+from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import DeviceError
 
 P = ParamSpec("P")
@@ -36,6 +39,9 @@ class OpenCLOperations:
     device : pyopencl.Device
     constants : BuildConstants, optional
         Build constants; if not given, the tuned ones, else those for the kind of device.
+    verify : bool
+        Whether each program is verified against NumPy before its first use, see
+        `clmorph.backends.opencl.build.programs.Programs`.
     queue : pyopencl.CommandQueue, optional
         The queue of a host program on this device, in which all work runs; a queue in a context of
         its own if not given.
@@ -50,6 +56,7 @@ class OpenCLOperations:
         self,
         device: cl.Device,
         constants: BuildConstants | None = None,
+        verify: bool = True,
         queue: cl.CommandQueue | None = None,
     ) -> None:
         claim_opencl()
@@ -81,16 +88,21 @@ class OpenCLOperations:
                     "choose another device with --device or CLMORPH_DEVICE"
                 ) from error
             self.work = Workspace(self.context, self.queue)
+        check_here = functools.partial(_check_here, device, self.constants) if verify else None
+        self.programs = Programs(
+            self.context, device, self.constants, check_here, chosen=constants is None
+        )
         self._bind()
 
     def _bind(self) -> None:
         """Create the parts, and make their methods the operations of this object."""
-        loop = RowLoop(self.work, self.constants)
+        loop = RowLoop(self.work, self.constants, self.programs)
         clouds = CloudStore(self.work, self.constants.tile)
         log_sum_exp, near_field = LogSumExp(loop), NearField(loop)
         plan_rows, plan_shares = PlanRowReductions(loop), PlanShares(loop)
+        self.plan_row_reductions = plan_rows
         stored = SlicedEllpack(loop, plan_rows)
-        splatting = self.splatting = Splatting(self.work, self.constants)
+        splatting = self.splatting = Splatting(self.work, self.constants, self.programs)
 
         take_turns = self._take_turns
         self.upload = take_turns(clouds.upload)
@@ -140,3 +152,8 @@ class OpenCLOperations:
 
     def __repr__(self) -> str:
         return f"<OpenCLOperations on {self.description}>"
+
+
+def _check_here(device: cl.Device, constants: BuildConstants, variant: Variant) -> str:
+    """Return what is wrong with a program, checked in this process; '' if nothing is."""
+    return first_failure(OpenCLOperations(device, constants, verify=False), variant)

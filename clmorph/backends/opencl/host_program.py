@@ -10,14 +10,8 @@ import pyopencl as cl
 
 from clmorph._shared.validation import shown
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.opencl.devices.find import raw_devices
+from clmorph.backends.opencl.devices.find import raw_devices, tried
 from clmorph.backends.opencl.devices.process import Once, claim_opencl
-from clmorph.backends.opencl.devices.verdicts import (
-    load_verdict,
-    run_probe,
-    save_verdict,
-    verdict_key,
-)
 from clmorph.errors import DeviceError, InputError
 
 
@@ -149,14 +143,5 @@ def _check_device(device: cl.Device) -> None:
     while (parent := _parent(device)) is not None:
         device = parent
     for index, handle in raw_devices():
-        if handle == device:
-            key = verdict_key(handle)
-            verdict = load_verdict(key)
-            if verdict is None:
-                verdict = run_probe(index)
-                save_verdict(key, verdict)
-            if not verdict["usable"]:
-                raise DeviceError(
-                    f"[{index}] {' '.join(device.name.split())} is unusable: {verdict['reason']}; "
-                    "choose another device, or the backend 'numpy'"
-                )
+        if handle == device and not (known := tried(index)).usable:
+            raise DeviceError(f"{known}; choose another device, or the backend 'numpy'")

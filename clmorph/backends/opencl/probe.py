@@ -1,6 +1,9 @@
-"""Test the kernels on one device; run as ``python -m clmorph.backends.opencl.probe INDEX``.
+"""Verify programs of a device: ``python -m clmorph.backends.opencl.probe INDEX [REQUEST]``.
 
-Prints one line of JSON: usable, reason, pairs_per_second, lasting.
+The programs are those of the request (see `clmorph.backends.opencl.build.programs.make_request`),
+or those that most morphs use. Before and after the check of each, a line is printed. The last line
+is JSON: usable, reason, pairs_per_second, lasting. No program that this process builds is verified
+in a further process.
 """
 
 import contextlib
@@ -10,16 +13,15 @@ import sys
 import threading
 from typing import Any
 
-import numpy as np
 import pyopencl as cl
 
-from clmorph.backends.comparison import LARGEST_BOUND
-from clmorph.backends.interface import Operations
-from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build.programs import program_key, read_request
+from clmorph.backends.opencl.build.variants import Variant, usual_variants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.devices.throughput import throughput
-from clmorph.backends.opencl.devices.verdicts import LOADED
+from clmorph.backends.opencl.devices.verdicts import BEGUN, ENDED, LOADED
+from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import ClmorphError
 
 #: The number of points of the timed log-sum-exp, small enough for any device.
@@ -33,50 +35,50 @@ PASSING = (
 )
 
 
-def _wrong_result(operations: OpenCLOperations) -> str:
-    """Compare a small log-sum-exp and a small splat with NumPy; return the fault found, or ''."""
-    random = np.random.default_rng(0)
-    points = [random.random((n, 5)) for n in (130, 70)]
-    potential = 0.1 * random.random(70)
-    values, sums, bounded = [], [], []
-    backends: tuple[Operations, ...] = (operations, NumPyOperations())
-    for backend in backends:
-        rows, columns = (backend.upload(cloud, np.full(len(cloud), 0.01)) for cloud in points)
-        values.append(backend.softmin(rows, columns, potential, 0.01))
-        bounded.append(backend.bounded_softmin(rows, columns, potential, 0.01))
-        splats = backend.upload_splats(
-            (40 * points[0][:, :2]).astype(np.float32),
-            points[0][:, 2:].astype(np.float32),
-            np.ones(130, np.float32),
-        )
-        sums.append(backend.splat(splats, (33, 40), 1.0, 4.0)[1])
-    if not np.allclose(values[0], values[1], rtol=0, atol=1e-5):
-        return f"wrong log-sum-exp (off by {np.abs(values[0] - values[1]).max():.2g})"
-    off, bound = np.abs(bounded[0][0] - bounded[1][0]).max(), bounded[0][1] + bounded[1][1]
-    if not off <= 0.01 * bound <= 0.01 * LARGEST_BOUND:
-        return f"wrong log-sum-exp with a bound (off by {off / 0.01:.2g}, bound {bound:.2g})"
-    if not np.allclose(sums[0], sums[1], rtol=1e-4, atol=1e-4):
-        return f"wrong splat (off by {np.abs(sums[0] - sums[1]).max():.2g})"
-    return ""
-
-
-def probe(index: str) -> dict[str, Any]:
+def probe(index: str, request: str | None = None) -> dict[str, Any]:
     """Return the verdict on the device with this index: see `opencl.devices.verdicts.run_probe`."""
     found = dict(raw_devices())
     if index not in found:
         return _failure("its probe did not find it", lasting=False)
+    device, constants, variants = found[index], None, list(usual_variants())
+    speed = 0.0
     try:
-        operations = OpenCLOperations(found[index])
-        reason = _wrong_result(operations)
-        speed = 0.0 if reason else throughput(operations, TIMED_POINTS)
+        if request is not None:
+            constants, variants = read_request(request)
+        operations = OpenCLOperations(device, constants, verify=False)
+        failures = []
+        for variant in variants:
+            key = program_key(device, variant, operations.constants)
+            print(f"{BEGUN} {key} {variant}", flush=True)
+            failures.append(_check(operations, variant))
+            reason, lasting = failures[-1]
+            print(f"{ENDED} {reason if lasting else '-'}", flush=True)
+            # Of the programs of a request each gets a verdict.
+            if reason and request is None:
+                break
+        for reason, lasting in failures:
+            if reason:
+                return _failure(reason, lasting)
+        if request is None:
+            speed = throughput(operations, TIMED_POINTS)
     except Exception as error:  # a driver's errors come in any class; the reason is shown
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-        if isinstance(error, ClmorphError):
-            reason = str(error).split(";")[0]
-        return _failure(reason, lasting=not _is_passing(error))
-    if reason:
-        return _failure(reason, lasting=True)
+        return _failure(_words(error), lasting=not _is_passing(error))
     return {"usable": True, "reason": "", "pairs_per_second": speed, "lasting": True}
+
+
+def _check(operations: OpenCLOperations, variant: Variant) -> tuple[str, bool]:
+    """Return what is wrong with a program, and whether another check would return the same."""
+    try:
+        return first_failure(operations, variant), True
+    except Exception as error:  # as in `probe`
+        return f"{variant}: {_words(error)}", not _is_passing(error)
+
+
+def _words(error: Exception) -> str:
+    """Return an error in one line."""
+    if isinstance(error, ClmorphError):
+        return str(error).split(";")[0]
+    return " ".join(f"{type(error).__name__}: {error}".split())[:300]
 
 
 def _failure(reason: str, lasting: bool) -> dict[str, Any]:
@@ -113,6 +115,6 @@ if __name__ == "__main__":
     end_with_parent()
     # The driver may crash from here on, so this line is printed first.
     print(LOADED, flush=True)
-    verdict = probe(sys.argv[1])
+    verdict = probe(*sys.argv[1:])
     print()
     print(json.dumps(verdict), flush=True)

@@ -10,6 +10,7 @@ import pyopencl as cl
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import BuildConstants, choose_constants
 from clmorph.backends.opencl.build.tuned_record import CANDIDATES, is_possible, save_tuning
+from clmorph.backends.opencl.build.variants import usual_variants
 from clmorph.errors import ClmorphError
 
 #: The least gain in speed for which a constant is changed; smaller ones may be noise.
@@ -59,15 +60,27 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants
                 key: value for key, value in asdict(other).items() if value != asdict(best)[key]
             }
             tell(f"{speed / 1e9:6.2f}·10⁹ pairs/s with {changed}")
-            if speed > after * (1 + LEAST_GAIN):
+            if speed > after * (1 + LEAST_GAIN) and _is_right(device, other, tell):
                 best, after = other, speed
     save_tuning(device, best, start, after)
     return best, before, after
 
 
+def _is_right(device: cl.Device, constants: BuildConstants, tell: Callable[[str], None]) -> bool:
+    """Return whether the programs that most morphs use pass their checks with these constants."""
+    programs = OpenCLOperations(device, constants).programs
+    try:
+        for variant in usual_variants():
+            programs.verify(variant)
+    except ClmorphError as error:
+        tell(f"  not used: {error}")
+        return False
+    return True
+
+
 def _speed(device: cl.Device, constants: BuildConstants) -> float:
     """Return the point pairs per second, from the median time of a few runs."""
-    operations = OpenCLOperations(device, constants)
+    operations = OpenCLOperations(device, constants, verify=False)
     rng = np.random.default_rng(0)
     cloud = operations.upload(rng.random((POINTS, 5)), np.full(POINTS, 1 / POINTS))
     potential, seconds = np.zeros(POINTS), []

@@ -67,10 +67,7 @@ def build(
     DeviceError
         If the device's compiler rejects the source; the message contains its first error.
     """
-    options = ["-cl-std=CL1.2"]
-    for key, value in sorted(constants.items()):
-        text = f"{value:.9g}f" if isinstance(value, float) else str(value)
-        options.append(f"-D{key}={text}")
+    options = _options(constants)
     device = device or context.devices[0]
     file = _binary_file(device, name, options)
     program = _from_binary(context, device, file, options)
@@ -78,6 +75,27 @@ def build(
         program = _from_source(context, device, name, options)
         _keep_binary(program, file)
     return cl.Program(program)
+
+
+def build_key(device: cl.Device, name: str, constants: dict[str, int | float]) -> str:
+    """Return the key of a build: a digest of source, options, device, driver and processor.
+
+    Parameters
+    ----------
+    device : pyopencl.Device
+        A device, or a part of one.
+    name, constants
+        As in `build`.
+    """
+    return _build_key(device, name, _options(constants))
+
+
+def _options(constants: dict[str, int | float]) -> list[str]:
+    options = ["-cl-std=CL1.2"]
+    for key, value in sorted(constants.items()):
+        text = f"{value:.9g}f" if isinstance(value, float) else str(value)
+        options.append(f"-D{key}={text}")
+    return options
 
 
 def kernel(program: cl.Program, name: str) -> cl.Kernel:
@@ -165,12 +183,16 @@ def _binary_file(device: cl.Device, name: str, options: list[str]) -> str | None
     """Return the name of a build in the cache; None if the user has disabled caching."""
     if os.environ.get("PYOPENCL_NO_CACHE"):
         return None
+    return f"kernels/{_build_key(device, name, options)}.bin"
+
+
+def _build_key(device: cl.Device, name: str, options: list[str]) -> str:
     identity = (
         source(name), *options, cl.VERSION_TEXT, device.name, device.vendor, device.version,
         device.driver_version, device.platform.name, device.platform.version, cpu_identity(),
     )  # fmt: skip
     digest = hashlib.sha256("\0".join(identity).encode()).hexdigest()
-    return f"kernels/{Path(name).stem}-{digest[:32]}.bin"
+    return f"{Path(name).stem}-{digest[:32]}"
 
 
 def _digest(file: str, binary: bytes) -> bytes:

@@ -8,7 +8,7 @@ from clmorph.backends.opencl.build.constants import BuildConstants, apply_quirks
 from clmorph.backends.opencl.devices.cache import forget_cached, load_record, save_record
 from clmorph.backends.opencl.devices.quirks import find_quirks
 from clmorph.backends.opencl.devices.speed import forget_speed, save_speed
-from clmorph.backends.opencl.devices.verdicts import verdict_key
+from clmorph.backends.opencl.devices.verdicts import device_key
 
 #: The constants that tuning tries, one after the other, and their values.
 CANDIDATES: dict[str, tuple[int, ...]] = {
@@ -77,4 +77,4 @@ def tuned_constants(device: cl.Device) -> BuildConstants:
 
 def _record(device: cl.Device) -> str:
     """Return the name of a device's record in the cache."""
-    return f"tuning/{verdict_key(device)}"
+    return f"tuning/{device_key(device)}"

@@ -8,9 +8,13 @@ from clmorph.backends.opencl.devices.install_hints import advice
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.backends.opencl.devices.runtimes import intel_runtime, list_platforms
 from clmorph.backends.opencl.devices.verdicts import (
+    WRONG,
+    driver_identity,
     forget_all,
+    forget_verdict,
     load_verdict,
     probe_seconds,
+    refuse,
     run_probe,
     save_verdict,
     verdict_key,
@@ -19,6 +23,11 @@ from clmorph.errors import DeviceError
 
 if TYPE_CHECKING:
     import pyopencl as cl
+
+#: Parts of the names of platforms whose CPU devices come before and after all others, by the
+#: measured speed of morphs: first to last.
+_FAST_CPU_PLATFORMS = "intel", "portable computing language"
+_SLOW_CPU_PLATFORMS = ("rusticl",)
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,7 @@ class Device:
     memory : int
         Bytes of global memory.
     usable : bool
-        Whether the project's kernels were built and run on it.
+        Whether the project's kernels were built on it and computed what NumPy does.
     reason : str
         The reason why the device is not usable; empty if it is.
     pairs_per_second : float
@@ -75,9 +84,16 @@ class Device:
 
     def matches(self, text: str) -> bool:
         """Return whether `text` is this device's index or part of its or its platform's name."""
-        if text == self.index:
-            return True
-        return text.lower() in f"{self.name} {self.platform} {self.version}".lower()
+        return _matches(text, self.index, f"{self.name} {self.platform} {self.version}")
+
+    @property
+    def computes_wrongly(self) -> bool:
+        """Whether the device is unusable because of a wrong result, and not for a crash."""
+        return self.reason.startswith(WRONG)
+
+
+def _matches(text: str, index: str, names: str) -> bool:
+    return text == index or text.lower() in names.lower()
 
 
 @Once
@@ -124,12 +140,30 @@ def _describe(index: str, device: "cl.Device", verdict: dict[str, Any]) -> Devic
 
 
 @Once
-def find_devices() -> tuple[Device, ...]:
-    """List every OpenCL device, usable or not.
+def tried(index: str) -> Device:
+    """Return a device with its verdict; if that is unknown, the device is tried.
 
-    The verdict on each device is stored under a key of driver, platform, processor and kernel
-    sources; the first test of a device takes some seconds. A test that ran out of time or memory is
-    no evidence about the device, and the next process repeats it.
+    The verdict is stored under a key of driver, platform, processor and kernel sources; the first
+    trial of a device takes some seconds. A trial that ran out of time or memory is no evidence
+    about the device, and the next process repeats it.
+
+    Parameters
+    ----------
+    index : str
+        The device, as counted by `raw_devices`.
+    """
+    handle = dict(raw_devices())[index]
+    key = verdict_key(handle)
+    verdict = load_verdict(key)
+    if verdict is None:
+        verdict = run_probe(index)
+        save_verdict(key, verdict)
+    return _describe(index, handle, verdict)
+
+
+@Once
+def find_devices() -> tuple[Device, ...]:
+    """List every OpenCL device, usable or not; all whose verdicts are unknown are tried.
 
     Raises
     ------
@@ -137,97 +171,183 @@ def find_devices() -> tuple[Device, ...]:
         If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600.
     """
     probe_seconds()  # an invalid value is always reported, not only when a device is new
-    devices = []
-    for index, handle in raw_devices():
-        key = verdict_key(handle)
-        verdict = load_verdict(key)
-        if verdict is None:
-            verdict = run_probe(index)
-            save_verdict(key, verdict)
-        devices.append(_describe(index, handle, verdict))
-    return tuple(devices)
+    return tuple(tried(index) for index, _ in raw_devices())
 
 
-def forget_verdicts() -> None:
-    """Forget all verdicts on devices, so that the next search tests them again."""
-    forget_all()
+def _forget_found() -> None:
+    tried.cache_clear()
     find_devices.cache_clear()
 
 
-def preference(device: Device) -> tuple[int, float]:
-    """Return a sort key: GPUs before other devices before CPUs, then by speed."""
-    return {"GPU": 0, "CPU": 2}.get(device.kind, 1), -device.pairs_per_second
+def forget_verdicts() -> None:
+    """Forget all verdicts on devices and programs, so that the next search tests them again."""
+    forget_all()
+    _forget_found()
 
 
-def choose_device(spec: str = "auto") -> Device:
-    """Choose the device that a user specifies.
+def mark_unusable(handle: "cl.Device", reason: str, lasting: bool = True) -> None:
+    """Remember that a device is unusable, which was found after its trial.
+
+    Parameters
+    ----------
+    handle : pyopencl.Device
+        A device, or a part of one.
+    reason : str
+    lasting : bool
+        Whether another check would find the same; if not, only this process remembers it.
+    """
+    refuse(verdict_key(handle), reason, lasting)
+    _forget_found()
+
+
+def try_again(handle: "cl.Device") -> None:
+    """Forget the verdict on a device, so that it is tried when it is next needed."""
+    forget_verdict(verdict_key(handle))
+    _forget_found()
+
+
+def index_of(handle: "cl.Device") -> str | None:
+    """Return the index of a device; of a part of a device, the index of the whole.
+
+    Parameters
+    ----------
+    handle : pyopencl.Device
+
+    Returns
+    -------
+    str or None
+        None if no listed device has its name and driver.
+    """
+    identity = driver_identity(handle)
+    same = [index for index, device in raw_devices() if driver_identity(device) == identity]
+    return next(iter(same), None)
+
+
+def preference(handle: "cl.Device") -> tuple[int, int, int, int]:
+    """Return a sort key for the choice among devices, by what the devices announce of themselves.
+
+    GPUs come before other devices before CPUs; GPUs with memory of their own before others; among
+    CPUs, runtimes whose speed is known before others; then the devices with more lanes and a higher
+    clock. No measured speed is used, so that the choice is always the same.
+    """
+    import pyopencl as cl
+
+    lanes = handle.max_compute_units * max(1, handle.native_vector_width_float)
+    power = -lanes * handle.max_clock_frequency
+    if handle.type & cl.device_type.GPU:
+        # OpenCL 2.0 deprecates the property, and a driver may lack it.
+        return 0, int(bool(getattr(handle, "host_unified_memory", False))), 0, power
+    if not handle.type & cl.device_type.CPU:
+        return 1, 0, 0, power
+    platform = handle.platform.name.lower()
+    fast, slow = _FAST_CPU_PLATFORMS, _SLOW_CPU_PLATFORMS
+    rank = next((rank for rank, name in enumerate(fast) if name in platform), len(fast))
+    if any(name in platform for name in slow):
+        rank += 1
+    return 2, 0, rank, power
+
+
+def choose_device(spec: str = "auto", even_wrong: bool = False) -> Device:
+    """Choose the device that a user specifies: the first usable one of those that are meant.
+
+    The devices that are meant are tried in the order of `preference`, and none after the first
+    usable one.
 
     Parameters
     ----------
     spec : str
-        "auto" (or "opencl") chooses the device that ``PYOPENCL_CTX`` names, if it is set, and else
-        the best usable device. Another text is an index such as "0:1", or part of a device's or
-        platform's name.
+        "auto" (or "opencl") means the devices that ``PYOPENCL_CTX`` names, if it is set, and else
+        all. Another text is an index such as "0:1", or part of a device's or platform's name.
+    even_wrong : bool
+        Whether a device that computes wrong results is chosen if no usable one is meant.
 
     Raises
     ------
     DeviceError
         If there is no such device, or none that works; the message contains advice.
+    InputError
+        If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600.
     """
-    devices = find_devices()
-    if not devices:
-        raise DeviceError(f"no OpenCL device was found; {_installation_hint(devices)}")
+    listed = raw_devices()
+    if not listed:
+        raise DeviceError(f"no OpenCL device was found; {_installation_hint(())}")
+    probe_seconds()
+    meant = _meant(spec)
+    refused = []
+    for index, _ in sorted(meant, key=lambda entry: preference(entry[1])):
+        device = tried(index)
+        if device.usable:
+            return device
+        refused.append(device)
+    wrong = [device for device in refused if device.computes_wrongly]
+    if even_wrong and wrong:
+        return wrong[0]
+    if spec not in ("auto", "opencl"):
+        raise DeviceError(f"{refused[0]}; choose another device, or the backend 'numpy'")
+    if value := os.environ.get("PYOPENCL_CTX"):
+        raise DeviceError(f"PYOPENCL_CTX={value!r} names {refused[0]}; choose another device")
+    all_refused = "; ".join(map(str, refused))
+    hint = _installation_hint(tuple(refused))
+    raise DeviceError(f"no OpenCL device is usable ({all_refused}); {hint}")
+
+
+def _meant(spec: str) -> list[tuple[str, "cl.Device"]]:
+    """Return index and handle of the devices that a specification means, at least one."""
+    listed = list(raw_devices())
     if spec in ("auto", "opencl"):
-        if os.environ.get("PYOPENCL_CTX"):
-            return _from_pyopencl_ctx(devices)
-        usable = [device for device in devices if device.usable]
-        if not usable:
-            listed = "; ".join(str(device) for device in devices)
-            raise DeviceError(
-                f"no OpenCL device is usable ({listed}); {_installation_hint(devices)}"
-            )
-        return min(usable, key=preference)
-    named = [device for device in devices if device.matches(spec)]
-    if not named:
-        listed = ", ".join(f"[{device.index}] {device.name}" for device in devices)
-        raise DeviceError(
-            f"no OpenCL device matches {spec!r}: expected an index or part of a name among "
-            f"{listed}; or use the backend 'numpy'"
-        )
-    usable = [device for device in named if device.usable]
-    if not usable:
-        raise DeviceError(f"{named[0]}; choose another device, or the backend 'numpy'")
-    return min(usable, key=preference)
-
-
-def _from_pyopencl_ctx(devices: tuple[Device, ...]) -> Device:
-    """Return the device that pyopencl itself would choose for ``PYOPENCL_CTX``."""
-    import pyopencl as cl
-
-    value = os.environ["PYOPENCL_CTX"]
-    try:
-        handle = cl.create_some_context(interactive=False).devices[0]
-        named = [device for device in devices if device.handle == handle]
-    except (cl.Error, RuntimeError, ValueError, IndexError) as error:
-        # Runtimes from pip are not in pyopencl's own list; clmorph's indices and names apply.
-        named = [
-            device for device in devices
-            if device.index in (value, f"{value}:0")
-            or (not value[:1].isdigit() and device.matches(value))
-        ]  # fmt: skip
+        value = os.environ.get("PYOPENCL_CTX")
+        named = _named_by_pyopencl_ctx(value) if value else listed
         if not named:
             raise DeviceError(
-                f"PYOPENCL_CTX={value!r} names no device ({error}); "
-                "unset it, or name a device with --device or CLMORPH_DEVICE"
-            ) from error
+                f"PYOPENCL_CTX={value!r} names no device: expected an index or part of a name, as "
+                f"of {_listing()}; unset it, or name a device with --device or CLMORPH_DEVICE"
+            )
+        return named
+    named = [(index, handle) for index, handle in listed if _matches(spec, index, _names(handle))]
     if not named:
         raise DeviceError(
-            f"PYOPENCL_CTX={value!r} names a device that cannot be listed; unset it, or name a "
-            "device with --device or CLMORPH_DEVICE"
+            f"no OpenCL device matches {spec!r}: expected an index or part of a name among "
+            f"{_listing()}; or use the backend 'numpy'"
         )
-    if not named[0].usable:
-        raise DeviceError(f"PYOPENCL_CTX={value!r} names {named[0]}; choose another device")
-    return named[0]
+    return named
+
+
+def _names(handle: "cl.Device") -> str:
+    """Return the names by parts of which a device is chosen."""
+    name = " ".join(handle.name.split())
+    return f"{name} {handle.platform.name.strip()} {handle.platform.version.strip()}"
+
+
+def _listing() -> str:
+    found = raw_devices()
+    return ", ".join(f"[{index}] {' '.join(handle.name.split())}" for index, handle in found)
+
+
+def _named_by_pyopencl_ctx(value: str) -> list[tuple[str, "cl.Device"]]:
+    """Return the devices that a value of ``PYOPENCL_CTX`` names; none may be meant.
+
+    The value is "platform" or "platform:devices", as pyopencl has it: the platform's index or a
+    part of its name, and indices or parts of names with commas between. In place of a platform it
+    may also name a device alone. pyopencl itself lists no runtimes from pip, and of several
+    platforms with the same name it takes one.
+    """
+    platform, _, devices = value.partition(":")
+    wanted = [part for part in devices.split(",") if part.strip()]
+    found = []
+    for index, handle in raw_devices():
+        of_platform, _, of_device = index.partition(":")
+        of_names = handle.platform.name if wanted else _names(handle)
+        if _is_named(platform, of_platform, of_names) and (
+            not wanted or any(_is_named(part, of_device, handle.name) for part in wanted)
+        ):
+            found.append((index, handle))
+    return found
+
+
+def _is_named(text: str, index: str, names: str) -> bool:
+    """Return whether a text is an index or, if it is no number, a part of names."""
+    text = text.strip()
+    return text == index if text.isdigit() else text.lower() in names.lower()
 
 
 def _installation_hint(devices: tuple[Device, ...]) -> str:

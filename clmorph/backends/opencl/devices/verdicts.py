@@ -1,4 +1,4 @@
-"""Verdicts on devices: each device is tested in a separate process, and the result is stored.
+"""Verdicts on devices and programs, which are tested in a separate process and stored.
 
 A driver may abort or hang its process, so the test (`opencl.probe`) does not run in this process. A
 verdict that depends on the device and its driver is stored; a verdict with a temporary cause (a
@@ -10,10 +10,13 @@ import json
 import math
 import os
 import platform
+import queue
 import re
 import signal
 import subprocess
 import sys
+import tempfile
+import threading
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,13 +27,17 @@ from clmorph.backends.opencl.devices.cache import forget_cached, load_record, sa
 if TYPE_CHECKING:
     import pyopencl as cl
 
-#: Time limit in seconds to build and run the probe, and the variable that changes it.
+#: Time limit in seconds to build and check a program, and the variable that changes it.
 PROBE_SECONDS = 60.0
 PROBE_SECONDS_VARIABLE = "CLMORPH_PROBE_SECONDS"
 #: The line that the probe prints before it opens the device.
 LOADED = "clmorph.backends.opencl.probe: loaded"
-#: The folder of verdicts in the cache, with one file for each verdict.
-_FOLDER = "devices"
+#: The words with which the probe begins the lines before and after the check of a program.
+BEGUN, ENDED = "clmorph.program.begun", "clmorph.program.ended"
+#: What the reason of a verdict begins with if results were wrong: no crash, no refusal.
+WRONG = "wrong result of "
+#: The folders of verdicts on devices and on programs in the cache, with one file for each verdict.
+_FOLDER, _PROGRAMS = "devices", "verified"
 #: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
 _FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
 #: Variables that would change how the probe's interpreter ends, warns or prints.
@@ -49,12 +56,12 @@ def cpu_identity() -> str:
 
 
 @cache
-def _code_identity() -> str:
-    """Return a digest of the probe and of everything that it builds and runs."""
+def code_identity() -> str:
+    """Return a digest of the probe and of everything that it builds, runs and compares with."""
     from importlib import resources
 
     digest = hashlib.sha256()
-    folders = [resources.files("clmorph.cl_kernels"), resources.files("clmorph.backends.opencl")]
+    folders = [resources.files("clmorph.cl_kernels"), resources.files("clmorph.backends")]
     while folders:
         for entry in sorted(folders.pop().iterdir(), key=lambda item: item.name):
             if entry.is_dir():
@@ -64,12 +71,25 @@ def _code_identity() -> str:
     return digest.hexdigest()
 
 
-def verdict_key(device: "cl.Device") -> str:
+def device_key(device: "cl.Device") -> str:
     """Return a digest of a device, its driver, the processor and the package's kernels."""
-    identity = (
+    return _digest(*driver_identity(device), cpu_identity(), code_identity())
+
+
+def verdict_key(device: "cl.Device") -> str:
+    """Return the key of the verdict on a device, which differs if quirks are forced."""
+    forced = sorted(filter(None, os.environ.get("CLMORPH_QUIRKS", "").split(",")))
+    return _digest(device_key(device), *forced) if forced else device_key(device)
+
+
+def driver_identity(device: "cl.Device") -> tuple[str, str, str, str]:
+    """Return what a device and its parts have in common: names and versions of the driver."""
+    return (
         device.name, device.driver_version, device.platform.name, device.platform.version,
-        cpu_identity(), _code_identity(),
     )  # fmt: skip
+
+
+def _digest(*identity: str) -> str:
     return hashlib.sha256("|".join(identity).encode()).hexdigest()[:32]
 
 
@@ -86,6 +106,8 @@ def load_verdict(key: str) -> dict[str, Any] | None:
     dict
         The entries usable (bool), reason (str, empty if usable), pairs_per_second (float).
     """
+    if key in _refused:
+        return _refused[key]
     verdict = load_record(f"{_FOLDER}/{key}")
     usable, reason = verdict.get("usable"), verdict.get("reason")
     speed = verdict.get("pairs_per_second")
@@ -106,13 +128,89 @@ def save_verdict(key: str, verdict: dict[str, Any]) -> None:
         save_record(f"{_FOLDER}/{key}", verdict)
 
 
+def refuse(key: str, reason: str, lasting: bool = True) -> None:
+    """Remember that a device is unusable, which was found after its trial.
+
+    This process remembers it even if nothing can be stored, or if another check may pass.
+    """
+    _refused[key] = {"usable": False, "reason": reason, "pairs_per_second": 0.0}
+    save_verdict(key, _refused[key] | {"lasting": lasting})
+
+
+def refusals() -> int:
+    """Return how many devices this process has found unusable after their trial."""
+    return len(_refused)
+
+
+def forget_verdict(key: str) -> None:
+    """Forget the verdict on a device, and those on all programs."""
+    _refused.pop(key, None)
+    forget_cached(f"{_FOLDER}/{key}.json")
+    forget_programs()
+
+
 def forget_all() -> None:
-    """Forget every verdict."""
+    """Forget every verdict, on devices and on programs."""
+    _refused.clear()
     forget_cached(_FOLDER)
+    forget_programs()
+
+
+# --- programs -----------------------------------------------------------------------------
+
+#: Verdicts on devices that this process has refused, and on programs, by their keys.
+_refused: dict[str, dict[str, Any]] = {}
+_programs: dict[str, str] = {}
+#: Keys of the verdicts on programs with a temporary cause.
+_momentary: set[str] = set()
+
+
+def load_program_verdict(key: str) -> str | None:
+    """Return what is wrong with a program, '' if nothing is; None if it must be verified.
+
+    A damaged record counts as none.
+    """
+    if key not in _programs:
+        record = load_record(f"{_PROGRAMS}/{key}")
+        passed, reason = record.get("passed"), record.get("reason")
+        if not (isinstance(passed, bool) and isinstance(reason, str) and passed != bool(reason)):
+            return None
+        _programs[key] = reason
+    return _programs[key]
+
+
+def save_program_verdict(key: str, reason: str, lasting: bool = True) -> None:
+    """Remember what is wrong with a program, '' if nothing is.
+
+    Parameters
+    ----------
+    key : str
+    reason : str
+    lasting : bool
+        Whether another check would return the same. If not, only this process remembers it.
+    """
+    _programs[key] = reason
+    _momentary.discard(key)
+    if lasting:
+        save_record(f"{_PROGRAMS}/{key}", {"passed": not reason, "reason": reason})
+    else:
+        _momentary.add(key)
+
+
+def is_lasting(key: str) -> bool:
+    """Return whether another check of a program would give the same verdict."""
+    return key not in _momentary
+
+
+def forget_programs() -> None:
+    """Forget the verdicts on programs."""
+    _programs.clear()
+    _momentary.clear()
+    forget_cached(_PROGRAMS)
 
 
 def probe_seconds() -> float:
-    """Return the time limit of a probe, in seconds.
+    """Return the time limit of the check of a program, in seconds.
 
     Raises
     ------
@@ -129,15 +227,22 @@ def probe_seconds() -> float:
     return check_number(PROBE_SECONDS_VARIABLE, value, 1, 3600)
 
 
-def run_probe(index: str, seconds: float | None = None) -> dict[str, Any]:
-    """Build and run the kernels on a device, in a separate process.
+def run_probe(
+    index: str, seconds: float | None = None, request: str | None = None
+) -> dict[str, Any]:
+    """Build and verify kernels on a device, in a separate process.
+
+    The verdicts on the programs that were checked are saved, even if the process then fails.
 
     Parameters
     ----------
     index : str
         The device, as counted by `clmorph.backends.opencl.devices.find.raw_devices`.
     seconds : float, optional
-        Time limit; if not given, `probe_seconds`.
+        Time limit for each program; if not given, `probe_seconds`.
+    request : str, optional
+        The programs to verify, see `clmorph.backends.opencl.build.programs.make_request`. If not
+        given, those that most morphs use, and the speed is measured.
 
     Returns
     -------
@@ -152,19 +257,16 @@ def run_probe(index: str, seconds: float | None = None) -> dict[str, Any]:
             f"cannot be tried, because {sys.executable or 'an empty sys.executable'!r} is no "
             "Python interpreter: name one with multiprocessing.set_executable"
         )
-    # -P: the current folder may hold another clmorph, such as a source tree.
-    command = [python, "-P", "-W", "ignore", "-m", "clmorph.backends.opencl.probe", index]
+    command = _command(python, index, request)
     # The probe ends when this pipe is closed, which happens however this process ends.
     reading, writing = os.pipe()
     try:
-        done = subprocess.run(
-            command, env=_environment(), timeout=seconds, capture_output=True, text=True,
-            errors="replace", stdin=reading, check=False,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
+        done = _run(command, seconds, reading)
+    except subprocess.TimeoutExpired as error:
+        under_check = _keep_program_verdicts(str(error.output or "").splitlines())[1]
         return _untried(
-            f"did not build and run a small kernel within {seconds:g} s; it is tried again next "
-            f"time, and {PROBE_SECONDS_VARIABLE} sets how many seconds it may take"
+            f"did not build and verify {under_check or 'the kernels'} within {seconds:g} s; it is "
+            f"tried again next time, and {PROBE_SECONDS_VARIABLE} sets how many seconds it may take"
         )
     except OSError as error:
         return _untried(f"cannot be tried ({python}: {error.strerror})")
@@ -174,6 +276,46 @@ def run_probe(index: str, seconds: float | None = None) -> dict[str, Any]:
     return _judge(done)
 
 
+def _command(python: str, index: str, request: str | None) -> list[str]:
+    # -P: the current folder may hold another clmorph, such as a source tree.
+    command = [python, "-P", "-W", "ignore", "-m", "clmorph.backends.opencl.probe", index]
+    return command if request is None else [*command, request]
+
+
+def _run(command: list[str], seconds: float, reading: int) -> "subprocess.CompletedProcess[str]":
+    """Run a process, which may take `seconds` for each of the lines that it prints."""
+    found: queue.Queue[str | None] = queue.Queue()
+    lines: list[str] = []
+    with (
+        tempfile.TemporaryFile() as noise,
+        subprocess.Popen(
+            command, env=_environment(), stdin=reading, stdout=subprocess.PIPE, stderr=noise,
+            text=True, errors="replace",
+        ) as process,
+    ):  # fmt: skip
+
+        def read() -> None:
+            assert process.stdout is not None
+            for line in process.stdout:
+                found.put(line)
+            found.put(None)
+
+        threading.Thread(target=read, daemon=True).start()
+        try:
+            while (line := found.get(timeout=seconds)) is not None:
+                lines.append(line)
+            code = process.wait(timeout=seconds)
+        except (queue.Empty, subprocess.TimeoutExpired):
+            process.kill()
+            raise subprocess.TimeoutExpired(command, seconds, "".join(lines)) from None
+        except BaseException:  # an interruption
+            process.kill()
+            raise
+        noise.seek(0)
+        complaints = noise.read().decode(errors="replace")
+    return subprocess.CompletedProcess(command, code, "".join(lines), complaints)
+
+
 def _untried(reason: str) -> dict[str, Any]:
     return {"usable": False, "reason": reason, "pairs_per_second": 0.0, "lasting": False}
 
@@ -181,6 +323,7 @@ def _untried(reason: str) -> dict[str, Any]:
 def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
     """Return the verdict of a probe that has ended."""
     lines = done.stdout.strip().splitlines()
+    key, under_check = _keep_program_verdicts(lines)
     if done.returncode == 0 and lines:
         try:
             return dict(json.loads(lines[-1]))
@@ -192,11 +335,37 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
     # If the probe has not opened the device yet, the driver is not the cause of the failure.
     lasting = LOADED in lines
     if done.returncode < 0:
-        lasting, reason = True, f"its driver crashed (signal {-done.returncode}) on a kernel"
+        lasting = True
+        reason = f"its driver crashed (signal {-done.returncode}) on {under_check or 'a kernel'}"
         outside = [getattr(signal, name, None) for name in _FROM_OUTSIDE]
         if -done.returncode in outside:
             lasting, reason = False, f"its probe was killed (signal {-done.returncode})"
+    if lasting and key:
+        save_program_verdict(key, reason)
     return _untried(reason) | {"lasting": lasting}
+
+
+def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:
+    """Save the verdicts that a probe has printed; return key and name of the one that is missing.
+
+    The missing verdict is that of a program whose check has begun and not ended.
+    """
+    key = name = ""
+    for line in lines:
+        word, _, rest = line.partition(" ")
+        if word == BEGUN:
+            key, _, name = rest.partition(" ")
+        elif word == ENDED and key:
+            # Failures that another check need not repeat have "-" in place of a reason.
+            if rest != "-":
+                save_program_verdict(key, rest)
+            key = name = ""
+    return key, name
+
+
+def can_start_process() -> bool:
+    """Return whether the path of the Python interpreter is known, so that a probe can be run."""
+    return _interpreter() is not None
 
 
 def _interpreter() -> str | None:

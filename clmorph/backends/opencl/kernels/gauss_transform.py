@@ -7,8 +7,9 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import BuildConstants
+from clmorph.backends.opencl.build.programs import Programs
+from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import launches
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.opencl.kernels.particles import SortedSplats
@@ -116,17 +117,15 @@ class Moments:
     ----------
     work : Workspace
     constants : BuildConstants
+    programs : Programs
     """
 
-    def __init__(self, work: Workspace, constants: BuildConstants) -> None:
+    def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work = work
-        macros = constants.gauss_transform_macros()
-        built = program.build(work.context, "gauss_transform.cl", macros, work.device)
-        self._group = int(macros["MOMENT_GROUP"])
+        self._group = int(constants.gauss_transform_macros()["MOMENT_GROUP"])
         self._span = 1 if constants.width == 1 else SPAN
-        names = ("sum_moments", "sum_rows", "sum_columns")
-        self._kernels = {name: program.kernel(built, name) for name in names}
-        self._budgets = {name: LaunchBudget() for name in names}
+        self._kernels = programs.kernels(Variant("gauss_transform.cl"))
+        self._budgets = {name: LaunchBudget() for name in self._kernels}
 
     def add(
         self,

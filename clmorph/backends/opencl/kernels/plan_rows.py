@@ -50,6 +50,8 @@ class PlanRowReductions:
 
     def __init__(self, loop: RowLoop) -> None:
         self._loop = loop
+        #: Whether rows are searched by lists of tiles however few they are.
+        self.always_listed = False
 
     def count_plan_rows(
         self,
@@ -188,7 +190,7 @@ class PlanRowReductions:
         rows, columns = plan.rows, plan.columns
         by_row = _log2_threshold(plan.row_thresholds)[rows.order]
         by_column = _log2_threshold(plan.column_thresholds)[columns.order]
-        for within, pairs in _possible_pairs(plan):
+        for within, pairs in _possible_pairs(plan, self.always_listed):
             exponents = self._loop.exponents(rows, columns, plan.g, plan.epsilon, pairs, within)
             # log2 pi_ij = e_ij + offsets_i; a row without mass keeps no pair.
             offsets = self._loop.row_offsets(rows, exponents)
@@ -202,7 +204,7 @@ class PlanRowReductions:
             yield Section(within, pairs, exponents, buffers)
 
 
-def _possible_pairs(plan: Plan) -> Iterator[tuple[range, TilePairs | None]]:
+def _possible_pairs(plan: Plan, always_listed: bool) -> Iterator[tuple[range, TilePairs | None]]:
     """Yield parts of the row tiles, and the pairs of tiles that can hold a kept pair there.
 
     The pairs of tiles that bounds exclude contain no pair above a threshold, so none is lost.
@@ -213,7 +215,8 @@ def _possible_pairs(plan: Plan) -> Iterator[tuple[range, TilePairs | None]]:
         return
     thresholds = _log2_threshold(row_thresholds), _log2_threshold(column_thresholds)
     everything = min(float(values.min()) for values in thresholds) <= 0.2 * SENTINEL
-    if rows.stride * columns.stride < LISTED_FROM or everything:
+    few = rows.stride * columns.stride < LISTED_FROM and not always_listed
+    if few or everything:
         yield range(len(rows.centers)), None
         return
     k = LOG2_E / epsilon

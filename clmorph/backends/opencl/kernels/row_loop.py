@@ -7,8 +7,9 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
+from clmorph.backends.opencl.build.programs import Programs
+from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
@@ -19,13 +20,6 @@ LOG2_E = float(np.log2(np.e))
 #: The largest number of kept pairs that one launch writes (12 bytes each on the device): the first
 #: access to memory takes longer than writing the pairs.
 FILL_PAIRS = 1 << 22
-#: The kernels of each file that includes the row loop.
-KERNELS = {
-    "log_sum_exp.cl": ("log_sum_exp",),
-    "near_field.cl": ("largest_shares", "measure_tiles"),
-    "plan_rows.cl": ("count_plan_rows", "fill_plan_rows"),
-    "plan_shares.cl": ("plan_moments", "sample_plan_rows"),
-}
 
 
 class Exponents(NamedTuple):
@@ -44,12 +38,13 @@ class RowLoop:
     ----------
     work : Workspace
     constants : BuildConstants
+    programs : Programs
     """
 
-    def __init__(self, work: Workspace, constants: BuildConstants) -> None:
-        self.work, self.constants = work, constants
+    def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
+        self.work, self.constants, self.programs = work, constants, programs
         self._budgets: dict[int, LaunchBudget] = {}
-        self._kernels: dict[tuple[str, int, bool, bool, bool], dict[str, cl.Kernel]] = {}
+        self._kernels: dict[Variant, dict[str, cl.Kernel]] = {}
 
     def kernel(
         self,
@@ -65,21 +60,15 @@ class RowLoop:
         Parameters
         ----------
         file, name : str
-            A file and a kernel of `KERNELS`.
+            A file and a kernel of `clmorph.backends.opencl.build.variants.KERNELS`.
         rows : Cloud
         precise, listed, bounded : bool
             See `BuildConstants.row_macros`.
         """
-        key = rows.centers.shape[1], precise, listed, bounded
-        if (file, *key) not in self._kernels:
-            macros = self.constants.row_macros(*key)
-            if file == "near_field.cl":
-                macros |= self.constants.near_field_macros()
-            built = program.build(self.work.context, file, macros, self.work.device)
-            self._kernels[file, *key] = {
-                each: program.kernel(built, each) for each in KERNELS[file]
-            }
-        return self._kernels[file, *key][name]
+        variant = Variant(file, rows.centers.shape[1], precise, listed, bounded)
+        if variant not in self._kernels:
+            self._kernels[variant] = self.programs.kernels(variant)
+        return self._kernels[variant][name]
 
     def column_logits(
         self, columns: Cloud, potential: Float64, k: float

@@ -12,8 +12,8 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import SENTINEL, STORED_UNROLL
+from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.candidates import joined_pairs
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, unsort
 from clmorph.backends.opencl.kernels.plan_rows import Plan, PlanRowReductions
@@ -57,6 +57,7 @@ class SlicedEllpack:
 
     def __init__(self, loop: RowLoop, plan_rows: PlanRowReductions) -> None:
         self._work, self._constants, self._plan_rows = loop.work, loop.constants, plan_rows
+        self._programs = loop.programs
         self._kernels: dict[str, cl.Kernel] = {}
 
     def store_pairs(
@@ -144,13 +145,7 @@ class SlicedEllpack:
 
     def _kernel(self, name: str) -> cl.Kernel:
         if not self._kernels:
-            macros = self._constants.sliced_ellpack_macros()
-            built = program.build(
-                self._work.context, "sliced_ellpack.cl", macros, self._work.device
-            )
-            self._kernels = {
-                name: program.kernel(built, name) for name in ("clear_stored", "sum_stored")
-            }
+            self._kernels = self._programs.kernels(Variant("sliced_ellpack.cl"))
         return self._kernels[name]
 
 

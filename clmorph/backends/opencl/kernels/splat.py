@@ -8,8 +8,9 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import BuildConstants
+from clmorph.backends.opencl.build.programs import Programs
+from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import launches
 from clmorph.backends.opencl.kernels.gauss_transform import (
     BIN_CELLS,
@@ -29,10 +30,6 @@ MARGIN = 1
 #: For splats with individual widths, moments are used for widths from `sigma` to this multiple of
 #: `sigma`, and the sides of bins are chosen for these widths.
 WIDEST = 2
-#: The kernels of ``particles.cl``.
-PARTICLE_KERNELS = (
-    "advect", "pack_weights", "choose_width_levels", "count_bins", "fill_bins",
-)  # fmt: skip
 
 
 class Splatting:
@@ -42,10 +39,11 @@ class Splatting:
     ----------
     work : Workspace
     constants : BuildConstants
+    programs : Programs
     """
 
-    def __init__(self, work: Workspace, constants: BuildConstants) -> None:
-        self._work, self._constants = work, constants
+    def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
+        self._work, self._constants, self._programs = work, constants, programs
         self._budget = LaunchBudget()
         self._block = constants.width * constants.tile_group  # pixels of a work-group's side
         #: "gather"; "moments", if cells suit the kernel; "auto", the faster of both.
@@ -54,18 +52,13 @@ class Splatting:
     @functools.cached_property
     def _kernels(self) -> dict[str, cl.Kernel]:
         """The kernels of both files, built at the first access."""
-        kernels: dict[str, cl.Kernel] = {}
-        for file, macros, names in (
-            ("particles.cl", self._constants.particle_macros(), PARTICLE_KERNELS),
-            ("splat.cl", self._constants.splat_macros(), ("splat",)),
-        ):
-            built = program.build(self._work.context, file, macros, self._work.device)
-            kernels |= {name: program.kernel(built, name) for name in names}
-        return kernels
+        files = "particles.cl", "splat.cl"
+        both = [self._programs.kernels(Variant(file)) for file in files]
+        return both[0] | both[1]
 
     @functools.cached_property
     def _moments(self) -> Moments:
-        return Moments(self._work, self._constants)
+        return Moments(self._work, self._constants, self._programs)
 
     def upload_particles(
         self, table: Float64, links: NDArray[np.uint32], weights: Float64

@@ -1,0 +1,144 @@
+"""The programs of a device in one build, each verified before its first use."""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+
+import pyopencl as cl
+
+from clmorph.backends.opencl.build import program
+from clmorph.backends.opencl.build.constants import BuildConstants
+from clmorph.backends.opencl.build.variants import KERNELS, Variant, usual_variants
+from clmorph.backends.opencl.devices import verdicts
+from clmorph.backends.opencl.devices.find import index_of, mark_unusable
+from clmorph.errors import DeviceError
+
+#: Returns what is wrong with a variant, checked in this process; '' if nothing is.
+CheckHere = Callable[[Variant], str]
+
+
+class Programs:
+    """Builds the kernel files for one device, with one set of constants.
+
+    A program is verified against NumPy when it is built for the first time, in a process of its
+    own, because a driver may crash or hang; see `opencl.probe`. Its verdict is kept under the key
+    of its binary.
+
+    Parameters
+    ----------
+    context : pyopencl.Context
+    device : pyopencl.Device
+        The device of the context for which programs are built.
+    constants : BuildConstants
+    check_here : callable, optional
+        Checks a variant in this process, where no other can be started. If not given, programs
+        are not verified at all: so it is in the process that verifies them.
+    chosen : bool
+        Whether the constants are those that clmorph chooses for the device. Then a wrong program
+        makes the device unusable.
+    """
+
+    def __init__(
+        self,
+        context: cl.Context,
+        device: cl.Device,
+        constants: BuildConstants,
+        check_here: CheckHere | None = None,
+        chosen: bool = True,
+    ) -> None:
+        self._context, self._device, self._constants = context, device, constants
+        self._check_here, self._chosen = check_here, chosen
+
+    def kernels(self, variant: Variant) -> dict[str, cl.Kernel]:
+        """Return the kernels of a file by name; the file is built, and verified if it is new.
+
+        Raises
+        ------
+        DeviceError
+            If the device cannot build the file, or computes wrong results with it.
+        """
+        if self._check_here is not None:
+            self.verify(variant)
+        macros = variant.macros(self._constants)
+        built = program.build(self._context, variant.file, macros, self._device)
+        return {name: program.kernel(built, name) for name in KERNELS[variant.file]}
+
+    def verify(self, variant: Variant) -> None:
+        """Verify a program, unless its verdict is known.
+
+        Of the programs that most morphs use, all whose verdicts are unknown are verified together.
+
+        Raises
+        ------
+        DeviceError
+            If the program computes wrong results, or if its check ends in a crash or takes too
+            long.
+        """
+        key = self._key(variant)
+        reason = verdicts.load_program_verdict(key)
+        if reason is None:
+            reason = self._verify(variant)
+        if reason:
+            self._refuse(reason, lasting=verdicts.is_lasting(key))
+
+    def _key(self, variant: Variant) -> str:
+        return program_key(self._device, variant, self._constants)
+
+    def _verify(self, variant: Variant) -> str:
+        """Verify a program whose verdict is unknown, and return what is wrong with it."""
+        key, index = self._key(variant), index_of(self._device)
+        if index is None or not verdicts.can_start_process():
+            assert self._check_here is not None
+            reason = self._check_here(variant)
+            verdicts.save_program_verdict(key, reason)
+            return reason
+        together = [variant]
+        usual = usual_variants(variant.dimension or 5)
+        if variant in usual:
+            together += [
+                other for other in usual
+                if other != variant and verdicts.load_program_verdict(self._key(other)) is None
+            ]  # fmt: skip
+        result = verdicts.run_probe(index, request=make_request(self._constants, together))
+        found = verdicts.load_program_verdict(key)
+        if found is not None:
+            return found
+        # Its check came first, and ended without a verdict that another check would repeat.
+        reason = result["reason"] or "its check ended without a verdict"
+        verdicts.save_program_verdict(key, reason, lasting=False)
+        return reason
+
+    def _refuse(self, reason: str, lasting: bool) -> None:
+        device = self._device
+        if self._chosen:
+            mark_unusable(device, reason, lasting)
+        raise DeviceError(
+            f"{' '.join(device.name.split())} ({device.platform.name.strip()}) is unusable: "
+            f"{reason}; choose another device with --device or CLMORPH_DEVICE, or the backend "
+            "'numpy', or update its driver"
+        )
+
+
+def program_key(device: cl.Device, variant: Variant, constants: BuildConstants) -> str:
+    """Return the key of a program's verdict: that of its binary, and the identity of the code.
+
+    Parameters
+    ----------
+    device : pyopencl.Device
+        A device, or a part of one, which has the same key.
+    variant : Variant
+    constants : BuildConstants
+    """
+    key = program.build_key(device, variant.file, variant.macros(constants))
+    return f"{key}-{verdicts.code_identity()[:16]}"
+
+
+def make_request(constants: BuildConstants, variants: list[Variant]) -> str:
+    """Return the text by which a process is asked to verify programs; see `read_request`."""
+    return json.dumps([asdict(constants), [asdict(variant) for variant in variants]])
+
+
+def read_request(text: str) -> tuple[BuildConstants, list[Variant]]:
+    """Return build constants and variants from the text of `make_request`."""
+    constants, variants = json.loads(text)
+    return BuildConstants(**constants), [Variant(**variant) for variant in variants]

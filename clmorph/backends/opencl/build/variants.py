@@ -1,0 +1,78 @@
+"""The kernel files, their kernels, and the variants in which files are built."""
+
+from dataclasses import dataclass
+
+from clmorph.backends.opencl.build.constants import BuildConstants
+
+#: The kernels of each file.
+KERNELS = {
+    "log_sum_exp.cl": ("log_sum_exp",),
+    "near_field.cl": ("largest_shares", "measure_tiles"),
+    "plan_rows.cl": ("count_plan_rows", "fill_plan_rows"),
+    "plan_shares.cl": ("plan_moments", "sample_plan_rows"),
+    "sliced_ellpack.cl": ("clear_stored", "sum_stored"),
+    "particles.cl": (
+        "advect", "pack_weights", "choose_width_levels", "count_bins", "fill_bins",
+    ),
+    "splat.cl": ("splat",),
+    "gauss_transform.cl": ("sum_moments", "sum_rows", "sum_columns"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A kernel file, and what its macros depend on beside the build constants.
+
+    Attributes
+    ----------
+    file : str
+        A file of `KERNELS`.
+    dimension : int
+        Dimension of the points, for the files that include the row loop; 0 for others.
+    precise, listed, bounded : bool
+        See `BuildConstants.row_macros`.
+    """
+
+    file: str
+    dimension: int = 0
+    precise: bool = False
+    listed: bool = False
+    bounded: bool = False
+
+    def macros(self, constants: BuildConstants) -> dict[str, int | float]:
+        """Return the macros of the program for these build constants."""
+        of_files = {
+            "sliced_ellpack.cl": constants.sliced_ellpack_macros,
+            "particles.cl": constants.particle_macros,
+            "splat.cl": constants.splat_macros,
+            "gauss_transform.cl": constants.gauss_transform_macros,
+        }
+        if self.file in of_files:
+            return of_files[self.file]()
+        macros = constants.row_macros(self.dimension, self.precise, self.listed, self.bounded)
+        if self.file == "near_field.cl":
+            macros |= constants.near_field_macros()
+        return macros
+
+    def __str__(self) -> str:
+        words = [f"dimension {self.dimension}"] if self.dimension else []
+        words += [name for name in ("precise", "listed", "bounded") if getattr(self, name)]
+        return f"{self.file} ({', '.join(words)})" if words else self.file
+
+
+def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
+    """Return the variants that a morph of two pictures with the default options uses.
+
+    Parameters
+    ----------
+    dimension : int
+        Dimension of the points; 5 if pictures have color and no opacity.
+    """
+    return (
+        Variant("log_sum_exp.cl", dimension),
+        Variant("log_sum_exp.cl", dimension, precise=True, bounded=True),
+        Variant("plan_rows.cl", dimension),
+        Variant("particles.cl"),
+        Variant("splat.cl"),
+        Variant("gauss_transform.cl"),
+    )

@@ -1,0 +1,153 @@
+"""Check the programs of a device, each by the operations that use it, against NumPy."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Protocol
+
+from clmorph.backends.comparison import Finding
+from clmorph.backends.interface import Operations
+from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.opencl.build.variants import KERNELS, Variant
+from clmorph.backends.opencl.devices.verdicts import WRONG
+from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
+from clmorph.backends.opencl.kernels.splat import Splatting
+from clmorph.backends.verification.clouds import few_rows, several_tiles, splat_case
+from clmorph.backends.verification.plans import check_plan_rows, check_stored
+from clmorph.backends.verification.reductions import (
+    check_bounded_softmin,
+    check_draws,
+    check_near_pairs,
+    check_plan_moments,
+    check_row_maxima,
+    check_softmin,
+)
+from clmorph.backends.verification.splats import (
+    check_advect,
+    check_bins,
+    check_deposit,
+    check_own_widths,
+    check_splat,
+    thinned,
+)
+from clmorph.errors import ClmorphError
+
+#: Number of splats and canvas of the checks: bins of more than MOMENT_CHUNK splats, several blocks
+#: of pixels of any size, and sides that divide none.
+SPLATS, CANVAS = 12_000, (29, 43)
+#: Number of splats where more would add nothing.
+FEWER = 2000
+#: The dimension of the points for the checks of files that are built for all dimensions.
+DIMENSION = 5
+
+
+class Adjustable(Operations, Protocol):
+    """Operations of a device whose choices of a method by size can be overruled."""
+
+    splatting: Splatting
+    plan_row_reductions: PlanRowReductions
+
+
+_Checks = Iterator[Finding]
+
+
+def check_program(operations: Adjustable, variant: Variant) -> Iterator[Finding]:
+    """Compare the operations that use a program with NumPy.
+
+    Parameters
+    ----------
+    operations : Adjustable
+        Operations that nothing else uses: methods are forced here that would be chosen by size.
+    variant : Variant
+
+    Yields
+    ------
+    Finding
+    """
+    yield from _CHECKS[variant.file](operations, variant)
+
+
+def first_failure(operations: Adjustable, variant: Variant) -> str:
+    """Return what is wrong with a program, in words; '' if nothing is."""
+    try:
+        for finding in check_program(operations, variant):
+            if not finding.passed:
+                return f"{WRONG}{variant}: {finding}"
+    except (ArithmeticError, AssertionError, IndexError, ValueError) as error:
+        if isinstance(error, ClmorphError):
+            raise
+        # Kernels return indices, counts and sizes, too.
+        words = " ".join(f"{type(error).__name__}: {error}".split())
+        return f"{WRONG}{variant}: {', '.join(KERNELS[variant.file])} ended in {words}"[:300]
+    return ""
+
+
+def _check_log_sum_exp(operations: Adjustable, variant: Variant) -> _Checks:
+    exact = NumPyOperations()
+    cases = [several_tiles(operations, exact, variant.dimension)]
+    if not variant.listed:
+        cases.append(few_rows(operations, exact, variant.dimension))
+    for case in cases:
+        if variant.bounded:
+            yield from check_bounded_softmin(case, variant.listed)
+            continue
+        yield from check_softmin(case, variant.precise, variant.listed)
+        if not (variant.precise or variant.listed):
+            yield from check_row_maxima(case)
+
+
+def _check_near_field(operations: Adjustable, variant: Variant) -> _Checks:
+    yield from check_near_pairs(several_tiles(operations, NumPyOperations(), variant.dimension))
+
+
+def _check_plan_rows(operations: Adjustable, variant: Variant) -> _Checks:
+    exact = NumPyOperations()
+    operations.plan_row_reductions.always_listed = variant.listed
+    yield from check_plan_rows(several_tiles(operations, exact, variant.dimension), variant.precise)
+    if not variant.listed:
+        yield from check_plan_rows(few_rows(operations, exact, variant.dimension), variant.precise)
+
+
+def _check_plan_shares(operations: Adjustable, variant: Variant) -> _Checks:
+    exact = NumPyOperations()
+    cases = [several_tiles(operations, exact, variant.dimension)]
+    if not variant.listed:
+        cases.append(few_rows(operations, exact, variant.dimension))
+    for case in cases:
+        yield from check_plan_moments(case, variant.precise, variant.listed)
+        yield from check_draws(case, variant.precise, variant.listed)
+
+
+def _check_sliced_ellpack(operations: Adjustable, variant: Variant) -> _Checks:
+    exact = NumPyOperations()
+    for make in (several_tiles, few_rows):
+        yield from check_stored(make(operations, exact, DIMENSION))
+
+
+def _check_particles(operations: Adjustable, variant: Variant) -> _Checks:
+    case = splat_case(operations, NumPyOperations(), SPLATS, CANVAS)
+    operations.splatting.method = "gather"
+    yield from check_bins(case)
+    yield from check_deposit(case)
+    fewer = thinned(case, FEWER)
+    yield from check_advect(fewer)
+    yield from check_own_widths(fewer, 0.7)
+
+
+def _check_splat(operations: Adjustable, variant: Variant, method: str) -> _Checks:
+    operations.splatting.method = method
+    case = splat_case(operations, NumPyOperations(), SPLATS, CANVAS)
+    for sigma in (0.0, 0.6) if method == "gather" else (0.7, 5.0):
+        yield from check_splat(case, sigma)
+    yield from check_own_widths(thinned(case, FEWER), 1.1)
+
+
+_CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
+    "log_sum_exp.cl": _check_log_sum_exp,
+    "near_field.cl": _check_near_field,
+    "plan_rows.cl": _check_plan_rows,
+    "plan_shares.cl": _check_plan_shares,
+    "sliced_ellpack.cl": _check_sliced_ellpack,
+    "particles.cl": _check_particles,
+    "splat.cl": partial(_check_splat, method="gather"),
+    "gauss_transform.cl": partial(_check_splat, method="moments"),
+}

@@ -1,0 +1,365 @@
+"""Programs are verified before their first use; wrong ones are found, and verdicts are kept."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib import resources
+from pathlib import Path
+
+import pyopencl as cl
+import pytest
+from conftest import TESTED, found_anew
+from planted import FAULTS
+
+import clmorph
+from clmorph import DeviceError
+from clmorph.backends.opencl import verification
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build import program, programs
+from clmorph.backends.opencl.build.programs import Programs, program_key, read_request
+from clmorph.backends.opencl.build.variants import KERNELS, Variant, usual_variants
+from clmorph.backends.opencl.devices import cache as storage
+from clmorph.backends.opencl.devices import find as devices
+from clmorph.backends.opencl.devices import verdicts
+
+PLAIN = Variant("log_sum_exp.cl", 5)
+OTHER = Variant("log_sum_exp.cl", 3, precise=True)
+
+pytestmark = pytest.mark.needs_device
+
+
+def of_file(file):
+    """Return the variant in which a file is checked here."""
+    row_loop = file in ("log_sum_exp.cl", "near_field.cl", "plan_rows.cl", "plan_shares.cl")
+    return Variant(file, 5 if row_loop else 0, listed=file == "near_field.cl")
+
+
+# --- planted faults -----------------------------------------------------------------------
+
+
+def test_every_kernel_of_every_file_has_a_fault():
+    found = set()
+    for entry in resources.files("clmorph.cl_kernels").iterdir():
+        if entry.name.endswith(".cl"):
+            kernels = re.findall(r"__kernel[^;{]*?void (\w+)\(", entry.read_text())
+            found |= {(entry.name, kernel) for kernel in kernels}
+    assert {(fault.file, fault.kernel) for fault in FAULTS} == found
+    assert {(file, kernel) for file, of in KERNELS.items() for kernel in of} == found
+
+
+def _planted_failure(monkeypatch, fault, variant):
+    real = program.source
+    monkeypatch.setattr(
+        program,
+        "source",
+        lambda name: fault.plant(real(name)) if name == fault.file else real(name),
+    )
+    monkeypatch.setenv("PYOPENCL_NO_CACHE", "1")
+    operations = OpenCLOperations(TESTED[0].handle, verify=False)
+    return verification.first_failure(operations, variant)
+
+
+#: By default the last kernel of each file.
+LAST = {fault.file: fault for fault in FAULTS}.values()
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        pytest.param(fault, id=fault.kernel, marks=[] if fault in LAST else [pytest.mark.full])
+        for fault in FAULTS
+    ],
+)
+def test_a_planted_fault_is_found(monkeypatch, fault):
+    """In each kernel in turn; the reason names the file and an operation that uses the kernel."""
+    reason = _planted_failure(monkeypatch, fault, of_file(fault.file))
+    assert reason.startswith(f"{verdicts.WRONG}{fault.file}"), reason
+    assert fault.operation in reason
+    assert "tolerance" in reason or "IndexError" in reason
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    "built",
+    [
+        Variant(file, dimension, precise, listed, bounded)
+        for dimension in (1, 3)
+        for listed in (False, True)
+        for file, precise, bounded in [
+            ("log_sum_exp.cl", False, False), ("log_sum_exp.cl", True, False),
+            ("log_sum_exp.cl", True, True), ("plan_rows.cl", True, False),
+            ("plan_rows.cl", False, False), ("plan_shares.cl", False, False),
+            ("plan_shares.cl", True, False),
+        ]
+    ],
+    ids=str,
+)  # fmt: skip
+def test_faults_are_found_in_every_variant(monkeypatch, built):
+    for fault in FAULTS:
+        if fault.file == built.file:
+            with monkeypatch.context() as patch:
+                assert _planted_failure(patch, fault, built), fault
+
+
+def _planted_tree(folder, fault):
+    """Copy the package with a fault in one kernel."""
+    package = Path(clmorph.__file__).parent
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(package, folder / "clmorph", symlinks=False, ignore=ignored)
+    kernels = folder / "clmorph" / "cl_kernels"
+    if not kernels.exists():
+        kernels.mkdir()
+        for entry in resources.files("clmorph.cl_kernels").iterdir():
+            if entry.name.endswith((".cl", ".py")):
+                (kernels / entry.name).write_text(entry.read_text())
+    file = kernels / fault.file
+    file.write_text(fault.plant(file.read_text()))
+
+
+USUAL_FILES = {variant.file for variant in usual_variants()}
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    "fault", [f for f in FAULTS if f.file in USUAL_FILES], ids=lambda fault: fault.kernel
+)
+def test_the_probe_refuses_a_device_with_a_wrong_kernel(tmp_path, fault):
+    """A new process tries it, says why it is refused, and remembers."""
+    _planted_tree(tmp_path, fault)
+    index = TESTED[0].index
+    code = (
+        "import clmorph.backends.opencl.devices.find as f\n"
+        f"device = f.tried('{index}')\n"
+        "print(device.usable, device.computes_wrongly, device.reason)\n"
+        "f.tried.cache_clear(); f.run_probe = None\n"
+        f"try: f.choose_device('{index}')\n"
+        "except f.DeviceError as error: print(error)\n"
+    )
+    environment = dict(os.environ, PYTHONPATH=str(tmp_path), XDG_CACHE_HOME=str(tmp_path / "c"))
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code], capture_output=True, text=True, env=environment,
+        check=True,
+    )  # fmt: skip
+    first, second = done.stdout.splitlines()
+    assert first.startswith(f"False True {verdicts.WRONG}{fault.file}"), first
+    assert fault.operation in first
+    assert first.split(": ", 1)[1] in second
+
+
+# --- verdicts on programs -------------------------------------------------------------------
+
+
+@pytest.fixture
+def empty(monkeypatch, tmp_path, fresh_search):
+    """An empty cache, and no knowledge in this process."""
+    monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def requests(monkeypatch, empty):
+    """The variants that processes were asked to verify; they find nothing wrong."""
+    asked = []
+    handle = TESTED[0].handle
+
+    def probe(index, seconds=None, request=None):
+        constants, variants = read_request(request)
+        asked.append(variants)
+        for variant in variants:
+            verdicts.save_program_verdict(program_key(handle, variant, constants), "")
+        return {"usable": True, "reason": "", "pairs_per_second": 0.0, "lasting": True}
+
+    monkeypatch.setattr(verdicts, "run_probe", probe)
+    return asked
+
+
+def made(device, chosen=True):
+    return Programs(
+        device.context, device.device, device.constants, lambda variant: "checked here", chosen
+    )
+
+
+def forget_in_process():
+    verdicts._programs.clear()
+    verdicts._momentary.clear()
+
+
+@pytest.fixture
+def one():
+    """Operations on the first tested device."""
+    return OpenCLOperations(TESTED[0].handle)
+
+
+def test_a_program_is_verified_once(one, requests, empty):
+    made(one).verify(PLAIN)
+    assert len(requests) == 1
+    # Those that most morphs use come together, and the wanted one first.
+    assert requests[0][0] == PLAIN
+    assert set(requests[0]) == set(usual_variants())
+    made(one).verify(OTHER)
+    assert requests[1:] == [[OTHER]]
+    for _ in range(2):
+        for variant in (*usual_variants(), OTHER):
+            made(one).verify(variant)
+        forget_in_process()
+    assert len(requests) == 2
+    assert len(list((empty / "verified").iterdir())) == len(usual_variants()) + 1
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    ["", "{", "[]", '{"passed": 1, "reason": ""}', '{"passed": true, "reason": "x"}',
+     '{"passed": false, "reason": ""}', '{"passed": true}'],
+)  # fmt: skip
+def test_a_damaged_verdict_is_none(one, requests, empty, damaged):
+    made(one).verify(OTHER)
+    forget_in_process()
+    (file,) = (empty / "verified").iterdir()
+    file.write_text(damaged)
+    made(one).verify(OTHER)
+    assert len(requests) == 2
+    assert json.loads(file.read_text()) == {"passed": True, "reason": ""}
+
+
+def test_without_a_cache_folder_the_process_remembers(one, requests, monkeypatch):
+    monkeypatch.setattr(storage, "cache_folder", lambda: None)
+    for _ in range(2):
+        made(one).verify(OTHER)
+    assert requests == [[OTHER]]
+
+
+def test_other_code_is_another_verdict(one, requests, monkeypatch):
+    made(one).verify(OTHER)
+    monkeypatch.setattr(verdicts, "code_identity", lambda: "0123456789abcdef")
+    made(one).verify(OTHER)
+    assert requests == [[OTHER], [OTHER]]
+
+
+def test_trying_again_forgets_verdicts_on_programs(one, requests):
+    made(one).verify(OTHER)
+    devices.forget_verdicts()
+    made(one).verify(OTHER)
+    assert len(requests) == 2
+
+
+def test_a_wrong_program_makes_the_device_unusable(one, empty, monkeypatch):
+    device, key = TESTED[0], program_key(one.device, OTHER, one.constants)
+    reason = f"{verdicts.WRONG}{OTHER}: softmin is off by 1 nats (tolerance 0.1)"
+    verdicts.save_program_verdict(key, reason)
+    # Constants that somebody tries say nothing of those that are chosen.
+    with pytest.raises(DeviceError, match="softmin is off"):
+        made(one, chosen=False).verify(OTHER)
+    assert verdicts.load_verdict(verdicts.verdict_key(one.device)) is None
+    before = verdicts.refusals()
+    with pytest.raises(DeviceError, match="softmin is off") as caught:
+        made(one).verify(OTHER)
+    for words in (device.name, "choose another device", "--device"):
+        assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert verdicts.refusals() == before + 1
+    monkeypatch.setattr(devices, "run_probe", None)  # nothing is tried again
+    for _ in range(2):
+        assert not devices.tried(device.index).usable
+        with pytest.raises(DeviceError, match="softmin is off"):
+            devices.choose_device(device.index)
+        assert devices.choose_device(device.index, even_wrong=True).computes_wrongly
+        verdicts._refused.clear()  # as in a new process
+        devices.tried.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("body", "words", "lasting"),
+    [("os.abort()", "crashed", True), ("time.sleep(60)", "within 1 s", False),
+     ("raise SystemExit(3)", "status 3", True)],
+)  # fmt: skip
+def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, words, lasting):
+    key = program_key(one.device, OTHER, one.constants)
+    lines = verdicts.LOADED, f"{verdicts.BEGUN} {key} {OTHER}"
+    script = empty / "check.py"
+    script.write_text(f"import os, time; print(*{lines!r}, sep='\\n', flush=True); {body}")
+    monkeypatch.setattr(verdicts, "_command", lambda *_: [sys.executable, str(script)])
+    monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
+    for _ in range(2):
+        with pytest.raises(DeviceError, match=words) as caught:
+            made(one).verify(OTHER)
+        assert "\n" not in str(caught.value)
+        monkeypatch.setattr(verdicts, "_run", None)  # this process asks no second time
+    assert (empty / "verified").exists() == lasting
+    forget_in_process()
+    assert bool(verdicts.load_program_verdict(key)) == lasting
+    assert (verdicts.load_verdict(verdicts.verdict_key(one.device)) or {}).get("usable") is False
+
+
+def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):
+    keys = [program_key(one.device, variant, one.constants) for variant in (PLAIN, OTHER)]
+    lines = [
+        verdicts.LOADED, f"{verdicts.BEGUN} {keys[0]} {PLAIN}", verdicts.ENDED + " ",
+        f"{verdicts.BEGUN} {keys[1]} {OTHER}",
+    ]  # fmt: skip
+    script = empty / "check.py"
+    script.write_text(f"import os; print(*{lines!r}, sep='\\n', flush=True); os.abort()")
+    monkeypatch.setattr(verdicts, "_command", lambda *_: [sys.executable, str(script)])
+    made(one).verify(PLAIN)
+    with pytest.raises(DeviceError, match=r"crashed .* log_sum_exp.cl \(dimension 3, precise\)"):
+        made(one).verify(OTHER)
+
+
+def test_without_an_interpreter_programs_are_checked_here(one, requests, monkeypatch):
+    monkeypatch.setattr(verdicts, "_interpreter", lambda: None)
+    with pytest.raises(DeviceError, match="checked here"):
+        made(one, chosen=False).verify(OTHER)
+    assert requests == []
+
+
+def test_a_device_that_is_not_listed_is_checked_here(one, requests, monkeypatch):
+    monkeypatch.setattr(programs, "index_of", lambda device: None)
+    with pytest.raises(DeviceError, match="checked here"):
+        made(one, chosen=False).verify(OTHER)
+    assert requests == []
+
+
+def test_no_process_that_verifies_starts_another(one, monkeypatch):
+    monkeypatch.setattr(verdicts, "run_probe", None)
+    forget_in_process()
+    operations = OpenCLOperations(one.device, verify=False)
+    assert verification.first_failure(operations, OTHER) == ""
+
+
+def test_a_part_of_a_device_is_verified_on_the_whole(one, requests):
+    try:
+        parts = one.device.create_sub_devices([cl.device_partition_property.EQUALLY, 1])
+    except cl.Error:
+        pytest.skip("the device has no parts")
+    assert devices.index_of(parts[0]) == TESTED[0].index
+    part = Programs(cl.Context([parts[0]]), parts[0], one.constants, lambda variant: "checked here")
+    made(one).verify(OTHER)
+    part.verify(OTHER)
+    assert requests == [[OTHER]]
+
+
+def test_a_program_is_verified_in_a_real_process(one, empty):
+    """Its binary then lies in the cache, and is the one that is used."""
+    variant = Variant("log_sum_exp.cl", 4, precise=True)
+    kernels = made(one).kernels(variant)
+    assert set(kernels) == {"log_sum_exp"}
+    assert len(list((empty / "verified").iterdir())) == 1
+
+
+def test_forced_quirks_have_a_verdict_of_their_own(monkeypatch):
+    handle = TESTED[0].handle
+    plain = verdicts.verdict_key(handle)
+    monkeypatch.setenv("CLMORPH_QUIRKS", "small_groups")
+    assert verdicts.verdict_key(handle) != plain
+    assert verdicts.device_key(handle) == plain
+
+
+def test_a_search_finds_what_a_program_was_refused_for(asked):
+    """The next choice in the same process passes a refused device over."""
+    first = found_anew()
+    devices.mark_unusable(first[0].handle, "wrong result of x: y")
+    assert not next(d for d in found_anew() if d.index == first[0].index).usable
+    if len(first) > 1:
+        assert devices.choose_device("auto").index != first[0].index

@@ -1,0 +1,48 @@
+"""A wrong version of each kernel."""
+
+from typing import NamedTuple
+
+
+class Fault(NamedTuple):
+    """A text of a kernel, the wrong text in its place, and the operation that shows it."""
+
+    file: str
+    kernel: str
+    right: str
+    wrong: str
+    operation: str
+
+    def plant(self, text: str) -> str:
+        """Return the text of the file, its includes expanded or not, with the fault."""
+        begin = text.index(f"{self.kernel}(", text.index("__kernel"))
+        end = text.find("__kernel", begin)
+        body = text[begin : end if end > 0 else None]
+        assert self.right in body, self
+        return text[:begin] + body.replace(self.right, self.wrong, 1) + text[begin + len(body) :]
+
+
+FAULTS = [
+    Fault("log_sum_exp.cl", "log_sum_exp", "n < n_end;", "n + 1 < n_end;", "softmin"),
+    Fault("near_field.cl", "largest_shares", "= largest;", "= largest - 40.0f;", "near_pairs"),
+    Fault("near_field.cl", "measure_tiles", "s += s_tile;", "s += 0.99f * s_tile;", "near_pairs"),
+    Fault("plan_rows.cl", "count_plan_rows", "(vreal)(0.0f);", "(vreal)(1.0f);", "plan_rows"),
+    Fault("plan_rows.cl", "fill_plan_rows", "TILE + j;", "TILE + (j ^ 1u);", "plan_rows"),
+    Fault("plan_shares.cl", "plan_moments", "[0] += w;", "[0] += 0.999f * w;", "plan_moments"),
+    Fault("plan_shares.cl", "sample_plan_rows", "before += of_tile;", "before += 0.9f * of_tile;",
+          "sample_plan_rows"),
+    Fault("sliced_ellpack.cl", "sum_stored", "= changes[", "= 0.99f * changes[", "sum_stored"),
+    Fault("sliced_ellpack.cl", "clear_stored", "= SENTINEL;", "= 0.0f;", "sum_stored"),
+    Fault("particles.cl", "advect", "- 0.5f)", "- 0.499f)", "advect"),
+    Fault("particles.cl", "pack_weights", "(weight, weight,", "(weight, 1.001f * weight,",
+          "deposit"),
+    Fault("particles.cl", "choose_width_levels", "gap = 0.5f", "gap = 0.45f", "adapt_widths"),
+    Fault("particles.cl", "count_bins", "i = slice * slice_size;", "i = slice * slice_size + 1;",
+          "bin_splats"),
+    Fault("particles.cl", "fill_bins", "weight * sample.y", "0.999f * weight * sample.y",
+          "deposit"),
+    Fault("splat.cl", "splat", "ky[y] * kx;", "0.999f * ky[y] * kx;", "splat"),
+    Fault("gauss_transform.cl", "sum_moments", "chunk + MOMENT_CHUNK),",
+          "chunk + MOMENT_CHUNK) - 1,", "splat"),
+    Fault("gauss_transform.cl", "sum_rows", "vstore4(fold", "vstore4(0.999f * fold", "splat"),
+    Fault("gauss_transform.cl", "sum_columns", "+= total.x;", "+= 0.999f * total.x;", "splat"),
+]  # fmt: skip
