@@ -8,6 +8,7 @@ import sys
 import threading
 import weakref
 from collections import Counter
+from dataclasses import replace
 
 import host_program as example
 import numpy as np
@@ -22,6 +23,7 @@ import clmorph
 from clmorph import InputError
 from clmorph.backends.arrays import as_array, as_floats
 from clmorph.backends.opencl import host_program
+from clmorph.backends.opencl.devices.find import tried
 
 OUT_OF_ORDER = cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE
 PROFILING = cl.command_queue_properties.PROFILING_ENABLE
@@ -192,8 +194,10 @@ def test_other_objects_of_pyopencl_are_no_backends(queue, context):
 
 
 def test_an_unusable_device_is_refused_with_the_reason(queue, monkeypatch):
-    verdict = {"usable": False, "reason": "wrong splat", "pairs_per_second": 0.0, "lasting": True}
-    monkeypatch.setattr(host_program, "load_verdict", lambda key: verdict)
+    def wrong(index):
+        return replace(tried(index), usable=False, reason="wrong splat")
+
+    monkeypatch.setattr(host_program, "tried", wrong)
     for given in (queue, queue.context, queue.device):
         with pytest.raises(clmorph.DeviceError, match="wrong splat"):
             clmorph.get_backend(given)
