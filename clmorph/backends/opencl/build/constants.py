@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyopencl as cl
 
-from clmorph.backends.opencl.devices.quirks import find_quirks
+from clmorph.backends.opencl.devices.quirks import LONGEST_LOOP, find_quirks
 from clmorph.backends.width_levels import WIDTH_LEVELS
 
 #: The number that represents minus infinity in float32 exponents. It is far below all of them, yet
@@ -50,6 +50,9 @@ class BuildConstants:
         Work-items along each side of a splatting work-group.
     slices_per_unit : int
         Slices of the particle list that are sorted at once, per compute unit.
+    longest_loop : int
+        The number of rounds that all loops of a work-item may take together; 0: any number. Only
+        on some devices it is limited, see the quirk ``short_loops``.
     """
 
     width: int
@@ -62,6 +65,7 @@ class BuildConstants:
     chunk: int
     tile_group: int
     slices_per_unit: int
+    longest_loop: int = 0
 
     @property
     def slice_rows(self) -> int:
@@ -174,6 +178,8 @@ def apply_quirks(constants: BuildConstants, quirks: frozenset[str]) -> BuildCons
         made = replace(made, exp2_builtin=0)
     if "no_float64" in quirks:
         made = replace(made, precise=1)
+    if "short_loops" in quirks:
+        made = replace(made, longest_loop=made.longest_loop or LONGEST_LOOP)
     if "small_local_memory" in quirks:
         tile = max(16, made.width)
         group = min(made.group, tile // made.width)

@@ -8,8 +8,8 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build import program
-from clmorph.backends.opencl.build.constants import BuildConstants
-from clmorph.backends.opencl.kernels import launches
+from clmorph.backends.opencl.build.constants import MOMENT_CHUNK, BuildConstants
+from clmorph.backends.opencl.kernels import launches, loop_limits
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.opencl.kernels.particles import SortedSplats
 
@@ -25,6 +25,8 @@ SIDES = 0.25, 64.0
 FARTHEST_CUT = 8.0
 #: The number of pairs (a, b), and of values of a (of b, rounded up), the same as in the kernels.
 TERMS, ORDERS = 40, 8
+#: The number of particles whose polynomials one work-item of a CPU forms at once, as in the kernels.
+LANES = 16
 #: Bytes of moments that are handled together, so that they stay in the cache.
 STRIP_BYTES = 1 << 23
 #: The number of pixels of a row that one work-item of a CPU handles.
@@ -109,6 +111,33 @@ def moments_pay(
     return 22 * count + 5.5 * pixels_and_rows * taps + 28 * cells < 2.1 * block * count * blocks
 
 
+def particles_of_bin(constants: BuildConstants, group: int, cells: int) -> int:
+    """Return the number of particles of a bin in one launch of ``sum_moments``.
+
+    Parameters
+    ----------
+    constants : BuildConstants
+    group : int
+        ``MOMENT_GROUP``, work-items of a bin.
+    cells : int
+        Cells along each side of a bin.
+    """
+    if not constants.longest_loop:
+        return loop_limits.NO_LIMIT
+    if constants.width == 1:
+        terms = -(-TERMS // group)
+        clearing = terms * (cells**2 + 2) + 1
+        batch, taken = ORDERS + 3 + terms * (group + 2), group
+    else:
+        clearing = TERMS // 4 * cells**2 + 1
+        batch, taken = 2 * LANES + ORDERS + 4, LANES
+    chunk = 2 * clearing + 2 + batch * -(-MOMENT_CHUNK // taken)
+    chunks = (constants.longest_loop - clearing - chunk) // chunk
+    if chunks > 0:
+        return chunks * MOMENT_CHUNK
+    return max(1, (constants.longest_loop - 3 * clearing - batch) // batch * taken)
+
+
 class Moments:
     """Adds many splats to the sums of a canvas by moments of cells.
 
@@ -119,7 +148,7 @@ class Moments:
     """
 
     def __init__(self, work: Workspace, constants: BuildConstants) -> None:
-        self._work = work
+        self._work, self._constants = work, constants
         macros = constants.gauss_transform_macros()
         built = program.build(work.context, "gauss_transform.cl", macros)
         self._group = int(macros["MOMENT_GROUP"])
@@ -206,7 +235,8 @@ class Moments:
         per_bin = round(bins.side / cells.side)
         first_particle, end = int(starts[strip.start]), int(starts[strip.stop])
         # As in the gather, crowded bins are summed in parts of a fixed size.
-        most = launches.LAUNCH_PARTICLES
+        limit = particles_of_bin(self._constants, self._group, per_bin)
+        most = min(launches.LAUNCH_PARTICLES, limit)
         part = most if counts.max() > most else end - first_particle
         work = np.minimum(counts, part) + per_bin**2
         budget = self._budgets["sum_moments"]
