@@ -18,7 +18,7 @@
 // rows of bins is done at a time, all steps of it.
 //
 // -D WIDTH         1: a work-group of MOMENT_GROUP to a bin; else one work-item, in vectors
-// -D MOMENT_GROUP  its work-items, 1 where WIDTH is more
+// -D MOMENT_GROUP  its work-items, 1 if WIDTH is more
 // -D MOMENT_CHUNK  particles of a bin added up before they join the total (bounds rounding)
 
 #include "common.cl"

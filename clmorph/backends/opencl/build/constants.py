@@ -141,13 +141,13 @@ class BuildConstants:
         }
 
     def gauss_transform_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``gauss_transform.cl``."""
+        """Return the macros of ``gauss_transform.cl``; work-groups take scalars."""
         return {
             "EXP2_BUILTIN": self.exp2_builtin,
             "MOMENT_CHUNK": MOMENT_CHUNK,
-            "MOMENT_GROUP": self.group if self.width == 1 else 1,
+            "MOMENT_GROUP": self.group,
             "SENTINEL": SENTINEL,
-            "WIDTH": self.width,
+            "WIDTH": self.width if self.group == 1 else 1,
         }
 
 
@@ -163,7 +163,9 @@ def choose_constants(device: cl.Device, quirks: frozenset[str] | None = None) ->
     if quirks is None:
         quirks = find_quirks(device)
     if device.type & cl.device_type.CPU:
-        constants = cpu_constants(int(device.native_vector_width_float))
+        vector = int(device.native_vector_width_float)
+        largest = device.max_work_group_size
+        constants = cpu_constants(vector) if vector > 1 else lanes_constants(largest)
     else:
         constants = gpu_constants(device.max_work_group_size)
     return apply_quirks(constants, quirks)
@@ -200,6 +202,27 @@ def cpu_constants(vector: int) -> BuildConstants:
         bin=8,
         chunk=256,
         tile_group=1,
+        slices_per_unit=8,
+    )
+
+
+def lanes_constants(largest_group: int) -> BuildConstants:
+    """Return constants for a CPU whose driver puts work-items, not vectors, into SIMD lanes.
+
+    Such a driver (llvmpipe) announces vectors of one float. It reads memory lane by lane, so that
+    every number read is used for as many rows as registers hold.
+    """
+    sides = (8, 4, 2, 1)
+    return BuildConstants(
+        width=8,
+        tile=64,
+        group=next(group for group in sides if group <= largest_group),
+        unroll=4,
+        exp2_builtin=0,
+        precise=2,
+        bin=8,
+        chunk=256,
+        tile_group=next(side for side in sides if side**2 <= largest_group),
         slices_per_unit=8,
     )
 

@@ -25,7 +25,7 @@ SIDES = 0.25, 64.0
 FARTHEST_CUT = 8.0
 #: The number of pairs (a, b), and of values of a (of b, rounded up), the same as in the kernels.
 TERMS, ORDERS = 40, 8
-#: The number of particles whose polynomials one work-item of a CPU forms at once, as in the kernels.
+#: The number of particles whose polynomials vectors form at once, the same as in the kernels.
 LANES = 16
 #: Bytes of moments that are handled together, so that they stay in the cache.
 STRIP_BYTES = 1 << 23
@@ -111,20 +111,23 @@ def moments_pay(
     return 22 * count + 5.5 * pixels_and_rows * taps + 28 * cells < 2.1 * block * count * blocks
 
 
-def particles_of_bin(constants: BuildConstants, group: int, cells: int) -> int:
+def particles_of_bin(longest_loop: int, scalar: bool, group: int, cells: int) -> int:
     """Return the number of particles of a bin in one launch of ``sum_moments``.
 
     Parameters
     ----------
-    constants : BuildConstants
+    longest_loop : int
+        See `BuildConstants`.
+    scalar : bool
+        Whether the kernels are built with scalars.
     group : int
         ``MOMENT_GROUP``, work-items of a bin.
     cells : int
         Cells along each side of a bin.
     """
-    if not constants.longest_loop:
+    if not longest_loop:
         return loop_limits.NO_LIMIT
-    if constants.width == 1:
+    if scalar:
         terms = -(-TERMS // group)
         clearing = terms * (cells**2 + 2) + 1
         batch, taken = ORDERS + 3 + terms * (group + 2), group
@@ -132,10 +135,10 @@ def particles_of_bin(constants: BuildConstants, group: int, cells: int) -> int:
         clearing = TERMS // 4 * cells**2 + 1
         batch, taken = 2 * LANES + ORDERS + 4, LANES
     chunk = 2 * clearing + 2 + batch * -(-MOMENT_CHUNK // taken)
-    chunks = (constants.longest_loop - clearing - chunk) // chunk
+    chunks = (longest_loop - clearing - chunk) // chunk
     if chunks > 0:
         return chunks * MOMENT_CHUNK
-    return max(1, (constants.longest_loop - 3 * clearing - batch) // batch * taken)
+    return max(1, (longest_loop - 3 * clearing - batch) // batch * taken)
 
 
 class Moments:
@@ -152,7 +155,8 @@ class Moments:
         macros = constants.gauss_transform_macros()
         built = program.build(work.context, "gauss_transform.cl", macros)
         self._group = int(macros["MOMENT_GROUP"])
-        self._span = 1 if constants.width == 1 else SPAN
+        self._scalar = macros["WIDTH"] == 1
+        self._span = 1 if self._scalar else SPAN
         names = ("sum_moments", "sum_rows", "sum_columns")
         self._kernels = {name: program.kernel(built, name) for name in names}
         self._budgets = {name: LaunchBudget() for name in names}
@@ -235,7 +239,7 @@ class Moments:
         per_bin = round(bins.side / cells.side)
         first_particle, end = int(starts[strip.start]), int(starts[strip.stop])
         # As in the gather, crowded bins are summed in parts of a fixed size.
-        limit = particles_of_bin(self._constants, self._group, per_bin)
+        limit = particles_of_bin(self._constants.longest_loop, self._scalar, self._group, per_bin)
         most = min(launches.LAUNCH_PARTICLES, limit)
         part = most if counts.max() > most else end - first_particle
         work = np.minimum(counts, part) + per_bin**2

@@ -150,7 +150,8 @@ class RowLoop:
     def _windows(self, columns: Cloud, pairs: TilePairs | None) -> int:
         """Return in how many launches the columns of a row are taken: 1 if loops may be long."""
         most = len(columns.centers) if pairs is None else int(np.diff(pairs.starts).max())
-        return max(1, -(-most // loop_limits.column_tiles(self.constants, columns.centers.shape[1])))
+        at_once = loop_limits.column_tiles(self.constants, columns.centers.shape[1])
+        return max(1, -(-most // at_once))
 
     def _budget(self, kernel: cl.Kernel) -> LaunchBudget:
         """Return the budget of launches of this kernel, because kernels differ in time per pair."""
