@@ -26,7 +26,7 @@ void plan_moments(
     for (int m = 0; m < MOMENTS; ++m)
         total[m] = tiles_before ? VLOAD((size_t)m * n_rows + local_row, moments) : (vreal)(0.0f);
     for (uint n = first_tile; n < end_tile; ++n) {
-        const uint q = STAGE_TILE(n);
+        STAGE_TILE(n);
         vreal of_tile[MOMENTS];
         for (int m = 0; m < MOMENTS; ++m)
             of_tile[m] = (vreal)(0.0f);

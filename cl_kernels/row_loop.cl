@@ -97,7 +97,7 @@
 #define OWN_FIRST 0
 #define OWN_END n_column_tiles
 #define TILE_AT(n) (n)
-#define OWN_LEVELS (levels + (row_tile - first_row / TILE) * n_column_tiles * PLANES)
+#define OWN_LEVELS (levels + (size_t)(row_tile - first_row / TILE) * n_column_tiles * PLANES)
 #define LEVEL_PLANE n_column_tiles
 #endif
 
