@@ -67,26 +67,28 @@ def ends_loops(operations):
     return "short_loops" in find_quirks(operations.device)
 
 
-def test_loops_of_any_length(device):
+@pytest.mark.small
+def test_loops_of_any_length(each_device):
     """Llvmpipe ends loops after 65535 rounds; a device without the quirk must take them all."""
-    assert np.all(run(device, "count_rounds", LONGEST_LOOP, 64) == LONGEST_LOOP)
-    found = run(device, "count_rounds", 200_000, 64)
-    if ends_loops(device):
+    assert np.all(run(each_device, "count_rounds", LONGEST_LOOP, 64) == LONGEST_LOOP)
+    found = run(each_device, "count_rounds", 200_000, 64)
+    if ends_loops(each_device):
         assert np.all(found == LONGEST_LOOP), "loops are no longer cut: retire short_loops here"
     else:
         assert np.all(found == 200_000), "the device cuts loops: it needs the quirk short_loops"
 
 
-def test_loops_of_groups_that_do_not_fill_lanes(device):
+@pytest.mark.small
+def test_loops_of_groups_that_do_not_fill_lanes(each_device):
     """Llvmpipe runs lanes without a work-item too, on zeros, until it cuts their loop.
 
     After that, loops of the work-items end after one round. So a loop whose end depends on memory
     must have another bound beside it, as in ``sample_plan_rows``.
     """
     steps = np.ones(64, np.uint32)
-    assert np.all(run(device, "count_after", 10, 64, steps) == 20)
-    found = run(device, "count_after", 10, 1, steps)
-    if ends_loops(device):
+    assert np.all(run(each_device, "count_after", 10, 64, steps) == 20)
+    found = run(each_device, "count_after", 10, 1, steps)
+    if ends_loops(each_device):
         assert np.all(found < 20), "lanes without a work-item end their loops now: say so here"
     else:
         assert np.all(found == 20)
@@ -169,13 +171,14 @@ def apply_own(device, constants):
     return apply_quirks(constants, find_quirks(device.device))
 
 
-def test_draws_from_very_many_columns(device, rng):
+@pytest.mark.small
+def test_draws_from_very_many_columns(each_device, rng):
     """One row of 131072 columns: more rounds than llvmpipe takes in one launch."""
     m, epsilon = 1 << 17, 1.0
     points = rng.random((3, 2)), rng.random((m, 2))
     thresholds = np.tile((np.arange(50) + 0.5) / 50, (3, 1))
     found = []
-    for operations in (device, REFERENCE):
+    for operations in (each_device, REFERENCE):
         rows, columns = (
             operations.upload(cloud, np.full(len(cloud), 1 / len(cloud))) for cloud in points
         )

@@ -210,13 +210,13 @@ def lanes_constants(largest_group: int) -> BuildConstants:
     """Return constants for a CPU whose driver puts work-items, not vectors, into SIMD lanes.
 
     Such a driver (llvmpipe) announces vectors of one float. It reads memory lane by lane, so that
-    every number read is used for as many rows as registers hold.
+    every number read is used for some rows: four, because with eight it takes minutes to compile.
     """
     sides = (8, 4, 2, 1)
     return BuildConstants(
-        width=8,
+        width=4,
         tile=64,
-        group=next(group for group in sides if group <= largest_group),
+        group=next(group for group in (16, *sides) if group <= largest_group),
         unroll=4,
         exp2_builtin=0,
         precise=2,
