@@ -31,18 +31,16 @@ typedef float vreal;
 typedef int vint;
 #define VLOAD(offset, p) ((p)[offset])
 #define VSTORE(v, offset, p) ((p)[offset] = (v))
-#define AS_VINT(v) as_int(v)
+#define AS_VUINT(v) as_uint(v)
 #define AS_VREAL(v) as_float(v)
-#define CONVERT_VINT(v) convert_int(v)
 #define ANY(v) (v)
 #else
 typedef CONCAT(float, WIDTH) vreal;
 typedef CONCAT(int, WIDTH) vint;
 #define VLOAD(offset, p) CONCAT(vload, WIDTH)(0, (p) + (offset))
 #define VSTORE(v, offset, p) CONCAT(vstore, WIDTH)((v), 0, (p) + (offset))
-#define AS_VINT(v) CONCAT(as_int, WIDTH)(v)
+#define AS_VUINT(v) CONCAT(as_uint, WIDTH)(v)
 #define AS_VREAL(v) CONCAT(as_float, WIDTH)(v)
-#define CONVERT_VINT(v) CONCAT(convert_int, WIDTH)(v)
 #define ANY(v) any(v)
 #endif
 
@@ -65,6 +63,6 @@ static inline vreal exp2_nonpositive(vreal x)
     p = p * r + 2.4022120237350464e-1f;
     p = p * r + 6.931469440460205e-1f;
     p = p * r + 1.0f;
-    return AS_VREAL(AS_VINT(p) + (AS_VINT(shifted) << 23));
+    return AS_VREAL(AS_VUINT(p) + (AS_VUINT(shifted) << 23)); // unsigned: overflow is defined
 #endif
 }

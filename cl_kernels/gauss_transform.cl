@@ -18,7 +18,7 @@
 // rows of bins is done at a time, all steps of it.
 //
 // -D WIDTH         1: a work-group of MOMENT_GROUP to a bin; else one work-item, in vectors
-// -D MOMENT_GROUP  its work-items, 1 where WIDTH is more
+// -D MOMENT_GROUP  its work-items, 1 if WIDTH is more
 // -D MOMENT_CHUNK  particles of a bin added up before they join the total (bounds rounding)
 
 #include "common.cl"
@@ -63,6 +63,7 @@ static inline float4 fold(const vblock v) // Oclgrind takes shuffles for uniniti
 #define TERM_B(term) ((term) < 24 ? (term) / 8 : (term) / 4 - 3)
 #define TERM_A(term) ((term) < 24 ? (term) % 8 : (term) % 4)
 
+#if WIDTH == 1
 // T_0 to T_7 at x and at y.
 static inline void chebyshev(const float2 x, float* t_x, float* t_y)
 {
@@ -96,7 +97,6 @@ static inline int cell_of(
 }
 
 // Add the moments of particles begin <= i < end of one bin to `table`.
-#if WIDTH == 1
 static void add_moments(
     const uint begin, const uint end, const float per_pixel, const float2 corner,
     const int cells, const __global float2* positions, const __global float4* samples,
@@ -135,6 +135,8 @@ static void add_moments(
 }
 #else
 #define LANES 16 // particles whose polynomials are formed at once
+
+// The same, in vectors.
 static inline void add_moments(
     const uint begin, const uint end, const float per_pixel, const float2 corner,
     const int cells, const __global float2* positions, const __global float4* samples,

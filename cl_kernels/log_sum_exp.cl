@@ -23,9 +23,9 @@ void log_sum_exp(
     ROW_SETUP;
     const uint share = get_global_id(1);
     const uint shares = get_global_size(1);
-    const uint per_share = (END_TILE - FIRST_TILE + shares - 1) / shares;
-    const uint n_begin = min((uint)(END_TILE), FIRST_TILE + share * per_share);
-    const uint n_end = min((uint)(END_TILE), n_begin + per_share);
+    const uint per_share = (end_tile - first_tile + shares - 1) / shares;
+    const uint n_begin = min(end_tile, first_tile + share * per_share);
+    const uint n_end = min(end_tile, n_begin + per_share);
     // Above columns without mass: the difference of two sentinels is no exponent.
     vreal m = (vreal)(0.5f * SENTINEL);
     sreal s = NO_SUM;

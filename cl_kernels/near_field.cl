@@ -50,7 +50,7 @@ void largest_shares(
     ROW_SETUP;
     const uint part = (row - row_tile * TILE) / (GROUP * WIDTH);
     const vreal offset = VLOAD(local_row, row_offsets);
-    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+    for (uint n = first_tile; n < end_tile; ++n) {
         STAGE_TILE(n);
         vreal m = (vreal)(SENTINEL);
         for (uint j = 0; j < TILE; j += UNROLL) {
@@ -77,9 +77,9 @@ void measure_tiles(
     ROW_SETUP;
     const uint part = (row - row_tile * TILE) / (GROUP * WIDTH);
     const vreal offset = VLOAD(local_row, row_offsets);
-    vreal m = (vreal)(0.5f * SENTINEL);
-    vreal s = (vreal)(0.0f);
-    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+    vreal m = tiles_before ? VLOAD(local_row, maxima) : (vreal)(0.5f * SENTINEL);
+    vreal s = tiles_before ? VLOAD(local_row, sums) : (vreal)(0.0f);
+    for (uint n = first_tile; n < end_tile; ++n) {
         STAGE_TILE(n);
         const vreal s_tile = add_tile(u, staged, &m, &s);
         s += s_tile;

@@ -26,14 +26,14 @@ void count_plan_rows(
     const vreal offset = VLOAD(row, row_offsets);
     const vreal offset_low = VLOAD((size_t)row_stride + row, row_offsets);
     const vreal row_threshold = VLOAD(row, row_thresholds);
-    vreal count = (vreal)(0.0f); // exact: a cloud has at most 2^24 points
-    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+    vint count = tiles_before ? VLOAD(local_row, counts) : (vint)(0);
+    for (uint n = first_tile; n < end_tile; ++n) {
         const uint q = STAGE_TILE(n);
         for (uint j = 0; j < TILE; ++j)
-            count += select((vreal)(0.0f), (vreal)(1.0f),
+            count += select((vint)(0), (vint)(1),
                             KEEP(with_offset(exponent(u, staged, j), offset, offset_low)));
     }
-    VSTORE(CONVERT_VINT(count), local_row, counts);
+    VSTORE(count, local_row, counts);
 }
 
 // Column index and log2 pi_ij of the kept pairs, each row at its own place.
@@ -43,7 +43,7 @@ void fill_plan_rows(
     const __global float* restrict row_offsets,       // (2, row_stride)
     const __global float* restrict row_thresholds,    // (row_stride,)
     const __global float* restrict column_thresholds, // (column_stride,)
-    const __global uint* restrict starts,             // (n_rows,) first slot of each row
+    __global uint* restrict slots,                    // (n_rows,) next slot of each row
     const uint step,                                  // from one slot of a row to the next
     __global int* restrict columns,                   // (slots of this launch,)
     __global float* restrict log2_masses)             // (slots of this launch,)
@@ -54,8 +54,8 @@ void fill_plan_rows(
     const vreal row_threshold = VLOAD(row, row_thresholds);
     uint slot[WIDTH];
     for (int lane = 0; lane < WIDTH; ++lane)
-        slot[lane] = starts[local_row + lane];
-    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+        slot[lane] = slots[local_row + lane];
+    for (uint n = first_tile; n < end_tile; ++n) {
         const uint q = STAGE_TILE(n);
         for (uint j = 0; j < TILE; ++j) {
             const vreal log2_pi = with_offset(exponent(u, staged, j), offset, offset_low);
@@ -75,4 +75,6 @@ void fill_plan_rows(
             }
         }
     }
+    for (int lane = 0; lane < WIDTH; ++lane)
+        slots[local_row + lane] = slot[lane];
 }

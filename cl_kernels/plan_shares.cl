@@ -24,9 +24,9 @@ void plan_moments(
     const vreal offset_low = VLOAD((size_t)row_stride + row, row_offsets);
     vreal total[MOMENTS];
     for (int m = 0; m < MOMENTS; ++m)
-        total[m] = (vreal)(0.0f);
-    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
-        const uint q = STAGE_TILE(n);
+        total[m] = tiles_before ? VLOAD((size_t)m * n_rows + local_row, moments) : (vreal)(0.0f);
+    for (uint n = first_tile; n < end_tile; ++n) {
+        STAGE_TILE(n);
         vreal of_tile[MOMENTS];
         for (int m = 0; m < MOMENTS; ++m)
             of_tile[m] = (vreal)(0.0f);
@@ -59,7 +59,9 @@ void sample_plan_rows(
     const uint n_draws,
     const __global float* restrict row_offsets, // (2, row_stride): log2 w_j = e_ij + offset_i
     const __global float* restrict thresholds,  // (n_rows, n_draws), in [0, 1)
-    __global int* restrict draws)               // (n_rows, n_draws), filled with -1 before
+    __global int* restrict draws,               // (n_rows, n_draws), filled with -1 before
+    __global uint* restrict counts,             // (n_rows,) draws so far
+    __global float* restrict sums)              // (n_rows,) of w_j so far
 {
     ROW_SETUP;
     const vreal offset = VLOAD(row, row_offsets);
@@ -67,12 +69,14 @@ void sample_plan_rows(
     float next[WIDTH];
     uint drawn[WIDTH];
     for (int lane = 0; lane < WIDTH; ++lane) {
-        drawn[lane] = 0;
-        next[lane] = thresholds[(size_t)(local_row + lane) * n_draws];
+        drawn[lane] = counts[local_row + lane];
+        // 3: more than any sum
+        next[lane] = drawn[lane] < n_draws
+            ? thresholds[(size_t)(local_row + lane) * n_draws + drawn[lane]] : 3.0f;
     }
     vreal limit = VLOAD(0, next);
-    vreal before = (vreal)(0.0f); // sum over the tiles so far; their sums round less
-    for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+    vreal before = VLOAD(local_row, sums); // sum over the tiles so far; their sums round less
+    for (uint n = first_tile; n < end_tile; ++n) {
         const uint q = STAGE_TILE(n);
         vreal of_tile = (vreal)(0.0f);
         for (uint j = 0; j < TILE; ++j) {
@@ -82,11 +86,11 @@ void sample_plan_rows(
                 float sum_lane[WIDTH];
                 VSTORE(sum, 0, sum_lane);
                 for (int lane = 0; lane < WIDTH; ++lane) {
-                    while (sum_lane[lane] > next[lane]) {
+                    // Never more than n_draws, whatever the sum: offsets may be wrong.
+                    while (drawn[lane] < n_draws && sum_lane[lane] > next[lane]) {
                         const size_t first = (size_t)(local_row + lane) * n_draws;
                         draws[first + drawn[lane]] = q * TILE + j;
                         ++drawn[lane];
-                        // 3: more than any sum
                         next[lane] = drawn[lane] < n_draws ? thresholds[first + drawn[lane]] : 3.0f;
                     }
                 }
@@ -95,4 +99,7 @@ void sample_plan_rows(
         }
         before += of_tile;
     }
+    VSTORE(before, local_row, sums);
+    for (int lane = 0; lane < WIDTH; ++lane)
+        counts[local_row + lane] = drawn[lane];
 }

@@ -18,13 +18,15 @@
 //
 //     ROW_SETUP;
 //     ...
-//     for (uint n = FIRST_TILE; n < END_TILE; ++n) {
+//     for (uint n = first_tile; n < end_tile; ++n) {
 //         const uint q = STAGE_TILE(n);
 //         ... exponent(u, staged, j) for 0 <= j < TILE: e_ij of WIDTH rows, column q * TILE + j
 //     }
 //
 // Launch: get_global_id(0) is a group of WIDTH consecutive rows, WIDTH * GROUP divides TILE. A
-// launch covers rows [first_row, first_row + n_rows): row tiles from first_row / TILE on.
+// launch covers rows [first_row, first_row + n_rows): row tiles from first_row / TILE on. Of the column
+// tiles of each row it takes those after `tiles_before`, `most_tiles` at most: what a kernel has
+// found in launches over the tiles before, it reads from its own results.
 //
 // Units: coordinates in any unit, costs and potentials in that unit squared, k in its inverse;
 // exponents, levels and column logits h in powers of two (log2), as are row offsets.
@@ -67,7 +69,8 @@
 
 #define CLOUD_ARGUMENTS                                                                        \
     const uint first_row, const uint row_stride, const uint column_stride,                     \
-    const uint n_column_tiles, const float k, const float k_low,                               \
+    const uint n_column_tiles, const uint tiles_before, const uint most_tiles,                 \
+    const float k, const float k_low,                                                          \
     const __global float* restrict row_shifts,        /* (PLANES, DIM, row_stride): u */       \
     const __global float* restrict row_centers,       /* (row_stride / TILE, DIM): p */        \
     const __global float* restrict column_shifts,     /* (PLANES, DIM, column_stride): v */    \
@@ -76,7 +79,7 @@
     const __global float* restrict levels             /* see below */                          \
     LIST_ARGUMENTS
 
-// Column tiles of a row tile: q = TILE_AT(n) for FIRST_TILE <= n < END_TILE. Levels are
+// Column tiles of a row tile: q = TILE_AT(n) for OWN_FIRST <= n < OWN_END. Levels are
 // (row tiles, PLANES, n_column_tiles), or (PLANES, n_listed).
 #if LISTED
 #define LIST_ARGUMENTS                                                                         \
@@ -84,17 +87,17 @@
     const __global uint* restrict list_starts,        /* (row tiles of this launch + 1,) */    \
     const __global uint* restrict listed              /* (n_listed,) */
 #define LIST_ROW (row_tile - first_row / TILE)
-#define FIRST_TILE list_starts[LIST_ROW]
-#define END_TILE list_starts[LIST_ROW + 1]
+#define OWN_FIRST list_starts[LIST_ROW]
+#define OWN_END list_starts[LIST_ROW + 1]
 #define TILE_AT(n) listed[n]
 #define OWN_LEVELS levels
 #define LEVEL_PLANE n_listed
 #else
 #define LIST_ARGUMENTS
-#define FIRST_TILE 0
-#define END_TILE n_column_tiles
+#define OWN_FIRST 0
+#define OWN_END n_column_tiles
 #define TILE_AT(n) (n)
-#define OWN_LEVELS (levels + (row_tile - first_row / TILE) * n_column_tiles * PLANES)
+#define OWN_LEVELS (levels + (size_t)(row_tile - first_row / TILE) * n_column_tiles * PLANES)
 #define LEVEL_PLANE n_column_tiles
 #endif
 
@@ -138,12 +141,15 @@ static inline void load_rows(
         u[d] = e_load(row_shifts + (size_t)d * row_stride + row, (size_t)DIM * row_stride);
 }
 
-// What a work-item knows before the loop: its rows and their tile, and u of its rows.
+// What a work-item knows before the loop: its rows and their tile, the launch's column tiles, and u of
+// its rows.
 #define ROW_SETUP                                                                              \
     __local staged_real staged[STAGED_SIZE];                                                   \
     const uint local_row = get_global_id(0) * WIDTH;                                           \
     const uint row = first_row + local_row;                                                    \
     const uint row_tile = row / TILE;                                                          \
+    const uint first_tile = min(OWN_FIRST + tiles_before, (uint)(OWN_END));                    \
+    const uint end_tile = min(first_tile + most_tiles, (uint)(OWN_END));                       \
     const __global float* own_levels = OWN_LEVELS;                                             \
     ereal u[DIM];                                                                              \
     load_rows(row_shifts, row_stride, row, u)

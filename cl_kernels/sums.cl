@@ -51,10 +51,10 @@ typedef ereal sreal;
 
 #if PRECISE == 2
 #if WIDTH == 1
-#define AS_LONGS(v) as_long(v)
+#define AS_ULONGS(v) as_ulong(v)
 #define AS_DOUBLES(v) as_double(v)
 #else
-#define AS_LONGS(v) CONCAT(as_long, WIDTH)(v)
+#define AS_ULONGS(v) CONCAT(as_ulong, WIDTH)(v)
 #define AS_DOUBLES(v) CONCAT(as_double, WIDTH)(v)
 #endif
 #endif
@@ -75,7 +75,7 @@ static inline vreal whole_power(const vreal n)
 {
     const float magic = 12582912.0f; // 1.5 * 2^23: its low bits then hold n
     const vreal shifted = max(n, (vreal)(-125.0f)) + magic;
-    return AS_VREAL((AS_VINT(shifted) << 23) + 0x3f800000);
+    return AS_VREAL((AS_VUINT(shifted) << 23) + 0x3f800000u);
 }
 
 // 2^(e - m) for e up to about m: the series of the exponential, to the term that the width can
@@ -99,7 +99,7 @@ static inline sreal power_above(const ereal e, const vreal m)
     p = p * r + 0.2402265069591007;
     p = p * r + 0.6931471805599453;
     p = p * r + 1.0;
-    return AS_DOUBLES(AS_LONGS(p) + (AS_LONGS(shifted) << 52));
+    return AS_DOUBLES(AS_ULONGS(p) + (AS_ULONGS(shifted) << 52));
 #else
     const float magic = 12582912.0f;
     ereal minus_m;
@@ -128,7 +128,7 @@ static inline sreal power_above(const ereal e, const vreal m)
     p = e_sum(e_product(p, r), e_constant(0.24022650718688965f, -2.277889543655931e-10f));
     p = e_sum(e_product(p, r), e_constant(0.6931471824645996f, -1.9046542121259336e-09f));
     p = e_sum(e_product(p, r), e_constant(1.0f, 0.0f));
-    const vreal scale = AS_VREAL((AS_VINT(shifted) << 23) + 0x3f800000);
+    const vreal scale = AS_VREAL((AS_VUINT(shifted) << 23) + 0x3f800000u);
     HIGH(p) *= scale;
     LOW(p) *= scale;
     return p;

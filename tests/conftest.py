@@ -3,8 +3,9 @@
 ``pytest`` tests the operations on every usable device, in the build that is chosen for it, and what
 is written over them on one device or another, with a share of each grid of parameters;
 ``pytest --full`` runs everything, but for a device that repeats another one; ``--device NAME``
-tests one device. Without any usable device the tests of NumPy run, "auto" means NumPy, and the
-tests that need a device are skipped.
+tests one device. Beside a fast device a slow one runs a share of the tests of operations, and the
+tests marked as small, also with ``--full``. Without any usable device the tests of NumPy run,
+"auto" means NumPy, and the tests that need a device are skipped.
 """
 
 import os
@@ -34,7 +35,9 @@ REQUIRED = set(os.environ.get("CLMORPH_TEST_REQUIRE", "").split(",")) - {"", *PR
 #: Why a test is skipped where OpenCL has no usable device.
 NO_DEVICE = "needs a usable OpenCL device, and there is none (clmorph devices says what to install)"
 #: Parameters that name a device; grids are thinned for each device by itself.
-OF_DEVICES = ("variant", "device", "any_backend")
+OF_DEVICES = ("variant", "device", "each_device", "any_backend")
+#: Below this number of point pairs per second a device is slow: a core of 2020 makes 5 times that.
+SLOW = 3e8
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -54,6 +57,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "full: a long test, run with --full only")
+    config.addinivalue_line("markers", "small: for slow devices too")
     config.addinivalue_line("markers", "needs_device: skipped without a usable OpenCL device")
     name = config.getoption("--device")
     if name is None:
@@ -76,6 +80,7 @@ def pytest_xdist_auto_num_workers() -> int:
 def pytest_report_header(config: pytest.Config) -> list[str]:
     lines = [
         f"OpenCL device {device}{'' if device in TESTED or not device.usable else ', not tested'}"
+        f"{', slow: few tests' if _is_slow(device) else ''}"
         for device in DEVICES
     ]
     if not TESTED:
@@ -109,12 +114,13 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         variants = [(device, False) for device in TESTED]
         ids = labels
         if metafunc.config.getoption("--full"):
-            firsts = [device for device in TESTED if not _is_repeated(device)]
+            firsts = [it for it in TESTED if not _is_repeated(it) and not _is_slow(it)]
             variants += [(device, True) for device in firsts]
             ids = labels + [f"{_label(device)}-swapped" for device in firsts]
         metafunc.parametrize("variant", variants, ids=ids, indirect=True, scope="session")
-    if "device" in metafunc.fixturenames:
-        metafunc.parametrize("device", TESTED, ids=labels, indirect=True, scope="session")
+    for name in ("device", "each_device"):
+        if name in metafunc.fixturenames:
+            metafunc.parametrize(name, TESTED, ids=labels, indirect=True, scope="session")
     if "any_backend" in metafunc.fixturenames:
         names = ["numpy", *(device.index for device in TESTED)]
         metafunc.parametrize("any_backend", names, ids=["numpy", *labels], scope="session")
@@ -124,7 +130,7 @@ def _without_device(metafunc: pytest.Metafunc) -> None:
     """Let NumPy be the only backend; what needs a device is one test that is skipped."""
     if "any_backend" in metafunc.fixturenames:
         metafunc.parametrize("any_backend", ["numpy"], scope="session")
-    for name, value in (("variant", (None, False)), ("device", None)):
+    for name, value in (("variant", (None, False)), ("device", None), ("each_device", None)):
         if name in metafunc.fixturenames:
             absent = pytest.param(value, marks=pytest.mark.skip(reason=NO_DEVICE), id="no-device")
             metafunc.parametrize(name, [absent], indirect=True, scope="session")
@@ -141,9 +147,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             if item.get_closest_marker("needs_device") is not None:
                 item.add_marker(pytest.mark.skip(reason=NO_DEVICE))
     full = config.getoption("--full")
-    everything = {item for item in items if full and not _is_repeated(_device_of(item))}
+    suitable = [item for item in items if _suits(item, _device_of(item))]
+    everything = {
+        item
+        for item in suitable
+        if full and not _is_repeated(_device_of(item)) and not _is_slow(_device_of(item))
+    }
     functions: dict[str, list[pytest.Item]] = defaultdict(list)
-    for item in items:
+    for item in suitable:
         if item.get_closest_marker("full") is None:
             functions[item.nodeid.partition("[")[0]].append(item)
     chosen = {item for own in functions.values() for item in _share(own)} | everything
@@ -162,6 +173,20 @@ def _is_repeated(device: Device | None) -> bool:
     return any((it.platform, it.kind) == (device.platform, device.kind) for it in before)
 
 
+def _is_slow(device: Device | None) -> bool:
+    """Whether a device is slow, and another one that is tested is not."""
+    fast = [it for it in TESTED if it.pairs_per_second >= SLOW]
+    return device in TESTED and device not in fast and bool(fast)
+
+
+def _suits(item: pytest.Item, device: Device | None) -> bool:
+    """Whether a test is for its device: of slow ones, operations and what is marked as small."""
+    params = getattr(getattr(item, "callspec", None), "params", {})
+    return (
+        not _is_slow(device) or "variant" in params or item.get_closest_marker("small") is not None
+    )
+
+
 def _device_of(item: pytest.Item) -> Device | None:
     """Return the device that an item is for; None if for none, or for NumPy."""
     params = getattr(getattr(item, "callspec", None), "params", {})
@@ -169,7 +194,7 @@ def _device_of(item: pytest.Item) -> Device | None:
         return params["variant"][0]
     if "any_backend" in params:
         return next((it for it in TESTED if it.index == params["any_backend"]), None)
-    return params.get("device")
+    return params.get("device", params.get("each_device"))
 
 
 def _share(items: list[pytest.Item]) -> list[pytest.Item]:
@@ -182,7 +207,7 @@ def _share(items: list[pytest.Item]) -> list[pytest.Item]:
     devices, *axes = _axes(callspecs)
     longest = max(axes, key=max, default=[0] * len(items))
     shorter = [axis for axis in axes if axis is not longest]
-    everywhere = callspecs[0] is None or "variant" in callspecs[0].params
+    everywhere = callspecs[0] is None or {"variant", "each_device"} & set(callspecs[0].params)
     n_devices, turn = max(devices) + 1, crc32(items[0].nodeid.partition("[")[0].encode())
     chosen = []
     for number, item in enumerate(items):
@@ -237,6 +262,14 @@ def variant(request: pytest.FixtureRequest) -> OpenCLOperations:
 @pytest.fixture(scope="session")
 def device(request: pytest.FixtureRequest) -> OpenCLOperations:
     """Operations on each tested device in turn."""
+    operations = clmorph.get_backend(request.param.index)
+    assert isinstance(operations, OpenCLOperations)
+    return operations
+
+
+@pytest.fixture(scope="session")
+def each_device(request: pytest.FixtureRequest) -> OpenCLOperations:
+    """Operations on each tested device, also of tests that run in turns elsewhere."""
     operations = clmorph.get_backend(request.param.index)
     assert isinstance(operations, OpenCLOperations)
     return operations

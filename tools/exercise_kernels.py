@@ -21,16 +21,16 @@ import pyopencl as cl
 from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import constants as build_constants
-from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants
+from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants, lanes_constants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.reference import NumPyOperations
 
-#: Both kinds of devices, with float64 and without.
+#: All kinds of devices, with float64 and without, and with loops of any length or short ones.
 BUILDS = {
-    "scalar-16": gpu_constants(16),
+    "scalar-16": replace(gpu_constants(16), longest_loop=7000),
     "scalar-64-pairs": replace(gpu_constants(64), precise=1),
-    "vector-4": cpu_constants(4),
+    "lanes": lanes_constants(64),
     "vector-16-pairs": replace(cpu_constants(16), precise=1),
 }
 
@@ -89,6 +89,9 @@ def exercise(operations: Operations) -> list[np.ndarray]:
             results.append(np.maximum(np.round(sums, 2), -99.0) + 0.0)
     thresholds = np.tile([0.1, 0.4, 0.9], (n, 1))
     draws = operations.sample_plan_rows(rows, columns, g, softmin, 0.01, thresholds)
+    results.append(np.array([float(draws.max() < m)]))
+    # Sums far above 1 make no draw beyond those of their row.
+    draws = operations.sample_plan_rows(rows, columns, g, softmin + 0.1, 0.01, thresholds)
     results.append(np.array([float(draws.max() < m)]))
     moving = operations.upload_particles(
         rng.random((40, 6)), rng.integers(0, 40, (150, 2)).astype(np.uint32), rng.random((150, 2))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyopencl as cl
 
-from clmorph.backends.opencl.devices.quirks import find_quirks
+from clmorph.backends.opencl.devices.quirks import LONGEST_LOOP, find_quirks
 from clmorph.backends.width_levels import WIDTH_LEVELS
 
 #: The number that represents minus infinity in float32 exponents. It is far below all of them, yet
@@ -50,6 +50,9 @@ class BuildConstants:
         Work-items along each side of a splatting work-group.
     slices_per_unit : int
         Slices of the particle list that are sorted at once, per compute unit.
+    longest_loop : int
+        The number of rounds that all loops of a work-item may take together; 0: any number. Only
+        on some devices it is limited, see the quirk ``short_loops``.
     """
 
     width: int
@@ -62,6 +65,7 @@ class BuildConstants:
     chunk: int
     tile_group: int
     slices_per_unit: int
+    longest_loop: int = 0
 
     @property
     def slice_rows(self) -> int:
@@ -137,13 +141,13 @@ class BuildConstants:
         }
 
     def gauss_transform_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``gauss_transform.cl``."""
+        """Return the macros of ``gauss_transform.cl``; work-groups take scalars."""
         return {
             "EXP2_BUILTIN": self.exp2_builtin,
             "MOMENT_CHUNK": MOMENT_CHUNK,
-            "MOMENT_GROUP": self.group if self.width == 1 else 1,
+            "MOMENT_GROUP": self.group,
             "SENTINEL": SENTINEL,
-            "WIDTH": self.width,
+            "WIDTH": self.width if self.group == 1 else 1,
         }
 
 
@@ -159,7 +163,9 @@ def choose_constants(device: cl.Device, quirks: frozenset[str] | None = None) ->
     if quirks is None:
         quirks = find_quirks(device)
     if device.type & cl.device_type.CPU:
-        constants = cpu_constants(int(device.native_vector_width_float))
+        vector = int(device.native_vector_width_float)
+        largest = device.max_work_group_size
+        constants = cpu_constants(vector) if vector > 1 else lanes_constants(largest)
     else:
         constants = gpu_constants(device.max_work_group_size)
     return apply_quirks(constants, quirks)
@@ -174,6 +180,8 @@ def apply_quirks(constants: BuildConstants, quirks: frozenset[str]) -> BuildCons
         made = replace(made, exp2_builtin=0)
     if "no_float64" in quirks:
         made = replace(made, precise=1)
+    if "short_loops" in quirks:
+        made = replace(made, longest_loop=made.longest_loop or LONGEST_LOOP)
     if "small_local_memory" in quirks:
         tile = max(16, made.width)
         group = min(made.group, tile // made.width)
@@ -194,6 +202,27 @@ def cpu_constants(vector: int) -> BuildConstants:
         bin=8,
         chunk=256,
         tile_group=1,
+        slices_per_unit=8,
+    )
+
+
+def lanes_constants(largest_group: int) -> BuildConstants:
+    """Return constants for a CPU whose driver puts work-items, not vectors, into SIMD lanes.
+
+    Such a driver (llvmpipe) announces vectors of one float. It reads memory lane by lane, so that
+    every number read is used for some rows: four, because with eight it takes minutes to compile.
+    """
+    sides = (8, 4, 2, 1)
+    return BuildConstants(
+        width=4,
+        tile=64,
+        group=next(group for group in (16, *sides) if group <= largest_group),
+        unroll=4,
+        exp2_builtin=0,
+        precise=2,
+        bin=8,
+        chunk=256,
+        tile_group=next(side for side in sides if side**2 <= largest_group),
         slices_per_unit=8,
     )
 

@@ -10,16 +10,23 @@ import pyopencl as cl
 
 from clmorph.errors import InputError
 
+#: The number of rounds after which llvmpipe, Mesa's driver of CPUs, ends the loops of a work-item.
+#: It counts the rounds of all loops of a kernel together, also the one in which a loop ends.
+LONGEST_LOOP = 65535
+
 #: Name and description of each quirk.
 QUIRKS = {
     "small_groups": "work-groups hold fewer than 64 work-items: groups of 16 at most",
     "inexact_exp2": "the built-in exp2 is off by more than a few units: a polynomial instead",
     "small_local_memory": "under 8 KiB of local memory: tiles of 16 points",
+    "short_loops": f"loops end after {LONGEST_LOOP} rounds in all, in silence: shorter launches",
     "no_float64": "no double precision: precise exponents are sums of two float32",
 }
 
 #: Parts of the names, in lower case, of devices whose built-in exp2 was found to be wrong.
 INEXACT_EXP2: tuple[str, ...] = ()
+#: Parts of the names, in lower case, of devices that end long loops.
+SHORT_LOOPS = ("llvmpipe",)
 
 
 def find_quirks(device: cl.Device) -> frozenset[str]:
@@ -35,6 +42,8 @@ def find_quirks(device: cl.Device) -> frozenset[str]:
         found |= {"small_groups"}
     if any(part in device.name.lower() for part in INEXACT_EXP2):
         found |= {"inexact_exp2"}
+    if any(part in device.name.lower() for part in SHORT_LOOPS):
+        found |= {"short_loops"}
     if device.local_mem_size < 8192:
         found |= {"small_local_memory"}
     if not has_float64(device):

@@ -7,10 +7,10 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph.backends.opencl.build.constants import BuildConstants
+from clmorph.backends.opencl.build.constants import MOMENT_CHUNK, BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.variants import Variant
-from clmorph.backends.opencl.kernels import launches
+from clmorph.backends.opencl.kernels import launches, loop_limits
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.opencl.kernels.particles import SortedSplats
 
@@ -26,6 +26,8 @@ SIDES = 0.25, 64.0
 FARTHEST_CUT = 8.0
 #: The number of pairs (a, b), and of values of a (of b, rounded up), the same as in the kernels.
 TERMS, ORDERS = 40, 8
+#: The number of particles whose polynomials vectors form at once, the same as in the kernels.
+LANES = 16
 #: Bytes of moments that are handled together, so that they stay in the cache.
 STRIP_BYTES = 1 << 23
 #: The number of pixels of a row that one work-item of a CPU handles.
@@ -110,6 +112,36 @@ def moments_pay(
     return 22 * count + 5.5 * pixels_and_rows * taps + 28 * cells < 2.1 * block * count * blocks
 
 
+def particles_of_bin(longest_loop: int, scalar: bool, group: int, cells: int) -> int:
+    """Return the number of particles of a bin in one launch of ``sum_moments``.
+
+    Parameters
+    ----------
+    longest_loop : int
+        See `BuildConstants`.
+    scalar : bool
+        Whether the kernels are built with scalars.
+    group : int
+        ``MOMENT_GROUP``, work-items of a bin.
+    cells : int
+        Cells along each side of a bin.
+    """
+    if not longest_loop:
+        return loop_limits.NO_LIMIT
+    if scalar:
+        terms = -(-TERMS // group)
+        clearing = terms * (cells**2 + 2) + 1
+        batch, taken = ORDERS + 3 + terms * (group + 2), group
+    else:
+        clearing = TERMS // 4 * cells**2 + 1
+        batch, taken = 2 * LANES + ORDERS + 4, LANES
+    chunk = 2 * clearing + 2 + batch * -(-MOMENT_CHUNK // taken)
+    chunks = (longest_loop - clearing - chunk) // chunk
+    if chunks > 0:
+        return chunks * MOMENT_CHUNK
+    return max(1, (longest_loop - 3 * clearing - batch) // batch * taken)
+
+
 class Moments:
     """Adds many splats to the sums of a canvas by moments of cells.
 
@@ -121,9 +153,11 @@ class Moments:
     """
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
-        self._work = work
-        self._group = int(constants.gauss_transform_macros()["MOMENT_GROUP"])
-        self._span = 1 if constants.width == 1 else SPAN
+        self._work, self._constants = work, constants
+        macros = constants.gauss_transform_macros()
+        self._group = int(macros["MOMENT_GROUP"])
+        self._scalar = macros["WIDTH"] == 1
+        self._span = 1 if self._scalar else SPAN
         self._kernels = programs.kernels(Variant("gauss_transform.cl"))
         self._budgets = {name: LaunchBudget() for name in self._kernels}
 
@@ -205,7 +239,8 @@ class Moments:
         per_bin = round(bins.side / cells.side)
         first_particle, end = int(starts[strip.start]), int(starts[strip.stop])
         # As in the gather, crowded bins are summed in parts of a fixed size.
-        most = launches.LAUNCH_PARTICLES
+        limit = particles_of_bin(self._constants.longest_loop, self._scalar, self._group, per_bin)
+        most = min(launches.LAUNCH_PARTICLES, limit)
         part = most if counts.max() > most else end - first_particle
         work = np.minimum(counts, part) + per_bin**2
         budget = self._budgets["sum_moments"]

@@ -115,9 +115,9 @@ class LogSumExp:
             "log_sum_exp.cl", "log_sum_exp", rows, precise, pairs is not None, bounded
         )
         exponents = loop.exponents(rows, columns, potential, epsilon, pairs)
-        shares = loop.column_shares(rows, columns)
+        shares = loop.column_shares(rows, columns, pairs)
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
-        for part in loop.parts(kernel, rows, columns, pairs=pairs):
+        for part in loop.parts(kernel, rows, columns, pairs=pairs, shares=shares):
             n_rows = len(part) * tile
             found = np.empty((shares, n_rows), np.float32)
             # The buffer holds the sums and the rounding errors of their nearest float32.

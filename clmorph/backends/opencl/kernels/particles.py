@@ -9,7 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import BuildConstants
-from clmorph.backends.opencl.kernels import launches
+from clmorph.backends.opencl.kernels import launches, loop_limits
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.records import bin_grid
 from clmorph.backends.width_levels import WIDTH_LEVELS
@@ -84,6 +84,7 @@ def sort_splats(
     device = work.device
     slices = constants.slices_per_unit * device.max_compute_units
     slices = max(1, min(slices, COUNT_ENTRIES // n_bins, n))
+    slices = max(slices, -(-n // loop_limits.sorted_particles(constants)))
     # There are few slices. By default, drivers of CPUs put all of them into one work-group on one
     # core, and vectorize over them with scattered accesses.
     group = (1,) if device.type & cl.device_type.CPU else None

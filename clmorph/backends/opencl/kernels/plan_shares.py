@@ -5,6 +5,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
 from clmorph.backends.records import Float64, NearPairs
@@ -85,15 +86,22 @@ class PlanShares:
         ordered = np.zeros((rows.stride, n_draws), np.float32)
         ordered[:n] = np.minimum(thresholds[rows.order], LARGEST_THRESHOLD)
         draws = np.empty((rows.stride, n_draws), np.int32)
+        most = loop_limits.draws(loop.constants)
         for part in loop.parts(kernel, rows, columns, pairs=pairs):
             section = slice(part.start * tile, part.stop * tile)
-            draws[section] = -1
-            buffer = loop.work.buffer(draws[section], np.int32)
-            loop.launch(
-                kernel, rows, columns, exponents, part, np.uint32(n_draws),
-                offsets, loop.work.buffer(ordered[section]), buffer, precise=precise, pairs=pairs,
-            )  # fmt: skip
-            cl.enqueue_copy(loop.work.queue, draws[section], buffer)
+            for first in range(0, n_draws, most):
+                own = ordered[section, first : first + most]
+                found = np.full(own.shape, -1, np.int32)
+                so_far = np.zeros(len(own))
+                buffer = loop.work.buffer(found, np.int32)
+                loop.launch(
+                    kernel, rows, columns, exponents, part, np.uint32(own.shape[1]),
+                    offsets, loop.work.buffer(own), buffer,
+                    loop.work.buffer(so_far, np.uint32), loop.work.buffer(so_far, np.float32),
+                    precise=precise, pairs=pairs,
+                )  # fmt: skip
+                cl.enqueue_copy(loop.work.queue, found, buffer)
+                draws[section, first : first + most] = found
         # If rounding keeps a row's sum below its last thresholds, the draw before is repeated.
         for number in range(1, n_draws):
             missing = draws[:n, number] < 0

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split
 from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
@@ -126,13 +127,20 @@ class RowLoop:
         levels = np.repeat(exponents.row_level, self.constants.tile)[: len(rows)]
         return levels - exponents.k * rows.own_costs
 
-    def column_shares(self, rows: Cloud, columns: Cloud) -> int:
+    def column_shares(self, rows: Cloud, columns: Cloud, pairs: TilePairs | None = None) -> int:
         """Return the number of work-groups along the columns, more than 1 if rows are few."""
+        least = self._windows(columns, pairs)
         if self.constants.width > 1:
-            return 1
+            return least
         groups = max(1, rows.stride // self.constants.group)
         wanted = -(-8 * self.work.device.max_compute_units // groups)
-        return max(1, min(wanted, len(columns.centers), 64))
+        return max(least, min(wanted, len(columns.centers), 64))
+
+    def _windows(self, columns: Cloud, pairs: TilePairs | None) -> int:
+        """Return in how many launches the columns of a row are taken: 1 if loops may be long."""
+        most = len(columns.centers) if pairs is None else int(np.diff(pairs.starts).max())
+        at_once = loop_limits.column_tiles(self.constants, columns.centers.shape[1])
+        return max(1, -(-most // at_once))
 
     def _budget(self, kernel: cl.Kernel) -> LaunchBudget:
         """Return the budget of launches of this kernel, because kernels differ in time per pair."""
@@ -146,6 +154,7 @@ class RowLoop:
         counts: NDArray[np.int64] | None = None,
         pairs: TilePairs | None = None,
         within: range | None = None,
+        shares: int | None = None,
     ) -> Iterator[range]:
         """Split the row tiles so that no launch takes too long or writes too many pairs.
 
@@ -159,14 +168,17 @@ class RowLoop:
             The pairs of tiles that the kernel visits; all if not given.
         within : range, optional
             The row tiles to split; all if not given.
+        shares : int, optional
+            As in `launch`.
         """
         n_tiles, tile = len(rows.centers), self.constants.tile
         first, end = (0, n_tiles) if within is None else (within.start, within.stop)
+        windows = 1 if shares else self._windows(columns, pairs)
         kept = None
         if counts is not None:
             kept = counts.reshape(n_tiles, -1).sum(axis=1, dtype=np.int64).cumsum()
         while first < end:
-            budget = self._budget(kernel).pairs()
+            budget = self._budget(kernel).pairs() * windows
             if pairs is None:
                 stop = first + max(1, int(budget // (tile * columns.stride)))
             else:
@@ -188,7 +200,7 @@ class RowLoop:
         exponents: Exponents,
         part: range,
         *arguments: Any,
-        shares: int = 1,
+        shares: int | None = None,
         precise: bool = False,
         pairs: TilePairs | None = None,
     ) -> None:
@@ -203,8 +215,8 @@ class RowLoop:
             The row tiles.
         *arguments
             The kernel's own arguments, which follow those of the row loop.
-        shares : int
-            Number of work-groups along the columns.
+        shares : int, optional
+            Number of work-groups along the columns, of a kernel that has such; see `column_shares`.
         precise : bool
             Whether the kernel was built with precise exponents.
         pairs : TilePairs, optional
@@ -230,15 +242,23 @@ class RowLoop:
         planes: NDArray[Any] = levels
         if precise:
             planes = split(levels) if lists else np.swapaxes(split(levels), 0, 1)
-        with self._budget(kernel).measure(work):
-            self.work.launch(
-                kernel, (n_rows // self.constants.width, shares), (self.constants.group, 1),
-                np.uint32(part.start * self.constants.tile), np.uint32(rows.stride),
-                np.uint32(columns.stride), np.uint32(len(columns.centers)), *split(np.asarray(k)),
-                rows.shifts_buffer, rows.centers_buffer, columns.shifts_buffer,
-                columns.centers_buffer, exponents.column_logits, self.work.buffer(planes), *lists,
-                *arguments,
-            )  # fmt: skip
+        windows = 1 if shares else self._windows(columns, pairs)
+        at_once = len(columns.centers)
+        if windows > 1:
+            at_once = loop_limits.column_tiles(self.constants, columns.centers.shape[1])
+        levels_buffer = self.work.buffer(planes)
+        for window in range(windows):
+            with self._budget(kernel).measure(work // windows):
+                self.work.launch(
+                    kernel, (n_rows // self.constants.width, shares or 1),
+                    (self.constants.group, 1),
+                    np.uint32(part.start * self.constants.tile), np.uint32(rows.stride),
+                    np.uint32(columns.stride), np.uint32(len(columns.centers)),
+                    np.uint32(window * at_once), np.uint32(at_once), *split(np.asarray(k)),
+                    rows.shifts_buffer, rows.centers_buffer, columns.shifts_buffer,
+                    columns.centers_buffer, exponents.column_logits, levels_buffer, *lists,
+                    *arguments,
+                )  # fmt: skip
 
 
 def _levels(row_centers: Float64, column_centers: Float64, tile_max: Float64, k: float) -> Float64:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL, STORED_UNROLL
 from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.candidates import joined_pairs
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, unsort
 from clmorph.backends.opencl.kernels.plan_rows import Plan, PlanRowReductions
@@ -86,6 +87,7 @@ class SlicedEllpack:
             n_pairs = int(counts.sum())
             if (
                 n_pairs > max_pairs
+                or counts.max(initial=0) > loop_limits.stored_pairs(self._constants)
                 or BYTES_PER_PAIR * n_pairs > self._work.device.global_mem_size // 4
             ):
                 return None

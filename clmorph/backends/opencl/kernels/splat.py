@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.variants import Variant
-from clmorph.backends.opencl.kernels import launches
+from clmorph.backends.opencl.kernels import launches, loop_limits
 from clmorph.backends.opencl.kernels.gauss_transform import (
     BIN_CELLS,
     Moments,
@@ -220,7 +220,8 @@ class Splatting:
         first_particle, end = int(starts[0]), int(starts[-1])
         # Crowded blocks receive their particles in parts. The parts have a fixed size, so that
         # rounding does not depend on the measured speed of the device.
-        most = launches.LAUNCH_PARTICLES
+        limit = loop_limits.gathered_particles(self._constants, bins.shape[0])
+        most = min(launches.LAUNCH_PARTICLES, limit)
         part = most if visits.max() > most else end - first_particle
         work = (np.minimum(visits, most) + 1) * side
         for particle in range(first_particle, end, part):

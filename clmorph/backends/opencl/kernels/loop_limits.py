@@ -1,0 +1,65 @@
+"""The amount of work of one launch on devices that end long loops: the quirk ``short_loops``.
+
+Such a device counts the rounds of all loops of a work-item, and a loop of n rounds takes n + 1. The
+functions here count every loop of the kernels as if the compiler unrolled none, and allow for
+work-items that run in step: each waits for the others. Where a device has no limit, there is none.
+"""
+
+import sys
+
+from clmorph.backends.opencl.build.constants import STORED_UNROLL, BuildConstants
+
+#: More than any count: the device has no limit.
+NO_LIMIT = sys.maxsize
+#: The number of work-items in step, which can make their draws one after the other.
+STEPS = 16
+
+
+def column_tiles(constants: BuildConstants, dimension: int) -> int:
+    """Return the number of column tiles of a row in one launch of a kernel of ``row_loop.cl``."""
+    if not constants.longest_loop:
+        return NO_LIMIT
+    width, items, tile = constants.width, constants.group, constants.tile
+    moments = 1 + dimension + dimension * (dimension + 1) // 2
+    staging = tile // (items * width) * (dimension + 2) + dimension + 3
+    column = 3 * dimension + 6 + moments + 2 * width
+    in_tile = staging + tile * column + width + items + 2 * moments + 4
+    # The other half is for draws.
+    return max(1, constants.longest_loop // (2 * in_tile))
+
+
+def draws(constants: BuildConstants) -> int:
+    """Return the number of draws of a row in one launch of ``sample_plan_rows``."""
+    if not constants.longest_loop:
+        return NO_LIMIT
+    return max(1, constants.longest_loop // (2 * STEPS))
+
+
+def gathered_particles(constants: BuildConstants, bin_rows: int) -> int:
+    """Return the number of particles that a block of pixels may visit in a launch of ``splat``.
+
+    Parameters
+    ----------
+    constants : BuildConstants
+    bin_rows : int
+        Number of rows of bins.
+    """
+    if not constants.longest_loop:
+        return NO_LIMIT
+    width = constants.width
+    around = 10 * width + bin_rows * (8 * width + 6)
+    # Work-items in step may visit the particles of one bin in different rounds.
+    return max(1, (constants.longest_loop - around) // (2 * (width + 3)))
+
+
+def sorted_particles(constants: BuildConstants) -> int:
+    """Return the number of particles of a slice of the list that is sorted."""
+    return constants.longest_loop // 2 or NO_LIMIT
+
+
+def stored_pairs(constants: BuildConstants) -> int:
+    """Return the number of stored pairs that a row may have."""
+    if not constants.longest_loop:
+        return NO_LIMIT
+    rounds = 1 + 2 * (STORED_UNROLL + 1) + STORED_UNROLL * (constants.width + 1)
+    return constants.longest_loop // rounds * STORED_UNROLL
