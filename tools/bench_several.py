@@ -7,7 +7,8 @@ The first command cuts a CPU into two parts by OpenCL's sub-devices, and runs th
 whole device, on one part, and on both parts as one backend. PoCL 3.1 and Intel's runtime run a part
 on all cores (the tool says how many threads worked), so both parts can at best be as fast as the
 whole device, and the difference is the cost. The second command divides the work over two devices:
-with one thread each, as here, they are like two devices with processors of their own.
+with one thread each, as here, they are like two devices with processors of their own. Shares are
+those by the recorded speeds.
 
 The three take turns, because other work on the machine disturbs them alike. The table has the
 median (best) time, and the least processor time, which counts all threads and does not grow while
@@ -29,6 +30,7 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.devices.find import choose_device
 from clmorph.backends.several import SeveralDevices
+from clmorph.backends.several.shares import recorded_shares
 from clmorph.backends.several.threads import Workers
 
 BLUR, REACH = 0.05, 0.3
@@ -128,7 +130,8 @@ def main() -> None:
     else:
         other = OpenCLOperations(choose_device(options.beside).handle)
         names = "first", "second", "both"
-        backends = [whole, other, SeveralDevices([whole, other])]
+        pair = [whole, other]
+        backends = [*pair, SeveralDevices(pair, recorded_shares(pair))]
     for name, own in zip(names, backends, strict=True):
         threads = working_threads(softmin(own, max(options.points)))
         print(f"{name}: {own.description}; {threads or 'unknown number of'} threads work")

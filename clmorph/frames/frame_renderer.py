@@ -64,13 +64,20 @@ class FrameRenderer:
         """The backend that renders the frames."""
         return self._operations
 
-    def on(self, operations: Operations) -> "FrameRenderer":
-        """Return a renderer of the same morph on another device, with the same correction."""
+    def on(self, operations: Operations, like: "FrameRenderer | None" = None) -> "FrameRenderer":
+        """Return a renderer of the same morph on another device.
+
+        Parameters
+        ----------
+        operations : Operations
+        like : FrameRenderer, optional
+            The renderer that computes the correction of the ends; by default the new one itself.
+        """
         other = FrameRenderer(
             *self._measures, self._plan, self._particles, self._kernel_width, operations,
             self._endpoints, self._unmatched,
         )  # fmt: skip
-        other._like = self
+        other._like = like
         return other
 
     def prepare(self) -> None:

@@ -35,7 +35,7 @@ class SpreadRenderer:
             lone = int(np.argmax(shares))
             self._first = renderer.on(members[lone][0])
             self._renderers = [
-                self._first if number == lone else self._first.on(member)
+                self._first if number == lone else renderer.on(member, self._first)
                 for number, (member, _) in enumerate(members)
             ]
         self._times = times

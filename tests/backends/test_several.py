@@ -214,6 +214,45 @@ def test_limits_are_the_narrowest():
         assert [name for name in names if not hasattr(operations, name)] == []
 
 
+def test_bounds_are_the_largest(rng):
+    class Bounded(NumPyOperations):
+        def __init__(self, number):
+            self.number = number
+
+        def bounded_softmin(self, *arguments):
+            return super().bounded_softmin(*arguments)[0], float(self.number)
+
+        def near_pairs(self, *arguments):
+            near = super().near_pairs(*arguments)
+            return near._replace(n_pairs=self.number, n_columns=self.number, largest=self.number)
+
+    points, weights, g = rng.random((400, 2)), np.full(400, 1 / 400), np.zeros(400)
+    for numbers in ((3, 5), (5, 3)):
+        several = SeveralDevices([Bounded(number) for number in numbers])
+        cloud = several.upload(points, weights)
+        softmin, error = several.bounded_softmin(cloud, cloud, g, 0.1)
+        assert error == 5.0
+        near = several.near_pairs(cloud, cloud, g, softmin, 0.1, 1e-3)
+        assert (near.n_pairs, near.n_columns, near.largest) == (8, 5, 5)
+
+
+def test_nothing_is_stored_if_all_devices_together_keep_too_many(rng):
+    """Each of them alone would be within the limit, and fill its memory for nothing."""
+    stored = []
+
+    class Storing(NumPyOperations):
+        def store_pairs(self, *arguments):
+            stored.append(super().store_pairs(*arguments))
+            return stored[-1]
+
+    several = SeveralDevices([Storing(), Storing()])
+    cloud = several.upload(rng.random((128, 2)), np.full(128, 1 / 128))
+    zeros, everything = np.zeros(128), np.full(128, -np.inf)
+    for limit, want in ((128**2 - 1, 0), (128**2, 2)):
+        found = several.store_pairs(cloud, cloud, zeros, zeros, 0.1, everything, everything, limit)
+        assert (found is not None, len(stored)) == (want > 0, want)
+
+
 @pytest.mark.parametrize(
     "shares", [[1.0], [1.0, 0.0], [1.0, -1.0], [1.0, np.inf], [np.nan, 1.0], ["a", 1.0]]
 )

@@ -121,18 +121,25 @@ def test_frames_with_opacity_are_spread_too(device):
 
 def test_each_device_renders_its_share(device, monkeypatch):
     several = SeveralDevices(KINDS["halves"](device).members, [0.75, 0.25])
-    rendered = []
-    render = FrameRenderer.frame
+    rendered, corrected = [], []
+    render, lacking = FrameRenderer.frame, FrameRenderer._lacking
+
+    def counted(self, end):
+        corrected.append(several.members.index(self.operations))
+        return lacking(self, end)
 
     def frame(self, t):
         rendered.append((several.members.index(self.operations), t))
         return render(self, t)
 
     monkeypatch.setattr(FrameRenderer, "frame", frame)
+    monkeypatch.setattr(FrameRenderer, "_lacking", counted)
     made = clmorph.morph(*pictures(), n_frames=9, backend=several)
     list(made.iter_frames())
     turns = {t: member for member, t in rendered}
     assert [turns[t] for t in made.times] == [0, 0, 1, 0, 0, 0, 1, 0, 0]
+    # The correction of both ends is computed by one device.
+    assert corrected == [0, 0]
     rendered.clear()
     made.frame(0.123)
     assert rendered == [(0, 0.123)]

@@ -1,29 +1,19 @@
 """The operations of `clmorph.backends.interface.Operations` on several devices at once."""
 
 import hashlib
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.validation import shown
 from clmorph.backends.interface import Operations
-from clmorph.backends.records import Float64, NearPairs, PlanRows, StoredPairs
+from clmorph.backends.records import Float64, NearPairs
 from clmorph.backends.several.clouds import Cloud, Part, divide_rows
-from clmorph.backends.several.plan_rows import joined_rows
-from clmorph.backends.several.threads import Workers
+from clmorph.backends.several.plan_rows import PlanRowsOfParts
+from clmorph.backends.several.team import Team, in_order, own_pairs
 from clmorph.errors import InputError
-
-T = TypeVar("T")
-
-
-class _Stored(NamedTuple):
-    """The pairs of a plan, each on the device of its row."""
-
-    rows: Cloud
-    pairs: list[StoredPairs]  #: of each part of the rows
 
 
 class SeveralDevices:
@@ -73,7 +63,8 @@ class SeveralDevices:
     def __init__(
         self, members: Sequence[Operations], shares: Sequence[float] | None = None
     ) -> None:
-        self.members = list(members)
+        team = self._team = Team(members)
+        self.members = team.members
         given = [1.0] * len(self.members) if shares is None else list(shares)
         if not self.members or len(given) != len(self.members) or not _are_shares(given):
             raise InputError(
@@ -81,7 +72,6 @@ class SeveralDevices:
                 f"{len(self.members)} devices"
             )
         self.shares = [share / sum(given) for share in given]
-        self._workers = Workers(len(self.members) - 1)
 
         self.description = " + ".join(
             f"{100 * share:.3g} % {member.description}"
@@ -98,6 +88,11 @@ class SeveralDevices:
         keys = "|".join(member.record_key for member in members)
         self.record_key = hashlib.sha256(keys.encode()).hexdigest()[:32]
 
+        plans = PlanRowsOfParts(team)
+        self.count_plan_rows = plans.count_plan_rows
+        self.plan_rows = plans.plan_rows
+        self.store_pairs = plans.store_pairs
+        self.sum_stored = plans.sum_stored
         lone = self.members[int(np.argmax(self.shares))]
         self.bin_size = lone.bin_size
         self.upload_particles = lone.upload_particles
@@ -117,32 +112,20 @@ class SeveralDevices:
         points, weights = np.asarray(points, float), np.asarray(weights, float)
         divided = dict(divide_rows(points, self.shares))
 
-        def upload(number: int) -> tuple[Any, Any]:
-            whole = self.members[number].upload(points, weights, offsets)
+        def upload(member: Operations, number: int) -> tuple[Any, Any]:
+            whole = member.upload(points, weights, offsets)
             rows = divided.get(number)
             if rows is None or len(divided) == 1:
                 return whole, whole
             of_rows = None if offsets is None else offsets[rows]
-            return whole, self.members[number].upload(points[rows], weights[rows], of_rows)
+            return whole, member.upload(points[rows], weights[rows], of_rows)
 
-        made = self._workers.run_at_once(
-            [partial(upload, number) for number in range(len(self.members))]
-        )
+        made = self._team.on_each(upload)
         parts = [Part(number, rows, made[number][1]) for number, rows in divided.items()]
         if len(parts) == 1:
             # The whole cloud is in the caller's order.
             parts = [parts[0]._replace(rows=np.arange(len(points)))]
         return Cloud(len(points), [whole for whole, _ in made], parts)
-
-    def _over_parts(
-        self, rows: Cloud, work: Callable[[Operations, Part, int], T]
-    ) -> list[tuple[Part, T]]:
-        """Run an operation on the device of each part, given the part and its place."""
-        tasks = [
-            partial(work, self.members[part.member], part, place)
-            for place, part in enumerate(rows.parts)
-        ]
-        return list(zip(rows.parts, self._workers.run_at_once(tasks), strict=True))
 
     def softmin(
         self,
@@ -157,10 +140,10 @@ class SeveralDevices:
 
         def of_part(member: Operations, part: Part, place: int) -> Float64:
             whole = columns.whole[part.member]
-            own = _own(near, place)
+            own = own_pairs(near, place)
             return member.softmin(part.cloud, whole, potential, epsilon, precise, own)
 
-        return _in_order(rows, self._over_parts(rows, of_part))
+        return in_order(rows, self._team.over_parts(rows, of_part))
 
     def bounded_softmin(
         self,
@@ -174,10 +157,12 @@ class SeveralDevices:
 
         def of_part(member: Operations, part: Part, place: int) -> tuple[Float64, float]:
             whole = columns.whole[part.member]
-            return member.bounded_softmin(part.cloud, whole, potential, epsilon, _own(near, place))
+            return member.bounded_softmin(
+                part.cloud, whole, potential, epsilon, own_pairs(near, place)
+            )
 
-        found = self._over_parts(rows, of_part)
-        softmin = _in_order(rows, [(part, values) for part, (values, _) in found])
+        found = self._team.over_parts(rows, of_part)
+        softmin = in_order(rows, [(part, values) for part, (values, _) in found])
         return softmin, max(error for _, (_, error) in found)
 
     def near_pairs(
@@ -196,12 +181,12 @@ class SeveralDevices:
             guess = softmin[part.rows]
             return member.near_pairs(part.cloud, whole, potential, guess, epsilon, budget)
 
-        found = self._over_parts(rows, of_part)
+        found = self._team.over_parts(rows, of_part)
         near = [own for _, own in found]
         return NearPairs(
             near,
-            _in_order(rows, [(part, own.softmin) for part, own in found]),
-            _in_order(rows, [(part, own.skipped) for part, own in found]),
+            in_order(rows, [(part, own.softmin) for part, own in found]),
+            in_order(rows, [(part, own.skipped) for part, own in found]),
             sum(own.n_pairs for own in near),
             max(own.n_columns for own in near),
             max(own.largest for own in near),
@@ -219,108 +204,9 @@ class SeveralDevices:
 
         def of_part(member: Operations, part: Part, place: int) -> Float64:
             whole = columns.whole[part.member]
-            return member.row_maxima(part.cloud, whole, potential, epsilon, _own(near, place))
+            return member.row_maxima(part.cloud, whole, potential, epsilon, own_pairs(near, place))
 
-        return _in_order(rows, self._over_parts(rows, of_part))
-
-    def count_plan_rows(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
-        precise: bool = False,
-    ) -> NDArray[np.int64]:
-        """Return how many pairs of each row `plan_rows` keeps."""
-
-        def of_part(member: Operations, part: Part, place: int) -> NDArray[np.int64]:
-            return member.count_plan_rows(
-                part.cloud, columns.whole[part.member], f[part.rows], g, epsilon,
-                row_thresholds[part.rows], column_thresholds, precise,
-            )  # fmt: skip
-
-        return _in_order(rows, self._over_parts(rows, of_part))
-
-    def plan_rows(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
-        precise: bool = False,
-        counts: NDArray[np.int64] | None = None,
-    ) -> PlanRows:
-        """Return the pairs of the plan (Eq. 2) above a threshold, in the caller's order."""
-
-        def of_part(member: Operations, part: Part, place: int) -> PlanRows:
-            return member.plan_rows(
-                part.cloud, columns.whole[part.member], f[part.rows], g, epsilon,
-                row_thresholds[part.rows], column_thresholds, precise,
-                None if counts is None else counts[part.rows],
-            )  # fmt: skip
-
-        found = self._over_parts(rows, of_part)
-        if len(found) == 1:
-            return found[0][1]
-        return joined_rows(rows.size, [(part.rows, own) for part, own in found])
-
-    def store_pairs(
-        self,
-        rows: Cloud,
-        columns: Cloud,
-        f: Float64,
-        g: Float64,
-        epsilon: float,
-        row_thresholds: Float64,
-        column_thresholds: Float64,
-        max_pairs: int,
-        near: tuple[NearPairs | None, NearPairs | None] = (None, None),
-    ) -> StoredPairs | None:
-        """Store log pi_ij of the pairs above a threshold, each pair on the device of its row.
-
-        `near` is ignored, and no pair above a threshold is left out: a device has the list of its
-        rows, but not the columns' list for them.
-        """
-        counts = self.count_plan_rows(
-            rows, columns, f, g, epsilon, row_thresholds, column_thresholds
-        )
-        if counts.sum() > max_pairs:
-            return None
-
-        def of_part(member: Operations, part: Part, place: int) -> StoredPairs | None:
-            return member.store_pairs(
-                part.cloud, columns.whole[part.member], f[part.rows], g, epsilon,
-                row_thresholds[part.rows], column_thresholds, max_pairs,
-            )  # fmt: skip
-
-        found = [own for _, own in self._over_parts(rows, of_part)]
-        stored = [own for own in found if own is not None]
-        n_pairs = sum(own.n_pairs for own in stored)
-        if len(stored) < len(found) or n_pairs > max_pairs:
-            return None
-        return StoredPairs(_Stored(rows, stored), n_pairs)
-
-    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
-        """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row, or column.
-
-        A column's pairs are on several devices, whose sums are added on the host.
-        """
-        rows, pairs = stored.pairs
-
-        def of_part(member: Operations, part: Part, place: int) -> Float64:
-            own = changes[part.rows] if by_column else changes
-            return member.sum_stored(pairs[place], own, by_column)
-
-        found = self._over_parts(rows, of_part)
-        if by_column:
-            return np.logaddexp.reduce([logarithms for _, logarithms in found], axis=0)
-        return _in_order(rows, found)
+        return in_order(rows, self._team.over_parts(rows, of_part))
 
     def plan_moments(
         self,
@@ -337,12 +223,12 @@ class SeveralDevices:
         def of_part(member: Operations, part: Part, place: int) -> tuple[Float64, Float64]:
             whole = columns.whole[part.member]
             sums = softmin[part.rows]
-            own = _own(near, place)
+            own = own_pairs(near, place)
             return member.plan_moments(part.cloud, whole, g, sums, epsilon, precise, own)
 
-        found = self._over_parts(rows, of_part)
-        mean = _in_order(rows, [(part, own) for part, (own, _) in found])
-        return mean, _in_order(rows, [(part, own) for part, (_, own) in found])
+        found = self._team.over_parts(rows, of_part)
+        mean = in_order(rows, [(part, own) for part, (own, _) in found])
+        return mean, in_order(rows, [(part, own) for part, (_, own) in found])
 
     def sample_plan_rows(
         self,
@@ -360,10 +246,10 @@ class SeveralDevices:
         def of_part(member: Operations, part: Part, place: int) -> NDArray[np.int32]:
             return member.sample_plan_rows(
                 part.cloud, columns.whole[part.member], g, softmin[part.rows], epsilon,
-                thresholds[part.rows], precise, _own(near, place),
+                thresholds[part.rows], precise, own_pairs(near, place),
             )  # fmt: skip
 
-        return _in_order(rows, self._over_parts(rows, of_part))
+        return in_order(rows, self._team.over_parts(rows, of_part))
 
 
 def _are_shares(values: Sequence[Any]) -> bool:
@@ -380,17 +266,3 @@ def _least_memory(members: Sequence[Operations]) -> int | None:
         if member.memory_bytes is not None
     ]
     return min(limits, default=None)
-
-
-def _own(near: NearPairs | None, place: int) -> NearPairs | None:
-    """Return the near pairs of one part."""
-    return None if near is None else near.pairs[place]
-
-
-def _in_order(rows: Cloud, found: Sequence[tuple[Part, NDArray[Any]]]) -> NDArray[Any]:
-    """Return the values of all parts' rows in the caller's order."""
-    first = found[0][1]
-    result = np.empty((rows.size, *first.shape[1:]), first.dtype)
-    for part, values in found:
-        result[part.rows] = values
-    return result
