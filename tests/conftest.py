@@ -151,7 +151,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     everything = {
         item
         for item in suitable
-        if full and not _is_repeated(_device_of(item)) and not _is_slow(_device_of(item))
+        if full
+        and not _is_repeated(_device_of(item))
+        and (not _is_slow(_device_of(item)) or item.get_closest_marker("small") is not None)
     }
     functions: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in suitable:
