@@ -80,6 +80,24 @@ class CloudCase:
         """Potential of the rows: the one at which each row of the plan sums to its mass."""
         return self.softmin
 
+    @cached_property
+    def log_plan(self) -> Float64:
+        """Logarithms of pi_ij by NumPy, (N, M); -inf where there is no mass."""
+        n, m = len(self.rows[1]), len(self.columns[1])
+        plan = self.exact.plan_rows(
+            *self.theirs, self.f, self.g, self.epsilon, np.full(n, -np.inf), np.full(m, np.inf)
+        )
+        log_plan = np.full((n, m), -np.inf)
+        row = np.repeat(np.arange(n), np.diff(plan.indptr))
+        with np.errstate(divide="ignore"):
+            log_plan[row, plan.indices] = np.log(plan.mass)
+        return log_plan
+
+    @cached_property
+    def moments(self) -> tuple[Float64, Float64]:
+        """Mean and covariance of each row's destinations, by NumPy."""
+        return self.exact.plan_moments(*self.theirs, self.g, self.softmin, self.epsilon)
+
     def tolerance(self, precise: bool = False) -> float:
         """Return the tolerated error of a log-sum-exp, in nats."""
         return log_sum_exp_tolerance(
