@@ -177,7 +177,9 @@ def requests(monkeypatch, empty):
 
 
 def made(device, chosen=True):
-    return Programs(device.context, device.constants, lambda variant: "checked here", chosen)
+    return Programs(
+        device.context, device.device, device.constants, lambda variant: "checked here", chosen
+    )
 
 
 def forget_in_process():
@@ -332,7 +334,8 @@ def test_a_part_of_a_device_is_verified_on_the_whole(one, requests):
     except cl.Error:
         pytest.skip("the device has no parts")
     assert devices.index_of(parts[0]) == TESTED[0].index
-    part = Programs(cl.Context([parts[0]]), one.constants, lambda variant: "checked here")
+    context = cl.Context([parts[0]])
+    part = Programs(context, parts[0], one.constants, lambda variant: "checked here")
     made(one).verify(OTHER)
     part.verify(OTHER)
     assert requests == [[OTHER]]

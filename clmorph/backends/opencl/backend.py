@@ -77,7 +77,9 @@ class OpenCLOperations:
                 ) from error
             self.work = Workspace(self.context, self.queue)
         check_here = functools.partial(_check_here, device, self.constants) if verify else None
-        self.programs = Programs(self.context, self.constants, check_here, constants is None)
+        self.programs = Programs(
+            self.context, device, self.constants, check_here, chosen=constants is None
+        )
         self._bind()
 
     def _bind(self) -> None:

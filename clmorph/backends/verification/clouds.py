@@ -14,7 +14,7 @@ from clmorph.backends.rounding import rounding_error
 Cloud = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 #: The share of a row's sum that lists of near pairs may leave out.
-BUDGET = 1e-4
+BUDGET = 1e-5
 
 
 def log_sum_exp_tolerance(

@@ -27,6 +27,8 @@ class Programs:
     Parameters
     ----------
     context : pyopencl.Context
+    device : pyopencl.Device
+        The device, or a part of one, that the context is of.
     constants : BuildConstants
     check_here : callable, optional
         Checks a variant in this process, where no other can be started. If not given, programs
@@ -39,16 +41,13 @@ class Programs:
     def __init__(
         self,
         context: cl.Context,
+        device: cl.Device,
         constants: BuildConstants,
         check_here: CheckHere | None = None,
         chosen: bool = True,
     ) -> None:
-        self._context, self._constants = context, constants
+        self._context, self._device, self._constants = context, device, constants
         self._check_here, self._chosen = check_here, chosen
-
-    @property
-    def _device(self) -> cl.Device:
-        return self._context.devices[0]
 
     def kernels(self, variant: Variant) -> dict[str, cl.Kernel]:
         """Return the kernels of a file by name; the file is built, and verified if it is new.
