@@ -33,7 +33,7 @@ def get_backend(backend: Backend = "auto") -> Operations:
     ----------
     backend : str, Operations, pyopencl.Device, Context or CommandQueue, or list of them
         "auto": the device that ``CLMORPH_DEVICE`` names, else the one that ``PYOPENCL_CTX`` names,
-        else the best usable OpenCL device (GPUs first, then by speed). "opencl": the same without
+        else the first usable OpenCL device (GPUs first). "opencl": the same without
         ``CLMORPH_DEVICE``. "numpy": no device, float64. An index such as "0:1" or part of a
         device's or platform's name ("pocl", "intel", "nvidia"). An object with the
         operations is returned as it is. A device, a context of one device, or a queue of a host

@@ -19,7 +19,7 @@ from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
-from clmorph.backends.opencl.devices import runtimes, verdicts
+from clmorph.backends.opencl.devices import runtimes, trial, verdicts
 from clmorph.backends.opencl.devices.find import choose_device, find_devices, run_probe
 from clmorph.reference import NumPyOperations
 
@@ -227,7 +227,7 @@ def test_the_probe_finds_a_working_device():
 def test_a_broken_driver_breaks_only_the_probe(monkeypatch, tmp_path, body, words):
     script = tmp_path / "probe.py"
     script.write_text(body)
-    monkeypatch.setattr(verdicts, "_command", lambda *_: [sys.executable, str(script)])
+    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
     verdict = run_probe("0:0", seconds=2)
     assert not verdict["usable"]
     assert words in verdict["reason"]

@@ -21,7 +21,7 @@ from clmorph.backends.opencl import probe
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
-from clmorph.backends.opencl.devices import process, runtimes, verdicts
+from clmorph.backends.opencl.devices import process, runtimes, trial, verdicts
 from clmorph.backends.opencl.devices.find import choose_device, find_devices
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.errors import PlanSizeError
@@ -93,16 +93,16 @@ def test_threads_share_one_backend(monkeypatch):
         ("import os; os.abort()", True),
         ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", False),
         ("import nothing_of_that_name", False),
-        (f"print({verdicts.LOADED!r}, flush=True); raise SystemExit(3)", True),
+        (f"print({trial.LOADED!r}, flush=True); raise SystemExit(3)", True),
     ],
 )
 def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, lasting):
     script = tmp_path / "probe.py"
     script.write_text(body)
-    monkeypatch.setattr(verdicts, "_command", lambda *_: [sys.executable, str(script)])
+    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
     # Only what sleeps runs out of time; the others may start late on a busy machine.
-    verdict = verdicts.run_probe("0:0", seconds=1 if "sleep" in body else 60)
+    verdict = trial.run_probe("0:0", seconds=1 if "sleep" in body else 60)
     assert not verdict["usable"]
     verdicts.save_verdict("key", verdict)
     assert (verdicts.load_verdict("key") is not None) == lasting
@@ -116,7 +116,7 @@ def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path, fresh_sea
         closed.append(reading)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(verdicts, "_run", interrupted)
+    monkeypatch.setattr(trial, "_run", interrupted)
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path)
     find = find_devices
     for _ in range(2):  # the lock is free again
@@ -131,9 +131,9 @@ def test_a_trial_without_time_says_what_to_do(monkeypatch):
     def late(command, seconds, reading):
         raise subprocess.TimeoutExpired(command, seconds)
 
-    monkeypatch.setattr(verdicts, "_run", late)
+    monkeypatch.setattr(trial, "_run", late)
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "7.5")
-    reason = verdicts.run_probe("0:0")["reason"]
+    reason = trial.run_probe("0:0")["reason"]
     for words in ("within 7.5 s", "tried again", "CLMORPH_PROBE_SECONDS"):
         assert words in reason
 
@@ -159,14 +159,14 @@ def test_no_other_program_is_started_in_place_of_python(monkeypatch, executable)
     monkeypatch.setattr("multiprocessing.spawn.get_executable", lambda: os.fsencode(executable))
     monkeypatch.setattr(sys, "executable", executable)
     monkeypatch.setattr(subprocess, "Popen", None)
-    verdict = verdicts.run_probe("0:0")
+    verdict = trial.run_probe("0:0")
     assert "no Python interpreter" in verdict["reason"]
     assert not verdict["lasting"]
 
 
 def test_an_interpreter_that_is_gone_is_a_reason(monkeypatch, tmp_path):
     monkeypatch.setattr("multiprocessing.spawn.get_executable", lambda: str(tmp_path / "python3"))
-    assert "No such file" in verdicts.run_probe("0:0")["reason"]
+    assert "No such file" in trial.run_probe("0:0")["reason"]
 
 
 @pytest.mark.needs_device
@@ -181,7 +181,7 @@ def test_the_probe_stands_any_environment(monkeypatch, tmp_path):
     }.items():  # fmt: skip
         monkeypatch.setenv(name, value)
     monkeypatch.setattr(sys, "path", ["", ".", *sys.path])
-    verdict = verdicts.run_probe(TESTED[0].index)
+    verdict = trial.run_probe(TESTED[0].index)
     assert verdict["usable"], verdict
 
 
@@ -264,7 +264,7 @@ def test_writers_at_once_keep_each_others_verdicts(monkeypatch, tmp_path):
         for name in names:
             verdicts.save_verdict(name, WORKS)
 
-    code = "from clmorph.backends.opencl.devices import verdicts as v\n"
+    code = "from clmorph.backends.opencl.devices import trial, verdicts as v\n"
     code += f"for n in range(64, 128): v.save_verdict(str(n), {WORKS})"
     environment = dict(os.environ, XDG_CACHE_HOME=str(tmp_path.parent))
     monkeypatch.setattr(storage, "cache_folder", lambda: tmp_path.parent / "clmorph")

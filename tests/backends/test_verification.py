@@ -23,7 +23,7 @@ from clmorph.backends.opencl.build.programs import Programs, program_key, read_r
 from clmorph.backends.opencl.build.variants import KERNELS, Variant, usual_variants
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
-from clmorph.backends.opencl.devices import verdicts
+from clmorph.backends.opencl.devices import trial, verdicts
 
 PLAIN = Variant("log_sum_exp.cl", 5)
 OTHER = Variant("log_sum_exp.cl", 3, precise=True)
@@ -172,7 +172,7 @@ def requests(monkeypatch, empty):
             verdicts.save_program_verdict(program_key(handle, variant, constants), "")
         return {"usable": True, "reason": "", "pairs_per_second": 0.0, "lasting": True}
 
-    monkeypatch.setattr(verdicts, "run_probe", probe)
+    monkeypatch.setattr(trial, "run_probe", probe)
     return asked
 
 
@@ -277,16 +277,16 @@ def test_a_wrong_program_makes_the_device_unusable(one, empty, monkeypatch):
 )  # fmt: skip
 def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, words, lasting):
     key = program_key(one.device, OTHER, one.constants)
-    lines = verdicts.LOADED, f"{verdicts.BEGUN} {key} {OTHER}"
+    lines = trial.LOADED, f"{trial.BEGUN} {key} {OTHER}"
     script = empty / "check.py"
     script.write_text(f"import os, time; print(*{lines!r}, sep='\\n', flush=True); {body}")
-    monkeypatch.setattr(verdicts, "_command", lambda *_: [sys.executable, str(script)])
+    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
     monkeypatch.setenv("CLMORPH_PROBE_SECONDS", "1" if "sleep" in body else "60")
     for _ in range(2):
         with pytest.raises(DeviceError, match=words) as caught:
             made(one).verify(OTHER)
         assert "\n" not in str(caught.value)
-        monkeypatch.setattr(verdicts, "_run", None)  # this process asks no second time
+        monkeypatch.setattr(trial, "_run", None)  # this process asks no second time
     assert (empty / "verified").exists() == lasting
     forget_in_process()
     assert bool(verdicts.load_program_verdict(key)) == lasting
@@ -296,19 +296,19 @@ def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, wor
 def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):
     keys = [program_key(one.device, variant, one.constants) for variant in (PLAIN, OTHER)]
     lines = [
-        verdicts.LOADED, f"{verdicts.BEGUN} {keys[0]} {PLAIN}", verdicts.ENDED + " ",
-        f"{verdicts.BEGUN} {keys[1]} {OTHER}",
+        trial.LOADED, f"{trial.BEGUN} {keys[0]} {PLAIN}", trial.ENDED + " ",
+        f"{trial.BEGUN} {keys[1]} {OTHER}",
     ]  # fmt: skip
     script = empty / "check.py"
     script.write_text(f"import os; print(*{lines!r}, sep='\\n', flush=True); os.abort()")
-    monkeypatch.setattr(verdicts, "_command", lambda *_: [sys.executable, str(script)])
+    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
     made(one).verify(PLAIN)
     with pytest.raises(DeviceError, match=r"crashed .* log_sum_exp.cl \(dimension 3, precise\)"):
         made(one).verify(OTHER)
 
 
 def test_without_an_interpreter_programs_are_checked_here(one, requests, monkeypatch):
-    monkeypatch.setattr(verdicts, "_interpreter", lambda: None)
+    monkeypatch.setattr(trial, "_interpreter", lambda: None)
     with pytest.raises(DeviceError, match="checked here"):
         made(one, chosen=False).verify(OTHER)
     assert requests == []
@@ -322,7 +322,7 @@ def test_a_device_that_is_not_listed_is_checked_here(one, requests, monkeypatch)
 
 
 def test_no_process_that_verifies_starts_another(one, monkeypatch):
-    monkeypatch.setattr(verdicts, "run_probe", None)
+    monkeypatch.setattr(trial, "run_probe", None)
     forget_in_process()
     operations = OpenCLOperations(one.device, verify=False)
     assert verification.first_failure(operations, OTHER) == ""
@@ -334,7 +334,8 @@ def test_a_part_of_a_device_is_verified_on_the_whole(one, requests):
     except cl.Error:
         pytest.skip("the device has no parts")
     assert devices.index_of(parts[0]) == TESTED[0].index
-    part = Programs(cl.Context([parts[0]]), parts[0], one.constants, lambda variant: "checked here")
+    context = cl.Context([parts[0]])
+    part = Programs(context, parts[0], one.constants, lambda variant: "checked here")
     made(one).verify(OTHER)
     part.verify(OTHER)
     assert requests == [[OTHER]]

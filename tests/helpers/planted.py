@@ -27,7 +27,7 @@ FAULTS = [
     Fault("near_field.cl", "measure_tiles", "s += s_tile;", "s += 0.99f * s_tile;", "near_pairs"),
     Fault("plan_rows.cl", "count_plan_rows", "(vreal)(0.0f);", "(vreal)(1.0f);", "plan_rows"),
     Fault("plan_rows.cl", "fill_plan_rows", "TILE + j;", "TILE + (j ^ 1u);", "plan_rows"),
-    Fault("plan_shares.cl", "plan_moments", "[0] += w;", "[0] += 0.999f * w;", "plan_moments"),
+    Fault("plan_shares.cl", "plan_moments", "[0] += w;", "[0] += 0.99f * w;", "plan_moments"),
     Fault("plan_shares.cl", "sample_plan_rows", "before += of_tile;", "before += 0.9f * of_tile;",
           "sample_plan_rows"),
     Fault("sliced_ellpack.cl", "sum_stored", "= changes[", "= 0.99f * changes[", "sum_stored"),

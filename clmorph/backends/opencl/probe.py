@@ -20,7 +20,7 @@ from clmorph.backends.opencl.build.programs import program_key, read_request
 from clmorph.backends.opencl.build.variants import Variant, usual_variants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.devices.throughput import throughput
-from clmorph.backends.opencl.devices.verdicts import BEGUN, ENDED, LOADED
+from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, LOADED
 from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import ClmorphError
 
@@ -36,7 +36,7 @@ PASSING = (
 
 
 def probe(index: str, request: str | None = None) -> dict[str, Any]:
-    """Return the verdict on the device with this index: see `opencl.devices.verdicts.run_probe`."""
+    """Return the verdict on the device with this index: see `opencl.devices.trial.run_probe`."""
     found = dict(raw_devices())
     if index not in found:
         return _failure("its probe did not find it", lasting=False)

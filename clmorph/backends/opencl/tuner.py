@@ -49,6 +49,7 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants
     largest = int(device.max_work_group_size)
     best = start = choose_constants(device)
     before = after = _speed(device, best)
+    slower: list[tuple[BuildConstants, float]] = []
     tell(f"{before / 1e9:6.2f}·10⁹ pairs/s without tuning")
     for name in CANDIDATES:
         for other in list(variants(best, name, largest)):
@@ -60,8 +61,11 @@ def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants
                 key: value for key, value in asdict(other).items() if value != asdict(best)[key]
             }
             tell(f"{speed / 1e9:6.2f}·10⁹ pairs/s with {changed}")
-            if speed > after * (1 + LEAST_GAIN) and _is_right(device, other, tell):
+            if speed > after * (1 + LEAST_GAIN):
+                slower.append((best, after))
                 best, after = other, speed
+    while best != start and not _is_right(device, best, tell):
+        best, after = slower.pop()
     save_tuning(device, best, start, after)
     return best, before, after
 

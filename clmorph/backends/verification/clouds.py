@@ -14,7 +14,7 @@ from clmorph.backends.rounding import rounding_error
 Cloud = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 #: The share of a row's sum that lists of near pairs may leave out.
-BUDGET = 1e-4
+BUDGET = 1e-5
 
 
 def log_sum_exp_tolerance(
@@ -79,6 +79,24 @@ class CloudCase:
     def f(self) -> Float64:
         """Potential of the rows: the one at which each row of the plan sums to its mass."""
         return self.softmin
+
+    @cached_property
+    def log_plan(self) -> Float64:
+        """Logarithms of pi_ij by NumPy, (N, M); -inf where there is no mass."""
+        n, m = len(self.rows[1]), len(self.columns[1])
+        plan = self.exact.plan_rows(
+            *self.theirs, self.f, self.g, self.epsilon, np.full(n, -np.inf), np.full(m, np.inf)
+        )
+        log_plan = np.full((n, m), -np.inf)
+        row = np.repeat(np.arange(n), np.diff(plan.indptr))
+        with np.errstate(divide="ignore"):
+            log_plan[row, plan.indices] = np.log(plan.mass)
+        return log_plan
+
+    @cached_property
+    def moments(self) -> tuple[Float64, Float64]:
+        """Mean and covariance of each row's destinations, by NumPy."""
+        return self.exact.plan_moments(*self.theirs, self.g, self.softmin, self.epsilon)
 
     def tolerance(self, precise: bool = False) -> float:
         """Return the tolerated error of a log-sum-exp, in nats."""

@@ -9,7 +9,7 @@ import pyopencl as cl
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import BuildConstants
 from clmorph.backends.opencl.build.variants import KERNELS, Variant, usual_variants
-from clmorph.backends.opencl.devices import verdicts
+from clmorph.backends.opencl.devices import trial, verdicts
 from clmorph.backends.opencl.devices.find import index_of, mark_unusable
 from clmorph.errors import DeviceError
 
@@ -87,7 +87,7 @@ class Programs:
     def _verify(self, variant: Variant) -> str:
         """Verify a program whose verdict is unknown, and return what is wrong with it."""
         key, index = self._key(variant), index_of(self._device)
-        if index is None or not verdicts.can_start_process():
+        if index is None or not trial.can_start_process():
             assert self._check_here is not None
             reason = self._check_here(variant)
             verdicts.save_program_verdict(key, reason)
@@ -99,7 +99,7 @@ class Programs:
                 other for other in usual
                 if other != variant and verdicts.load_program_verdict(self._key(other)) is None
             ]  # fmt: skip
-        result = verdicts.run_probe(index, request=make_request(self._constants, together))
+        result = trial.run_probe(index, request=make_request(self._constants, together))
         found = verdicts.load_program_verdict(key)
         if found is not None:
             return found

@@ -1,21 +1,20 @@
 """Find OpenCL devices, determine which of them work, and choose one."""
 
 import os
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from clmorph.backends.opencl.devices.device import Device as Device
+from clmorph.backends.opencl.devices.device import describe, is_meant, names_of, preference
 from clmorph.backends.opencl.devices.install_hints import advice
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.backends.opencl.devices.runtimes import intel_runtime, list_platforms
+from clmorph.backends.opencl.devices.trial import probe_seconds, run_probe
 from clmorph.backends.opencl.devices.verdicts import (
-    WRONG,
     driver_identity,
     forget_all,
     forget_verdict,
     load_verdict,
-    probe_seconds,
     refuse,
-    run_probe,
     save_verdict,
     verdict_key,
 )
@@ -23,77 +22,6 @@ from clmorph.errors import DeviceError
 
 if TYPE_CHECKING:
     import pyopencl as cl
-
-#: Parts of the names of platforms whose CPU devices come before and after all others, by the
-#: measured speed of morphs: first to last.
-_FAST_CPU_PLATFORMS = "intel", "portable computing language"
-_SLOW_CPU_PLATFORMS = ("rusticl",)
-
-
-@dataclass(frozen=True)
-class Device:
-    """An OpenCL device, its properties, and whether it works.
-
-    Attributes
-    ----------
-    index : str
-        Index "platform:device", as counted in this process.
-    name, platform, version, driver : str
-    kind : {"GPU", "CPU", "accelerator"}
-    compute_units : int
-    memory : int
-        Bytes of global memory.
-    usable : bool
-        Whether the project's kernels were built on it and computed what NumPy does.
-    reason : str
-        The reason why the device is not usable; empty if it is.
-    pairs_per_second : float
-        Point pairs per second in the log-sum-exp, as measured by the probe; 0 if unknown.
-    handle : pyopencl.Device
-    """
-
-    index: str
-    name: str
-    platform: str
-    version: str
-    driver: str
-    kind: str
-    compute_units: int
-    memory: int
-    usable: bool
-    reason: str
-    pairs_per_second: float
-    handle: "cl.Device"
-
-    def __str__(self) -> str:
-        state = "" if self.usable else f", unusable: {self.reason}"
-        return f"[{self.index}] {self.name} ({self.platform}, driver {self.driver}{state})"
-
-    def record(self) -> dict[str, Any]:
-        """Return the properties of the device as values that JSON can represent."""
-        from clmorph.backends.opencl.devices.quirks import find_quirks, has_float64
-
-        known = {name: value for name, value in vars(self).items() if name != "handle"}
-        return known | {
-            "float64": has_float64(self.handle),
-            "max_work_group_size": self.handle.max_work_group_size,
-            "local_memory": self.handle.local_mem_size,
-            "largest_buffer": self.handle.max_mem_alloc_size,
-            "quirks": sorted(find_quirks(self.handle)),
-        }
-
-    def matches(self, text: str) -> bool:
-        """Return whether `text` is this device's index or part of its or its platform's name."""
-        return _matches(text, self.index, f"{self.name} {self.platform} {self.version}")
-
-    @property
-    def computes_wrongly(self) -> bool:
-        """Whether the device is unusable because of a wrong result, and not for a crash."""
-        return self.reason.startswith(WRONG)
-
-
-def _matches(text: str, index: str, names: str) -> bool:
-    return text == index or text.lower() in names.lower()
 
 
 @Once
@@ -115,30 +43,6 @@ def raw_devices() -> tuple[tuple[str, "cl.Device"], ...]:
     return tuple(found)
 
 
-def _describe(index: str, device: "cl.Device", verdict: dict[str, Any]) -> Device:
-    import pyopencl as cl
-
-    kind = "accelerator"
-    if device.type & cl.device_type.GPU:
-        kind = "GPU"
-    elif device.type & cl.device_type.CPU:
-        kind = "CPU"
-    return Device(
-        index=index,
-        name=" ".join(device.name.split()),
-        platform=device.platform.name.strip(),
-        version=device.platform.version.strip(),
-        driver=device.driver_version.strip(),
-        kind=kind,
-        compute_units=device.max_compute_units,
-        memory=device.global_mem_size,
-        usable=bool(verdict["usable"]),
-        reason=str(verdict["reason"]),
-        pairs_per_second=float(verdict["pairs_per_second"]),
-        handle=device,
-    )
-
-
 @Once
 def tried(index: str) -> Device:
     """Return a device with its verdict; if that is unknown, the device is tried.
@@ -158,7 +62,7 @@ def tried(index: str) -> Device:
     if verdict is None:
         verdict = run_probe(index)
         save_verdict(key, verdict)
-    return _describe(index, handle, verdict)
+    return describe(index, handle, verdict)
 
 
 @Once
@@ -223,30 +127,6 @@ def index_of(handle: "cl.Device") -> str | None:
     return next(iter(same), None)
 
 
-def preference(handle: "cl.Device") -> tuple[int, int, int, int]:
-    """Return a sort key for the choice among devices, by what the devices announce of themselves.
-
-    GPUs come before other devices before CPUs; GPUs with memory of their own before others; among
-    CPUs, runtimes whose speed is known before others; then the devices with more lanes and a higher
-    clock. No measured speed is used, so that the choice is always the same.
-    """
-    import pyopencl as cl
-
-    lanes = handle.max_compute_units * max(1, handle.native_vector_width_float)
-    power = -lanes * handle.max_clock_frequency
-    if handle.type & cl.device_type.GPU:
-        # OpenCL 2.0 deprecates the property, and a driver may lack it.
-        return 0, int(bool(getattr(handle, "host_unified_memory", False))), 0, power
-    if not handle.type & cl.device_type.CPU:
-        return 1, 0, 0, power
-    platform = handle.platform.name.lower()
-    fast, slow = _FAST_CPU_PLATFORMS, _SLOW_CPU_PLATFORMS
-    rank = next((rank for rank, name in enumerate(fast) if name in platform), len(fast))
-    if any(name in platform for name in slow):
-        rank += 1
-    return 2, 0, rank, power
-
-
 def choose_device(spec: str = "auto", even_wrong: bool = False) -> Device:
     """Choose the device that a user specifies: the first usable one of those that are meant.
 
@@ -303,19 +183,13 @@ def _meant(spec: str) -> list[tuple[str, "cl.Device"]]:
                 f"of {_listing()}; unset it, or name a device with --device or CLMORPH_DEVICE"
             )
         return named
-    named = [(index, handle) for index, handle in listed if _matches(spec, index, _names(handle))]
+    named = [(index, handle) for index, handle in listed if is_meant(spec, index, names_of(handle))]
     if not named:
         raise DeviceError(
             f"no OpenCL device matches {spec!r}: expected an index or part of a name among "
             f"{_listing()}; or use the backend 'numpy'"
         )
     return named
-
-
-def _names(handle: "cl.Device") -> str:
-    """Return the names by parts of which a device is chosen."""
-    name = " ".join(handle.name.split())
-    return f"{name} {handle.platform.name.strip()} {handle.platform.version.strip()}"
 
 
 def _listing() -> str:
@@ -336,7 +210,7 @@ def _named_by_pyopencl_ctx(value: str) -> list[tuple[str, "cl.Device"]]:
     found = []
     for index, handle in raw_devices():
         of_platform, _, of_device = index.partition(":")
-        of_names = handle.platform.name if wanted else _names(handle)
+        of_names = handle.platform.name if wanted else names_of(handle)
         if _is_named(platform, of_platform, of_names) and (
             not wanted or any(_is_named(part, of_device, handle.name) for part in wanted)
         ):

@@ -1,47 +1,26 @@
-"""Verdicts on devices and programs, which are tested in a separate process and stored.
+"""Verdicts on devices and programs: their keys, and where they are stored.
 
-A driver may abort or hang its process, so the test (`opencl.probe`) does not run in this process. A
-verdict that depends on the device and its driver is stored; a verdict with a temporary cause (a
-timeout, a lack of memory, a kill by the user) is not.
+A verdict that depends on the device and its driver is stored; a verdict with a temporary cause (a
+timeout, a lack of memory, a kill by the user) is not. Verdicts come from `devices.trial`.
 """
 
 import hashlib
-import json
 import math
 import os
 import platform
-import queue
-import re
-import signal
-import subprocess
-import sys
-import tempfile
-import threading
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clmorph._shared.validation import check_number
 from clmorph.backends.opencl.devices.cache import forget_cached, load_record, save_record
 
 if TYPE_CHECKING:
     import pyopencl as cl
 
-#: Time limit in seconds to build and check a program, and the variable that changes it.
-PROBE_SECONDS = 60.0
-PROBE_SECONDS_VARIABLE = "CLMORPH_PROBE_SECONDS"
-#: The line that the probe prints before it opens the device.
-LOADED = "clmorph.backends.opencl.probe: loaded"
-#: The words with which the probe begins the lines before and after the check of a program.
-BEGUN, ENDED = "clmorph.program.begun", "clmorph.program.ended"
 #: What the reason of a verdict begins with if results were wrong: no crash, no refusal.
 WRONG = "wrong result of "
 #: The folders of verdicts on devices and on programs in the cache, with one file for each verdict.
 _FOLDER, _PROGRAMS = "devices", "verified"
-#: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
-_FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
-#: Variables that would change how the probe's interpreter ends, warns or prints.
-_UNWANTED = ("PYTHONINSPECT", "PYTHONIOENCODING", "PYTHONWARNINGS")
 
 
 @cache
@@ -207,186 +186,3 @@ def forget_programs() -> None:
     _programs.clear()
     _momentary.clear()
     forget_cached(_PROGRAMS)
-
-
-def probe_seconds() -> float:
-    """Return the time limit of the check of a program, in seconds.
-
-    Raises
-    ------
-    InputError
-        If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600.
-    """
-    text = os.environ.get(PROBE_SECONDS_VARIABLE, "").strip()
-    if not text:
-        return PROBE_SECONDS
-    try:
-        value: Any = float(text)
-    except ValueError:
-        value = text
-    return check_number(PROBE_SECONDS_VARIABLE, value, 1, 3600)
-
-
-def run_probe(
-    index: str, seconds: float | None = None, request: str | None = None
-) -> dict[str, Any]:
-    """Build and verify kernels on a device, in a separate process.
-
-    The verdicts on the programs that were checked are saved, even if the process then fails.
-
-    Parameters
-    ----------
-    index : str
-        The device, as counted by `clmorph.backends.opencl.devices.find.raw_devices`.
-    seconds : float, optional
-        Time limit for each program; if not given, `probe_seconds`.
-    request : str, optional
-        The programs to verify, see `clmorph.backends.opencl.build.programs.make_request`. If not
-        given, those that most morphs use, and the speed is measured.
-
-    Returns
-    -------
-    dict
-        The entries usable (bool), reason (str), pairs_per_second (float), and lasting (bool), which
-        states whether another probe would return the same verdict.
-    """
-    seconds = probe_seconds() if seconds is None else seconds
-    python = _interpreter()
-    if python is None:
-        return _untried(
-            f"cannot be tried, because {sys.executable or 'an empty sys.executable'!r} is no "
-            "Python interpreter: name one with multiprocessing.set_executable"
-        )
-    command = _command(python, index, request)
-    # The probe ends when this pipe is closed, which happens however this process ends.
-    reading, writing = os.pipe()
-    try:
-        done = _run(command, seconds, reading)
-    except subprocess.TimeoutExpired as error:
-        under_check = _keep_program_verdicts(str(error.output or "").splitlines())[1]
-        return _untried(
-            f"did not build and verify {under_check or 'the kernels'} within {seconds:g} s; it is "
-            f"tried again next time, and {PROBE_SECONDS_VARIABLE} sets how many seconds it may take"
-        )
-    except OSError as error:
-        return _untried(f"cannot be tried ({python}: {error.strerror})")
-    finally:
-        os.close(reading)
-        os.close(writing)
-    return _judge(done)
-
-
-def _command(python: str, index: str, request: str | None) -> list[str]:
-    # -P: the current folder may hold another clmorph, such as a source tree.
-    command = [python, "-P", "-W", "ignore", "-m", "clmorph.backends.opencl.probe", index]
-    return command if request is None else [*command, request]
-
-
-def _run(command: list[str], seconds: float, reading: int) -> "subprocess.CompletedProcess[str]":
-    """Run a process, which may take `seconds` for each of the lines that it prints."""
-    found: queue.Queue[str | None] = queue.Queue()
-    lines: list[str] = []
-    with (
-        tempfile.TemporaryFile() as noise,
-        subprocess.Popen(
-            command, env=_environment(), stdin=reading, stdout=subprocess.PIPE, stderr=noise,
-            text=True, errors="replace",
-        ) as process,
-    ):  # fmt: skip
-
-        def read() -> None:
-            assert process.stdout is not None
-            for line in process.stdout:
-                found.put(line)
-            found.put(None)
-
-        threading.Thread(target=read, daemon=True).start()
-        try:
-            while (line := found.get(timeout=seconds)) is not None:
-                lines.append(line)
-            code = process.wait(timeout=seconds)
-        except (queue.Empty, subprocess.TimeoutExpired):
-            process.kill()
-            raise subprocess.TimeoutExpired(command, seconds, "".join(lines)) from None
-        except BaseException:  # an interruption
-            process.kill()
-            raise
-        noise.seek(0)
-        complaints = noise.read().decode(errors="replace")
-    return subprocess.CompletedProcess(command, code, "".join(lines), complaints)
-
-
-def _untried(reason: str) -> dict[str, Any]:
-    return {"usable": False, "reason": reason, "pairs_per_second": 0.0, "lasting": False}
-
-
-def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
-    """Return the verdict of a probe that has ended."""
-    lines = done.stdout.strip().splitlines()
-    key, under_check = _keep_program_verdicts(lines)
-    if done.returncode == 0 and lines:
-        try:
-            return dict(json.loads(lines[-1]))
-        except (ValueError, TypeError):
-            pass
-    noise = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-    reason = noise[-1] if noise else "no output"
-    reason = f"its probe ended with status {done.returncode}: {reason}"
-    # If the probe has not opened the device yet, the driver is not the cause of the failure.
-    lasting = LOADED in lines
-    if done.returncode < 0:
-        lasting = True
-        reason = f"its driver crashed (signal {-done.returncode}) on {under_check or 'a kernel'}"
-        outside = [getattr(signal, name, None) for name in _FROM_OUTSIDE]
-        if -done.returncode in outside:
-            lasting, reason = False, f"its probe was killed (signal {-done.returncode})"
-    if lasting and key:
-        save_program_verdict(key, reason)
-    return _untried(reason) | {"lasting": lasting}
-
-
-def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:
-    """Save the verdicts that a probe has printed; return key and name of the one that is missing.
-
-    The missing verdict is that of a program whose check has begun and not ended.
-    """
-    key = name = ""
-    for line in lines:
-        word, _, rest = line.partition(" ")
-        if word == BEGUN:
-            key, _, name = rest.partition(" ")
-        elif word == ENDED and key:
-            # Failures that another check need not repeat have "-" in place of a reason.
-            if rest != "-":
-                save_program_verdict(key, rest)
-            key = name = ""
-    return key, name
-
-
-def can_start_process() -> bool:
-    """Return whether the path of the Python interpreter is known, so that a probe can be run."""
-    return _interpreter() is not None
-
-
-def _interpreter() -> str | None:
-    """Return the path of the Python interpreter; None if an embedding program does not set it.
-
-    The path may then be that of the application itself, which must not be started as the probe.
-    """
-    from multiprocessing.spawn import get_executable
-
-    python = os.fsdecode(get_executable() or "")
-    named = re.match(r"(python|pypy|graalpy)", Path(python).name, re.IGNORECASE)
-    return python if named else None
-
-
-def _environment() -> dict[str, str]:
-    """Return the variables with which the probe finds the same modules as this process."""
-    known = {name: value for name, value in os.environ.items() if name not in _UNWANTED}
-    if sys.flags.ignore_environment:
-        known = {name: value for name, value in known.items() if not name.startswith("PYTHON")}
-    # Relative entries refer to the current folder, whose modules may shadow others.
-    places = [place for place in sys.path if Path(place).is_absolute()]
-    root = str(Path(__file__).parents[4])
-    known["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([*places, root]))
-    return known
