@@ -20,8 +20,10 @@ def precise_device(request, device):
     """Each device with float64, and without."""
     constants = choose_constants(device.device)
     if request.param == "float64":
-        return OpenCLOperations(device.device, constants)
-    return OpenCLOperations(device.device, apply_quirks(constants, frozenset({"no_float64"})))
+        return OpenCLOperations(device.device, constants, verify=False)
+    return OpenCLOperations(
+        device.device, apply_quirks(constants, frozenset({"no_float64"})), verify=False
+    )
 
 
 def pictures(side=32):
