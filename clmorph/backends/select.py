@@ -40,7 +40,8 @@ def get_backend(backend: Backend = "auto") -> Operations:
         program: all work runs in that context and queue, and the same object gives the same
         operations again. A list such as ["0:0", "0:1"] or ["intel", "numpy"], or
         such names joined by commas ("0:0,0:1", also in ``CLMORPH_DEVICE``): the work is divided
-        over these devices in proportion to their recorded speeds, see `backends/README.md`.
+        over these devices in proportion to their recorded speeds, see
+        `clmorph/backends/several/README.md`.
 
     Raises
     ------
