@@ -8,11 +8,14 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import pyopencl as cl
 import pytest
 from programs import program
 
 import clmorph.cl_kernels
 from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants, lanes_constants
+from clmorph.backends.opencl.build.program import build_options, source
+from clmorph.backends.opencl.build.variants import KERNELS, Variant
 
 FOLDER = Path(clmorph.cl_kernels.__file__).parent
 
@@ -41,21 +44,19 @@ WARNINGS = ["-Wall", "-Wextra", "-Werror", "-Wno-unused-parameter"]
 HEADER = ["-Xclang", "-finclude-default-header", "-Xclang", "-fdeclare-opencl-builtins"]
 
 
-def macros(constants):
-    """Yield each file with the macros of each of its builds."""
-    yield "particles.cl", constants.particle_macros()
-    yield "splat.cl", constants.splat_macros()
-    yield "gauss_transform.cl", constants.gauss_transform_macros()
-    yield "sliced_ellpack.cl", constants.sliced_ellpack_macros()
-    yield (
-        "near_field.cl",
-        constants.row_macros(5, listed=True) | constants.near_field_macros(),
-    )
-    for precise, listed in itertools.product((False, True), repeat=2):
-        made = constants.row_macros(5, precise, listed)
-        for file in ("log_sum_exp.cl", "plan_rows.cl", "plan_shares.cl"):
-            yield file, made
-    yield "log_sum_exp.cl", constants.row_macros(6, True, False, True)
+#: Each file in each way in which it is built: plan rows and the log-sum-exp with precise exponents
+#: or not, over all tiles or listed ones; the log-sum-exp also with a bound.
+ROW_FILES = ("log_sum_exp.cl", "plan_rows.cl", "plan_shares.cl")
+VARIANTS = [
+    *(Variant(file) for file in KERNELS if file not in (*ROW_FILES, "near_field.cl")),
+    Variant("near_field.cl", 5, listed=True),
+    *(
+        Variant(file, 5, precise, listed)
+        for file, precise, listed in itertools.product(ROW_FILES, (False, True), (False, True))
+    ),
+    Variant("log_sum_exp.cl", 6, precise=True, bounded=True),
+    Variant("log_sum_exp.cl", 6, precise=True, listed=True, bounded=True),
+]
 
 
 def complaints(clang, target, file, defines, *options):
@@ -78,9 +79,28 @@ def complaints(clang, target, file, defines, *options):
 @pytest.mark.parametrize("target", TARGETS)
 def test_every_kernel_compiles_without_a_warning(target, build):
     clang = program("clang")
-    for file, defines in macros(BUILDS[build]):
-        said = complaints(clang, target, FOLDER / file, defines)
-        assert not said, f"{file} {defines}:\n{said}"
+    for variant in VARIANTS:
+        said = complaints(clang, target, FOLDER / variant.file, variant.macros(BUILDS[build]))
+        assert not said, f"{variant}:\n{said}"
+
+
+@pytest.mark.full
+@pytest.mark.small
+@pytest.mark.filterwarnings("ignore::pyopencl.CompilerWarning")  # Intel's log of success
+def test_drivers_build_without_a_warning(each_device):
+    """Users' builds are without -Werror: a warning of a driver's own must not refuse a device."""
+    for variant in VARIANTS:
+        options = build_options(variant.macros(each_device.constants))
+        program = cl.Program(each_device.context, source(variant.file))
+        program.build([*options, "-Werror"], cache_dir=False)
+
+
+@pytest.mark.small
+def test_a_driver_refuses_a_warning(each_device):
+    """Otherwise the test above could not fail."""
+    text = "__kernel void k(__global int* p) {\n#warning here\n p[0] = 1; }"
+    with pytest.raises(cl.RuntimeError, match="here"):
+        cl.Program(each_device.context, text).build(["-Werror"], cache_dir=False)
 
 
 def test_a_warning_is_noticed(tmp_path):

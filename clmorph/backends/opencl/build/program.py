@@ -67,7 +67,7 @@ def build(
     DeviceError
         If the device's compiler rejects the source; the message contains its first error.
     """
-    options = _options(constants)
+    options = build_options(constants)
     device = device or context.devices[0]
     file = _binary_file(device, name, options)
     program = _from_binary(context, device, file, options)
@@ -87,10 +87,11 @@ def build_key(device: cl.Device, name: str, constants: dict[str, int | float]) -
     name, constants
         As in `build`.
     """
-    return _build_key(device, name, _options(constants))
+    return _build_key(device, name, build_options(constants))
 
 
-def _options(constants: dict[str, int | float]) -> list[str]:
+def build_options(constants: dict[str, int | float]) -> list[str]:
+    """Return the compiler's options for these macros."""
     options = ["-cl-std=CL1.2"]
     for key, value in sorted(constants.items()):
         text = f"{value:.9g}f" if isinstance(value, float) else str(value)
