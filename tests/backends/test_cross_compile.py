@@ -12,12 +12,12 @@ import pyopencl as cl
 import pytest
 from programs import program
 
-import clmorph.cl_kernels
+from clmorph import cl_kernels
 from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants, lanes_constants
 from clmorph.backends.opencl.build.program import build_options, source
 from clmorph.backends.opencl.build.variants import KERNELS, Variant
 
-FOLDER = Path(clmorph.cl_kernels.__file__).parent
+FOLDER = Path(cl_kernels.__file__).parent
 
 #: Targets, and what clang needs to know of each beside its name. Those of graphics cards come
 #: without the library of their vendor, which only linking needs.
