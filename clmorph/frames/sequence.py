@@ -1,7 +1,7 @@
 """The frames of a morph and its transport, as files, pages and measures of quality use them."""
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from typing import Any, overload
 
 import numpy as np
@@ -90,7 +90,7 @@ class FrameSequence(Sequence[Frame]):
             return [self[i] for i in range(*index.indices(len(self)))]
         return self.frame(float(self.times[index]))
 
-    def iter_frames(self, first: int = 0) -> Iterator[Frame]:
+    def iter_frames(self, first: int = 0) -> Generator[Frame, None, None]:
         """Render the frames one by one, without keeping them.
 
         Parameters

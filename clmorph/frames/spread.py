@@ -1,6 +1,6 @@
 """Render the frames of one morph on all devices of a backend, each frame on one of them."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,7 @@ class SpreadRenderer:
         """Whether frames are rendered at the same time, by several devices."""
         return len(self._renderers) > 1
 
-    def frames(self, first: int) -> Iterator[NDArray[np.float32]]:
+    def frames(self, first: int) -> Generator[NDArray[np.float32], None, None]:
         """Render frames, as many at once as there are devices, and yield them in order.
 
         At most two frames of each device are in memory, beside the one that the caller has.

@@ -1,7 +1,7 @@
 """Rendered frames of a morph or of a chain of morphs, from which files are written."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -127,12 +127,14 @@ def recorded(
                 kept.append(morph)
             name = f"frames {number + 1}" if n_morphs > 1 else "frames"
             first = 0 if number == 0 else 1
-            for index, frame in enumerate(morph.iter_frames(first), first):
-                spool.append(frame if exact else to_bytes(frame))
-                times.append(number + float(morph.times[index]))
-                holds.append(index in (0, len(morph.times) - 1))
-                done = index + 1
-                report(name, Share(done / len(morph.times), f"{done} of {len(morph.times)}"))
+            # After an error the threads that render frames end at once.
+            with closing(morph.iter_frames(first)) as frames:
+                for index, frame in enumerate(frames, first):
+                    spool.append(frame if exact else to_bytes(frame))
+                    times.append(number + float(morph.times[index]))
+                    holds.append(index in (0, len(morph.times) - 1))
+                    done = index + 1
+                    report(name, Share(done / len(morph.times), f"{done} of {len(morph.times)}"))
         step = -1 if reverse else 1
         shapes = [spool.shape(index) for index in range(len(spool))]
         yield Recording(

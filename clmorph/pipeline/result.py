@@ -1,6 +1,6 @@
 """The result `Morph`: a sequence of frames that can be rendered and saved."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, overload
@@ -134,7 +134,7 @@ class Morph(FrameSequence):
         """
         return self._kept[index] if self._kept else super().__getitem__(index)
 
-    def iter_frames(self, first: int = 0) -> Iterator[Frame]:
+    def iter_frames(self, first: int = 0) -> Generator[Frame, None, None]:
         """Render the frames one by one, without keeping them.
 
         Several devices work at once. Frames that `frames` has cached are not rendered again.

@@ -127,6 +127,17 @@ def test_sub_devices(clouds, expected, device):
     assert np.allclose(solved(clouds, part).f, expected.f, rtol=0, atol=1e-6)
 
 
+def test_the_operations_of_a_sub_device_end_with_it(device, context):
+    part = halves(device)[0]
+    made = weakref.ref(clmorph.get_backend(part))
+    assert made() is clmorph.get_backend(part)
+    del part
+    gc.collect()
+    clmorph.get_backend(cl.CommandQueue(context))  # abandoned operations go at the next call
+    gc.collect()
+    assert made() is None
+
+
 def test_a_context_of_several_devices(clouds, expected, device):
     parts = halves(device)
     if len(parts) < 2:

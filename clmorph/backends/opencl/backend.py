@@ -11,6 +11,7 @@ from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.tuned_record import tuned_constants
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices.process import claim_opencl, device_lock
+from clmorph.backends.opencl.devices.quirks import shares_host_memory
 from clmorph.backends.opencl.devices.speed import probed_speed, record_key
 from clmorph.backends.opencl.kernels.clouds import CloudStore
 from clmorph.backends.opencl.kernels.launches import Workspace
@@ -68,8 +69,7 @@ class OpenCLOperations:
         self.precise_roundoff = 2.0**-46  # inputs are pairs of float32
         self.has_float64 = self.constants.precise == 2
         self.memory_bytes: int | None = int(device.global_mem_size)
-        # OpenCL 2.0 deprecates the property, and a driver may lack it.
-        self.shares_host_memory = bool(getattr(device, "host_unified_memory", False))
+        self.shares_host_memory = shares_host_memory(device)
         self.on_processor = bool(device.type & cl.device_type.CPU)
         self.record_key, self.pairs_per_second = record_key(device), probed_speed(device)
         self.description = (

@@ -5,6 +5,7 @@ GPUs, mapping moves nothing. On another device it is the one transfer between th
 """
 
 import contextlib
+import os
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import DTypeLike, NDArray
 from clmorph._shared.printable import printable, reason_of
 from clmorph._shared.validation import shown
 from clmorph.backends.opencl.devices.process import claim_opencl, device_lock
-from clmorph.backends.opencl.devices.quirks import has_float64
+from clmorph.backends.opencl.devices.quirks import has_float64, shares_host_memory
 from clmorph.errors import DeviceError, InputError
 
 _OUT_OF_ORDER = cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE
@@ -32,7 +33,7 @@ class _Mapping:
     """
 
     def __init__(self, queue: cl.CommandQueue, data: NDArray[np.uint8]) -> None:
-        self._queue, self._data = queue, data
+        self._queue, self._data, self._process = queue, data, os.getpid()
         self.__array_interface__ = {
             "version": 3,
             "shape": data.shape,
@@ -41,6 +42,8 @@ class _Mapping:
         }
 
     def __del__(self) -> None:
+        if os.getpid() != self._process:
+            return  # a driver may hang in a forked process
         # The buffer may be written by any queue afterwards, so the end of the unmapping is awaited.
         with contextlib.suppress(cl.Error), device_lock():
             self._data.base.release(self._queue).wait()  # type: ignore[union-attr]
@@ -172,7 +175,7 @@ def to_device(
             if values.size == 0:
                 return cl_array.empty(queue, values.shape, dtype)
             flags = cl.mem_flags.READ_WRITE
-            if getattr(queue.device, "host_unified_memory", False):
+            if shares_host_memory(queue.device):
                 flags |= cl.mem_flags.ALLOC_HOST_PTR
             buffer = cl.Buffer(queue.context, flags, values.size * dtype.itemsize)
             made = cl_array.Array(queue, values.shape, dtype, data=buffer)

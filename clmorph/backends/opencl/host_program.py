@@ -73,7 +73,8 @@ def _made(given: Any) -> OpenCLOperations:
     """Return new operations, which refer to OpenCL's objects but not to pyopencl's."""
     if isinstance(given, cl.Device):
         _check_device(given)
-        return OpenCLOperations(given)
+        # Another object for the same device, so that the operations do not keep the given one.
+        return OpenCLOperations(cl.Device.from_int_ptr(given.int_ptr, retain=True))
     if isinstance(given, cl.Context):
         if len(given.devices) != 1:
             raise InputError(

@@ -2,7 +2,7 @@
 
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import copy_context
 from functools import partial
@@ -161,7 +161,9 @@ def _first(errors: dict[int, BaseException]) -> BaseException:
     return errors[min(causes or errors)]
 
 
-def results_in_order(turns: Sequence[int], work: Callable[[int, int], T]) -> Iterator[T]:
+def results_in_order(
+    turns: Sequence[int], work: Callable[[int, int], T]
+) -> Generator[T, None, None]:
     """Compute results in one thread a worker, and yield them in order.
 
     A worker computes its results one after the other, and waits with a finished one while the one

@@ -91,7 +91,7 @@ def check_advect(case: SplatCase, sigma: float = 1.3) -> Iterator[Finding]:
 
 
 def thinned(case: SplatCase, count: int) -> SplatCase:
-    """Return a case of every so-manieth splat, `count` of them or a few more."""
+    """Return a case of every n-th splat, `count` of them or a few more."""
     step = max(1, len(case.weights) // count)
     names = ("positions", "colors", "weights", "spacings")
     return replace(case, **{name: getattr(case, name)[::step] for name in names})

@@ -115,11 +115,12 @@ def preference(handle: "cl.Device") -> tuple[int, int, int, int]:
     """
     import pyopencl as cl
 
+    from clmorph.backends.opencl.devices.quirks import shares_host_memory
+
     lanes = handle.max_compute_units * max(1, handle.native_vector_width_float)
     power = -lanes * handle.max_clock_frequency
     if handle.type & cl.device_type.GPU:
-        # OpenCL 2.0 deprecates the property, and a driver may lack it.
-        return 0, int(bool(getattr(handle, "host_unified_memory", False))), 0, power
+        return 0, int(shares_host_memory(handle)), 0, power
     if not handle.type & cl.device_type.CPU:
         return 1, 0, 0, power
     platform = handle.platform.name.lower()

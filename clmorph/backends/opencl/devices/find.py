@@ -202,10 +202,11 @@ def _named_by_pyopencl_ctx(value: str) -> list[tuple[str, "cl.Device"]]:
 
     The value is "platform" or "platform:devices", as pyopencl has it: the platform's index or a
     part of its name, and indices or parts of names with commas between. In place of a platform it
-    may also name a device alone. pyopencl itself lists no runtimes from pip, and of several
-    platforms with the same name it takes one.
+    may also name a device alone. An empty platform is the first one, as in pyopencl, which itself
+    lists no runtimes from pip, and of several platforms with the same name takes one.
     """
     platform, _, devices = value.partition(":")
+    platform = platform.strip() or "0"
     wanted = [part for part in devices.split(",") if part.strip()]
     found = []
     for index, handle in raw_devices():

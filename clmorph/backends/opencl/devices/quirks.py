@@ -62,6 +62,17 @@ def forced_quirks() -> frozenset[str]:
     return names
 
 
+def shares_host_memory(device: cl.Device) -> bool:
+    """Return whether a device says that its memory is a part of the host's.
+
+    OpenCL 2.0 deprecates the property, and a driver that lacks it makes pyopencl raise an error.
+    """
+    try:
+        return bool(device.host_unified_memory)
+    except (cl.Error, AttributeError):
+        return False
+
+
 def has_float64(device: cl.Device) -> bool:
     """Return whether a device computes in double precision."""
     return "cl_khr_fp64" in device.extensions.split()
