@@ -164,14 +164,17 @@ def _check_one(device: Device, kernels: Sequence[str]) -> dict[str, Any]:
         note(f"it is unusable: {device.reason}; it is compared because it was named")
     # A wrong program is to be a row of the table, so programs are not verified before their use.
     operations = OpenCLOperations(device.handle, verify=False)
-    findings = []
+    findings: list[Finding] = []
     try:
         for finding in check(operations, kernels):
             findings.append(finding)
         speed = throughput(operations)
-    except ClmorphError:
-        raise
     except Exception as error:  # drivers raise exceptions of any class
+        if findings:
+            _print_findings(findings)
+            _remember(device, findings, whole=False)
+        if isinstance(error, ClmorphError):
+            raise
         raise DeviceError(
             f"{device.name} failed after {len(findings)} checks: {reason_of(error)}; "
             "update its driver, or choose another device"

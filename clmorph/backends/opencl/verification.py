@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Protocol
 
-from clmorph.backends.comparison import Finding
+from clmorph.backends.comparison import SIGNS_OF_WRONG_RESULTS, Finding, words_of
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.constants import BuildConstants
@@ -75,12 +75,11 @@ def first_failure(operations: Adjustable, variant: Variant) -> str:
         for finding in check_program(operations, variant):
             if not finding.passed:
                 return f"{WRONG}{variant}: {finding}"
-    except (ArithmeticError, AssertionError, IndexError, ValueError) as error:
+    except SIGNS_OF_WRONG_RESULTS as error:
         if isinstance(error, ClmorphError):
             raise
-        # Kernels return indices, counts and sizes, too.
-        words = " ".join(f"{type(error).__name__}: {error}".split())
-        return f"{WRONG}{variant}: {', '.join(KERNELS[variant.file])} ended in {words}"[:300]
+        kernels = ", ".join(KERNELS[variant.file])
+        return f"{WRONG}{variant}: {kernels} ended in {words_of(error)}"[:300]
     return ""
 
 
