@@ -121,6 +121,9 @@ def _planted_tree(folder, fault):
     file.write_text(fault.plant(file.read_text()))
 
 
+#: The file and the operation that a reason names in place of a fault's own: `deposit`, which shows
+#: faults of particles.cl, uses the kernel `splat`, and it is compared first.
+FOUND_BEFORE = {"splat": ("particles.cl", "deposit")}
 USUAL_FILES = {variant.file for variant in usual_variants()}
 
 
@@ -146,8 +149,9 @@ def test_the_probe_refuses_a_device_with_a_wrong_kernel(tmp_path, fault):
         check=True,
     )  # fmt: skip
     first, second = done.stdout.splitlines()
-    assert first.startswith(f"False True {verdicts.WRONG}{fault.file}"), first
-    assert fault.operation in first
+    file, operation = FOUND_BEFORE.get(fault.kernel, (fault.file, fault.operation))
+    assert first.startswith(f"False True {verdicts.WRONG}{file}"), first
+    assert operation in first
     assert first.split(": ", 1)[1] in second
 
 
