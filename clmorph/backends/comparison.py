@@ -99,7 +99,7 @@ class Finding:
     def share(self) -> float:
         """The error as a share of the tolerance; infinite for an error where none is tolerated."""
         if self.tolerance > 0:
-            return self.error / self.tolerance
+            return float(self.error) / float(self.tolerance)
         return 0.0 if self.error == 0 else float("inf")
 
     def __str__(self) -> str:
