@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clmorph.backends.comparison import SIGNS_OF_WRONG_RESULTS, Finding, words_of
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
-from clmorph.backends.opencl.build.variants import KERNELS
+from clmorph.backends.opencl.build.kernel_files import KERNELS
 from clmorph.backends.verification.clouds import CloudCase, splat_case
 from clmorph.backends.verification.plans import check_plan_rows, check_stored
 from clmorph.backends.verification.reductions import (

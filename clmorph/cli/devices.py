@@ -105,10 +105,12 @@ def _choose(spec: str | None, every: bool, even_wrong: bool = False) -> list[Dev
 
 def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
     """Tune devices, or delete their stored tuning."""
+    devices = _choose(spec, every)
+    # These import pyopencl; where it is missing, the choice has said so.
     from clmorph.backends.opencl.build.tuned_record import forget_tuning
     from clmorph.backends.opencl.tuner import tune
 
-    for device in _choose(spec, every):
+    for device in devices:
         click.echo(f"[{device.index}] {device.name} ({device.platform}, driver {device.driver})")
         if reset:
             forget_tuning(device.handle)
