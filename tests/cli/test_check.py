@@ -355,6 +355,22 @@ def test_unknown_quirks(device, monkeypatch):
         find_quirks(device.device)
 
 
+@pytest.mark.needs_device
+def test_unknown_quirks_are_no_property_of_a_device(asked, monkeypatch, capfd, tmp_path):
+    monkeypatch.setenv("CLMORPH_QUIRKS", "grumpy")
+    index = TESTED[0].index
+    for words in (["check"], ["check", "--device", index], ["check", "--all"], ["devices"]):
+        assert main(words) == 2
+        err = capfd.readouterr().err
+        assert err.count("\n") == 1
+        assert "CLMORPH_QUIRKS names 'grumpy': expected some of" in err
+        assert "unusable" not in err
+    assert asked == []
+    assert not (tmp_path / "devices").exists()
+    monkeypatch.delenv("CLMORPH_QUIRKS")
+    assert choose_device(index).usable
+
+
 def test_every_operation_is_compared():
     """A backend that records its calls and forwards them to NumPy's."""
     asked = set()
