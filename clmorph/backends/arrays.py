@@ -7,6 +7,8 @@ Values that NumPy could convert only with a loss (masked entries, imaginary part
 matrices) raise an error that names the remedy.
 """
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -91,6 +93,25 @@ def as_floats(name: str, value: Any, expected: str = "an array of numbers") -> A
 def is_of_pyopencl(value: Any) -> bool:
     """Return whether the type of a value, or a base of it, is of pyopencl, without its import."""
     return _is_type_of_pyopencl(type(value))
+
+
+@contextlib.contextmanager
+def pyopencl_needed(name: str) -> Iterator[None]:
+    """Raise an `InputError` if pyopencl, which is imported inside, cannot be imported.
+
+    Parameters
+    ----------
+    name : str
+        The argument that needs it.
+    """
+    try:
+        yield
+    except ImportError as error:
+        reason = printable(str(error), 120)
+        raise InputError(
+            f"{name} needs pyopencl, which cannot be imported ({reason}): install pyopencl, or "
+            "use the results in NumPy's arrays"
+        ) from None
 
 
 def _is_type_of_pyopencl(kind: type) -> bool:

@@ -12,6 +12,8 @@ from clmorph.backends.records import Float64
 UNIT = 2.0**-24
 #: The largest error bound of `Operations.bounded_softmin`, in nats, that a comparison accepts.
 LARGEST_BOUND = 1e-5
+#: Errors to which wrong results can lead, because kernels return indices, counts and sizes, too.
+SIGNS_OF_WRONG_RESULTS = ArithmeticError, AssertionError, IndexError, ValueError
 
 
 def splat_tolerance(count: int, chunk: int = 1024) -> float:
@@ -74,6 +76,7 @@ class Finding:
     error, tolerance : float
         The largest error, and the largest that is accepted, in `unit`.
     unit : str
+        Empty if the comparison ended in an error, which the name tells.
 
     Examples
     --------
@@ -96,9 +99,16 @@ class Finding:
     def share(self) -> float:
         """The error as a share of the tolerance; infinite for an error where none is tolerated."""
         if self.tolerance > 0:
-            return self.error / self.tolerance
+            return float(self.error) / float(self.tolerance)
         return 0.0 if self.error == 0 else float("inf")
 
     def __str__(self) -> str:
+        if not self.unit:
+            return self.name
         off = f"{self.error:.2g} {self.unit} (tolerance {self.tolerance:.2g})"
         return f"{self.name} is off by {off}"
+
+
+def words_of(error: Exception) -> str:
+    """Return the class and the message of an error, in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())

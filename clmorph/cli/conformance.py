@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.backends.comparison import Finding
+from clmorph.backends.comparison import SIGNS_OF_WRONG_RESULTS, Finding, words_of
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
-from clmorph.backends.opencl.build.variants import KERNELS
+from clmorph.backends.opencl.build.kernel_files import KERNELS
 from clmorph.backends.verification.clouds import CloudCase, splat_case
 from clmorph.backends.verification.plans import check_plan_rows, check_stored
 from clmorph.backends.verification.reductions import (
@@ -81,7 +81,17 @@ def check(operations: Operations, kernels: Sequence[str] = ()) -> Iterator[Findi
     wanted = _wanted(kernels)
     for kernels_of_check, run in _checks(operations):
         if not kernels or wanted & set(kernels_of_check):
-            yield from run()
+            yield from _findings(kernels_of_check, run)
+
+
+def _findings(kernels: tuple[str, ...], run: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
+    """Yield what a comparison finds; an error to which wrong results lead is a finding, too."""
+    try:
+        yield from run()
+    except SIGNS_OF_WRONG_RESULTS as error:
+        # The data of the comparisons are right, so errors of clmorph come from wrong results, too.
+        about = "morph" if kernels == _EVERY else ", ".join(kernels)
+        yield Finding(f"{about} ended in {words_of(error)}", np.inf, 0.0, "")
 
 
 def check_kernel_names(kernels: Sequence[str]) -> None:

@@ -105,10 +105,12 @@ def _choose(spec: str | None, every: bool, even_wrong: bool = False) -> list[Dev
 
 def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
     """Tune devices, or delete their stored tuning."""
+    devices = _choose(spec, every)
+    # These import pyopencl; where it is missing, the choice has said so.
     from clmorph.backends.opencl.build.tuned_record import forget_tuning
     from clmorph.backends.opencl.tuner import tune
 
-    for device in _choose(spec, every):
+    for device in devices:
         click.echo(f"[{device.index}] {device.name} ({device.platform}, driver {device.driver})")
         if reset:
             forget_tuning(device.handle)
@@ -164,14 +166,17 @@ def _check_one(device: Device, kernels: Sequence[str]) -> dict[str, Any]:
         note(f"it is unusable: {device.reason}; it is compared because it was named")
     # A wrong program is to be a row of the table, so programs are not verified before their use.
     operations = OpenCLOperations(device.handle, verify=False)
-    findings = []
+    findings: list[Finding] = []
     try:
         for finding in check(operations, kernels):
             findings.append(finding)
         speed = throughput(operations)
-    except ClmorphError:
-        raise
     except Exception as error:  # drivers raise exceptions of any class
+        if findings:
+            _print_findings(findings)
+            _remember(device, findings, whole=False)
+        if isinstance(error, ClmorphError):
+            raise
         raise DeviceError(
             f"{device.name} failed after {len(findings)} checks: {reason_of(error)}; "
             "update its driver, or choose another device"

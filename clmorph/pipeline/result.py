@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_integer, check_number, shown
+from clmorph.backends.arrays import pyopencl_needed
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
@@ -248,7 +249,8 @@ class Morph(FrameSequence):
         ...     print("NumPy has no queue")
         NumPy has no queue
         """
-        from clmorph.backends.opencl.device_arrays import as_queue, to_device
+        with pyopencl_needed("queue"):
+            from clmorph.backends.opencl.device_arrays import as_queue, to_device
 
         queue = as_queue(self.operations if queue is None else queue)
         return to_device(queue, self._renderer.frame(check_number("t", t, 0.0, 1.0)), np.float32)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clmorph._shared.typing import Array, IntArray
 from clmorph._shared.validation import shown
-from clmorph.backends.arrays import as_floats
+from clmorph.backends.arrays import as_floats, pyopencl_needed
 from clmorph.errors import InputError
 
 if TYPE_CHECKING:
@@ -222,7 +222,8 @@ class Plan:
         ...     print("NumPy has no queue")
         NumPy has no queue
         """
-        from clmorph.backends.opencl.device_arrays import as_queue, real_type, to_device
+        with pyopencl_needed("queue"):
+            from clmorph.backends.opencl.device_arrays import as_queue, real_type, to_device
 
         queue = as_queue(queue)
         return DevicePlan(

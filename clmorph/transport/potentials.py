@@ -10,6 +10,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import as_float, check_flag, shown
+from clmorph.backends.arrays import pyopencl_needed
 from clmorph.errors import InputError
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.options import LENGTH, Reach
@@ -172,7 +173,8 @@ class Potentials:
         ...     print("NumPy has no queue")
         NumPy has no queue
         """
-        from clmorph.backends.opencl.device_arrays import as_queue, real_type, to_device
+        with pyopencl_needed("queue"):
+            from clmorph.backends.opencl.device_arrays import as_queue, real_type, to_device
 
         queue = as_queue(queue)
         chosen = real_type(queue, dtype)

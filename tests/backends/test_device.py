@@ -304,6 +304,33 @@ def test_without_any_driver_the_answer_is_one_line(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_without_pyopencl_what_needs_it_is_told_in_one_line():
+    """Where the import fails, as where Python finds no OpenCL library."""
+    code = (
+        "import sys; sys.modules['pyopencl'] = None\n"
+        "import numpy as np, clmorph, clmorph.cli.main as c\n"
+        "for words in (['check'], ['check', '--kernel', 'splat'], ['check', '--device', 'x'],\n"
+        "              ['check', '--all'], ['tune'], ['check', '--kernel', 'grumpy']):\n"
+        "    assert c.main(words) == 2\n"
+        "pair = [(np.full(3, 1 / 3), np.arange(3.0))] * 2\n"
+        "potentials = clmorph.sinkhorn(*pair, blur=0.1, backend='numpy')\n"
+        "plan = clmorph.transport_plan(*pair, potentials, backend='numpy')\n"
+        "morph = clmorph.morph(*np.zeros((2, 3, 3, 3)), n_frames=2, backend='numpy')\n"
+        "for method in (potentials.to_device, plan.to_device, morph.device_frame):\n"
+        "    try: method(0.5)\n"
+        "    except clmorph.InputError as error: print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
+        env={k: v for k, v in os.environ.items() if k != "CLMORPH_DEVICE"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.count("\n") == 6
+    assert done.stdout.count("pyopencl, which cannot be imported") == 3
+    assert done.stdout.count("\n") == 3
+
+
 def test_sources_are_expanded():
     text = program.source("log_sum_exp.cl")
     assert "#include" not in text

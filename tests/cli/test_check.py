@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import TESTED, USABLE, found_anew
 
@@ -197,6 +198,45 @@ def test_a_failing_driver_is_told_in_one_line(monkeypatch, capfd):
 
 
 @pytest.mark.needs_device
+@pytest.mark.parametrize("error", [RuntimeError("no\nresources"), DeviceError("no resources")])
+def test_what_was_found_before_a_failure_is_printed_and_remembered(
+    faked, monkeypatch, capfd, error
+):
+    def find(operations, kernels):
+        yield from faked
+        raise error
+
+    monkeypatch.setattr("clmorph.cli.conformance.check", find)
+    index = TESTED[0].index
+    assert main(["check", "--device", index]) == 2
+    printed = capfd.readouterr()
+    assert "FAIL" in printed.out
+    assert "no resources" in printed.err
+    assert "splat, sigma 5" in next(d for d in found_anew() if d.index == index).reason
+
+
+def test_errors_of_wrong_results_are_rows_of_the_table(monkeypatch):
+    """The comparisons after them are still made, also where the morph refuses what it is given."""
+
+    class Wrong(NumPyOperations):
+        def count_plan_rows(self, *arguments):
+            raise IndexError("out of\nrange")
+
+        def splat(self, *arguments):
+            numerator, denominator = super().splat(*arguments)
+            return numerator * np.nan, denominator
+
+    findings = list(check(Wrong()))
+    names = [finding.name for finding in findings if not finding.passed]
+    assert "count_plan_rows, fill_plan_rows ended in IndexError: out of range" in names
+    assert any(name.startswith("splat") for name in names)
+    assert any(finding.name.startswith("morph") for finding in findings)
+    ended = next(finding for finding in findings if "IndexError" in finding.name)
+    assert np.isinf(ended.error)
+    assert str(ended) == ended.name
+
+
+@pytest.mark.needs_device
 def test_devices_table(capfd):
     assert main(["devices"]) == 0
     out = capfd.readouterr().out
@@ -313,6 +353,22 @@ def test_unknown_quirks(device, monkeypatch):
     monkeypatch.setenv("CLMORPH_QUIRKS", "grumpy")
     with pytest.raises(InputError, match="grumpy"):
         find_quirks(device.device)
+
+
+@pytest.mark.needs_device
+def test_unknown_quirks_are_no_property_of_a_device(asked, monkeypatch, capfd, tmp_path):
+    monkeypatch.setenv("CLMORPH_QUIRKS", "grumpy")
+    index = TESTED[0].index
+    for words in (["check"], ["check", "--device", index], ["check", "--all"], ["devices"]):
+        assert main(words) == 2
+        err = capfd.readouterr().err
+        assert err.count("\n") == 1
+        assert "CLMORPH_QUIRKS names 'grumpy': expected some of" in err
+        assert "unusable" not in err
+    assert asked == []
+    assert not (tmp_path / "devices").exists()
+    monkeypatch.delenv("CLMORPH_QUIRKS")
+    assert choose_device(index).usable
 
 
 def test_every_operation_is_compared():

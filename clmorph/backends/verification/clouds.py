@@ -15,6 +15,8 @@ Cloud = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 #: The share of a row's sum that lists of near pairs may leave out.
 BUDGET = 1e-5
+#: The number of columns of long rows.
+LONG_ROW = 20_011
 
 
 def log_sum_exp_tolerance(
@@ -134,12 +136,14 @@ def several_tiles(operations: Operations, exact: Operations, dimension: int) -> 
     return CloudCase(operations, exact, *pair, 0.004, f", {dimension}D")
 
 
-def few_rows(operations: Operations, exact: Operations, dimension: int) -> CloudCase:
+def few_rows(
+    operations: Operations, exact: Operations, dimension: int, columns: int = LONG_ROW
+) -> CloudCase:
     """Return a few rows and many columns, in loops of more than 2^16 rounds for one row.
 
     Some drivers end longer loops early. Devices of many cores share the columns of few rows.
     """
-    pair = clustered(dimension, 5, 3), clustered(dimension, 20_011, 4)
+    pair = clustered(dimension, 5, 3), clustered(dimension, columns, 4)
     return CloudCase(operations, exact, *pair, 0.004, f", {dimension}D, long rows")
 
 

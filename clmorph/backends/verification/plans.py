@@ -93,7 +93,7 @@ def check_stored(case: CloudCase, listed: bool = False) -> Iterator[Finding]:
             rows, columns, case.f, case.g, case.epsilon, np.full(n, -1e3), np.full(m, -1e3),
             n * m, near_lists,
         )  # fmt: skip
-        assert pairs is not None
+        assert pairs is not None, "the pairs were not stored"
         stored.append((backend, pairs))
     for by_column, name in enumerate(("rows", "columns")):
         got, want = (

@@ -1,22 +1,9 @@
-"""The kernel files, their kernels, and the variants in which files are built."""
+"""The variants in which kernel files are built."""
 
 from dataclasses import dataclass
 
 from clmorph.backends.opencl.build.constants import BuildConstants
-
-#: The kernels of each file.
-KERNELS = {
-    "log_sum_exp.cl": ("log_sum_exp",),
-    "near_field.cl": ("largest_shares", "measure_tiles"),
-    "plan_rows.cl": ("count_plan_rows", "fill_plan_rows"),
-    "plan_shares.cl": ("plan_moments", "sample_plan_rows"),
-    "sliced_ellpack.cl": ("clear_stored", "sum_stored"),
-    "particles.cl": (
-        "advect", "pack_weights", "choose_width_levels", "count_bins", "fill_bins",
-    ),
-    "splat.cl": ("splat",),
-    "gauss_transform.cl": ("sum_moments", "sum_rows", "sum_columns"),
-}  # fmt: skip
+from clmorph.backends.opencl.build.kernel_files import KERNELS as KERNELS
 
 
 @dataclass(frozen=True)

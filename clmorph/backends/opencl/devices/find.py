@@ -72,10 +72,21 @@ def find_devices() -> tuple[Device, ...]:
     Raises
     ------
     InputError
-        If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600.
+        If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600, or if ``CLMORPH_QUIRKS`` names
+        a quirk that does not exist.
     """
-    probe_seconds()  # an invalid value is always reported, not only when a device is new
+    _check_variables()
     return tuple(tried(index) for index, _ in raw_devices())
+
+
+def _check_variables() -> None:
+    """Report invalid values always, not only when a device is new, and as no device's fault."""
+    probe_seconds()
+    if raw_devices():
+        # The module imports pyopencl.
+        from clmorph.backends.opencl.devices.quirks import forced_quirks
+
+        forced_quirks()
 
 
 def _forget_found() -> None:
@@ -146,12 +157,13 @@ def choose_device(spec: str = "auto", even_wrong: bool = False) -> Device:
     DeviceError
         If there is no such device, or none that works; the message contains advice.
     InputError
-        If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600.
+        If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600, or if ``CLMORPH_QUIRKS`` names
+        a quirk that does not exist.
     """
     listed = raw_devices()
     if not listed:
         raise DeviceError(f"no OpenCL device was found; {_installation_hint(())}")
-    probe_seconds()
+    _check_variables()
     meant = _meant(spec)
     refused = []
     for index, _ in sorted(meant, key=lambda entry: preference(entry[1])):
