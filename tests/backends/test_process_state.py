@@ -108,6 +108,30 @@ def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, lasti
     assert (verdicts.load_verdict("key") is not None) == lasting
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="starts a process as POSIX does")
+@pytest.mark.parametrize(
+    ("body", "words"), [("time.sleep(60)", "within 1 s"), ("os.abort()", "crashed")]
+)
+def test_a_child_of_the_probe_does_not_hold_its_trial_up(monkeypatch, tmp_path, body, words):
+    """A process that a driver starts keeps the probe's standard output open."""
+    script = tmp_path / "probe.py"
+    child = [sys.executable, "-c", "import time; time.sleep(20)"]
+    script.write_text(
+        "import os, subprocess, time\n"
+        f"child = subprocess.Popen({child!r})\n"
+        f"print({trial.LOADED!r}, flush=True)\n"
+        f"print(child.pid, file=open({str(tmp_path / 'pid')!r}, 'w'), flush=True)\n"
+        f"{body}\n"
+    )
+    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+    began = time.monotonic()
+    verdict = trial.run_probe("0:0", seconds=1 if "sleep" in body else 60)
+    taken = time.monotonic() - began
+    os.kill(int((tmp_path / "pid").read_text()), 9)
+    assert words in verdict["reason"]
+    assert taken < 15
+
+
 @pytest.mark.needs_device
 def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path, fresh_search):
     closed = []

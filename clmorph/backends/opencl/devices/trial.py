@@ -3,6 +3,7 @@
 A driver may abort or hang its process, so no program is run in this process before it was verified.
 """
 
+import contextlib
 import json
 import os
 import queue
@@ -12,8 +13,9 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from clmorph._shared.validation import check_number
 from clmorph.backends.opencl.devices.verdicts import save_program_verdict
@@ -27,6 +29,9 @@ LOADED = "clmorph.backends.opencl.probe: loaded"
 BEGUN, ENDED = "clmorph.program.begun", "clmorph.program.ended"
 #: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
 _FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
+#: Seconds after which the end of a silent process is looked for, and for which a killed one may
+#: take to end.
+_STEP, _PATIENCE = 0.5, 5.0
 #: Variables that would change how the probe's interpreter ends, warns or prints.
 _UNWANTED = ("PYTHONINSPECT", "PYTHONIOENCODING", "PYTHONWARNINGS")
 
@@ -105,37 +110,57 @@ def _command(python: str, index: str, request: str | None) -> list[str]:
 
 
 def _run(command: list[str], seconds: float, reading: int) -> "subprocess.CompletedProcess[str]":
-    """Run a process, which may take `seconds` for each of the lines that it prints."""
+    """Run a process, which may take `seconds` for each of the lines that it prints.
+
+    The end of the process counts, and not that of its standard output, which a further process
+    that a driver has started may keep open.
+    """
     found: queue.Queue[str | None] = queue.Queue()
     lines: list[str] = []
-    with (
-        tempfile.TemporaryFile() as noise,
-        subprocess.Popen(
+    with tempfile.TemporaryFile() as noise:
+        process = subprocess.Popen(
             command, env=_environment(), stdin=reading, stdout=subprocess.PIPE, stderr=noise,
             text=True, errors="replace",
-        ) as process,
-    ):  # fmt: skip
-
-        def read() -> None:
-            assert process.stdout is not None
-            for line in process.stdout:
-                found.put(line)
-            found.put(None)
-
-        threading.Thread(target=read, daemon=True).start()
+        )  # fmt: skip
+        assert process.stdout is not None
+        threading.Thread(target=_pass_on, args=(process.stdout, found), daemon=True).start()
         try:
-            while (line := found.get(timeout=seconds)) is not None:
+            deadline, ended = time.monotonic() + seconds, False
+            while True:
+                try:
+                    line = found.get(timeout=_STEP)
+                except queue.Empty:
+                    # The last lines may come a moment after the end.
+                    if ended:
+                        break
+                    ended = process.poll() is not None
+                    if not ended and time.monotonic() > deadline:
+                        raise subprocess.TimeoutExpired(command, seconds, "".join(lines)) from None
+                    continue
+                if line is None:
+                    break
                 lines.append(line)
-            code = process.wait(timeout=seconds)
-        except (queue.Empty, subprocess.TimeoutExpired):
+                deadline = time.monotonic() + seconds
+            try:
+                code = process.wait(timeout=seconds)
+            except subprocess.TimeoutExpired:
+                raise subprocess.TimeoutExpired(command, seconds, "".join(lines)) from None
+        finally:
             process.kill()
-            raise subprocess.TimeoutExpired(command, seconds, "".join(lines)) from None
-        except BaseException:  # an interruption
-            process.kill()
-            raise
+            # A process that waits in a kernel's driver cannot be killed, and is not waited for.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=_PATIENCE)
         noise.seek(0)
         complaints = noise.read().decode(errors="replace")
     return subprocess.CompletedProcess(command, code, "".join(lines), complaints)
+
+
+def _pass_on(pipe: IO[str], found: "queue.Queue[str | None]") -> None:
+    """Put the lines of a pipe, which this thread owns and closes, into a queue; None at the end."""
+    with pipe:
+        for line in pipe:
+            found.put(line)
+    found.put(None)
 
 
 def _untried(reason: str) -> dict[str, Any]:
