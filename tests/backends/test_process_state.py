@@ -209,6 +209,25 @@ def test_the_probe_stands_any_environment(monkeypatch, tmp_path):
     assert verdict["usable"], verdict
 
 
+def test_numpy_has_one_thread_in_the_probe(monkeypatch):
+    """Further ones spin while they wait, and the driver needs the cores."""
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "4")
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    code = (
+        "import json, os, numpy\n"
+        "numpy.ones((600, 600)) @ numpy.ones((600, 600))\n"
+        "tasks = '/proc/self/task'\n"
+        "count = len(os.listdir(tasks)) if os.path.isdir(tasks) else 1\n"
+        "names = 'OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS'\n"
+        "print(json.dumps([count, *map(os.environ.get, names)]))"
+    )
+    command = [sys.executable, "-c", code]
+    out = subprocess.run(command, env=trial._environment(), capture_output=True, check=True).stdout
+    count, of_numpy, of_drivers = json.loads(out)
+    assert (count, of_numpy) == (1, "1")
+    assert of_drivers == "3"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="kills as POSIX does")
 def test_no_probe_outlives_its_parent():
     """Not even one whose driver hangs, and whose parent could do nothing about it."""

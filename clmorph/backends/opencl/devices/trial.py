@@ -32,6 +32,9 @@ _FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
 #: Seconds after which the end of a silent process is looked for, and for which a killed one may
 #: take to end.
 _STEP, _PATIENCE = 0.5, 5.0
+#: Variables that limit the threads of NumPy's matrix products. Idle ones spin, which makes a trial
+#: on a busy machine several times as long. Drivers read OMP_NUM_THREADS, so that it stays as it is.
+_ONE_THREAD = ("MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 #: Variables that would change how the probe's interpreter ends, warns or prints.
 _UNWANTED = ("PYTHONINSPECT", "PYTHONIOENCODING", "PYTHONWARNINGS")
 
@@ -232,6 +235,7 @@ def _environment() -> dict[str, str]:
     known = {name: value for name, value in os.environ.items() if name not in _UNWANTED}
     if sys.flags.ignore_environment:
         known = {name: value for name, value in known.items() if not name.startswith("PYTHON")}
+    known |= dict.fromkeys(_ONE_THREAD, "1")
     # Relative entries refer to the current folder, whose modules may shadow others.
     places = [place for place in sys.path if Path(place).is_absolute()]
     root = str(Path(__file__).parents[4])
