@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -235,6 +236,14 @@ def test_other_code_is_another_verdict(one, requests, monkeypatch):
     made(one).verify(OTHER)
     monkeypatch.setattr(verdicts, "code_identity", lambda: "0123456789abcdef")
     made(one).verify(OTHER)
+    assert requests == [[OTHER], [OTHER]]
+
+
+def test_other_launches_are_another_verdict(one, requests):
+    """The length of launches is no macro, so that the binary is the same."""
+    short = replace(one.constants, longest_loop=7000)
+    made(one).verify(OTHER)
+    Programs(one.context, one.device, short, lambda variant: "").verify(OTHER)
     assert requests == [[OTHER], [OTHER]]
 
 

@@ -1,5 +1,6 @@
 """The programs of a device in one build, each verified before its first use."""
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict
@@ -21,8 +22,8 @@ class Programs:
     """Builds the kernel files for one device, with one set of constants.
 
     A program is verified against NumPy when it is built for the first time, in a process of its
-    own, because a driver may crash or hang; see `opencl.probe`. Its verdict is kept under the key
-    of its binary.
+    own, because a driver may crash or hang; see `opencl.probe`. Its verdict is kept under
+    `program_key`.
 
     Parameters
     ----------
@@ -120,7 +121,9 @@ class Programs:
 
 
 def program_key(device: cl.Device, variant: Variant, constants: BuildConstants) -> str:
-    """Return the key of a program's verdict: that of its binary, and the identity of the code.
+    """Return the key of a program's verdict: of its binary, all constants and the package's code.
+
+    Not all constants are macros: by some of them the host chooses its launches.
 
     Parameters
     ----------
@@ -130,7 +133,8 @@ def program_key(device: cl.Device, variant: Variant, constants: BuildConstants) 
     constants : BuildConstants
     """
     key = program.build_key(device, variant.file, variant.macros(constants))
-    return f"{key}-{verdicts.code_identity()[:16]}"
+    of_constants = hashlib.sha256(repr(constants).encode()).hexdigest()
+    return f"{key}-{of_constants[:8]}-{verdicts.code_identity()[:16]}"
 
 
 def make_request(constants: BuildConstants, variants: list[Variant]) -> str:
