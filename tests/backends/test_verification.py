@@ -305,7 +305,7 @@ def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, wor
 def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):
     keys = [program_key(one.device, variant, one.constants) for variant in (PLAIN, OTHER)]
     lines = [
-        trial.LOADED, f"{trial.BEGUN} {keys[0]} {PLAIN}", trial.ENDED + " ",
+        trial.LOADED, f"{trial.BEGUN} {keys[0]} {PLAIN}", trial.ENDED + ' ""',
         f"{trial.BEGUN} {keys[1]} {OTHER}",
     ]  # fmt: skip
     script = empty / "check.py"
@@ -314,6 +314,35 @@ def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):
     made(one).verify(PLAIN)
     with pytest.raises(DeviceError, match=r"crashed .* log_sum_exp.cl \(dimension 3, precise\)"):
         made(one).verify(OTHER)
+
+
+@pytest.mark.parametrize("reason", ["", f"{verdicts.WRONG}x: größer \u2028 als 1"])
+def test_text_that_a_driver_prints_hides_nothing(empty, tmp_path, reason):
+    """Not even without an end of its line, and where the locale has ASCII only."""
+    script = tmp_path / "check.py"
+    script.write_text(
+        "import atexit, os, sys\n"
+        "from clmorph.backends.opencl import probe\n"
+        "os.write(1, b'driver 1.0')\n"
+        "atexit.register(lambda: os.write(1, b'driver out'))\n"
+        "def failure(*_):\n"
+        "    os.write(1, b'building...')\n"
+        f"    return {reason!r}\n"
+        "probe.first_failure = failure\n"
+        f"probe.main({TESTED[0].index!r}, sys.argv[1])\n"
+    )
+    device = OpenCLOperations(TESTED[0].handle)
+    request = programs.make_request(device.constants, [OTHER])
+    command = [sys.executable, str(script), request]
+    done = subprocess.run(
+        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
+        env=dict(trial._environment(), PYTHONIOENCODING="ascii"),
+    )  # fmt: skip
+    verdict = trial._judge(done)
+    assert (verdict["usable"], verdict["reason"]) == (not reason, reason)
+    assert verdicts.load_program_verdict(program_key(device.device, OTHER, device.constants)) == (
+        reason
+    )
 
 
 def test_without_an_interpreter_programs_are_checked_here(one, requests, monkeypatch):

@@ -25,8 +25,11 @@ PROBE_SECONDS = 60.0
 PROBE_SECONDS_VARIABLE = "CLMORPH_PROBE_SECONDS"
 #: The line that the probe prints before it opens the device.
 LOADED = "clmorph.backends.opencl.probe: loaded"
-#: The words with which the probe begins the lines before and after the check of a program.
+#: The words with which the probe begins the lines before and after the check of a program, and the
+#: line of its verdict. Reasons and the verdict are JSON in ASCII. Each line begins anew, because
+#: drivers print text, too, and not always whole lines.
 BEGUN, ENDED = "clmorph.program.begun", "clmorph.program.ended"
+VERDICT = "clmorph.verdict"
 #: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
 _FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
 #: Seconds after which the end of a silent process is looked for, and for which a killed one may
@@ -174,11 +177,10 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
     """Return the verdict of a probe that has ended."""
     lines = done.stdout.strip().splitlines()
     key, under_check = _keep_program_verdicts(lines)
-    if done.returncode == 0 and lines:
-        try:
-            return dict(json.loads(lines[-1]))
-        except (ValueError, TypeError):
-            pass
+    words = [line.partition(" ") for line in lines]
+    if done.returncode == 0 and (found := [rest for word, _, rest in words if word == VERDICT]):
+        with contextlib.suppress(ValueError, TypeError):
+            return dict(json.loads(found[-1]))
     noise = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     reason = noise[-1] if noise else "no output"
     reason = f"its probe ended with status {done.returncode}: {reason}"
@@ -206,9 +208,10 @@ def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:
         if word == BEGUN:
             key, _, name = rest.partition(" ")
         elif word == ENDED and key:
-            # Failures that another check need not repeat have "-" in place of a reason.
-            if rest != "-":
-                save_program_verdict(key, rest)
+            # Failures that another check need not repeat have null in place of a reason.
+            with contextlib.suppress(ValueError):
+                if isinstance(reason := json.loads(rest), str):
+                    save_program_verdict(key, reason)
             key = name = ""
     return key, name
 
