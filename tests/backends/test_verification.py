@@ -299,7 +299,30 @@ def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, wor
     assert (empty / "verified").exists() == lasting
     forget_in_process()
     assert bool(verdicts.load_program_verdict(key)) == lasting
-    assert (verdicts.load_verdict(verdicts.verdict_key(one.device)) or {}).get("usable") is False
+    # A check that ends without evidence refuses the program alone, and for this process alone.
+    condemned = verdicts.load_verdict(verdicts.verdict_key(one.device))
+    assert (condemned is not None) == lasting
+    assert not lasting or condemned["usable"] is False
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills as POSIX does")
+@pytest.mark.parametrize("signal", ["SIGINT", "SIGKILL"])
+def test_a_kill_of_a_check_is_forgotten(one, empty, monkeypatch, signal):
+    """Ctrl-C reaches a check that a thread has started, too."""
+    key = program_key(one.device, OTHER, one.constants)
+    lines = trial.LOADED, f"{trial.BEGUN} {key} {OTHER}"
+    script = empty / "check.py"
+    script.write_text(
+        f"import os, signal; print(*{lines!r}, sep='\\n', flush=True)\n"
+        f"signal.signal(signal.SIGINT, signal.SIG_DFL); os.kill(os.getpid(), signal.{signal})"
+    )
+    with monkeypatch.context() as patch:
+        patch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+        with pytest.raises(DeviceError, match=r"was killed .*; try again"):
+            made(one).verify(OTHER)
+    assert verdicts.load_program_verdict(key) is None
+    assert verdicts.load_verdict(verdicts.verdict_key(one.device)) is None
+    made(one).verify(OTHER)  # a real check
 
 
 def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):

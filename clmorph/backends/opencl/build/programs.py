@@ -17,6 +17,11 @@ from clmorph.errors import DeviceError
 #: Returns what is wrong with a variant, checked in this process; '' if nothing is.
 CheckHere = Callable[[Variant], str]
 
+_ADVICE = (
+    "choose another device with --device or CLMORPH_DEVICE, or the backend 'numpy', or update its "
+    "driver"
+)
+
 
 class Programs:
     """Builds the kernel files for one device, with one set of constants.
@@ -79,8 +84,12 @@ class Programs:
         reason = verdicts.load_program_verdict(key)
         if reason is None:
             reason = self._verify(variant)
-        if reason:
-            self._refuse(reason, lasting=verdicts.is_lasting(key))
+        if not reason:
+            return
+        if verdicts.is_lasting(key):
+            self._refuse(reason)
+        else:
+            raise DeviceError(f"{self._name()} is not used for now: {reason}; {_ADVICE}")
 
     def _key(self, variant: Variant) -> str:
         return program_key(self._device, variant, self._constants)
@@ -106,18 +115,19 @@ class Programs:
             return found
         # Its check came first, and ended without a verdict that another check would repeat.
         reason = result["reason"] or "its check ended without a verdict"
+        if not result.get("timed_out"):
+            # A kill, a lack of memory: the next use checks it again.
+            raise DeviceError(f"{self._name()}: {variant} was not verified: {reason}; try again")
         verdicts.save_program_verdict(key, reason, lasting=False)
         return reason
 
-    def _refuse(self, reason: str, lasting: bool) -> None:
-        device = self._device
+    def _refuse(self, reason: str) -> None:
         if self._chosen:
-            mark_unusable(device, reason, lasting)
-        raise DeviceError(
-            f"{' '.join(device.name.split())} ({device.platform.name.strip()}) is unusable: "
-            f"{reason}; choose another device with --device or CLMORPH_DEVICE, or the backend "
-            "'numpy', or update its driver"
-        )
+            mark_unusable(self._device, reason)
+        raise DeviceError(f"{self._name()} is unusable: {reason}; {_ADVICE}")
+
+    def _name(self) -> str:
+        return f"{' '.join(self._device.name.split())} ({self._device.platform.name.strip()})"
 
 
 def program_key(device: cl.Device, variant: Variant, constants: BuildConstants) -> str:

@@ -80,8 +80,9 @@ def run_probe(
     Returns
     -------
     dict
-        The entries usable (bool), reason (str), pairs_per_second (float), and lasting (bool), which
-        states whether another probe would return the same verdict.
+        The entries usable (bool), reason (str), pairs_per_second (float), lasting (bool), which
+        states whether another probe would return the same verdict, and if it ran out of time,
+        timed_out (True).
     """
     seconds = probe_seconds() if seconds is None else seconds
     python = _interpreter()
@@ -99,8 +100,9 @@ def run_probe(
         under_check = _keep_program_verdicts(str(error.output or "").splitlines())[1]
         return _untried(
             f"did not build and verify {under_check or 'the kernels'} within {seconds:g} s; it is "
-            f"tried again next time, and {PROBE_SECONDS_VARIABLE} sets how many seconds it may take"
-        )
+            f"tried again by the next process, and {PROBE_SECONDS_VARIABLE} sets how many seconds "
+            "it may take"
+        ) | {"timed_out": True}
     except OSError as error:
         return _untried(f"cannot be tried ({python}: {error.strerror})")
     finally:
