@@ -108,6 +108,30 @@ def test_only_what_a_driver_did_is_remembered(monkeypatch, tmp_path, body, lasti
     assert (verdicts.load_verdict("key") is not None) == lasting
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="starts a process as POSIX does")
+@pytest.mark.parametrize(
+    ("body", "words"), [("time.sleep(60)", "within 1 s"), ("os.abort()", "crashed")]
+)
+def test_a_child_of_the_probe_does_not_hold_its_trial_up(monkeypatch, tmp_path, body, words):
+    """A process that a driver starts keeps the probe's standard output open."""
+    script = tmp_path / "probe.py"
+    child = [sys.executable, "-c", "import time; time.sleep(20)"]
+    script.write_text(
+        "import os, subprocess, time\n"
+        f"child = subprocess.Popen({child!r})\n"
+        f"print({trial.LOADED!r}, flush=True)\n"
+        f"print(child.pid, file=open({str(tmp_path / 'pid')!r}, 'w'), flush=True)\n"
+        f"{body}\n"
+    )
+    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+    began = time.monotonic()
+    verdict = trial.run_probe("0:0", seconds=1 if "sleep" in body else 60)
+    taken = time.monotonic() - began
+    os.kill(int((tmp_path / "pid").read_text()), 9)
+    assert words in verdict["reason"]
+    assert taken < 15
+
+
 @pytest.mark.needs_device
 def test_an_interrupted_trial_is_not_remembered(monkeypatch, tmp_path, fresh_search):
     closed = []
@@ -183,6 +207,25 @@ def test_the_probe_stands_any_environment(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "path", ["", ".", *sys.path])
     verdict = trial.run_probe(TESTED[0].index)
     assert verdict["usable"], verdict
+
+
+def test_numpy_has_one_thread_in_the_probe(monkeypatch):
+    """Further ones spin while they wait, and the driver needs the cores."""
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "4")
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    code = (
+        "import json, os, numpy\n"
+        "numpy.ones((600, 600)) @ numpy.ones((600, 600))\n"
+        "tasks = '/proc/self/task'\n"
+        "count = len(os.listdir(tasks)) if os.path.isdir(tasks) else 1\n"
+        "names = 'OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS'\n"
+        "print(json.dumps([count, *map(os.environ.get, names)]))"
+    )
+    command = [sys.executable, "-c", code]
+    out = subprocess.run(command, env=trial._environment(), capture_output=True, check=True).stdout
+    count, of_numpy, of_drivers = json.loads(out)
+    assert (count, of_numpy) == (1, "1")
+    assert of_drivers == "3"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills as POSIX does")

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -281,6 +282,14 @@ def test_other_code_is_another_verdict(one, requests, monkeypatch):
     assert requests == [[OTHER], [OTHER]]
 
 
+def test_other_launches_are_another_verdict(one, requests):
+    """The length of launches is no macro, so that the binary is the same."""
+    short = replace(one.constants, longest_loop=7000)
+    made(one).verify(OTHER)
+    Programs(one.context, one.device, short, lambda variant: "").verify(OTHER)
+    assert requests == [[OTHER], [OTHER]]
+
+
 def test_trying_again_forgets_verdicts_on_programs(one, requests):
     made(one).verify(OTHER)
     devices.forget_verdicts()
@@ -333,13 +342,36 @@ def test_a_crash_or_a_hang_in_a_check_is_told(one, empty, monkeypatch, body, wor
     assert (empty / "verified").exists() == lasting
     forget_in_process()
     assert bool(verdicts.load_program_verdict(key)) == lasting
-    assert (verdicts.load_verdict(verdicts.verdict_key(one.device)) or {}).get("usable") is False
+    # A check that ends without evidence refuses the program alone, and for this process alone.
+    condemned = verdicts.load_verdict(verdicts.verdict_key(one.device))
+    assert (condemned is not None) == lasting
+    assert not lasting or condemned["usable"] is False
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills as POSIX does")
+@pytest.mark.parametrize("signal", ["SIGINT", "SIGKILL"])
+def test_a_kill_of_a_check_is_forgotten(one, empty, monkeypatch, signal):
+    """Ctrl-C reaches a check that a thread has started, too."""
+    key = program_key(one.device, OTHER, one.constants)
+    lines = trial.LOADED, f"{trial.BEGUN} {key} {OTHER}"
+    script = empty / "check.py"
+    script.write_text(
+        f"import os, signal; print(*{lines!r}, sep='\\n', flush=True)\n"
+        f"signal.signal(signal.SIGINT, signal.SIG_DFL); os.kill(os.getpid(), signal.{signal})"
+    )
+    with monkeypatch.context() as patch:
+        patch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+        with pytest.raises(DeviceError, match=r"was killed .*; try again"):
+            made(one).verify(OTHER)
+    assert verdicts.load_program_verdict(key) is None
+    assert verdicts.load_verdict(verdicts.verdict_key(one.device)) is None
+    made(one).verify(OTHER)  # a real check
 
 
 def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):
     keys = [program_key(one.device, variant, one.constants) for variant in (PLAIN, OTHER)]
     lines = [
-        trial.LOADED, f"{trial.BEGUN} {keys[0]} {PLAIN}", trial.ENDED + " ",
+        trial.LOADED, f"{trial.BEGUN} {keys[0]} {PLAIN}", trial.ENDED + ' ""',
         f"{trial.BEGUN} {keys[1]} {OTHER}",
     ]  # fmt: skip
     script = empty / "check.py"
@@ -348,6 +380,35 @@ def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):
     made(one).verify(PLAIN)
     with pytest.raises(DeviceError, match=r"crashed .* log_sum_exp.cl \(dimension 3, precise\)"):
         made(one).verify(OTHER)
+
+
+@pytest.mark.parametrize("reason", ["", f"{verdicts.WRONG}x: größer \u2028 als 1"])
+def test_text_that_a_driver_prints_hides_nothing(empty, tmp_path, reason):
+    """Not even without an end of its line, and where the locale has ASCII only."""
+    script = tmp_path / "check.py"
+    script.write_text(
+        "import atexit, os, sys\n"
+        "from clmorph.backends.opencl import probe\n"
+        "os.write(1, b'driver 1.0')\n"
+        "atexit.register(lambda: os.write(1, b'driver out'))\n"
+        "def failure(*_):\n"
+        "    os.write(1, b'building...')\n"
+        f"    return {reason!r}\n"
+        "probe.first_failure = failure\n"
+        f"probe.main({TESTED[0].index!r}, sys.argv[1])\n"
+    )
+    device = OpenCLOperations(TESTED[0].handle)
+    request = programs.make_request(device.constants, [OTHER])
+    command = [sys.executable, str(script), request]
+    done = subprocess.run(
+        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
+        env=dict(trial._environment(), PYTHONIOENCODING="ascii"),
+    )  # fmt: skip
+    verdict = trial._judge(done)
+    assert (verdict["usable"], verdict["reason"]) == (not reason, reason)
+    assert verdicts.load_program_verdict(program_key(device.device, OTHER, device.constants)) == (
+        reason
+    )
 
 
 def test_without_an_interpreter_programs_are_checked_here(one, requests, monkeypatch):

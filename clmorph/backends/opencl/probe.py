@@ -1,9 +1,8 @@
 """Verify programs of a device: ``python -m clmorph.backends.opencl.probe INDEX [REQUEST]``.
 
 The programs are those of the request (see `clmorph.backends.opencl.build.programs.make_request`),
-or those that most morphs use. Before and after the check of each, a line is printed. The last line
-is JSON: usable, reason, pairs_per_second, lasting. No program that this process builds is verified
-in a further process.
+or those that most morphs use. Before and after the check of each, a line is printed; see
+`opencl.devices.trial`. No program that this process builds is verified in a further process.
 """
 
 import contextlib
@@ -20,7 +19,7 @@ from clmorph.backends.opencl.build.programs import program_key, read_request
 from clmorph.backends.opencl.build.variants import Variant, usual_variants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.devices.throughput import throughput
-from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, LOADED
+from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, LOADED, VERDICT
 from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import ClmorphError
 
@@ -49,10 +48,10 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
         failures = []
         for variant in variants:
             key = program_key(device, variant, operations.constants)
-            print(f"{BEGUN} {key} {variant}", flush=True)
+            print(f"\n{BEGUN} {key} {variant}", flush=True)
             failures.append(_check(operations, variant))
             reason, lasting = failures[-1]
-            print(f"{ENDED} {reason if lasting else '-'}", flush=True)
+            print(f"\n{ENDED} {json.dumps(reason if lasting else None)}", flush=True)
             # Of the programs of a request each gets a verdict.
             if reason and request is None:
                 break
@@ -111,10 +110,14 @@ def end_with_parent() -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
+def main(index: str, request: str | None = None) -> None:
+    """Print what `opencl.devices.trial` reads; see the words there."""
+    # The driver may crash from here on, so this line is printed first.
+    print(f"\n{LOADED}", flush=True)
+    verdict = probe(index, request)
+    print(f"\n{VERDICT} {json.dumps(verdict)}", flush=True)
+
+
 if __name__ == "__main__":
     end_with_parent()
-    # The driver may crash from here on, so this line is printed first.
-    print(LOADED, flush=True)
-    verdict = probe(*sys.argv[1:])
-    print()
-    print(json.dumps(verdict), flush=True)
+    main(*sys.argv[1:])

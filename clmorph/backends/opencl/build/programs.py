@@ -1,5 +1,6 @@
 """The programs of a device in one build, each verified before its first use."""
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict
@@ -16,13 +17,18 @@ from clmorph.errors import DeviceError
 #: Returns what is wrong with a variant, checked in this process; '' if nothing is.
 CheckHere = Callable[[Variant], str]
 
+_ADVICE = (
+    "choose another device with --device or CLMORPH_DEVICE, or the backend 'numpy', or update its "
+    "driver"
+)
+
 
 class Programs:
     """Builds the kernel files for one device, with one set of constants.
 
     A program is verified against NumPy when it is built for the first time, in a process of its
-    own, because a driver may crash or hang; see `opencl.probe`. Its verdict is kept under the key
-    of its binary.
+    own, because a driver may crash or hang; see `opencl.probe`. Its verdict is kept under
+    `program_key`.
 
     Parameters
     ----------
@@ -78,8 +84,12 @@ class Programs:
         reason = verdicts.load_program_verdict(key)
         if reason is None:
             reason = self._verify(variant)
-        if reason:
-            self._refuse(reason, lasting=verdicts.is_lasting(key))
+        if not reason:
+            return
+        if verdicts.is_lasting(key):
+            self._refuse(reason)
+        else:
+            raise DeviceError(f"{self._name()} is not used for now: {reason}; {_ADVICE}")
 
     def _key(self, variant: Variant) -> str:
         return program_key(self._device, variant, self._constants)
@@ -105,22 +115,25 @@ class Programs:
             return found
         # Its check came first, and ended without a verdict that another check would repeat.
         reason = result["reason"] or "its check ended without a verdict"
+        if not result.get("timed_out"):
+            # A kill, a lack of memory: the next use checks it again.
+            raise DeviceError(f"{self._name()}: {variant} was not verified: {reason}; try again")
         verdicts.save_program_verdict(key, reason, lasting=False)
         return reason
 
-    def _refuse(self, reason: str, lasting: bool) -> None:
-        device = self._device
+    def _refuse(self, reason: str) -> None:
         if self._chosen:
-            mark_unusable(device, reason, lasting)
-        raise DeviceError(
-            f"{' '.join(device.name.split())} ({device.platform.name.strip()}) is unusable: "
-            f"{reason}; choose another device with --device or CLMORPH_DEVICE, or the backend "
-            "'numpy', or update its driver"
-        )
+            mark_unusable(self._device, reason)
+        raise DeviceError(f"{self._name()} is unusable: {reason}; {_ADVICE}")
+
+    def _name(self) -> str:
+        return f"{' '.join(self._device.name.split())} ({self._device.platform.name.strip()})"
 
 
 def program_key(device: cl.Device, variant: Variant, constants: BuildConstants) -> str:
-    """Return the key of a program's verdict: that of its binary, and the identity of the code.
+    """Return the key of a program's verdict: of its binary, all constants and the package's code.
+
+    Not all constants are macros: by some of them the host chooses its launches.
 
     Parameters
     ----------
@@ -130,7 +143,8 @@ def program_key(device: cl.Device, variant: Variant, constants: BuildConstants) 
     constants : BuildConstants
     """
     key = program.build_key(device, variant.file, variant.macros(constants))
-    return f"{key}-{verdicts.code_identity()[:16]}"
+    of_constants = hashlib.sha256(repr(constants).encode()).hexdigest()
+    return f"{key}-{of_constants[:8]}-{verdicts.code_identity()[:16]}"
 
 
 def make_request(constants: BuildConstants, variants: list[Variant]) -> str:

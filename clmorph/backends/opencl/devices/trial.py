@@ -3,6 +3,7 @@
 A driver may abort or hang its process, so no program is run in this process before it was verified.
 """
 
+import contextlib
 import json
 import os
 import queue
@@ -12,8 +13,9 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from clmorph._shared.validation import check_number
 from clmorph.backends.opencl.devices.verdicts import save_program_verdict
@@ -23,10 +25,19 @@ PROBE_SECONDS = 60.0
 PROBE_SECONDS_VARIABLE = "CLMORPH_PROBE_SECONDS"
 #: The line that the probe prints before it opens the device.
 LOADED = "clmorph.backends.opencl.probe: loaded"
-#: The words with which the probe begins the lines before and after the check of a program.
+#: The words with which the probe begins the lines before and after the check of a program, and the
+#: line of its verdict. Reasons and the verdict are JSON in ASCII. Each line begins anew, because
+#: drivers print text, too, and not always whole lines.
 BEGUN, ENDED = "clmorph.program.begun", "clmorph.program.ended"
+VERDICT = "clmorph.verdict"
 #: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
 _FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
+#: Seconds after which the end of a silent process is looked for, and for which a killed one may
+#: take to end.
+_STEP, _PATIENCE = 0.5, 5.0
+#: Variables that limit the threads of NumPy's matrix products. Idle ones spin, which makes a trial
+#: on a busy machine several times as long. Drivers read OMP_NUM_THREADS, so that it stays as it is.
+_ONE_THREAD = ("MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 #: Variables that would change how the probe's interpreter ends, warns or prints.
 _UNWANTED = ("PYTHONINSPECT", "PYTHONIOENCODING", "PYTHONWARNINGS")
 
@@ -69,8 +80,9 @@ def run_probe(
     Returns
     -------
     dict
-        The entries usable (bool), reason (str), pairs_per_second (float), and lasting (bool), which
-        states whether another probe would return the same verdict.
+        The entries usable (bool), reason (str), pairs_per_second (float), lasting (bool), which
+        states whether another probe would return the same verdict, and if it ran out of time,
+        timed_out (True).
     """
     seconds = probe_seconds() if seconds is None else seconds
     python = _interpreter()
@@ -88,8 +100,9 @@ def run_probe(
         under_check = _keep_program_verdicts(str(error.output or "").splitlines())[1]
         return _untried(
             f"did not build and verify {under_check or 'the kernels'} within {seconds:g} s; it is "
-            f"tried again next time, and {PROBE_SECONDS_VARIABLE} sets how many seconds it may take"
-        )
+            f"tried again by the next process, and {PROBE_SECONDS_VARIABLE} sets how many seconds "
+            "it may take"
+        ) | {"timed_out": True}
     except OSError as error:
         return _untried(f"cannot be tried ({python}: {error.strerror})")
     finally:
@@ -105,37 +118,57 @@ def _command(python: str, index: str, request: str | None) -> list[str]:
 
 
 def _run(command: list[str], seconds: float, reading: int) -> "subprocess.CompletedProcess[str]":
-    """Run a process, which may take `seconds` for each of the lines that it prints."""
+    """Run a process, which may take `seconds` for each of the lines that it prints.
+
+    The end of the process counts, and not that of its standard output, which a further process
+    that a driver has started may keep open.
+    """
     found: queue.Queue[str | None] = queue.Queue()
     lines: list[str] = []
-    with (
-        tempfile.TemporaryFile() as noise,
-        subprocess.Popen(
+    with tempfile.TemporaryFile() as noise:
+        process = subprocess.Popen(
             command, env=_environment(), stdin=reading, stdout=subprocess.PIPE, stderr=noise,
             text=True, errors="replace",
-        ) as process,
-    ):  # fmt: skip
-
-        def read() -> None:
-            assert process.stdout is not None
-            for line in process.stdout:
-                found.put(line)
-            found.put(None)
-
-        threading.Thread(target=read, daemon=True).start()
+        )  # fmt: skip
+        assert process.stdout is not None
+        threading.Thread(target=_pass_on, args=(process.stdout, found), daemon=True).start()
         try:
-            while (line := found.get(timeout=seconds)) is not None:
+            deadline, ended = time.monotonic() + seconds, False
+            while True:
+                try:
+                    line = found.get(timeout=_STEP)
+                except queue.Empty:
+                    # The last lines may come a moment after the end.
+                    if ended:
+                        break
+                    ended = process.poll() is not None
+                    if not ended and time.monotonic() > deadline:
+                        raise subprocess.TimeoutExpired(command, seconds, "".join(lines)) from None
+                    continue
+                if line is None:
+                    break
                 lines.append(line)
-            code = process.wait(timeout=seconds)
-        except (queue.Empty, subprocess.TimeoutExpired):
+                deadline = time.monotonic() + seconds
+            try:
+                code = process.wait(timeout=seconds)
+            except subprocess.TimeoutExpired:
+                raise subprocess.TimeoutExpired(command, seconds, "".join(lines)) from None
+        finally:
             process.kill()
-            raise subprocess.TimeoutExpired(command, seconds, "".join(lines)) from None
-        except BaseException:  # an interruption
-            process.kill()
-            raise
+            # A process that waits in a kernel's driver cannot be killed, and is not waited for.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=_PATIENCE)
         noise.seek(0)
         complaints = noise.read().decode(errors="replace")
     return subprocess.CompletedProcess(command, code, "".join(lines), complaints)
+
+
+def _pass_on(pipe: IO[str], found: "queue.Queue[str | None]") -> None:
+    """Put the lines of a pipe, which this thread owns and closes, into a queue; None at the end."""
+    with pipe:
+        for line in pipe:
+            found.put(line)
+    found.put(None)
 
 
 def _untried(reason: str) -> dict[str, Any]:
@@ -146,11 +179,10 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
     """Return the verdict of a probe that has ended."""
     lines = done.stdout.strip().splitlines()
     key, under_check = _keep_program_verdicts(lines)
-    if done.returncode == 0 and lines:
-        try:
-            return dict(json.loads(lines[-1]))
-        except (ValueError, TypeError):
-            pass
+    words = [line.partition(" ") for line in lines]
+    if done.returncode == 0 and (found := [rest for word, _, rest in words if word == VERDICT]):
+        with contextlib.suppress(ValueError, TypeError):
+            return dict(json.loads(found[-1]))
     noise = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     reason = noise[-1] if noise else "no output"
     reason = f"its probe ended with status {done.returncode}: {reason}"
@@ -178,9 +210,10 @@ def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:
         if word == BEGUN:
             key, _, name = rest.partition(" ")
         elif word == ENDED and key:
-            # Failures that another check need not repeat have "-" in place of a reason.
-            if rest != "-":
-                save_program_verdict(key, rest)
+            # Failures that another check need not repeat have null in place of a reason.
+            with contextlib.suppress(ValueError):
+                if isinstance(reason := json.loads(rest), str):
+                    save_program_verdict(key, reason)
             key = name = ""
     return key, name
 
@@ -207,6 +240,7 @@ def _environment() -> dict[str, str]:
     known = {name: value for name, value in os.environ.items() if name not in _UNWANTED}
     if sys.flags.ignore_environment:
         known = {name: value for name, value in known.items() if not name.startswith("PYTHON")}
+    known |= dict.fromkeys(_ONE_THREAD, "1")
     # Relative entries refer to the current folder, whose modules may shadow others.
     places = [place for place in sys.path if Path(place).is_absolute()]
     root = str(Path(__file__).parents[4])
