@@ -10,26 +10,27 @@ from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 import pyopencl as cl
 import pytest
 from conftest import TESTED, found_anew
 from planted import FAULTS
 
 import clmorph
-from clmorph import DeviceError
+from clmorph import DeviceError, morph
 from clmorph.backends.opencl import verification
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program, programs
 from clmorph.backends.opencl.build.constants import choose_constants
 from clmorph.backends.opencl.build.programs import Programs, program_key, read_request
-from clmorph.backends.opencl.build.variants import KERNELS, Variant, usual_variants
+from clmorph.backends.opencl.build.variants import KERNELS, Variant, large_variants, usual_variants
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import trial, verdicts
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
 
 PLAIN = Variant("log_sum_exp.cl", 5)
-OTHER = Variant("log_sum_exp.cl", 3, precise=True)
+OTHER = Variant("plan_rows.cl", 3, precise=True)
 
 pytestmark = pytest.mark.needs_device
 
@@ -176,7 +177,7 @@ VARIANTS = [
 
 def test_the_variants_are_of_every_file():
     assert {variant.file for variant in VARIANTS} == set(KERNELS)
-    assert set(usual_variants()) <= set(VARIANTS)
+    assert set(usual_variants() + large_variants()) <= set(VARIANTS)
 
 
 @pytest.mark.parametrize("quirk", QUIRKS)
@@ -378,7 +379,7 @@ def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):
     script.write_text(f"import os; print(*{lines!r}, sep='\\n', flush=True); os.abort()")
     monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
     made(one).verify(PLAIN)
-    with pytest.raises(DeviceError, match=r"crashed .* log_sum_exp.cl \(dimension 3, precise\)"):
+    with pytest.raises(DeviceError, match=r"crashed .* plan_rows.cl \(dimension 3, precise\)"):
         made(one).verify(OTHER)
 
 
@@ -447,10 +448,25 @@ def test_a_part_of_a_device_is_verified_on_the_whole(one, requests):
 
 def test_a_program_is_verified_in_a_real_process(one, empty):
     """Its binary then lies in the cache, and is the one that is used."""
-    variant = Variant("log_sum_exp.cl", 4, precise=True)
+    variant = Variant("plan_rows.cl", 4, precise=True)
     kernels = made(one).kernels(variant)
-    assert set(kernels) == {"log_sum_exp"}
+    assert set(kernels) == set(KERNELS["plan_rows.cl"])
     assert len(list((empty / "verified").iterdir())) == 1
+
+
+def test_programs_of_a_morph_are_verified_together(device, requests):
+    operations = OpenCLOperations(device.device)
+    y, x = np.mgrid[:40, :40] / 40
+    pictures = np.stack([x, y, x * y], axis=-1), np.stack([y, 1 - x, np.cos(x * y)], axis=-1)
+    morph(*pictures, n_frames=2, backend=operations)
+    assert len(requests) == 1
+    assert set(requests[0]) == set(usual_variants())
+
+
+def test_programs_of_large_pictures_are_verified_together(one, requests):
+    for variant in large_variants():
+        made(one).verify(variant)
+    assert [set(request) for request in requests] == [set(large_variants())]
 
 
 def test_forced_quirks_have_a_verdict_of_their_own(monkeypatch):

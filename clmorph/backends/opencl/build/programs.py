@@ -9,7 +9,7 @@ import pyopencl as cl
 
 from clmorph.backends.opencl.build import program
 from clmorph.backends.opencl.build.constants import BuildConstants
-from clmorph.backends.opencl.build.variants import KERNELS, Variant, usual_variants
+from clmorph.backends.opencl.build.variants import KERNELS, Variant, used_together
 from clmorph.backends.opencl.devices import trial, verdicts
 from clmorph.backends.opencl.devices.find import index_of, mark_unusable
 from clmorph.errors import DeviceError
@@ -72,7 +72,7 @@ class Programs:
     def verify(self, variant: Variant) -> None:
         """Verify a program, unless its verdict is known.
 
-        Of the programs that most morphs use, all whose verdicts are unknown are verified together.
+        Of the programs that one morph uses, all whose verdicts are unknown are verified together.
 
         Raises
         ------
@@ -103,7 +103,7 @@ class Programs:
             verdicts.save_program_verdict(key, reason)
             return reason
         together = [variant]
-        usual = usual_variants(variant.dimension or 5)
+        usual = used_together(variant)
         if variant in usual:
             together += [
                 other for other in usual

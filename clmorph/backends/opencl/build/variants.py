@@ -59,7 +59,26 @@ def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
         Variant("log_sum_exp.cl", dimension),
         Variant("log_sum_exp.cl", dimension, precise=True, bounded=True),
         Variant("plan_rows.cl", dimension),
+        Variant("plan_shares.cl", dimension),
         Variant("particles.cl"),
         Variant("splat.cl"),
         Variant("gauss_transform.cl"),
     )
+
+
+def large_variants(dimension: int = 5) -> tuple[Variant, ...]:
+    """Return the variants that such a morph uses beside the usual ones if pictures are large."""
+    return (
+        Variant("near_field.cl", dimension, listed=True),
+        Variant("log_sum_exp.cl", dimension, listed=True),
+        Variant("log_sum_exp.cl", dimension, precise=True),
+        Variant("log_sum_exp.cl", dimension, precise=True, listed=True, bounded=True),
+        Variant("plan_shares.cl", dimension, listed=True),
+    )
+
+
+def used_together(variant: Variant) -> tuple[Variant, ...]:
+    """Return the variants that one morph uses, with this one among them; else this one alone."""
+    dimension = variant.dimension or 5
+    groups = usual_variants(dimension), large_variants(dimension)
+    return next((group for group in groups if variant in group), (variant,))
