@@ -40,8 +40,9 @@ class Programs:
         Checks a variant in this process, where no other can be started. If not given, programs
         are not verified at all: so it is in the process that verifies them.
     chosen : bool
-        Whether the constants are those that clmorph chooses for the device. Then a wrong program
-        makes the device unusable.
+        Whether the constants are those that clmorph chooses for the device. Then a program that
+        computes wrongly or crashes makes the device unusable; one that the compiler refuses is
+        only not used.
     """
 
     def __init__(
@@ -122,6 +123,8 @@ class Programs:
         return reason
 
     def _refuse(self, reason: str) -> None:
+        if not verdicts.condemns(reason):
+            raise DeviceError(f"{self._name()} cannot run this: {reason}; {_ADVICE}")
         if self._chosen:
             mark_unusable(self._device, reason)
         raise DeviceError(f"{self._name()} is unusable: {reason}; {_ADVICE}")
