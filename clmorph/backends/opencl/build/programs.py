@@ -8,7 +8,8 @@ from dataclasses import asdict
 import pyopencl as cl
 
 from clmorph.backends.opencl.build import program
-from clmorph.backends.opencl.build.constants import BuildConstants
+from clmorph.backends.opencl.build.constants import BuildConstants, choose_constants
+from clmorph.backends.opencl.build.tuned_record import forget_tuning
 from clmorph.backends.opencl.build.variants import KERNELS, Variant, usual_variants
 from clmorph.backends.opencl.devices import trial, verdicts
 from clmorph.backends.opencl.devices.find import index_of, mark_unusable
@@ -42,7 +43,7 @@ class Programs:
     chosen : bool
         Whether the constants are those that clmorph chooses for the device. Then a program that
         computes wrongly or crashes makes the device unusable; one that the compiler refuses is
-        only not used.
+        only not used. Tuned constants of a program that fails are forgotten instead.
     """
 
     def __init__(
@@ -123,6 +124,13 @@ class Programs:
         return reason
 
     def _refuse(self, reason: str) -> None:
+        if self._chosen and self._constants != choose_constants(self._device):
+            # The fault may be that of the tuned build alone.
+            forget_tuning(self._device)
+            raise DeviceError(
+                f"{self._name()} fails with its tuned build: {reason}; the tuning is now "
+                "forgotten: start again, and the build for this kind of device is used"
+            )
         if not verdicts.condemns(reason):
             raise DeviceError(f"{self._name()} cannot run this: {reason}; {_ADVICE}")
         if self._chosen:
