@@ -103,9 +103,25 @@ def _choose(spec: str | None, every: bool, even_wrong: bool = False) -> list[Dev
         return [choose_device(spec or "auto", even_wrong)]
 
 
+def _choose_any(spec: str | None, every: bool) -> list[Device]:
+    """Return the device that the user chose, or every device; unusable ones if no other is meant.
+
+    The tuning of a device may be the reason why it is unusable.
+    """
+    if every:
+        return list(_find()) or _choose(spec, every)
+    try:
+        return _choose(spec, every)
+    except DeviceError:
+        meant = [d for d in _find() if spec in (None, "auto", "opencl") or d.matches(str(spec))]
+        if not meant:
+            raise
+        return meant
+
+
 def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
     """Tune devices, or delete their stored tuning."""
-    devices = _choose(spec, every)
+    devices = _choose_any(spec, every) if reset else _choose(spec, every)
     # These import pyopencl; where it is missing, the choice has said so.
     from clmorph.backends.opencl.build.tuned_record import forget_tuning
     from clmorph.backends.opencl.tuner import tune
@@ -115,6 +131,9 @@ def tune_devices(spec: str | None, every: bool, reset: bool) -> None:
         if reset:
             forget_tuning(device.handle)
             click.echo("  tuning forgotten")
+            if not device.usable:
+                try_again(device.handle)
+                note(f"it was unusable: {device.reason}; it is tried again when it is needed")
             continue
         constants, before, after = tune(device.handle, lambda line: click.echo(f"  {line}"))
         click.echo(f"  kept: {constants}")

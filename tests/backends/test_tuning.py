@@ -3,16 +3,21 @@
 import numpy as np
 import pytest
 
+from clmorph import DeviceError
+from clmorph.backends.opencl import probe
 from clmorph.backends.opencl import tuner as tuning
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import tuned_record
 from clmorph.backends.opencl.build.constants import choose_constants, cpu_constants, gpu_constants
+from clmorph.backends.opencl.build.programs import program_key
 from clmorph.backends.opencl.build.tuned_record import (
     CANDIDATES,
     forget_tuning,
     is_possible,
     tuned_constants,
 )
+from clmorph.backends.opencl.build.variants import Variant
+from clmorph.backends.opencl.devices import find, verdicts
 from clmorph.backends.opencl.devices.cache import load_record, save_record
 from clmorph.backends.opencl.tuner import tune
 from clmorph.cli.main import main
@@ -107,8 +112,6 @@ def test_a_damaged_record_is_ignored(device, entry):
 
 
 def test_builds_that_fail_are_passed_over(device, monkeypatch):
-    from clmorph import DeviceError
-
     start = choose_constants(device.device)
 
     def speed(device, constants):
@@ -132,3 +135,62 @@ def test_the_command(capsys, fast_tile, tmp_path):
     assert list((tmp_path / "tuning").iterdir()) == []
     assert main(["tune", "--device", "pocl", "--all"]) == 2
     assert "contradict" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", ["wrong result of", "its driver crashed", "cannot build"])
+def test_a_tuned_build_that_fails_is_forgotten(device, fresh_search, tmp_path, monkeypatch, words):
+    """The device stays usable: its own build may be right."""
+    start, variant = choose_constants(device.device), Variant("plan_shares.cl", 5)
+    best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
+    tuned_record.save_tuning(device.device, best, start, 1e9)
+    operations = OpenCLOperations(device.device)
+    assert operations.constants == best
+    key = program_key(device.device, variant, best)
+    verdicts.save_program_verdict(key, f"{words} {variant}: softmin is off by 1 nats")
+    with pytest.raises(DeviceError, match=r"tuned build: .* off by 1 nats; the tuning is now forg"):
+        operations.programs.verify(variant)
+    assert verdicts.load_verdict(verdicts.verdict_key(device.device)) is None
+    assert OpenCLOperations(device.device).constants == start
+
+
+def test_constants_of_the_caller_leave_the_tuning(device, fresh_search):
+    start, variant = choose_constants(device.device), Variant("plan_shares.cl", 5)
+    best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
+    tuned_record.save_tuning(device.device, best, start, 1e9)
+    verdicts.save_program_verdict(program_key(device.device, variant, best), "wrong result of x")
+    with pytest.raises(DeviceError, match="is unusable"):
+        OpenCLOperations(device.device, best).programs.verify(variant)
+    assert tuned_constants(device.device) == best
+
+
+def test_the_first_trial_leaves_the_tuned_build_out(device, fresh_search, monkeypatch):
+    start = choose_constants(device.device)
+    best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
+    tuned_record.save_tuning(device.device, best, start, 1e9)
+    built = []
+
+    def failure(operations, variant):
+        built.append(operations.constants)
+        return "wrong result of all"
+
+    monkeypatch.setattr(probe, "first_failure", failure)
+    assert not probe.probe(find.index_of(device.device))["usable"]
+    assert built == [start]
+
+
+@pytest.mark.parametrize("reason", ["wrong result of x: y", "its driver crashed (signal 6) on x"])
+def test_reset_takes_an_unusable_device(device, asked, capsys, reason, tmp_path):
+    index = find.index_of(device.device)
+    start = choose_constants(device.device)
+    best = next(iter(tuning.variants(start, "unroll", int(device.device.max_work_group_size))))
+    tuned_record.save_tuning(device.device, best, start, 1e9)
+    find.mark_unusable(device.device, reason)
+    assert main(["tune", "--device", index]) == 2
+    assert "unusable" in capsys.readouterr().err
+    assert main(["tune", "--device", index, "--reset"]) == 0
+    printed = capsys.readouterr()
+    assert "tuning forgotten" in printed.out
+    assert reason in " ".join(printed.err.split())
+    assert list((tmp_path / "tuning").iterdir()) == []
+    assert find.tried(index).usable
+    assert main(["tune", "--device", "no such device", "--reset"]) == 2

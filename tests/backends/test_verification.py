@@ -18,7 +18,7 @@ from planted import FAULTS
 
 import clmorph
 from clmorph import DeviceError, morph
-from clmorph.backends.opencl import verification
+from clmorph.backends.opencl import probe, verification
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program, programs
 from clmorph.backends.opencl.build.constants import choose_constants
@@ -367,6 +367,27 @@ def test_a_kill_of_a_check_is_forgotten(one, empty, monkeypatch, signal):
     assert verdicts.load_program_verdict(key) is None
     assert verdicts.load_verdict(verdicts.verdict_key(one.device)) is None
     made(one).verify(OTHER)  # a real check
+
+
+def test_a_refused_build_is_of_one_program_only(one, empty, monkeypatch):
+    """A compiler that refuses points of another dimension does not make other morphs impossible."""
+    key = program_key(one.device, OTHER, one.constants)
+    reason = f"{OTHER}: a device cannot build {OTHER.file}: 71:2: error: too long"
+    lines = [trial.LOADED, f"{trial.BEGUN} {key} {OTHER}", f"{trial.ENDED} {json.dumps(reason)}"]
+    lines.append(f"{trial.VERDICT} {json.dumps(probe._failure(reason, lasting=True))}")
+    script = empty / "check.py"
+    script.write_text(f"print(*{lines!r}, sep='\\n')")
+    command = trial._command
+    monkeypatch.setattr(trial, "_command", lambda *_: [sys.executable, str(script)])
+    for _ in range(2):
+        with pytest.raises(DeviceError, match=r"cannot run this: .*dimension 3") as caught:
+            made(one).verify(OTHER)
+        assert "\n" not in str(caught.value)
+        forget_in_process()
+    assert verdicts.load_program_verdict(key) == reason
+    assert verdicts.load_verdict(verdicts.verdict_key(one.device)) is None
+    monkeypatch.setattr(trial, "_command", command)
+    made(one).verify(Variant("log_sum_exp.cl", 4, precise=True))
 
 
 def test_programs_before_a_crash_keep_their_verdicts(one, empty, monkeypatch):

@@ -15,6 +15,7 @@ from typing import Any
 import pyopencl as cl
 
 from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build.constants import choose_constants
 from clmorph.backends.opencl.build.programs import program_key, read_request
 from clmorph.backends.opencl.build.variants import Variant, usual_variants
 from clmorph.backends.opencl.devices.find import raw_devices
@@ -44,6 +45,9 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
     try:
         if request is not None:
             constants, variants = read_request(request)
+        else:
+            # A tuned build is no reason to refuse the device; it is verified when it is used.
+            constants = choose_constants(device)
         operations = OpenCLOperations(device, constants, verify=False)
         failures = []
         for variant in variants:

@@ -8,7 +8,8 @@ from dataclasses import asdict
 import pyopencl as cl
 
 from clmorph.backends.opencl.build import program
-from clmorph.backends.opencl.build.constants import BuildConstants
+from clmorph.backends.opencl.build.constants import BuildConstants, choose_constants
+from clmorph.backends.opencl.build.tuned_record import forget_tuning
 from clmorph.backends.opencl.build.variants import KERNELS, Variant, used_together
 from clmorph.backends.opencl.devices import trial, verdicts
 from clmorph.backends.opencl.devices.find import index_of, mark_unusable
@@ -40,8 +41,9 @@ class Programs:
         Checks a variant in this process, where no other can be started. If not given, programs
         are not verified at all: so it is in the process that verifies them.
     chosen : bool
-        Whether the constants are those that clmorph chooses for the device. Then a wrong program
-        makes the device unusable.
+        Whether the constants are those that clmorph chooses for the device. Then a program that
+        computes wrongly or crashes makes the device unusable; one that the compiler refuses is
+        only not used. Tuned constants of a program that fails are forgotten instead.
     """
 
     def __init__(
@@ -122,6 +124,15 @@ class Programs:
         return reason
 
     def _refuse(self, reason: str) -> None:
+        if self._chosen and self._constants != choose_constants(self._device):
+            # The fault may be that of the tuned build alone.
+            forget_tuning(self._device)
+            raise DeviceError(
+                f"{self._name()} fails with its tuned build: {reason}; the tuning is now "
+                "forgotten: start again, and the build for this kind of device is used"
+            )
+        if not verdicts.condemns(reason):
+            raise DeviceError(f"{self._name()} cannot run this: {reason}; {_ADVICE}")
         if self._chosen:
             mark_unusable(self._device, reason)
         raise DeviceError(f"{self._name()} is unusable: {reason}; {_ADVICE}")

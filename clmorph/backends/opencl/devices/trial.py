@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from clmorph._shared.validation import check_number
-from clmorph.backends.opencl.devices.verdicts import save_program_verdict
+from clmorph.backends.opencl.devices.verdicts import CRASHED, save_program_verdict
 
 #: Time limit in seconds to build and check a program, and the variable that changes it.
 PROBE_SECONDS = 60.0
@@ -185,12 +185,16 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
             return dict(json.loads(found[-1]))
     noise = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     reason = noise[-1] if noise else "no output"
-    reason = f"its probe ended with status {done.returncode}: {reason}"
+    under_check = under_check or "a kernel"
     # If the probe has not opened the device yet, the driver is not the cause of the failure.
     lasting = LOADED in lines
+    if lasting:
+        reason = f"{CRASHED} (status {done.returncode}) on {under_check}: {reason}"
+    else:
+        reason = f"its probe ended with status {done.returncode}: {reason}"
     if done.returncode < 0:
         lasting = True
-        reason = f"its driver crashed (signal {-done.returncode}) on {under_check or 'a kernel'}"
+        reason = f"{CRASHED} (signal {-done.returncode}) on {under_check}"
         outside = [getattr(signal, name, None) for name in _FROM_OUTSIDE]
         if -done.returncode in outside:
             lasting, reason = False, f"its probe was killed (signal {-done.returncode})"

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: What the reason of a verdict begins with if results were wrong: no crash, no refusal.
 WRONG = "wrong result of "
+#: What the reason of a verdict begins with if the driver ended the process of the check.
+CRASHED = "its driver crashed"
 #: The folders of verdicts on devices and on programs in the cache, with one file for each verdict.
 _FOLDER, _PROGRAMS = "devices", "verified"
 
@@ -174,6 +176,15 @@ def save_program_verdict(key: str, reason: str, lasting: bool = True) -> None:
         save_record(f"{_PROGRAMS}/{key}", {"passed": not reason, "reason": reason})
     else:
         _momentary.add(key)
+
+
+def condemns(reason: str) -> bool:
+    """Return whether the device that a program was refused for does not work at all.
+
+    A compiler that refuses a program, such as one for points of many dimensions, says nothing of
+    the others.
+    """
+    return reason.startswith((WRONG, CRASHED))
 
 
 def is_lasting(key: str) -> bool:
