@@ -295,7 +295,7 @@ def test_python_and_the_other_commands_check_too(morph, capfd):
 def test_a_report_replaces_no_device(capfd, monkeypatch):
     from clmorph.cli.devices import check_devices
 
-    monkeypatch.setattr("clmorph.cli.devices._choose", lambda *choice: [])
+    monkeypatch.setattr("clmorph.cli.devices._choose", lambda *choice, **options: [])
     for place, words in ((os.devnull, "neither a file nor a folder"), (".", "is a folder")):
         with pytest.raises(OutputError, match=words):
             check_devices(None, False, Path(place))
