@@ -52,7 +52,8 @@ from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.backends.several import SeveralDevices, frame_turns, members_of, sharing_note
 from clmorph.backends.several.clouds import UNIT, divide_rows
 from clmorph.backends.several.shares import recorded_shares
-from clmorph.cli.conformance import check, log_sum_exp_tolerance
+from clmorph.backends.verification.clouds import log_sum_exp_tolerance
+from clmorph.cli.conformance import check
 
 
 @pytest.fixture(scope="session")
