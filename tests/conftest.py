@@ -58,6 +58,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "full: a long test, run with --full only")
     config.addinivalue_line("markers", "small: for slow devices too")
+    config.addinivalue_line("markers", "one_device: on the first tested device, in its own build")
     config.addinivalue_line("markers", "needs_device: skipped without a usable OpenCL device")
     name = config.getoption("--device")
     if name is None:
@@ -187,6 +188,8 @@ def _is_slow(device: Device | None) -> bool:
 def _suits(item: pytest.Item, device: Device | None) -> bool:
     """Whether a test is for its device: of slow ones, operations and what is marked as small."""
     params = getattr(getattr(item, "callspec", None), "params", {})
+    if item.get_closest_marker("one_device") is not None and device is not None:
+        return device == TESTED[0] and not params.get("variant", (device, False))[1]
     return (
         not _is_slow(device) or "variant" in params or item.get_closest_marker("small") is not None
     )

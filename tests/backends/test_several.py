@@ -1,6 +1,6 @@
 """Several devices as one backend: each operation, and how they are named.
 
-The operations' own tests run here too, on two parts of each device: the fixture `variant` of
+The operations' own tests run here too, on two parts of a device: the fixture `variant` of
 this module takes the place of the one in ``conftest.py``.
 """
 
@@ -46,7 +46,6 @@ from clmorph import DeviceError, InputError
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.backend import OpenCLOperations
-from clmorph.backends.opencl.build.constants import apply_quirks, cpu_constants, gpu_constants
 from clmorph.backends.opencl.devices import cache, speed
 from clmorph.backends.opencl.devices.find import find_devices
 from clmorph.backends.several import SeveralDevices, frame_turns, members_of, sharing_note
@@ -55,16 +54,14 @@ from clmorph.backends.several.shares import recorded_shares
 from clmorph.backends.verification.clouds import log_sum_exp_tolerance
 from clmorph.cli.conformance import check
 
+# How rows are divided does not depend on the device.
+pytestmark = pytest.mark.one_device
+
 
 @pytest.fixture(scope="session")
 def variant(request):
-    """Two parts of a device, built with its own constants or with those of the other kind."""
-    device, swapped = request.param
-    constants = None
-    if swapped:
-        constants = gpu_constants(256) if device.kind == "CPU" else cpu_constants(4)
-        constants = apply_quirks(constants, frozenset({"no_float64"}))
-    return SeveralDevices(two_parts(device.handle, constants))
+    """Two parts of a device."""
+    return SeveralDevices(two_parts(request.param[0].handle))
 
 
 def test_several_devices_have_the_protocols_signatures():

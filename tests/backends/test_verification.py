@@ -455,10 +455,10 @@ def test_no_process_that_verifies_starts_another(one, monkeypatch):
 
 
 def test_a_part_of_a_device_is_verified_on_the_whole(one, requests):
-    try:
-        parts = one.device.create_sub_devices([cl.device_partition_property.EQUALLY, 1])
-    except cl.Error:
+    equally = cl.device_partition_property.EQUALLY
+    if equally not in one.device.partition_properties:
         pytest.skip("the device has no parts")
+    parts = one.device.create_sub_devices([equally, 1])
     assert devices.index_of(parts[0]) == TESTED[0].index
     context = cl.Context([parts[0]])
     part = Programs(context, parts[0], one.constants, lambda variant: "checked here")

@@ -8,18 +8,18 @@ from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.several import SeveralDevices
 
 
-def two_parts(handle, constants=None):
+def two_parts(handle):
     """Return operations on two parts of a device, one compute unit each.
 
     Where a driver has no parts, such as llvmpipe's, two backends share the device.
     """
-    try:
-        parts = handle.create_sub_devices([cl.device_partition_property.EQUALLY, 1])[:2]
-    except cl.Error:
-        parts = []
+    equally, parts = cl.device_partition_property.EQUALLY, []
+    # Mesa 22.3 ends the process where parts are asked for that it does not have.
+    if equally in handle.partition_properties:
+        parts = handle.create_sub_devices([equally, 1])[:2]
     if len(parts) < 2:
         parts = [handle, handle]
-    return [OpenCLOperations(part, constants, verify=False) for part in parts]
+    return [OpenCLOperations(part, verify=False) for part in parts]
 
 
 #: name -> function of operations on one device that returns several devices.
