@@ -121,9 +121,10 @@ def main() -> None:
     device = choose_device(options.device).handle
     whole = OpenCLOperations(device)
     if options.beside is None:
-        parts = device.create_sub_devices([cl.device_partition_property.EQUALLY, 1])[:2]
-        if len(parts) < 2:
-            parser.error("the device has one compute unit: expected at least two, or --beside")
+        equally = cl.device_partition_property.EQUALLY
+        if equally not in device.partition_properties or device.max_compute_units < 2:
+            parser.error("the device has no two parts: choose another one, or --beside")
+        parts = device.create_sub_devices([equally, 1])[:2]
         ones = [OpenCLOperations(part) for part in parts]
         names = "whole device", "one part", "two parts"
         backends: list[Operations] = [whole, ones[0], SeveralDevices(ones)]

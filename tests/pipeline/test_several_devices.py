@@ -90,8 +90,9 @@ def test_a_morph_is_that_of_one_device(device, kind, options):
     two = clmorph.morph(*images, n_frames=7, backend=several, **options)
     frames = list(two.iter_frames())
     assert len(frames) == 7
-    # Draws depend on the order of tiles, which parts of a cloud have for themselves.
-    tolerance = 0.05 if "sample" in options else 1e-3
+    # Draws depend on the order of tiles, which parts of a cloud have for themselves. Else rounding,
+    # which is NumPy's on some rows and a device's on others, is below a level of 8 bits.
+    tolerance = 0.05 if "sample" in options else 1 / 255
     for ours, theirs in zip(one.iter_frames(), frames, strict=True):
         assert np.abs(ours - theirs).max() <= tolerance
     again = clmorph.morph(*images, n_frames=7, backend=KINDS[kind](device), **options)
