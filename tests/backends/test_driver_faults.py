@@ -51,7 +51,7 @@ def run(operations, name, n, group, *arrays):
     """Run a kernel of LOOPS over 64 work-items in groups; return its results."""
     context, queue = operations.context, operations.queue
     program = cl._Program(context, LOOPS)
-    _build(program, ["-cl-std=CL1.2"])
+    _build(program, operations.device, ["-cl-std=CL1.2"])
     kernel = cl.Kernel(cl.Program(program), name)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     out = np.zeros(64, np.uint32)

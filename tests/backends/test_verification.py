@@ -475,8 +475,8 @@ def test_a_program_is_verified_in_a_real_process(one, empty):
     assert len(list((empty / "verified").iterdir())) == 1
 
 
-def test_programs_of_a_morph_are_verified_together(device, requests):
-    operations = OpenCLOperations(device.device)
+def test_programs_of_a_morph_are_verified_together(one, requests):
+    operations = OpenCLOperations(one.device)
     y, x = np.mgrid[:40, :40] / 40
     pictures = np.stack([x, y, x * y], axis=-1), np.stack([y, 1 - x, np.cos(x * y)], axis=-1)
     morph(*pictures, n_frames=2, backend=operations)
