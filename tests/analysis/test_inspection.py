@@ -311,15 +311,15 @@ class TestPairs:
 
 
 class _Counted:
-    """Bytes of buffers that live on a device."""
+    """The most bytes of buffers on a device: with those that its pool holds, and without."""
 
     def __init__(self, monkeypatch, device):
-        self.live = self.peak = 0
+        self.live = self.peak = self.used = 0
         counted = self
         original = launches.cl.Buffer
         pool = device.work._pool
         pool.free_held()
-        self.before = pool.managed_bytes
+        self.before, self.active = pool.managed_bytes, pool.active_bytes
 
         class Buffer(original):
             def __init__(self, *arguments, **options):
@@ -343,6 +343,7 @@ class _Counted:
     def _change(self, size, pool):
         self.live += size
         self.peak = max(self.peak, self.live + pool.managed_bytes - self.before)
+        self.used = max(self.used, self.live + pool.active_bytes - self.active)
 
 
 class TestMemory:
@@ -380,7 +381,9 @@ class TestMemory:
             first.shape[:2], second.shape[:2], pairs, alpha=channels == 4, backend=device, **way
         )
         assert 0.5 < memory.host / host < 2, (memory.host, host)
-        assert 0.5 < memory.device / counted.peak < 2.2, (memory.device, counted.peak)
+        # What the pool holds for reuse depends on the sizes of launches, and so on their duration.
+        assert memory.device / counted.used > 0.5, (memory.device, counted.used)
+        assert memory.device / counted.peak < 2.2, (memory.device, counted.peak)
         assert memory.shared
         assert memory.ram == memory.host + memory.device
 
