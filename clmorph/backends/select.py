@@ -95,7 +95,11 @@ def _several(given: Sequence[Any]) -> Operations:
         if isinstance(one, list | tuple) or (isinstance(one, str) and "," in one):
             raise InputError(f"backend: expected one device for each entry, not {shown(one)}")
         if isinstance(one, str) and not one.strip():
-            raise InputError(f"backend={shown(list(given))}: expected a name for each device")
+            names = shown(",".join(map(str, given)))
+            raise InputError(
+                f"a device's name is missing in {names}: expected a name for each device, such as "
+                "'0:0,0:1'"
+            )
     return open_several([get_backend(one) for one in given], given)
 
 

@@ -17,6 +17,8 @@ from clmorph.backends.several import SeveralDevices, members_of
 from clmorph.frames.frame_renderer import FrameRenderer
 
 COMMAND = Path(sys.executable).with_name("clmorph")
+#: The coverage below which a pixel is compared more loosely.
+THIN = 0.01
 
 
 def clouds(rng, sizes):
@@ -90,11 +92,14 @@ def test_a_morph_is_that_of_one_device(device, kind, options):
     two = clmorph.morph(*images, n_frames=7, backend=several, **options)
     frames = list(two.iter_frames())
     assert len(frames) == 7
-    # Draws depend on the order of tiles, which parts of a cloud have for themselves. Else rounding,
-    # which is NumPy's on some rows and a device's on others, is below a level of 8 bits.
-    tolerance = 0.05 if "sample" in options else 1 / 255
-    for ours, theirs in zip(one.iter_frames(), frames, strict=True):
-        assert np.abs(ours - theirs).max() <= tolerance
+    # Draws depend on the order of tiles, which parts of a cloud have for themselves.
+    tolerance = 0.05 if "sample" in options else 1e-3
+    for t, ours, theirs in zip(one.times, one.iter_frames(), frames, strict=True):
+        # Where hardly any kernel reaches, pairs at the edge of a cut kernel decide the color, and
+        # NumPy and a device differ by up to a level of 8 bits.
+        seen = one.coverage(float(t)) >= THIN
+        assert np.abs(ours - theirs)[seen].max() <= tolerance
+        assert np.abs(ours - theirs).max() <= max(tolerance, 2 / 255)
     again = clmorph.morph(*images, n_frames=7, backend=KINDS[kind](device), **options)
     assert [frame.tobytes() for frame in again.iter_frames()] == [f.tobytes() for f in frames]
     # However a frame is asked for, the same device renders it.

@@ -100,7 +100,7 @@ def forget_verdicts() -> None:
     _forget_found()
 
 
-def mark_unusable(handle: "cl.Device", reason: str, lasting: bool = True) -> None:
+def mark_unusable(handle: "cl.Device", reason: str) -> None:
     """Remember that a device is unusable, which was found after its trial.
 
     Parameters
@@ -108,10 +108,8 @@ def mark_unusable(handle: "cl.Device", reason: str, lasting: bool = True) -> Non
     handle : pyopencl.Device
         A device, or a part of one.
     reason : str
-    lasting : bool
-        Whether another check would find the same; if not, only this process remembers it.
     """
-    refuse(verdict_key(handle), reason, lasting)
+    refuse(verdict_key(handle), reason)
     _forget_found()
 
 

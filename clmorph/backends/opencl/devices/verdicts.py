@@ -109,13 +109,13 @@ def save_verdict(key: str, verdict: dict[str, Any]) -> None:
         save_record(f"{_FOLDER}/{key}", verdict)
 
 
-def refuse(key: str, reason: str, lasting: bool = True) -> None:
+def refuse(key: str, reason: str) -> None:
     """Remember that a device is unusable, which was found after its trial.
 
-    This process remembers it even if nothing can be stored, or if another check may pass.
+    This process remembers it even if nothing can be stored.
     """
     _refused[key] = {"usable": False, "reason": reason, "pairs_per_second": 0.0}
-    save_verdict(key, _refused[key] | {"lasting": lasting})
+    save_verdict(key, _refused[key])
 
 
 def refusals() -> int:
