@@ -100,6 +100,11 @@ def interrupt_soon():
     return timer
 
 
+def threads_since(before):
+    """Return threads that were not there before; threads of other tests may end meanwhile."""
+    return set(threading.enumerate()) - before
+
+
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to threads")
 @pytest.mark.parametrize("tasks", [(endless, endless), (lambda: None, endless)])
 def test_ctrl_c_ends_all_tasks(tasks):
@@ -120,12 +125,12 @@ def test_ctrl_c_ends_all_tasks(tasks):
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to threads")
 def test_ctrl_c_ends_results():
-    before = threading.active_count()
+    before = set(threading.enumerate())
     timer = interrupt_soon()
     with pytest.raises(KeyboardInterrupt):
         list(results_in_order([0, 1, 0, 1], lambda worker, number: endless()))
     timer.join()
-    assert threading.active_count() == before
+    assert not threads_since(before)
 
 
 def test_results_come_in_order():
@@ -161,29 +166,29 @@ def test_a_failing_result_ends_all(failing):
             raise ValueError(f"result {number}")
         return number
 
-    before, taken = threading.active_count(), []
+    before, taken = set(threading.enumerate()), []
     with pytest.raises(ValueError, match=f"result {failing}"):
         taken.extend(results_in_order([0, 1, 2] * 3, work))
     assert taken == list(range(len(taken)))
     assert len(taken) <= failing
-    assert threading.active_count() == before
+    assert not threads_since(before)
 
 
 def test_a_consumer_that_leaves_ends_all():
-    before = threading.active_count()
+    before = set(threading.enumerate())
     for _ in results_in_order([0, 1] * 50, lambda worker, number: number):
         break
-    assert threading.active_count() == before
+    assert not threads_since(before)
 
 
 def test_threads_end_with_their_object():
-    before = threading.active_count()
+    before = set(threading.enumerate())
     workers = Workers(2)
     workers.run_at_once([lambda: None] * 3)
-    assert threading.active_count() == before + 2
+    assert len(threads_since(before)) == 2
     del workers
     for _ in range(100):
-        if threading.active_count() == before:
+        if not threads_since(before):
             return
         time.sleep(0.02)
     raise AssertionError("threads are left")
