@@ -1,4 +1,4 @@
-"""Measures of frames: divergence on the path (paper, 4.3, Table 2), holes, sharpness, steps."""
+"""Measures of frames: divergence on the path (paper, 4.3, Table 2), holes, sharpness, specks."""
 
 from __future__ import annotations
 
@@ -35,8 +35,10 @@ from clmorph.transport.options import SolverOptions
 from clmorph.transport.regularization import regularization
 
 __all__ = [
+    "crumbs",
     "frame_measure",
     "hole_fraction",
+    "mean_gradient",
     "particle_measure",
     "path_divergence",
     "sharpness",
@@ -47,6 +49,9 @@ Array = NDArray[np.float64]
 
 #: The measures with which frames can be compared: the target image, or the particles.
 REFERENCES = ("target", "particles")
+
+#: The difference from the median of 3 x 3 pixels beyond which a pixel is a speck.
+SPECK = 0.06
 
 #: The largest value that a coverage or a frame may have, whose square is still finite.
 LARGEST = 1e30
@@ -184,6 +189,56 @@ def sharpness(frame: ArrayLike) -> float:
     slopes = [np.diff(luma, axis=axis) ** 2 for axis in (0, 1)]
     count = sum(slope.size for slope in slopes)
     return float(np.sqrt(sum(slope.sum() for slope in slopes) / max(1, count)))
+
+
+def crumbs(frame: ArrayLike) -> float:
+    """Return the share of pixels whose luma is more than 0.06 from the median of 3 x 3 pixels.
+
+    Particles whose neighbors have traveled elsewhere leave such specks. Fine detail of a picture
+    counts too, so a frame is compared with the images of its ends.
+
+    Parameters
+    ----------
+    frame : (H, W, C) array
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph.analysis.metrics import crumbs
+    >>> frame = np.zeros((10, 10, 3))
+    >>> frame[4, 4] = 1.0
+    >>> crumbs(frame)
+    0.01
+    """
+    from scipy.ndimage import median_filter
+
+    luma = _as_array("frame", frame, (3,))[..., :3] @ LUMINANCE
+    return float(np.mean(np.abs(luma - median_filter(luma, 3, mode="nearest")) > SPECK))
+
+
+def mean_gradient(frame: ArrayLike) -> float:
+    """Return the mean length of the gradient of a frame's luma, per pixel.
+
+    Unlike `sharpness` it grows with the length of outlines in proportion to their contrast, so that
+    a cross-fade of unrelated pictures has about the mean of theirs.
+
+    Parameters
+    ----------
+    frame : (H, W, C) array of at least 2 x 2 pixels
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clmorph.analysis.metrics import mean_gradient
+    >>> ramp = np.repeat(np.linspace(0, 1, 5)[None, :, None], 3, axis=2).repeat(4, axis=0)
+    >>> mean_gradient(ramp)
+    0.25
+    """
+    luma = _as_array("frame", frame, (3,))[..., :3] @ LUMINANCE
+    if min(luma.shape) < 2:
+        raise InputError(f"frame of {luma.shape} pixels: expected at least (2, 2)")
+    down, right = np.diff(luma, axis=0)[:, :-1], np.diff(luma, axis=1)[:-1]
+    return float(np.hypot(down, right).mean())
 
 
 def step_sizes(frames: Sequence[ArrayLike]) -> Array:

@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 
 from clmorph.backends.interface import Operations
-from clmorph.frames.canvas import canvas_at
-from clmorph.frames.endpoints import Details, Lacking, ladder, mean_destinations
+from clmorph.frames.carried_detail import band_width
+from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.options import RenderOptions
-from clmorph.frames.particles import Particles, particles
-from clmorph.frames.render import render
-from clmorph.images.color import from_space
+from clmorph.frames.particles import particles
+from clmorph.frames.render import Widths
 from clmorph.images.detail import auto_sigma
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
@@ -121,55 +120,31 @@ def _time(
     source: Measure, target: Measure, plan: Plan | Barycentric, operations: Operations
 ) -> tuple[float, float]:
     """Return the seconds of one frame, and those of the preparation before the first frame."""
-    space = RenderOptions.path_space
-    shapes, images = (source.shape, target.shape), _images(source, target)
-    start, end = (auto_sigma(image) for image in images)
+    start, end = (auto_sigma(image) for image in _images(source, target))
     width = KernelWidth(start, end, 0.0, 1.0, 1.0, RenderOptions.splatting)
-    made: list[Any] = []
+    made: list[FrameRenderer] = []
 
-    def make() -> None:
-        moving = particles(source, target, plan, path_space=space)
-        uploaded = operations.upload_particles(moving.table, moving.links, moving.weights)
-        made.extend((moving, uploaded))
-
-    once = _seconds(make)
-    moving: Particles = made[0]
-
-    def draw(t: float) -> None:
-        canvas = canvas_at(t, *shapes, source.extent)
-        sums = render(
-            operations, made[1], moving.mass(t), t, canvas, width.widths(t, canvas)
+    def renderer(detail: str) -> FrameRenderer:
+        moving = particles(source, target, plan, path_space=RenderOptions.path_space)
+        return FrameRenderer(
+            source, target, plan, moving, width, operations, RenderOptions.endpoints,
+            RenderOptions.unmatched, detail,
         )  # fmt: skip
-        from_space(sums.colors, space)
 
-    draw(0.5)  # builds kernels
+    def prepare() -> None:
+        made.append(renderer(RenderOptions.detail))
+        made[0].prepare()
+
+    # Kernels are built first.
+    band = band_width(source.shape)
+    renderer("particles").sums(0.5, Widths(band))
+    if any(measure.alpha is not None for measure in (source, target)):
+        renderer("particles").frame(0.5)
+    once = _seconds(prepare)
     drawn = np.zeros(len(TIMES))
     for _ in range(PASSES):
-        drawn += [_seconds(lambda t=t: draw(t)) / PASSES for t in TIMES]  # type: ignore[misc]
-    if any(measure.alpha is not None for measure in (source, target)):
-        drawn *= 2  # opacity is drawn with separate particles
-    # The correction of both ends renders each end with every kernel width near it, and once more.
-    for time_of_end, seconds in ((0.0, drawn[0]), (1.0, drawn[-1])):
-        near = [width.at(t, canvas_at(t, *shapes)) for t in np.linspace(time_of_end, 0.5, 9)]
-        once += float(seconds) * (len(ladder(np.array(near))) + 1)
-    details = _detail_seconds(source, plan, target, operations)
-    return float(drawn @ SHARES) + details, once
-
-
-def _detail_seconds(
-    source: Measure, plan: Plan | Barycentric, target: Measure, operations: Operations
-) -> float:
-    """Return the seconds of adding the correction of both ends to one frame."""
-    canvas = canvas_at(0.25, source.shape, target.shape, source.extent)
-    total = 0.0
-    ends = zip((source, target), mean_destinations(source, target, plan), strict=True)
-    for measure, destinations in ends:
-        missing = Lacking(np.ones(1), np.ones((1, *measure.shape, 3)))
-        moving = np.full(len(measure), 0.5)
-        details = Details(operations, measure, missing, destinations, moving, measure is target)
-        details.at(0.25, canvas, 1.0)
-        total += _seconds(lambda details=details: details.at(0.25, canvas, 1.0))  # type: ignore[misc]
-    return total
+        drawn += [_seconds(lambda t=t: made[0].frame(t)) / PASSES for t in TIMES]  # type: ignore[misc]
+    return float(drawn @ SHARES), once
 
 
 def _images(source: Measure, target: Measure) -> list[Any]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,25 @@ class Canvas:
     def center(self) -> tuple[float, float]:
         """Pixel coordinates (x, y) of the common frame's center."""
         return (self.shape[1] - 1) / 2, (self.shape[0] - 1) / 2
+
+    def reduced(self, longest: int) -> "Canvas":
+        """Return a canvas of the same extent with at most `longest` pixels along a side."""
+        shrink = min(1.0, longest / max(self.shape))
+        height, width = (max(1, round(side * shrink)) for side in self.shape)
+        x, y = width / self.shape[1], height / self.shape[0]
+        return Canvas((height, width), (self.scale[0] * x, self.scale[1] * y))
+
+    def positions(self) -> NDArray[np.float64]:
+        """Return the positions (x, y) of all pixels in the common frame: (H, W, 2) array."""
+        y, x = np.mgrid[: self.shape[0], : self.shape[1]].astype(np.float64)
+        # Along a side of one pixel the scale may be 0.
+        scale = np.maximum(self.scale, 1e-9)
+        return np.stack((x - self.center[0], y - self.center[1]), axis=-1) / scale + 0.5
+
+    def places(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the pixel coordinates (row, column) of positions (..., 2): (2, ...) array."""
+        pixels = (positions - 0.5) * self.scale + self.center
+        return np.stack((pixels[..., 1], pixels[..., 0]))
 
 
 def canvas_at(

@@ -31,8 +31,8 @@ NARROW = 0.3
 #: Factor between the kernel widths for which the correction is computed.
 STEP = 1.25
 
-#: A correction that is smaller than this everywhere is left out, because nobody sees it.
-NEGLIGIBLE = 1e-4
+#: A correction that is smaller than this everywhere is left out: it is rounding of float32.
+NEGLIGIBLE = 1e-7
 
 
 def share(t: float) -> float:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas, canvas_at
+from clmorph.frames.carried_detail import CarriedDetail
 from clmorph.frames.endpoints import EndCorrection, Lacking, ladder, make_details
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.opacity import alpha_particles, opacity
@@ -38,6 +39,7 @@ class FrameRenderer:
     operations : Operations
     endpoints : {"exact", "paper"}
     unmatched : {"fade", "drop"}
+    detail : {"carried", "particles"}
     """
 
     def __init__(
@@ -50,12 +52,13 @@ class FrameRenderer:
         operations: Operations,
         endpoints: str,
         unmatched: str,
+        detail: str,
     ) -> None:
-        #: The renderer on another device, whose correction of the ends this one uses.
+        #: The renderer on another device, whose data on the host this one uses.
         self._like: FrameRenderer | None = None
         self._measures, self._plan, self._particles = (source, target), plan, particles
         self._kernel_width, self._operations = kernel_width, operations
-        self._endpoints, self._unmatched = endpoints, unmatched
+        self._endpoints, self._unmatched, self._detail = endpoints, unmatched, detail
         #: Time and opacity of the frame that was rendered last.
         self._last_opacity: tuple[float, NDArray[np.float64]] | None = None
 
@@ -71,18 +74,19 @@ class FrameRenderer:
         ----------
         operations : Operations
         like : FrameRenderer, optional
-            The renderer that computes the correction of the ends; by default the new one itself.
+            The renderer that computes the correction of the ends and the motion of the details; by
+            default the new one itself.
         """
         other = FrameRenderer(
             *self._measures, self._plan, self._particles, self._kernel_width, operations,
-            self._endpoints, self._unmatched,
+            self._endpoints, self._unmatched, self._detail,
         )  # fmt: skip
         other._like = like
         return other
 
     def prepare(self) -> None:
-        """Compute the correction of the ends, which otherwise the first frame does."""
-        _ = self._correction
+        """Compute what all frames share, which otherwise the first frame does."""
+        _ = self._correction, self._carried
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t."""
@@ -92,7 +96,7 @@ class FrameRenderer:
     def frame(self, t: float) -> NDArray[np.float64]:
         """Render the frame at time t: (H, W, 3) or, with opacity, (H, W, 4) array."""
         canvas = self.canvas(t)
-        picture = self._picture(t, self.sums(t), self._correction)
+        picture = self._picture(t, self._correction)
         if self._correction is not None:
             picture = np.clip(picture + self._correction.resting(t, canvas), 0.0, 1.0)
         return picture
@@ -146,18 +150,30 @@ class FrameRenderer:
         self._last_opacity = t, opaque
         return opaque
 
-    def _picture(
-        self, t: float, sums: Sums, correction: EndCorrection | None
-    ) -> NDArray[np.float64]:
+    def _picture(self, t: float, correction: EndCorrection | None) -> NDArray[np.float64]:
         """Return colors and, if there is one, opacity, before the resting correction is added."""
-        colors = sums.colors
-        if correction is not None:
-            canvas = self.canvas(t)
-            colors = colors + correction.moving(t, canvas, self._kernel_width.at(t, canvas))
+        canvas, carried = self.canvas(t), self._carried
+        if carried is not None:
+            smooth = self.sums(t, Widths(carried.kernel_width(t)))
+            colors = carried.frame(t, canvas, smooth.colors)
+        else:
+            colors = self.sums(t).colors
+            if correction is not None:
+                colors = colors + correction.moving(t, canvas, self._kernel_width.at(t, canvas))
         picture = from_space(colors, self._particles.path_space)
         if self._alpha_particles is None:
             return picture
         return np.dstack((picture, self._opacity(t)))
+
+    @cached_property
+    def _carried(self) -> CarriedDetail | None:
+        """The detail of both images; None if particles alone draw the frames."""
+        if self._detail != "carried" or self._alpha_particles is not None:
+            return None
+        if self._like is not None:
+            return self._like._carried
+        start, middle, end = (self.canvas(t) for t in (0.0, 0.5, 1.0))
+        return CarriedDetail(self._measures, self._particles, (start, middle, end))
 
     @cached_property
     def _correction(self) -> EndCorrection | None:
@@ -167,12 +183,14 @@ class FrameRenderer:
         if self._like is not None:
             correction = self._like._correction
             return None if correction is None else correction.on(self._operations)
-        lacking = self._lacking(0.0), self._lacking(1.0)
-        correction = EndCorrection(
-            make_details(self._operations, self._measures, self._plan, lacking, self._unmatched)
-        )
+        correction = EndCorrection((None, None))
+        if self._carried is None:
+            lacking = self._lacking(0.0), self._lacking(1.0)
+            correction = EndCorrection(
+                make_details(self._operations, self._measures, self._plan, lacking, self._unmatched)
+            )
         for end, measure in enumerate(self._measures):
-            picture = self._picture(float(end), self.sums(float(end)), correction)
+            picture = self._picture(float(end), correction)
             image = measure.colors.reshape(*measure.shape, 3)
             rest = image - picture[..., :3]
             if self._alpha_particles is not None:

@@ -21,6 +21,9 @@ ENDPOINTS = get_args(Endpoints)
 #: The rules for mass that does not travel: it is drawn as it dies and is born, or left out.
 Unmatched = Literal["fade", "drop"]
 UNMATCHED = get_args(Unmatched)
+#: Where the fine detail of a frame comes from: from both images, carried along the mean motion; or
+#: from the particles alone, as in the paper.
+Detail = Literal["carried", "particles"]
 #: A kernel width in pixels, or "auto": half the smallest detail of the image.
 Sigma = float | Literal["auto"]
 
@@ -35,6 +38,13 @@ GAMMA = 0.5
 class RenderOptions(Options):
     """Options of the frames."""
 
+    detail: Detail = option(
+        "carried", choice(Detail),
+        "Fine detail of a frame: carried from both pictures along the mean motion, or that of the "
+        "particles alone (particles), by the kernel width below. Pictures with opacity are always "
+        "drawn by particles.",
+        "Drawing", word="",
+    )  # fmt: skip
     splatting: Splatting = option(
         "local", choice(Splatting),
         "Kernel width: each particle's own (local), that of the paper's Eq. 4 (adaptive), "

@@ -27,6 +27,7 @@ class MorphKeywords(TypedDict, total=False):
     barycentric: bool
     sample: int | None
     seed: int
+    detail: Literal["carried", "particles"]
     splatting: Literal["local", "adaptive", "fixed", "none"]
     sigma_start: float | Literal["auto"]
     sigma_end: float | Literal["auto"]

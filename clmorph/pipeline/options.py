@@ -52,6 +52,15 @@ REASONS = dict(
         strict=True,
     )
 )
+#: Options of the kernel with which particles draw detail, and their values where they ask nothing.
+OF_PARTICLES = {
+    "splatting": "local",
+    "sigma_start": "auto",
+    "sigma_end": "auto",
+    "gamma": None,
+    "sigma": None,
+    "endpoints": "exact",
+}
 #: Error message for options without a divergence, by which optimal widths could be found.
 NO_DIVERGENCE = (
     "sigma='optimal' needs a divergence: one reach for both images, and one color metric for all "
@@ -174,6 +183,7 @@ class MorphOptions(
                         settings.pop(other, None)
             settings |= layer
             _settle_gamma(settings, layer)
+            _settle_detail(settings, layer)
         return settings
 
     def settle(self, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
@@ -197,6 +207,12 @@ class MorphOptions(
         # Store plain floats, with the value that was given and not with a recomputed one.
         for name in ("epsilon", "rho"):
             object.__setattr__(self, name, _plain(getattr(self, name)))
+        for name, neutral in OF_PARTICLES.items():
+            if self.detail == "carried" and getattr(self, name) != neutral:
+                raise InputError(
+                    f"detail='carried' and {name}={_text(getattr(self, name))} contradict: this "
+                    "kernel draws the detail of particles; leave one of them out"
+                )
         if self.sigma is None:
             return
         if self.splatting not in (*BULGING, "local"):
@@ -316,6 +332,16 @@ def _settle_gamma(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
         settings["splatting"] = splatting
     elif not _bulges(layer.get("splatting", "adaptive")):
         settings["gamma"] = None
+
+
+def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
+    """Let an option of the particles' kernel imply that particles draw the detail."""
+    asked = any(
+        name in layer and (name == "splatting" or not _is_off(layer[name], (neutral,)))
+        for name, neutral in OF_PARTICLES.items()
+    )
+    if asked and "detail" not in layer:
+        settings["detail"] = "particles"
 
 
 #: The paper's own options, for the reference and for the paper's baseline.

@@ -42,6 +42,7 @@ PRESETS: dict[str, Preset] = {
             "sigma_start": 1.2,
             "sigma_end": 0.5,
             "gamma": 0.5,
+            "detail": "particles",
             "splatting": "adaptive",
             "endpoints": "paper",
             "path_space": "srgb",
@@ -55,6 +56,7 @@ PRESETS: dict[str, Preset] = {
             "size": 64,
             "blur": 0.01,
             "color_weight": 1.0,
+            "detail": "particles",
             "sigma_start": 0.3,
             "sigma_end": 0.3,
             "scaling": "nearest",
@@ -62,7 +64,13 @@ PRESETS: dict[str, Preset] = {
     ),
     "crossfade": Preset(
         "Nothing moves: one picture fades into the other, to compare with.",
-        {"reach": 0.001, "splatting": "fixed", "sigma_start": 0.3, "extent": "unit"},
+        {
+            "reach": 0.001,
+            "detail": "particles",
+            "splatting": "fixed",
+            "sigma_start": 0.3,
+            "extent": "unit",
+        },
     ),
     "balanced": Preset(
         "Nothing fades: all mass of one picture moves into the other, however far.",

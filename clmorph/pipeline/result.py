@@ -98,7 +98,7 @@ class Morph(FrameSequence):
     def __post_init__(self) -> None:
         renderer = FrameRenderer(
             self.source, self.target, self.plan, self.particles, self.kernel_width,
-            self.operations, self.endpoints, self.unmatched,
+            self.operations, self.endpoints, self.unmatched, self.options.detail,
         )  # fmt: skip
         object.__setattr__(self, "_renderer", SpreadRenderer(renderer, self.times))
 

@@ -4,8 +4,10 @@ from plain import morph, sinkhorn_divergence
 
 from clmorph import InputError
 from clmorph.analysis.metrics import (
+    crumbs,
     frame_measure,
     hole_fraction,
+    mean_gradient,
     particle_measure,
     path_divergence,
     sharpness,
@@ -102,6 +104,27 @@ def test_hole_fraction():
     assert hole_fraction(coverage) == pytest.approx(3 / 400)
     assert hole_fraction(1e-2 * np.ones((9, 9))) == 0  # thin, but evenly
     assert hole_fraction(np.zeros((9, 9))) == 1
+
+
+def test_crumbs_are_specks_and_not_outlines():
+    halves = np.zeros((20, 20, 3))
+    halves[:, 10:] = 1.0
+    assert crumbs(halves) == 0
+    faint, bright = halves.copy(), halves.copy()
+    faint[5, 5], bright[5, 5] = 0.05, 0.07
+    assert crumbs(faint) == 0
+    assert crumbs(bright) == pytest.approx(1 / 400)
+
+
+def test_the_mean_gradient_grows_with_contrast_and_length_of_outlines():
+    one, two = np.zeros((2, 21, 21, 3))
+    one[:, 10:] = two[:, 5:] = 1.0
+    two[:, 15:] = 0.0
+    assert mean_gradient(one) == pytest.approx(1 / 20)
+    assert mean_gradient(0.5 * one) == pytest.approx(0.5 / 20)
+    assert mean_gradient(two) == pytest.approx(2 / 20)
+    with pytest.raises(InputError, match=r"expected at least \(2, 2\)"):
+        mean_gradient(np.zeros((1, 5, 3)))
 
 
 def test_sharpness_and_steps():

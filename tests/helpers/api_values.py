@@ -158,6 +158,7 @@ def cases() -> dict[str, dict[str, Any]]:
     given: dict[str, dict[str, Any]] = {
         "morph": images | STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | playback | {
             "n_frames": 2, "splatting": "adaptive", "sigma": None, "endpoints": "exact",
+            "detail": "particles",
             "unmatched": "fade", "path_space": "srgb", "barycentric": False, "sample": None,
             "seed": 0, "ease": "linear",
         },
@@ -221,6 +222,8 @@ def cases() -> dict[str, dict[str, Any]]:
         },
         "quality.hole_fraction": {"coverage": np.ones((3, 3))},
         "quality.sharpness": {"frame": some["a"]},
+        "quality.crumbs": {"frame": some["a"]},
+        "quality.mean_gradient": {"frame": some["a"]},
         "quality.step_sizes": {"frames": [some["a"], some["b"]]},
         "baseline.channel_morph": images | STRENGTHS | SOLVER | WIDTHS | {
             "n_frames": 2, "backend": "numpy", "extent": "true",

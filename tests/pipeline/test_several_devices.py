@@ -14,6 +14,7 @@ from several import KINDS, pictures
 
 import clmorph
 from clmorph.backends.several import SeveralDevices, members_of
+from clmorph.frames import carried_detail
 from clmorph.frames.frame_renderer import FrameRenderer
 
 COMMAND = Path(sys.executable).with_name("clmorph")
@@ -140,7 +141,7 @@ def test_each_device_renders_its_share(device, monkeypatch):
 
     monkeypatch.setattr(FrameRenderer, "frame", frame)
     monkeypatch.setattr(FrameRenderer, "_lacking", counted)
-    made = clmorph.morph(*pictures(), n_frames=9, backend=several)
+    made = clmorph.morph(*pictures(), n_frames=9, backend=several, detail="particles")
     list(made.iter_frames())
     turns = {t: member for member, t in rendered}
     assert [turns[t] for t in made.times] == [0, 0, 1, 0, 0, 0, 1, 0, 0]
@@ -149,6 +150,20 @@ def test_each_device_renders_its_share(device, monkeypatch):
     rendered.clear()
     made.frame(0.123)
     assert rendered == [(0, 0.123)]
+
+
+def test_the_motion_of_details_is_computed_once(device, monkeypatch):
+    several = SeveralDevices(KINDS["halves"](device).members, [0.5, 0.5])
+    made = []
+    register = carried_detail.register
+
+    def counted(*arguments):
+        made.append(1)
+        return register(*arguments)
+
+    monkeypatch.setattr(carried_detail, "register", counted)
+    list(clmorph.morph(*pictures(), n_frames=9, backend=several).iter_frames())
+    assert made == [1]
 
 
 def test_few_frames_are_in_memory(device, monkeypatch):

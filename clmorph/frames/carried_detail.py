@@ -1,0 +1,161 @@
+"""Frames whose fine detail comes from the images themselves, carried along the mean motion.
+
+The particles of a plan average the colors of many pixels, so a frame halfway is soft. Here the
+particles give a frame's lower band alone: they are drawn with a kernel as wide as `band_width`.
+What the images have above it is sampled where the motion halfway (`halfway`) says, and mixed:
+
+    frame = (1 - c) particles + c [(1 - t) low A + t low B] + g [(1 - k) high A + k high B]
+
+- k is t where both details are equally strong; elsewhere the stronger one prevails, so that fewer
+  outlines lie upon one another.
+- g lowers the local standard deviation of the mixture to that of both details mixed by t: without
+  it a detail that prevails would not fade.
+- c is near 1 where both lower bands agree along the motion, so that a picture and its own smooth
+  deformation need nothing of the particles.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.halfway import mean_displacement, register, sampled
+from clmorph.frames.particles import Particles
+from clmorph.images.color import to_space
+from clmorph.measures.measure import Measure
+
+Array = NDArray[np.float64]
+_Samples = NDArray[np.float32]
+
+#: Standard deviation of the Gaussian between both bands: a share of the longer side, and at least
+#: this number of pixels.
+BAND_SHARE, NARROWEST_BAND = 0.016, 1.5
+#: Difference of the lower bands, in units of the path's lightness, at which c falls to 1/e.
+AGREEMENT = 0.1
+#: Variance of a detail that nobody sees.
+FLOOR = 1e-5
+
+
+def band_width(shape: tuple[int, int]) -> float:
+    """Return the standard deviation of the Gaussian between both bands, in pixels."""
+    return max(NARROWEST_BAND, BAND_SHARE * max(shape))
+
+
+class Bands(NamedTuple):
+    """An image divided into bands, ready to be sampled.
+
+    Attributes
+    ----------
+    detail : (H, W, 3) array
+        Image less lower band, as coefficients of a cubic spline.
+    smooth : (H, W, 4) array
+        The lower band, and the local variance of the detail.
+    canvas : Canvas
+        The canvas of the image.
+    """
+
+    detail: _Samples
+    smooth: _Samples
+    canvas: Canvas
+
+    @classmethod
+    def of(cls, colors: Array, canvas: Canvas) -> "Bands":
+        """Divide an image (H, W, 3) in the space of the path."""
+        from scipy.ndimage import spline_filter
+
+        width = band_width(canvas.shape)
+        low = _mean_around(colors, width)
+        detail = colors - low
+        variance = _mean_around((detail**2).sum(axis=-1)[..., None], width)
+        coefficients = [
+            spline_filter(detail[..., channel], order=3, mode="mirror") for channel in range(3)
+        ]
+        smooth = np.dstack((low, variance))
+        return cls(
+            np.stack(coefficients, axis=-1).astype(np.float32), smooth.astype(np.float32), canvas
+        )
+
+    def at(self, positions: Array) -> tuple[_Samples, _Samples, _Samples]:
+        """Return detail, lower band and variance at positions (H, W, 2) of the common frame."""
+        places = self.canvas.places(positions)
+        smooth = sampled(self.smooth, places, order=1)
+        return sampled(self.detail, places, order=3), smooth[..., :3], smooth[..., 3:]
+
+
+class CarriedDetail:
+    """The bands of both images and the motion between them.
+
+    Parameters
+    ----------
+    measures : (source, target)
+        Measures of opaque images.
+    particles : Particles
+        The particles of their plan.
+    canvases : three of Canvas
+        At t = 0, 1/2 and 1.
+    """
+
+    def __init__(
+        self,
+        measures: tuple[Measure, Measure],
+        particles: Particles,
+        canvases: tuple[Canvas, Canvas, Canvas],
+    ) -> None:
+        start, middle, end = canvases
+        colors = [measure.colors.reshape(*measure.shape, 3) for measure in measures]
+        first, second = (to_space(image, "oklab")[..., 0] for image in colors)
+        displacement, grid = mean_displacement(particles, middle)
+        self._motion = register((first, second), (start, end), displacement, grid)
+        self._bands = [
+            Bands.of(to_space(image, particles.path_space), canvas)
+            for image, canvas in zip(colors, (start, end), strict=True)
+        ]
+
+    def kernel_width(self, t: float) -> float:
+        """Return the kernel width with which particles are drawn at time t, in pixels."""
+        start, end = (band_width(bands.canvas.shape) for bands in self._bands)
+        return (1 - t) * start + t * end
+
+    def frame(self, t: float, canvas: Canvas, colors: Array) -> Array:
+        """Return a frame in the space of the path: (H, W, 3) array.
+
+        Parameters
+        ----------
+        t : float
+        canvas : Canvas
+            The canvas at t.
+        colors : (H, W, 3) array
+            What the particles show, drawn with `kernel_width`.
+        """
+        positions = canvas.positions()
+        # The displacement is smooth, so a coarse grid of it is enough.
+        coarse = canvas.reduced(max(self._motion.displacement.shape))
+        displacement = self._motion.at(t, coarse.positions())
+        if coarse.shape != canvas.shape:
+            displacement = sampled(displacement, coarse.places(positions), order=1)
+        detail_a, low_a, variance_a = self._bands[0].at(positions - t * displacement)
+        detail_b, low_b, variance_b = self._bands[1].at(positions + (1 - t) * displacement)
+        strong_a = (1 - t) * np.sqrt(variance_a + FLOOR)
+        strong_b = t * np.sqrt(variance_b + FLOOR)
+        k = strong_b / (strong_a + strong_b)
+        detail = (1 - k) * detail_a + k * detail_b
+        together = _mean_around((detail_a * detail_b).sum(axis=-1)[..., None], self.kernel_width(t))
+        found = (1 - k) ** 2 * variance_a + k**2 * variance_b + 2 * k * (1 - k) * together
+        gain = np.minimum(1.0, (strong_a + strong_b) / np.sqrt(np.maximum(found, 0.0) + FLOOR))
+        differ = ((low_a - low_b) ** 2).sum(axis=-1)[..., None]
+        agree = np.exp(-differ / AGREEMENT**2)
+        low = (1 - agree) * colors + agree * ((1 - t) * low_a + t * low_b)
+        return np.asarray(low + gain * detail, dtype=np.float64)
+
+
+def _mean_around(image: NDArray[np.floating], width: float) -> Array:
+    """Return the mean of an image (H, W, C) under a Gaussian, of pixels inside the image alone."""
+    from scipy.ndimage import gaussian_filter
+
+    def around(values: NDArray[np.floating]) -> NDArray[np.floating]:
+        return np.asarray(gaussian_filter(values, width, mode="constant"))
+
+    inside = around(np.ones(image.shape[:2], dtype=image.dtype))
+    channels = [around(image[..., channel]) for channel in range(image.shape[2])]
+    return np.stack(channels, axis=-1) / inside[..., None]

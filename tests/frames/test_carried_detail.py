@@ -1,0 +1,226 @@
+"""Frames whose fine detail is carried from both images along the mean motion."""
+
+import numpy as np
+import pytest
+from picture_pairs import deformed, picture, psnr
+from scipy.ndimage import gaussian_filter, shift
+
+import clmorph
+from clmorph import InputError, MorphOptions
+from clmorph.analysis.metrics import crumbs, mean_gradient, step_sizes
+from clmorph.frames.canvas import canvas_at
+from clmorph.frames.carried_detail import Bands, CarriedDetail, band_width
+from clmorph.frames.halfway import Halfway, register
+from clmorph.images.pixels import fit
+
+WHOLE = {"solve_size": None, "max_particles": None}
+
+
+def textured(shape, seed=0):
+    """Return a picture with detail at several scales."""
+    rng = np.random.default_rng(seed)
+    layers = [
+        gaussian_filter(rng.normal(size=(*shape, 3)), (width, width, 0)) * width
+        for width in (1.0, 3.0, 8.0)
+    ]
+    total = sum(layers)
+    return np.clip(0.5 + 0.25 * total / total.std(), 0, 1)
+
+
+class TestMotion:
+    def test_registration_finds_a_shift(self):
+        image = textured((96, 128))[..., 0]
+        moved = shift(image, (3.0, -4.0), order=3, mode="nearest")
+        canvas = canvas_at(0.0, image.shape, image.shape)
+        nothing = np.zeros((*image.shape, 2))
+        found = register((image, moved), (canvas, canvas), nothing, canvas)
+        inner = found.displacement[12:-12, 12:-12] * canvas.scale
+        assert np.abs(inner - (-4.0, 3.0)).max() < 0.5
+
+    @pytest.mark.parametrize("t", [0.0, 0.2, 0.5, 0.9, 1.0])
+    def test_both_ends_of_a_point_are_the_same_at_all_times(self, t):
+        """What is sampled at time t are the ends of the path through this position."""
+        canvas = canvas_at(0.5, (60, 80), (60, 80))
+        middle = canvas.positions()
+        field = 0.1 * np.stack((np.sin(4 * middle[..., 1]), np.cos(3 * middle[..., 0])), axis=-1)
+        motion = Halfway(field, canvas)
+        inner = middle[15:-15, 15:-15]
+        found = motion.at(t, inner + (t - 0.5) * field[15:-15, 15:-15])
+        assert np.abs(found - field[15:-15, 15:-15]).max() * max(canvas.scale) < 0.05  # pixels
+
+    @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 3), (15, 16), (40, 17)])
+    def test_pixels_and_positions_are_inverse(self, shape):
+        canvas = canvas_at(0.3, shape, (7, 5))
+        places = canvas.places(canvas.positions())
+        assert np.allclose(places, np.mgrid[: canvas.shape[0], : canvas.shape[1]], atol=1e-9)
+        small = canvas.reduced(8)
+        assert max(small.shape) <= 8
+        # The corners of the smaller canvas are where those of the canvas are, to half a pixel.
+        corner = canvas.places(small.positions()[0, 0])
+        assert np.all(np.abs(corner) <= 0.5 * np.array(canvas.shape) / small.shape)
+
+
+class TestBands:
+    def test_their_sum_is_the_image(self):
+        image = textured((40, 53))
+        canvas = canvas_at(0.0, (40, 53), (40, 53))
+        detail, low, variance = Bands.of(image, canvas).at(canvas.positions())
+        assert np.abs(detail + low - image).max() < 1e-5
+        assert np.all(variance >= 0)
+        assert np.abs(gaussian_filter(detail, (6, 6, 0))).max() < 0.05
+
+    def test_a_flat_image_has_no_detail(self):
+        flat = np.full((20, 30, 3), 0.3)
+        canvas = canvas_at(0.0, (20, 30), (20, 30))
+        detail, low, _ = Bands.of(flat, canvas).at(canvas.positions())
+        assert np.abs(detail).max() < 1e-6
+        assert np.abs(low - 0.3).max() < 1e-6
+
+
+@pytest.mark.parametrize(("name", "seed"), [("cat", 0), ("rocket", 1)])
+def test_a_picture_and_its_own_deformation(device, name, seed):
+    """The frame halfway is much nearer to the true middle than a cross-fade is."""
+    first = fit(picture(name), 128)
+    truth, last = deformed(first, seed)
+    middle = clmorph.morph(first, last, n_frames=3, backend=device).frame(0.5)
+    assert psnr(middle, truth) > psnr((first + last) / 2, truth) + 4.0
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("portrait", "photographer"),
+        pytest.param(("portrait", "cat"), marks=pytest.mark.full),
+        pytest.param(("rocket", "coffee"), marks=pytest.mark.full),
+        pytest.param(("camera", "rocket"), marks=pytest.mark.full),
+    ],
+)
+def test_frames_are_sharp_and_clean_at_all_times(device, names):
+    ends = [picture(name) for name in names]
+    morph = clmorph.morph(*ends, n_frames=3, backend=device)
+    for t in (0.25, 0.5, 0.75):
+        frame = morph.frame(t)
+        gradient, specks = (
+            measure(frame) / ((1 - t) * measure(ends[0]) + t * measure(ends[1]))
+            for measure in (mean_gradient, crumbs)
+        )
+        assert 0.85 < gradient < 1.15
+        assert specks < 1.1
+
+
+@pytest.mark.parametrize(
+    ("first", "last"),
+    [((40, 56), (48, 33)), ((1, 1), (3, 3)), ((1, 20), (20, 1)), ((5, 7), (30, 20))],
+)
+def test_ends_are_the_images(device, first, last):
+    """Whatever their sizes; frames between have no NaN and stay within the colors."""
+    ends = textured((64, 64))[: first[0], : first[1]], textured((64, 64), 1)[: last[0], : last[1]]
+    morph = clmorph.morph(*ends, n_frames=3, backend=device)
+    for t, image in zip((0.0, 1.0), ends, strict=True):
+        assert np.abs(morph.frame(t) - image).max() < 1e-5
+    for t in (0.01, 0.3, 0.5, 0.99):
+        frame = morph.frame(t)
+        assert frame.shape[:2] == morph.canvas(t).shape
+        assert 0 <= frame.min() <= frame.max() <= 1
+
+
+@pytest.mark.parametrize("level", [0.0, 0.4, 1.0])
+def test_flat_images_stay_flat(level):
+    flat, other = np.full((2, 24, 24, 3), level)
+    frame = clmorph.morph(flat, other, n_frames=3, backend="numpy").frame(0.5)
+    assert np.abs(frame - level).max() < 1e-5
+
+
+def test_equal_images_stay_as_they_are(device):
+    image = textured((48, 48))
+    morph = clmorph.morph(image, image, n_frames=3, backend=device, **WHOLE)
+    for t in (0.1, 0.5, 0.8):
+        assert np.abs(morph.frame(t) - image).max() < 0.02
+
+
+def test_first_and_last_steps_are_as_smooth_as_others(device):
+    ends = fit(picture("portrait"), 96), fit(picture("cat"), 96)
+    morph = clmorph.morph(*ends, n_frames=31, ease="linear", backend=device)
+    steps = step_sizes([morph.frame(t) for t in morph.times])
+    assert steps.max() < 2.0 * np.median(steps)
+
+
+def test_backends_agree(device):
+    ends = textured((24, 28)), textured((22, 30), 1)
+    numpy, other = (
+        clmorph.morph(*ends, n_frames=3, backend=backend, **WHOLE) for backend in ("numpy", device)
+    )
+    for t in (0.2, 0.5, 0.9):
+        assert np.abs(numpy.frame(t) - other.frame(t)).max() < 2 / 255
+        assert np.array_equal(other.frame(t), other.frame(t))
+
+
+def test_brightness_changes_evenly(device):
+    """Detail has no mean, so a frame is as bright as what the particles show."""
+    ends = fit(picture("rocket"), 64), fit(picture("coffee"), 64)
+    carried, plain = (
+        clmorph.morph(*ends, n_frames=3, detail=way, backend=device).frame(0.5)
+        for way in ("carried", "particles")
+    )
+    assert abs(carried.mean() - plain.mean()) < 0.02
+
+
+def test_particles_draw_pictures_with_opacity():
+    opaque = textured((16, 16))
+    clear = np.dstack((opaque, np.tile(np.linspace(0, 1, 16), (16, 1))))
+    first, second = (
+        clmorph.morph(opaque, clear, n_frames=3, detail=way, backend="numpy", **WHOLE).frame(0.4)
+        for way in ("carried", "particles")
+    )
+    assert np.array_equal(first, second)
+
+
+def test_the_band_is_a_share_of_the_picture_but_never_below_a_pixel():
+    assert band_width((1000, 500)) == 2 * band_width((250, 500))
+    assert band_width((3, 3)) == band_width((9, 9)) > 1
+    ends = clmorph.lift(textured((10, 80))), clmorph.lift(textured((110, 8)))
+    potentials = clmorph.sinkhorn(*ends, blur=0.2, backend="numpy", reach=0.3)
+    plan = clmorph.transport_plan(*ends, potentials, backend="numpy")
+    canvases = tuple(canvas_at(t, (10, 80), (110, 8)) for t in (0.0, 0.5, 1.0))
+    carried = CarriedDetail(ends, clmorph.particles(*ends, plan), canvases)
+    assert carried.kernel_width(0.0) == band_width((10, 80))
+    assert carried.kernel_width(1.0) == band_width((110, 8))
+
+
+class TestOptions:
+    @pytest.mark.parametrize(
+        "given",
+        [
+            {"splatting": "local"},
+            {"splatting": "none"},
+            {"sigma_start": 1.0},
+            {"sigma_end": 2.0},
+            {"gamma": 0.5},
+            {"sigma": "optimal"},
+            {"endpoints": "paper"},
+            {"preset": "paper"},
+            {"preset": "pixel-art"},
+            {"preset": "crossfade"},
+        ],
+    )
+    def test_the_kernel_of_particles_implies_them(self, given):
+        options = MorphOptions(**given)
+        assert options.detail == "particles"
+        assert options.replace(n_frames=9).detail == "particles"
+
+    @pytest.mark.parametrize(
+        "given",
+        [{}, {"sigma_start": "auto"}, {"endpoints": "exact"}, {"gamma": None}, {"blur": 0.01},
+         {"preset": "balanced"}],
+    )  # fmt: skip
+    def test_others_do_not(self, given):
+        options = MorphOptions(**given)
+        assert options.detail == "carried"
+        assert options.replace(blur=0.02).detail == "carried"
+
+    @pytest.mark.parametrize(
+        "given", [{"sigma_start": 1.0}, {"splatting": "adaptive"}, {"preset": "paper"}]
+    )
+    def test_both_contradict(self, given):
+        with pytest.raises(InputError, match=r"^detail='carried' and [^\n]* contradict[^\n]*$"):
+            MorphOptions(detail="carried", **given)
