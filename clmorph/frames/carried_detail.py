@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.frames.canvas import Canvas
+from clmorph.frames.endpoints import share
 from clmorph.frames.halfway import mean_displacement, register, sampled
 from clmorph.frames.particles import Particles
 from clmorph.images.color import to_space
@@ -49,8 +50,9 @@ class Bands(NamedTuple):
     ----------
     detail : (H, W, 3) array
         Image less lower band, as coefficients of a cubic spline.
-    smooth : (H, W, 4) array
-        The lower band, and the local variance of the detail.
+    smooth : (H, W, 7) array
+        The lower band, what the particles lack of it at this end, and the local variance of the
+        detail.
     canvas : Canvas
         The canvas of the image.
     """
@@ -60,8 +62,18 @@ class Bands(NamedTuple):
     canvas: Canvas
 
     @classmethod
-    def of(cls, colors: Array, canvas: Canvas) -> "Bands":
-        """Divide an image (H, W, 3) in the space of the path."""
+    def of(cls, colors: Array, canvas: Canvas, shown: Array | None = None) -> "Bands":
+        """Divide an image into bands.
+
+        Parameters
+        ----------
+        colors : (H, W, 3) array
+            The image in the space of the path.
+        canvas : Canvas
+        shown : (H, W, 3) array, optional
+            What the particles show at this end, drawn with a kernel of `band_width`. It differs
+            from the lower band where pixels have unequal masses, or where a plan leaves some out.
+        """
         from scipy.ndimage import spline_filter
 
         width = band_width(canvas.shape)
@@ -71,16 +83,31 @@ class Bands(NamedTuple):
         coefficients = [
             spline_filter(detail[..., channel], order=3, mode="mirror") for channel in range(3)
         ]
-        smooth = np.dstack((low, variance))
+        lacking = np.zeros_like(low) if shown is None else low - shown
+        smooth = np.dstack((low, lacking, variance))
         return cls(
             np.stack(coefficients, axis=-1).astype(np.float32), smooth.astype(np.float32), canvas
         )
 
-    def at(self, positions: Array) -> tuple[_Samples, _Samples, _Samples]:
-        """Return detail, lower band and variance at positions (H, W, 2) of the common frame."""
+    def at(self, positions: Array) -> "Samples":
+        """Sample the bands at positions (H, W, 2) of the common frame."""
         places = self.canvas.places(positions)
         smooth = sampled(self.smooth, places, order=1)
-        return sampled(self.detail, places, order=3), smooth[..., :3], smooth[..., 3:]
+        return Samples(
+            sampled(self.detail, places, order=3),
+            smooth[..., :3],
+            smooth[..., 3:6],
+            smooth[..., 6:],
+        )
+
+
+class Samples(NamedTuple):
+    """Bands at the positions of a frame, see `Bands`: (H, W, 3) arrays, and (H, W, 1) variances."""
+
+    detail: _Samples
+    low: _Samples
+    lacking: _Samples
+    variance: _Samples
 
 
 class CarriedDetail:
@@ -94,6 +121,9 @@ class CarriedDetail:
         The particles of their plan.
     canvases : three of Canvas
         At t = 0, 1/2 and 1.
+    shown : (source's, target's)
+        What the particles show at t = 0 and t = 1, drawn with `band_width`: (H, W, 3) arrays in the
+        space of the path.
     """
 
     def __init__(
@@ -101,6 +131,7 @@ class CarriedDetail:
         measures: tuple[Measure, Measure],
         particles: Particles,
         canvases: tuple[Canvas, Canvas, Canvas],
+        shown: tuple[Array, Array],
     ) -> None:
         start, middle, end = canvases
         colors = [measure.colors.reshape(*measure.shape, 3) for measure in measures]
@@ -108,8 +139,8 @@ class CarriedDetail:
         displacement, grid = mean_displacement(particles, middle)
         self._motion = register((first, second), (start, end), displacement, grid)
         self._bands = [
-            Bands.of(to_space(image, particles.path_space), canvas)
-            for image, canvas in zip(colors, (start, end), strict=True)
+            Bands.of(to_space(image, particles.path_space), canvas, low)
+            for image, canvas, low in zip(colors, (start, end), shown, strict=True)
         ]
 
     def kernel_width(self, t: float) -> float:
@@ -134,28 +165,32 @@ class CarriedDetail:
         displacement = self._motion.at(t, coarse.positions())
         if coarse.shape != canvas.shape:
             displacement = sampled(displacement, coarse.places(positions), order=1)
-        detail_a, low_a, variance_a = self._bands[0].at(positions - t * displacement)
-        detail_b, low_b, variance_b = self._bands[1].at(positions + (1 - t) * displacement)
-        strong_a = (1 - t) * np.sqrt(variance_a + FLOOR)
-        strong_b = t * np.sqrt(variance_b + FLOOR)
+        a = self._bands[0].at(positions - t * displacement)
+        b = self._bands[1].at(positions + (1 - t) * displacement)
+        strong_a = (1 - t) * np.sqrt(a.variance + FLOOR)
+        strong_b = t * np.sqrt(b.variance + FLOOR)
         k = strong_b / (strong_a + strong_b)
-        detail = (1 - k) * detail_a + k * detail_b
-        together = _mean_around((detail_a * detail_b).sum(axis=-1)[..., None], self.kernel_width(t))
-        found = (1 - k) ** 2 * variance_a + k**2 * variance_b + 2 * k * (1 - k) * together
+        detail = (1 - k) * a.detail + k * b.detail
+        together = _mean_around((a.detail * b.detail).sum(axis=-1)[..., None], self.kernel_width(t))
+        found = (1 - k) ** 2 * a.variance + k**2 * b.variance + 2 * k * (1 - k) * together
         gain = np.minimum(1.0, (strong_a + strong_b) / np.sqrt(np.maximum(found, 0.0) + FLOOR))
-        differ = ((low_a - low_b) ** 2).sum(axis=-1)[..., None]
+        differ = ((a.low - b.low) ** 2).sum(axis=-1)[..., None]
         agree = np.exp(-differ / AGREEMENT**2)
-        low = (1 - agree) * colors + agree * ((1 - t) * low_a + t * low_b)
+        shown = colors + share(t) * ((1 - t) * a.lacking + t * b.lacking)
+        low = (1 - agree) * shown + agree * ((1 - t) * a.low + t * b.low)
         return np.asarray(low + gain * detail, dtype=np.float64)
 
 
 def _mean_around(image: NDArray[np.floating], width: float) -> Array:
     """Return the mean of an image (H, W, C) under a Gaussian, of pixels inside the image alone."""
-    from scipy.ndimage import gaussian_filter
+    from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
-    def around(values: NDArray[np.floating]) -> NDArray[np.floating]:
-        return np.asarray(gaussian_filter(values, width, mode="constant"))
-
-    inside = around(np.ones(image.shape[:2], dtype=image.dtype))
-    channels = [around(image[..., channel]) for channel in range(image.shape[2])]
-    return np.stack(channels, axis=-1) / inside[..., None]
+    down, along = (
+        gaussian_filter1d(np.ones(side, dtype=image.dtype), width, mode="constant")
+        for side in image.shape[:2]
+    )
+    channels = [
+        gaussian_filter(image[..., channel], width, mode="constant")
+        for channel in range(image.shape[2])
+    ]
+    return np.stack(channels, axis=-1) / (down[:, None] * along)[..., None]

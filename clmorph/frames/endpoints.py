@@ -31,8 +31,9 @@ NARROW = 0.3
 #: Factor between the kernel widths for which the correction is computed.
 STEP = 1.25
 
-#: A correction that is smaller than this everywhere is left out: it is rounding of float32.
-NEGLIGIBLE = 1e-7
+#: A correction that travels is left out if it is smaller than the first of these everywhere: nobody
+#: sees it. One that rests costs little, and is left out if it is rounding of float32.
+NEGLIGIBLE, ROUNDING = 1e-4, 1e-7
 
 
 def share(t: float) -> float:
@@ -169,7 +170,7 @@ class EndCorrection:
 
     def set_rest(self, end: int, missing: Array) -> None:
         """Set the difference that remains at an end, 0 or 1, after correction: (H, W, C) array."""
-        if np.abs(missing).max() > NEGLIGIBLE:
+        if np.abs(missing).max() > ROUNDING:
             self._rest[end] = missing
 
     def resting(self, t: float, canvas: Canvas) -> Array | float:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas, canvas_at
-from clmorph.frames.carried_detail import CarriedDetail
+from clmorph.frames.carried_detail import CarriedDetail, band_width
 from clmorph.frames.endpoints import EndCorrection, Lacking, ladder, make_details
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.opacity import alpha_particles, opacity
@@ -173,7 +173,11 @@ class FrameRenderer:
         if self._like is not None:
             return self._like._carried
         start, middle, end = (self.canvas(t) for t in (0.0, 0.5, 1.0))
-        return CarriedDetail(self._measures, self._particles, (start, middle, end))
+        first, last = (
+            self.sums(t, Widths(band_width(canvas.shape))).colors
+            for t, canvas in ((0.0, start), (1.0, end))
+        )
+        return CarriedDetail(self._measures, self._particles, (start, middle, end), (first, last))
 
     @cached_property
     def _correction(self) -> EndCorrection | None:

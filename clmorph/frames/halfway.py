@@ -21,10 +21,15 @@ _Real = TypeVar("_Real", bound=np.floating)
 
 #: The longer side of the grid on which images are registered, in grid points.
 GRID_SIDE = 256
-#: Every STRIDE-th point of the grid keeps its displacement, which is smooth.
+#: The displacement is kept on a grid with this many times fewer points along a side, if that is
+#: more than 128 points long: it is smooth.
 STRIDE = 2
 #: Width of the Gaussian that smooths displacements, as a share of the grid's longer side.
 SMOOTHING = 0.045
+#: Mass below this share of the largest, after smoothing, does not decide the displacement.
+FAINT = 1e-3
+#: Number of particles that are added up at once.
+CHUNK = 1 << 17
 #: Registration: rounds, radius of its window in grid points, width in grid points of the Gaussian
 #: that smooths its result, and the longest correction as a share of the grid's longer side.
 ROUNDS, RADIUS, SOFTENING, LONGEST = 2, 7, 2.0, 0.045
@@ -97,7 +102,8 @@ def mean_displacement(particles: Particles, canvas: Canvas) -> tuple[Array, Canv
     Parameters
     ----------
     particles : Particles
-        Their mass at t = 1/2 is the weight of their displacement; mass that rests has none.
+        Their mass at t = 1/2 is the weight of their displacement; mass that rests counts with the
+        displacement 0.
     canvas : Canvas
         The canvas at t = 1/2.
     """
@@ -105,23 +111,26 @@ def mean_displacement(particles: Particles, canvas: Canvas) -> tuple[Array, Canv
 
     grid = canvas.reduced(GRID_SIDE)
     height, width = grid.shape
-    here, there = particles.table[:, :2][particles.links.T]
-    mass = particles.weights.mean(axis=1)
-    row, column = (
-        np.clip(np.rint(place).astype(np.int64), 0, side - 1)
-        for place, side in zip(grid.places(0.5 * (here + there)), grid.shape, strict=True)
-    )
-    bins = row * width + column
-    sums = [mass, *(mass * (there - here).T)]
+    sums = np.zeros((3, height * width))
+    for first in range(0, len(particles.links), CHUNK):
+        part = slice(first, first + CHUNK)
+        here, there = particles.table[:, :2][particles.links[part].T]
+        mass = particles.weights[part].mean(axis=1)
+        row, column = (
+            np.clip(np.rint(place).astype(np.int64), 0, side - 1)
+            for place, side in zip(grid.places(0.5 * (here + there)), grid.shape, strict=True)
+        )
+        bins = row * width + column
+        for total, weights in zip(sums, (mass, *(mass * (there - here).T)), strict=True):
+            total += np.bincount(bins, weights, height * width)
     total, *moments = (
         gaussian_filter(
-            np.bincount(bins, part, height * width).reshape(height, width),
-            SMOOTHING * max(grid.shape), mode="nearest",
+            part.reshape(height, width), SMOOTHING * max(grid.shape), mode="nearest"
         )
         for part in sums
     )  # fmt: skip
     # Far from all mass the displacement falls to zero.
-    floor = 1e-9 * max(float(total.max()), np.finfo(np.float64).tiny)
+    floor = FAINT * max(float(total.max()), np.finfo(np.float64).tiny)
     return np.stack([moment / (total + floor) for moment in moments], axis=-1), grid
 
 
@@ -143,7 +152,6 @@ def register(
     from scipy.ndimage import gaussian_filter
     from skimage.registration import optical_flow_ilk
 
-    # Grids over the images have no more points than the grid between them.
     grids = [canvas.reduced(GRID_SIDE) for canvas in ends]
     small = [
         _reduced(image, over.shape)[..., None] for image, over in zip(lightness, grids, strict=True)

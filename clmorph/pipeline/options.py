@@ -54,11 +54,11 @@ REASONS = dict(
 )
 #: Options of the kernel with which particles draw detail, and their values where they ask nothing.
 OF_PARTICLES = {
+    "gamma": None,
+    "sigma": None,
     "splatting": "local",
     "sigma_start": "auto",
     "sigma_end": "auto",
-    "gamma": None,
-    "sigma": None,
     "endpoints": "exact",
 }
 #: Error message for options without a divergence, by which optimal widths could be found.
@@ -207,12 +207,16 @@ class MorphOptions(
         # Store plain floats, with the value that was given and not with a recomputed one.
         for name in ("epsilon", "rho"):
             object.__setattr__(self, name, _plain(getattr(self, name)))
-        for name, neutral in OF_PARTICLES.items():
-            if self.detail == "carried" and getattr(self, name) != neutral:
-                raise InputError(
-                    f"detail='carried' and {name}={_text(getattr(self, name))} contradict: this "
-                    "kernel draws the detail of particles; leave one of them out"
-                )
+        given = [
+            f"{name}={_text(getattr(self, name))}"
+            for name, neutral in OF_PARTICLES.items()
+            if getattr(self, name) != neutral
+        ]
+        if self.detail == "carried" and given:
+            raise InputError(
+                f"detail='carried' and {', '.join(given)} contradict: these options are for "
+                "detail='particles'; leave one side out"
+            )
         if self.sigma is None:
             return
         if self.splatting not in (*BULGING, "local"):
@@ -335,13 +339,23 @@ def _settle_gamma(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
 
 
 def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
-    """Let an option of the particles' kernel imply that particles draw the detail."""
-    asked = any(
-        name in layer and (name == "splatting" or not _is_off(layer[name], (neutral,)))
-        for name, neutral in OF_PARTICLES.items()
-    )
-    if asked and "detail" not in layer:
-        settings["detail"] = "particles"
+    """Settle who draws the detail: later layers win, and a kernel's option asks for particles."""
+
+    def asked(values: Mapping[str, Any]) -> set[str]:
+        return {
+            name for name, neutral in OF_PARTICLES.items()
+            if name in values and not _is_off(values[name], (neutral,))
+        }  # fmt: skip
+
+    if "detail" not in layer:
+        if asked(layer) or "splatting" in layer:
+            settings["detail"] = "particles"
+    elif layer["detail"] == "carried" and not asked(layer):
+        if "splatting" not in layer:
+            settings |= {name: OF_PARTICLES[name] for name in asked(settings)}
+        elif asked(settings):
+            # A preset decides the detail unless an option that no preset sets asks for particles.
+            settings["detail"] = "particles"
 
 
 #: The paper's own options, for the reference and for the paper's baseline.

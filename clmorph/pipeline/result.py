@@ -96,9 +96,12 @@ class Morph(FrameSequence):
     )
 
     def __post_init__(self) -> None:
+        # Ends seen through the kernel, and widths found for it, ask for the particles' own detail.
+        asked = self.endpoints == "paper" or self.kernel_width.curve is not None
         renderer = FrameRenderer(
             self.source, self.target, self.plan, self.particles, self.kernel_width,
-            self.operations, self.endpoints, self.unmatched, self.options.detail,
+            self.operations, self.endpoints, self.unmatched,
+            "particles" if asked else self.options.detail,
         )  # fmt: skip
         object.__setattr__(self, "_renderer", SpreadRenderer(renderer, self.times))
 
@@ -177,15 +180,22 @@ class Morph(FrameSequence):
 
     @property
     def sigma(self) -> NDArray[np.float64]:
-        """(n_frames,) kernel width at `times`, in pixels; 0 where there is no kernel."""
+        """(n_frames,) kernel width at `times`, in pixels; 0 where there is no kernel.
+
+        It is the width for ``detail="particles"`` and for `sums`. Where detail is carried,
+        particles show the lower band alone, with the width
+        `clmorph.frames.carried_detail.band_width`.
+        """
         return np.array([self.kernel_width.at(t, self.canvas(t)) for t in self.times])
 
     def frame(self, t: float) -> NDArray[np.float32]:
         """Render the frame at time t.
 
-        A pixel is the weighted mean of Eq. 4 where `coverage` is at least
-        `filling.HOLE_COVERAGE` (with "local" splatting, and where it is not torn out of its
-        surroundings). Where coverage is at most half of that, the kernels' tails would decide, and
+        With ``detail="carried"`` the particles show the lower band of a frame, and its fine detail
+        is that of both images (`clmorph.frames.carried_detail`). With ``detail="particles"`` a
+        pixel is the weighted mean of Eq. 4 where `coverage` is at least `filling.HOLE_COVERAGE`
+        (with "local" splatting, and where it is not torn out of its surroundings). Where coverage
+        is at most half of that, the kernels' tails would decide, and
         wider kernels fill the pixel instead. Between the two limits both results are mixed. Pixels
         therefore follow particles nearby, rather than pairs that the plan has dropped.
 

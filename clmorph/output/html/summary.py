@@ -209,6 +209,7 @@ def known_parameters(morph: FrameSequence) -> dict[str, Any]:
         "color_space": source.color_space,
         "path_space": morph.particles.path_space,
         "extent": source.extent,
+        "detail": morph.options.detail,
         "splatting": width.splatting,
         "sigma_start": _short(width.sigma_start),
         "sigma_end": _short(width.sigma_end),
