@@ -350,7 +350,7 @@ def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
     if "detail" not in layer:
         if asked(layer) or "splatting" in layer:
             settings["detail"] = "particles"
-    elif layer["detail"] == "carried" and not asked(layer):
+    elif _is_off(layer["detail"], ("carried",)) and not asked(layer):
         if "splatting" not in layer:
             settings |= {name: OF_PARTICLES[name] for name in asked(settings)}
         elif asked(settings):
