@@ -185,7 +185,7 @@ def sharpness(frame: ArrayLike) -> float:
     >>> round(sharpness(stripes), 4), sharpness(np.ones((4, 4, 3)))
     (0.7071, 0.0)
     """
-    luma = _as_array("frame", frame, (3,))[..., :3] @ LUMINANCE
+    luma = _luma(frame)
     slopes = [np.diff(luma, axis=axis) ** 2 for axis in (0, 1)]
     count = sum(slope.size for slope in slopes)
     return float(np.sqrt(sum(slope.sum() for slope in slopes) / max(1, count)))
@@ -212,7 +212,7 @@ def crumbs(frame: ArrayLike) -> float:
     """
     from scipy.ndimage import median_filter
 
-    luma = _as_array("frame", frame, (3,))[..., :3] @ LUMINANCE
+    luma = _luma(frame)
     return float(np.mean(np.abs(luma - median_filter(luma, 3, mode="nearest")) > SPECK))
 
 
@@ -234,7 +234,7 @@ def mean_gradient(frame: ArrayLike) -> float:
     >>> mean_gradient(ramp)
     0.25
     """
-    luma = _as_array("frame", frame, (3,))[..., :3] @ LUMINANCE
+    luma = _luma(frame)
     if min(luma.shape) < 2:
         raise InputError(f"frame of {luma.shape} pixels: expected at least (2, 2)")
     down, right = np.diff(luma, axis=0)[:, :-1], np.diff(luma, axis=1)[:-1]
@@ -267,6 +267,11 @@ def step_sizes(frames: Sequence[ArrayLike]) -> Array:
     return np.array(
         [np.sqrt(np.mean((after - before) ** 2)) for before, after in pairwise(pictures)]
     )
+
+
+def _luma(frame: ArrayLike) -> Array:
+    """Return the luma of a frame without its opacity: (H, W) array."""
+    return np.asarray(_as_array("frame", frame, (3,))[..., :3] @ LUMINANCE)
 
 
 def _as_array(name: str, values: ArrayLike, dimensions: tuple[int, ...]) -> Array:

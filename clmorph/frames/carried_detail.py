@@ -10,6 +10,8 @@ What the images have above it is sampled where the motion halfway (`halfway`) sa
   outlines lie upon one another.
 - g lowers the local standard deviation of the mixture to that of both details mixed by t: without
   it a detail that prevails would not fade.
+- To the particles is added what they lack of the lower band at either end; it is sampled as the
+  detail is, and fades towards the middle with `endpoints.share`.
 - c is near 1 where both lower bands agree along the motion, so that a picture and its own smooth
   deformation need nothing of the particles.
 """
@@ -32,10 +34,9 @@ _Samples = NDArray[np.float32]
 #: Standard deviation of the Gaussian between both bands: a share of the longer side, and at least
 #: this number of pixels.
 BAND_SHARE, NARROWEST_BAND = 0.016, 1.5
-#: Difference of the lower bands, in units of the path's lightness, at which c falls to 1/e.
-AGREEMENT = 0.1
-#: Variance of a detail that nobody sees.
-FLOOR = 1e-5
+#: Difference of the lower bands at which c falls to 1/e, and variance of a detail that nobody sees.
+#: Both are in Oklab, where the difference from black to white is 2.2; other spaces have their own.
+AGREEMENT, FLOOR = 0.1, 1e-5
 
 
 def band_width(shape: tuple[int, int]) -> float:
@@ -143,6 +144,10 @@ class CarriedDetail:
             for image, canvas, low in zip(colors, (start, end), shown, strict=True)
         ]
 
+        white = [float(np.max(to_space(np.ones(3), s))) for s in (particles.path_space, "oklab")]
+        #: The unit of the path's color space, where that of Oklab is 1.
+        self._unit = white[0] / white[1]
+
     def kernel_width(self, t: float) -> float:
         """Return the kernel width with which particles are drawn at time t, in pixels."""
         start, end = (band_width(bands.canvas.shape) for bands in self._bands)
@@ -167,15 +172,16 @@ class CarriedDetail:
             displacement = sampled(displacement, coarse.places(positions), order=1)
         a = self._bands[0].at(positions - t * displacement)
         b = self._bands[1].at(positions + (1 - t) * displacement)
-        strong_a = (1 - t) * np.sqrt(a.variance + FLOOR)
-        strong_b = t * np.sqrt(b.variance + FLOOR)
+        floor = FLOOR * self._unit**2
+        strong_a = (1 - t) * np.sqrt(a.variance + floor)
+        strong_b = t * np.sqrt(b.variance + floor)
         k = strong_b / (strong_a + strong_b)
         detail = (1 - k) * a.detail + k * b.detail
         together = _mean_around((a.detail * b.detail).sum(axis=-1)[..., None], self.kernel_width(t))
         found = (1 - k) ** 2 * a.variance + k**2 * b.variance + 2 * k * (1 - k) * together
-        gain = np.minimum(1.0, (strong_a + strong_b) / np.sqrt(np.maximum(found, 0.0) + FLOOR))
+        gain = np.minimum(1.0, (strong_a + strong_b) / np.sqrt(np.maximum(found, 0.0) + floor))
         differ = ((a.low - b.low) ** 2).sum(axis=-1)[..., None]
-        agree = np.exp(-differ / AGREEMENT**2)
+        agree = np.exp(-differ / (AGREEMENT * self._unit) ** 2)
         shown = colors + share(t) * ((1 - t) * a.lacking + t * b.lacking)
         low = (1 - agree) * shown + agree * ((1 - t) * a.low + t * b.low)
         return np.asarray(low + gain * detail, dtype=np.float64)

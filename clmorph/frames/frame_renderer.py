@@ -67,6 +67,12 @@ class FrameRenderer:
         """The backend that renders the frames."""
         return self._operations
 
+    @property
+    def detail(self) -> str:
+        """What draws the fine detail of the frames: "carried" or "particles"."""
+        opaque = all(measure.alpha is None for measure in self._measures)
+        return self._detail if opaque else "particles"
+
     def on(self, operations: Operations, like: "FrameRenderer | None" = None) -> "FrameRenderer":
         """Return a renderer of the same morph on another device.
 
@@ -168,7 +174,7 @@ class FrameRenderer:
     @cached_property
     def _carried(self) -> CarriedDetail | None:
         """The detail of both images; None if particles alone draw the frames."""
-        if self._detail != "carried" or self._alpha_particles is not None:
+        if self.detail != "carried":
             return None
         if self._like is not None:
             return self._like._carried

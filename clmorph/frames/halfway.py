@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.particles import Particles
+from clmorph.images.pixels import resized
 
 Array = NDArray[np.float64]
 _Real = TypeVar("_Real", bound=np.floating)
@@ -78,12 +79,19 @@ class Halfway:
 
 
 def sampled(image: NDArray[_Real], places: Array, order: int) -> NDArray[_Real]:
-    """Return an image (H, W, C) at places (row, column), mirrored at its border.
+    """Interpolate an image that is continued by reflection at its border.
 
-    The places are a (2, ...) array of pixel coordinates.
+    Parameters
+    ----------
+    image : (H, W, C) array
+        Values, or with order 3 the coefficients of a cubic spline (`scipy.ndimage.spline_filter`).
+    places : (2, ...) array
+        Pixel coordinates (row, column).
+    order : {1, 3}
 
-    With order 3 the image consists of the coefficients of a cubic spline
-    (`scipy.ndimage.spline_filter`).
+    Returns
+    -------
+    (..., C) array
     """
     from scipy.ndimage import map_coordinates
 
@@ -97,7 +105,7 @@ def sampled(image: NDArray[_Real], places: Array, order: int) -> NDArray[_Real]:
 
 
 def mean_displacement(particles: Particles, canvas: Canvas) -> tuple[Array, Canvas]:
-    """Return the smoothed mean displacement of particles at t = 1/2: (H, W, 2) array, and its grid.
+    """Return the smoothed mean displacement of particles at t = 1/2.
 
     Parameters
     ----------
@@ -106,6 +114,13 @@ def mean_displacement(particles: Particles, canvas: Canvas) -> tuple[Array, Canv
         displacement 0.
     canvas : Canvas
         The canvas at t = 1/2.
+
+    Returns
+    -------
+    displacement : (H, W, 2) array
+        In units of the common frame.
+    grid : Canvas
+        A canvas with one pixel for each point of the displacement.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -148,13 +163,18 @@ def register(
     displacement : (H, W, 2) array
         Displacement on the grid, in units of the common frame.
     grid : Canvas
+        The grid of the displacement, see `mean_displacement`.
+
+    Returns
+    -------
+    Halfway
     """
     from scipy.ndimage import gaussian_filter
     from skimage.registration import optical_flow_ilk
 
     grids = [canvas.reduced(GRID_SIDE) for canvas in ends]
     small = [
-        _reduced(image, over.shape)[..., None] for image, over in zip(lightness, grids, strict=True)
+        resized(image[..., None], over.shape) for image, over in zip(lightness, grids, strict=True)
     ]
     points = grid.positions()
     if min(grid.shape) >= FEWEST:
@@ -180,12 +200,3 @@ def _contrast(lightness: Array) -> Array:
     detail = lightness - gaussian_filter(lightness, CONTRAST_WIDTH, mode="nearest")
     power = gaussian_filter(detail**2, CONTRAST_WIDTH, mode="nearest")
     return np.asarray(detail / np.sqrt(power + NOISE**2))
-
-
-def _reduced(image: Array, shape: tuple[int, int]) -> Array:
-    """Return an image (H, W) at a smaller size, without aliasing."""
-    if image.shape == shape:
-        return image
-    from skimage.transform import resize
-
-    return np.asarray(resize(image, shape, order=1, mode="edge", anti_aliasing=True))

@@ -41,8 +41,8 @@ class RenderOptions(Options):
     detail: Detail = option(
         "carried", choice(Detail),
         "Fine detail of a frame: carried from both pictures along the mean motion, or that of the "
-        "particles alone (particles), with the kernel of the options below, each of which implies "
-        "particles. Pictures with opacity are always drawn by particles.",
+        "particles alone (particles), which options of their kernel below imply. Pictures with "
+        "opacity are always drawn by particles.",
         "Drawing", word="",
     )  # fmt: skip
     splatting: Splatting = option(

@@ -74,6 +74,11 @@ class FrameSequence(Sequence[Frame]):
 
     @property
     @abstractmethod
+    def detail(self) -> str:
+        """What draws the fine detail of the frames: "carried" or "particles"."""
+
+    @property
+    @abstractmethod
     def pixelated(self) -> bool:
         """Whether both images are pixel art."""
 

@@ -59,6 +59,11 @@ class SpreadRenderer:
         return self._at(t).sums(t, widths)
 
     @property
+    def detail(self) -> str:
+        """What draws the fine detail of the frames; see `FrameRenderer.detail`."""
+        return self._first.detail
+
+    @property
     def at_once(self) -> bool:
         """Whether frames are rendered at the same time, by several devices."""
         return len(self._renderers) > 1

@@ -179,6 +179,14 @@ class Morph(FrameSequence):
         return self._renderer.canvas(check_number("t", t, 0.0, 1.0))
 
     @property
+    def detail(self) -> str:
+        """What draws the fine detail of the frames: "carried" or "particles".
+
+        Pictures with opacity are drawn by particles, whatever the option `detail` says.
+        """
+        return self._renderer.detail
+
+    @property
     def sigma(self) -> NDArray[np.float64]:
         """(n_frames,) kernel width at `times`, in pixels; 0 where there is no kernel.
 

@@ -321,6 +321,16 @@ def test_curves_are_those_of_the_particles(rng, unmatched):
     assert [curve.unit for curve in scene.curves] == ["pixels"] + ["% of mass"] * 3
 
 
+def test_the_kernel_is_shown_where_it_draws_the_detail(rng):
+    pictures = rng.random((2, 8, 8, 3))
+    for detail, shown in (("carried", False), ("particles", True)):
+        result = clmorph.morph(*pictures, n_frames=3, detail=detail, backend="numpy")
+        scene = scene_of(result)
+        assert scene.parameters["detail"] == result.detail == detail
+        assert ("sigma_start" in scene.parameters) == shown
+        assert ("kernel width" in [curve.name for curve in scene.curves]) == shown
+
+
 def test_arrows_are_mean_displacements(rng):
     result = small_morph(rng)
     moved = displacement_statistics(result.source, result.target, result.plan)

@@ -125,7 +125,7 @@ class _EightBits(Sequence[NDArray[np.uint8]]):
 
 
 def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
-    """Return curves of the kernel width and of the shares of mass that travels, dies and is born.
+    """Return curves of the shares of mass that travels, dies and is born, and of the kernel width.
 
     Parameters
     ----------
@@ -135,9 +135,9 @@ def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
     Returns
     -------
     tuple of Curve
-        Widths in pixels of the canvas at each time; masses as a share of all mass drawn then.
+        Masses as a share of all mass drawn at each time; widths in pixels of the canvas, if the
+        kernel draws the detail of the frames.
     """
-    widths = np.array([morph.kernel_width.at(t, morph.canvas(t)) for t in times])
     moving = morph.particles
     held_frames = moving.links[:, 0] == moving.links[:, 1]
     begun = moving.weights[:, 0] @ held_frames, moving.weights[:, 1] @ held_frames
@@ -145,7 +145,10 @@ def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
     dying, born = (1 - times) * begun[0], times * begun[1]
     total = (1 - times) * whole[0] + times * whole[1]
     traveling = np.maximum(total - dying - born, 0.0)
-    curves = [Curve("kernel width", "pixels", widths)]
+    curves = []
+    if morph.detail == "particles":
+        widths = np.array([morph.kernel_width.at(t, morph.canvas(t)) for t in times])
+        curves.append(Curve("kernel width", "pixels", widths))
     for name, mass in (("traveling", traveling), ("dying", dying), ("born", born)):
         share = np.divide(100 * mass, total, out=np.zeros_like(mass), where=total > 0)
         curves.append(Curve(f"mass {name}", "% of mass", share))
@@ -209,10 +212,7 @@ def known_parameters(morph: FrameSequence) -> dict[str, Any]:
         "color_space": source.color_space,
         "path_space": morph.particles.path_space,
         "extent": source.extent,
-        "detail": morph.options.detail,
-        "splatting": width.splatting,
-        "sigma_start": _short(width.sigma_start),
-        "sigma_end": _short(width.sigma_end),
+        "detail": morph.detail,
         "endpoints": morph.endpoints,
         "unmatched": morph.unmatched,
         "particles": len(morph.particles),
@@ -221,6 +221,10 @@ def known_parameters(morph: FrameSequence) -> dict[str, Any]:
         "transported_mass": _short(potentials.transported_mass),
         "clmorph": __version__,
     }
+    if morph.detail == "particles":
+        known["splatting"] = width.splatting
+        known["sigma_start"] = _short(width.sigma_start)
+        known["sigma_end"] = _short(width.sigma_end)
     if width.splatting in BULGING:
         known["gamma"] = _short(width.gamma)
     if width.curve is not None:
