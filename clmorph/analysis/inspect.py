@@ -29,8 +29,9 @@ from clmorph.pipeline.budget import (
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.memory import estimate
-from clmorph.pipeline.morph import ImagePair, as_options, fitted
+from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
+from clmorph.pipeline.prepare import as_images, as_options, fitted
 from clmorph.pipeline.presets import PresetName
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.displacement import Displacement, displacement_of, displacement_statistics
@@ -114,11 +115,12 @@ def inspect(
     >>> found.divergence.value > 0
     True
     """
-    chosen = as_options(options, preset, given)
+    images = as_images((image_a, image_b))
+    chosen = as_options(options, preset, given, images)
     max_bytes = PruningOptions.checked("max_bytes", max_bytes)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
-    pair = ImagePair(fitted((image_a, image_b), chosen, weights, color_metric), chosen)
+    pair = ImagePair(fitted(images, chosen, weights, color_metric), chosen)
     whole = pair.measures(weights, color_metric)
     blocks = pair.blocks(*whole)
     source, target = blocks[0].coarse, blocks[1].coarse

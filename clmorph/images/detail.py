@@ -13,6 +13,9 @@ FEWEST_LINES = 4.0
 #: Largest number of colors, and of pixels along a side, of a sprite that is not enlarged.
 SPRITE_COLORS = 64
 SPRITE_SIDE = 256
+#: Largest share of translucent pixels among the visible ones of such a sprite. The edges of
+#: drawings are translucent, even if they have one color.
+TRANSLUCENT_SHARE = 0.1
 #: Range of luma below which an image has no detail; it is less than a step of 8 bits.
 FAINTEST = 1e-3
 #: Share of the edges' energy that lies below an image's highest frequency, by definition.
@@ -60,12 +63,17 @@ def is_pixel_art(image: Array) -> bool:
     image : (H, W, 3) or (H, W, 4) array
         Opacity and the colors of invisible pixels are ignored.
     """
-    if image.shape[2] == 4:
-        image = np.where(image[..., 3:] > 0, image[..., :3], 0.0)
+    alpha = image[..., 3] if image.shape[2] == 4 else None
+    if alpha is not None:
+        image = np.where(alpha[..., None] > 0, image[..., :3], 0.0)
     if _block_side(image) > 1:
         return True
     if max(image.shape[:2]) > SPRITE_SIDE:
         return False
+    if alpha is not None:
+        translucent = np.count_nonzero((alpha > 0) & (alpha < 1))
+        if translucent > TRANSLUCENT_SHARE * np.count_nonzero(alpha):
+            return False
     colors = np.unique(image.reshape(-1, image.shape[2]), axis=0)
     return len(colors) <= min(SPRITE_COLORS, image.shape[0] * image.shape[1] // 4)
 

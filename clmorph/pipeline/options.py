@@ -22,7 +22,7 @@ from clmorph.errors import InputError
 from clmorph.frames.options import BULGING, GAMMA, RenderOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
-from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.transport.options import PlanOptions, Reach, SolverOptions
 from clmorph.transport.regularization import regularization
 
@@ -124,7 +124,8 @@ class MorphOptions(
     Parameters
     ----------
     preset : str, optional
-        A name of `clmorph.pipeline.presets.PRESETS`; "photo" if none is given.
+        A name of `clmorph.pipeline.presets.PRESETS`; "photo" if none is given. The preset "auto" is
+        for `clmorph.morph`, which knows the pictures.
     **given
         Options, see `clmorph.morph`.
 
@@ -212,9 +213,9 @@ class MorphOptions(
             for name, neutral in OF_PARTICLES.items()
             if getattr(self, name) != neutral
         ]
-        if self.detail == "carried" and given:
+        if self.detail != "particles" and given:
             raise InputError(
-                f"detail='carried' and {', '.join(given)} contradict: these options are for "
+                f"detail={self.detail!r} and {', '.join(given)} contradict: these options are for "
                 "detail='particles'; leave one side out"
             )
         if self.sigma is None:
@@ -298,6 +299,11 @@ def preset_options(name: str | None) -> dict[str, Any]:
     InputError
         If there is no such preset.
     """
+    if isinstance(name, str) and name == AUTO:
+        raise InputError(
+            "preset='auto' is chosen by the pictures: give it to clmorph.morph(a, b), or choose "
+            f"one of {', '.join(map(repr, PRESETS))}"
+        )
     chosen = PRESETS[check_choice("preset", "photo" if name is None else name, tuple(PRESETS))]
     decided = {option for preset in PRESETS.values() for option in preset.options}
     usual = {name: getattr(MorphOptions, name) for name in specifications(MorphOptions)}
@@ -350,7 +356,7 @@ def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
     if "detail" not in layer:
         if asked(layer) or "splatting" in layer:
             settings["detail"] = "particles"
-    elif _is_off(layer["detail"], ("carried",)) and not asked(layer):
+    elif not _is_off(layer["detail"], ("particles",)) and not asked(layer):
         if "splatting" not in layer:
             settings |= {name: OF_PARTICLES[name] for name in asked(settings)}
         elif asked(settings):
