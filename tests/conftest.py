@@ -42,7 +42,17 @@ SLOW_STEP = 3
 #: module at a time and in this order, so that none starts on a long one when the others are done.
 LONGEST = (
     "backends/test_operations.py",
+    "backends/test_verification.py",
     "project/test_reproduce.py",
+    "pipeline/test_morph.py",
+    "cli/test_check.py",
+    "frames/test_widths.py",
+    "project/test_pages.py",
+    "backends/test_tuning.py",
+    "backends/test_cross_compile.py",
+    "backends/test_device.py",
+    "frames/test_carried_detail.py",
+    "analysis/test_inspection.py",
 )
 
 
@@ -67,8 +77,8 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "one_device: on the first tested device, in its own build")
     config.addinivalue_line("markers", "needs_device: skipped without a usable OpenCL device")
     if config.getoption("numprocesses", None):
-        # Processes of tests share the cores, and inherit this. Threads of linear algebra that wait
-        # for a core hold up all others: with them the dense reference takes three times as long.
+        # Processes of tests share the cores, and inherit this. With threads of linear algebra a
+        # frame of the dense reference takes 1.2 to 2.5 times as long.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     name = config.getoption("--device")
     if name is None:
