@@ -116,7 +116,7 @@ def inspect(
     True
     """
     images = as_images((image_a, image_b))
-    chosen = as_options(options, preset, given, images)
+    chosen = as_options(options, preset, False, given, images)
     max_bytes = PruningOptions.checked("max_bytes", max_bytes)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
@@ -162,7 +162,7 @@ def inspect(
         *blocks, potentials, operations, max_particles, max_memory, log_threshold, stacklevel=2
     )
     drawn, moving = _drawn(blocks, potentials, plan, pairs, way, operations)
-    frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations)
+    frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations, chosen.detail)
     report("timing", 1.0)
     return Inspection(
         source=source,

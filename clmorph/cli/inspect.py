@@ -51,7 +51,7 @@ def run_inspect(
         check_plotting(output)
         check_apart([output], images)
     pictures = [read_picture(path, max_pixels) for path in images]
-    options = as_options(None, preset, given, as_images(pictures))
+    options = as_options(None, preset, False, given, as_images(pictures))
     operations = open_backend(device, backend)
     with Stages() as stages, warnings.catch_warnings():
         # The printed statistics report convergence instead.

@@ -15,7 +15,7 @@ from clmorph.cli.reporting import run
 from clmorph.errors import InputError
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.options import MorphOptions, preset_options
-from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
+from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS, drafted
 
 #: Shells for which completion is supported.
 SHELLS = ("bash", "zsh", "fish")
@@ -94,6 +94,12 @@ def _settings_callback(context: click.Context, parameter: click.Parameter, path:
     help="Set of options for a kind of pictures; see below.  [default: auto]",
 )  # fmt: skip
 @click.option(
+    "--draft",
+    is_flag=True,
+    panel="Settings",
+    help="A first look in about a second: smaller, with fewer frames and less accuracy.",
+)
+@click.option(
     "--config", type=options.FileName(), is_eager=True, callback=_settings_callback,
     panel="Settings",
     help="Read options from your own TOML, or repeat a recipe: .json, or a file that clmorph "
@@ -116,6 +122,7 @@ def morph(
     images: tuple[Path, ...],
     output: tuple[Path, ...],
     preset: str | None,
+    draft: bool,
     config: files.Found | None,
     dump_config: bool,
     as_json: bool,
@@ -141,7 +148,7 @@ def morph(
     from clmorph.cli.morph import Request, announce_changes, announce_idle, run_morph
 
     line = options.given_options(given)
-    options_of = _options(context, preset, config, line)
+    options_of = _options(context, draft, config, line)
     # Recipes hold all options, so nothing is left to a preset.
     foreign = config is not None and not config.named.own
     auto = preset == AUTO or (preset is None and not foreign)
@@ -188,7 +195,7 @@ def morph(
 
 def _options(
     context: click.Context,
-    preset: str | None,
+    draft: bool,
     config: files.Found | None,
     line: dict[str, Any],
 ) -> Callable[[str | None], MorphOptions]:
@@ -204,8 +211,10 @@ def _options(
 
     def options_of(name: str | None) -> MorphOptions:
         chosen = preset_options(name)
-        layers = (file, chosen, line) if given else (chosen, file, line)
-        return MorphOptions(**MorphOptions.layered(layers))
+        below = MorphOptions.layered((file, chosen) if given else (chosen, file))
+        if draft:
+            below |= drafted(below)
+        return MorphOptions(**MorphOptions.layered((below, line)))
 
     return options_of
 

@@ -167,7 +167,11 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     if request.capped:
         _cap_memory(run, operations)
     reduced = any(a.shape != b.shape for a, b in zip(whole, pictures, strict=True))
-    shown = f"; pictures reduced to {run.options.size} pixels (--size)" if reduced else ""
+    shown = ""
+    if reduced and run.options.detail == "pixels":
+        shown = "; blocks of the sprites are taken as pixels"
+    elif reduced:
+        shown = f"; pictures reduced to {run.options.size} pixels (--size)"
     if preset is not None:
         say(f"preset: {preset}, for what the pictures show (--preset takes another)")
     say(f"{run.memory(pictures, operations)}{shown}")

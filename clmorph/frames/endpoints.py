@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
+from clmorph.frames.growth import grown_ends
 from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.pixels import resized
 from clmorph.measures.measure import Measure
@@ -236,12 +237,13 @@ def make_details(
     plan : Plan or Barycentric
     missing : two of Lacking
         At t = 0 and at t = 1.
-    unmatched : {"fade", "drop"}
-        With "drop" no detail stays in place.
+    unmatched : {"fade", "grow", "drop"}
+        With "fade" alone detail stays in place, as the mass that dies or is born.
     """
     source, target = measures
     masses = plan.marginals
     destinations = mean_destinations(source, target, plan)
+    grown = grown_ends(source, target, plan) if unmatched == "grow" else None
     result: list[Details | None] = []
     for end, measure in enumerate(measures):
         if np.abs(missing[end].missing).max() <= NEGLIGIBLE:
@@ -249,12 +251,12 @@ def make_details(
             continue
         moved, own = masses[end], measure.weights
         moving = np.divide(moved, own, out=np.zeros_like(own), where=own > 0)
-        moving = np.minimum(moving, 1.0) if unmatched == "fade" else (moving > 0).astype(float)
-        result.append(
-            Details(
-                operations, measure, missing[end],
-                np.where(moved[:, None] > 0, destinations[end], measure.positions),
-                moving, backwards=end == 1,
-            )
-        )  # fmt: skip
+        there = np.where(moved[:, None] > 0, destinations[end], measure.positions)
+        moving = np.minimum(moving, 1.0)
+        if grown is not None:
+            there = moving[:, None] * there + (1.0 - moving[:, None]) * grown[end]
+            moving = np.ones_like(moving)
+        elif unmatched == "drop":
+            moving = (moving > 0).astype(float)
+        result.append(Details(operations, measure, missing[end], there, moving, backwards=end == 1))
     return result[0], result[1]

@@ -48,7 +48,7 @@ class FrameRenderer:
     kernel_width : KernelWidth
     operations : Operations
     endpoints : {"exact", "paper"}
-    unmatched : {"fade", "drop"}
+    unmatched : {"fade", "grow", "drop"}
     detail : {"carried", "particles", "shapes", "pixels"}
     """
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
+from clmorph.frames.growth import take_after
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.color import from_space, to_space
@@ -96,6 +97,8 @@ class Shapes:
         self._alphas[:, 2] = 1.0
         self._alphas[: len(alphas), 2] = alphas[:, 0]
         self._links, self._weights = particles.links, particles.weights
+        for table in (self._table, self._alphas):
+            take_after(table[:, 2:5], self._links.astype(np.int64), len(colors))
         self._parts = self._divided(measures)
 
     def on(self, operations: Operations) -> "Shapes":

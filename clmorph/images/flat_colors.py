@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clmorph._shared.typing import Array, BoolArray, IntArray
-from clmorph.images.detail import is_pixel_art
+from clmorph.images.detail import has_few_colors
 
 #: Least share of the border's pixels that have the background's color.
 BORDER_SHARE = 0.5
@@ -67,7 +67,7 @@ def foreground(colors: Array, alpha: Array | None = None) -> BoolArray:
         if color is None:
             return np.ones(colors.shape[:2], dtype=bool)
         contrast = np.abs(colors - color).max(axis=2)
-    if is_pixel_art(colors if alpha is None else np.dstack((colors, alpha))):
+    if has_few_colors(colors if alpha is None else np.dstack((colors, alpha))):
         found = contrast > SPRITE_LEVEL
     else:
         found = (contrast > LEVEL) & (contrast >= 0.5 * maximum_filter(contrast, WINDOW))

@@ -34,7 +34,7 @@ class MorphKeywords(TypedDict, total=False):
     gamma: float | None
     sigma: Literal["optimal"] | None
     endpoints: Literal["exact", "paper"]
-    unmatched: Literal["fade", "drop"]
+    unmatched: Literal["fade", "grow", "drop"]
     path_space: Literal["srgb", "linear", "lab", "luv", "oklab"]
     n_frames: int
     fps: float | None

@@ -42,6 +42,7 @@ def morph(
     options: MorphOptions | None = None,
     *,
     preset: PresetName | None = None,
+    draft: bool = False,
     backend: Backend = "auto",
     weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
     color_metric: ArrayLike | None = None,
@@ -61,6 +62,9 @@ def morph(
         The name of the set of options (`clmorph.pipeline.presets.PRESETS`) from which those given
         by name differ. By default "auto": "pixel-art" if both images are sprites, "logo" if both
         are flat drawings or sprites, and "photo" otherwise (`clmorph.images.kind.kind_of`).
+    draft : bool
+        A first look in about a second: smaller, with fewer frames and less accuracy, as far as
+        these options are not given (`clmorph.pipeline.presets.DRAFT`).
     backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
     weights : (map_a, map_b), optional
@@ -107,7 +111,7 @@ def morph(
     True
     """
     images = as_images((image_a, image_b))
-    chosen = as_options(options, preset, given, images)
+    chosen = as_options(options, preset, draft, given, images)
     pair = ImagePair(fitted(images, chosen, weights, color_metric), chosen)
     return pair.morph(backend, check_progress(progress), weights, color_metric)
 
@@ -218,7 +222,7 @@ def _effective_counts(
     source: Measure, target: Measure, plan: Plan | Barycentric, unmatched: str
 ) -> tuple[float, float]:
     """Return N_eff (Eq. 3) of the masses drawn at both ends; with "drop" the plan's marginals."""
-    if unmatched == "fade":
+    if unmatched != "drop":
         return effective_count(source.weights), effective_count(target.weights)
     row_mass, column_mass = plan.marginals
     return effective_count(row_mass), effective_count(column_mass)

@@ -17,12 +17,12 @@ from clmorph._shared.options import (
     unknown_option,
     with_default,
 )
-from clmorph._shared.validation import as_float, check_choice, shown
+from clmorph._shared.validation import as_float, check_choice, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.frames.options import BULGING, GAMMA, RenderOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
-from clmorph.pipeline.presets import AUTO, PRESETS
+from clmorph.pipeline.presets import AUTO, PRESETS, drafted
 from clmorph.transport.options import PlanOptions, Reach, SolverOptions
 from clmorph.transport.regularization import regularization
 
@@ -126,6 +126,9 @@ class MorphOptions(
     preset : str, optional
         A name of `clmorph.pipeline.presets.PRESETS`; "photo" if none is given. The preset "auto" is
         for `clmorph.morph`, which knows the pictures.
+    draft : bool
+        Whether size, particles, frames and accuracy are reduced to those of a first look, unless
+        they are given (`clmorph.pipeline.presets.DRAFT`).
     **given
         Options, see `clmorph.morph`.
 
@@ -147,8 +150,11 @@ class MorphOptions(
     #: A morph lets mass fade by default, unlike `clmorph.sinkhorn`.
     reach: Reach = with_default(SolverOptions, "reach", 0.3)
 
-    def __init__(self, *, preset: str | None = None, **given: Any) -> None:
-        super().__init__(**self.layered((preset_options(preset), given)))
+    def __init__(self, *, preset: str | None = None, draft: bool = False, **given: Any) -> None:
+        chosen = preset_options(preset)
+        if check_flag("draft", draft):
+            chosen |= drafted(chosen)
+        super().__init__(**self.layered((chosen, given)))
 
     @classmethod
     def layered(cls, layers: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
@@ -241,17 +247,19 @@ class MorphOptions(
         Parameters
         ----------
         **given
-            Options, see `clmorph.morph`. A preset is refused, because it sets many options.
+            Options, see `clmorph.morph`. A preset and a draft are refused: they set many options.
 
         Raises
         ------
         InputError
             The errors of `MorphOptions`.
         """
-        if "preset" in given:
-            raise InputError(
-                "preset: these options are chosen already; make others by MorphOptions(preset=...)"
-            )
+        for name in ("preset", "draft"):
+            if name in given:
+                raise InputError(
+                    f"{name}: these options are chosen already; make others by "
+                    f"MorphOptions({name}=...)"
+                )
         return type(self)(**MorphOptions.layered((self.as_dict(), given)))
 
     def chosen(self, names: Iterable[str], given: Mapping[str, Any]) -> Self:

@@ -8,17 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clmorph._shared.validation import shown
+from clmorph._shared.validation import check_flag, shown
 from clmorph.backends.arrays import as_array
 from clmorph.errors import InputError
-from clmorph.images.kind import kind_of
+from clmorph.images.kind import FEWEST_BLOCKS, kind_of
 from clmorph.images.pixels import as_pixels, block_size, fit
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PresetName, preset_for
 
 Picture = NDArray[np.float64]
-#: Least number of blocks along the longer side of a sprite whose blocks become pixels.
-FEWEST_BLOCKS = 8
 
 
 def as_images(images: Sequence[ArrayLike]) -> list[Picture]:
@@ -49,7 +47,11 @@ def recognized(images: Iterable[Picture]) -> PresetName:
 
 
 def as_options(
-    options: MorphOptions | None, preset: str | None, given: Any, images: Iterable[Picture]
+    options: MorphOptions | None,
+    preset: str | None,
+    draft: bool,
+    given: Any,
+    images: Iterable[Picture],
 ) -> MorphOptions:
     """Return the options of a call, from an options object, a preset and options by name.
 
@@ -57,6 +59,7 @@ def as_options(
     ----------
     options : MorphOptions or None
     preset : str or None
+    draft : bool
     given : mapping
         Options by name.
     images : iterable of (H, W, C) arrays
@@ -65,13 +68,13 @@ def as_options(
     Raises
     ------
     InputError
-        If `options` has another type, or is given together with `preset`.
+        If `options` has another type, or is given together with `preset` or `draft`.
     """
     if options is None:
         if preset is None or (isinstance(preset, str) and preset == AUTO):
-            MorphOptions(**given)  # raises an error before the images are looked at
+            MorphOptions(draft=draft, **given)  # raises an error before the images are looked at
             preset = recognized(images)
-        return MorphOptions(preset=preset, **given)
+        return MorphOptions(preset=preset, draft=draft, **given)
     if not isinstance(options, MorphOptions):
         raise InputError(
             f"options={shown(options)}: expected MorphOptions; give single options by name, such "
@@ -81,6 +84,10 @@ def as_options(
         raise InputError(
             f"options and preset={shown(preset)} contradict: give one of them, or "
             "MorphOptions(preset=...)"
+        )
+    if check_flag("draft", draft):
+        raise InputError(
+            "options and draft=True contradict: give one of them, or MorphOptions(draft=True)"
         )
     return options.replace(**given) if given else options
 
