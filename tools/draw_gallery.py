@@ -49,8 +49,6 @@ PAIRS = {
     "portrait-landscape": ("portrait", "coffee"),
     "alpha": ("oval", "toadstool"),
 }
-#: What a pair asks for beside the defaults.
-OPTIONS = {"sprite-sprite": ["--preset", "pixel-art"]}
 
 
 def strip(folder: Path) -> Image.Image:
@@ -88,7 +86,7 @@ def main() -> None:
         if arguments.only and name not in arguments.only:
             continue
         images = [str(inputs / f"{image}.png") for image in pair]
-        options = [*OPTIONS.get(name, []), *arguments.more.split()]
+        options = arguments.more.split()
         outputs = [folder / f"{name}{ending}" for ending in (".png", ".html")]
         frames = folder / f"{name}-frames"
         shutil.rmtree(frames, ignore_errors=True)

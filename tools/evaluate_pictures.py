@@ -1,10 +1,11 @@
 """Measure how sharp and how clean frames are: ``python tools/evaluate_pictures.py``.
 
-For pairs of pictures at t = 1/4, 1/2 and 3/4, by default and with `detail="particles"`: the mean
-gradient (*sharp*) and the share of specks (*crumbs*), both relative to the mixture by t of those of
-the ends. For pictures paired with their own smooth deformation by 6 %: how much nearer the frame
-at 1/2 is to the true middle than a cross-fade, in dB. Prints Markdown tables; ``--pictures FOLDER``
-keeps the frames of each pair, the default above, and ``--only NAME`` takes the pairs with a name.
+For pairs of pictures at t = 1/4, 1/2 and 3/4, by default (the preset that the pictures choose) and
+by the preset photo with `detail="particles"`: the mean gradient (*sharp*) and the share of specks
+(*crumbs*), both relative to the mixture by t of those of the ends. For pictures paired with their
+own smooth deformation by 6 %: how much nearer the frame at 1/2 is to the true middle than a
+cross-fade, in dB. Prints Markdown tables; ``--pictures FOLDER`` keeps the frames of each pair, the
+default above, and ``--only NAME`` takes the pairs with a name.
 """
 
 import argparse
@@ -19,7 +20,7 @@ import clmorph
 from clmorph.analysis.metrics import crumbs, mean_gradient
 
 TIMES = (0.25, 0.5, 0.75)
-WAYS = ("carried", "particles")
+WAYS = ({}, {"preset": "photo", "detail": "particles"})
 #: Less than this share of specks in the pictures themselves counts as this share.
 FEWEST_CRUMBS = 1e-3
 
@@ -46,7 +47,7 @@ def judge(names: tuple[str, str], folder: Path | None, device: str) -> str:
     ends = [picture(name) for name in names]
     cells, strips = [], []
     for way in WAYS:
-        morph = clmorph.morph(*ends, n_frames=3, detail=way, backend=device)
+        morph = clmorph.morph(*ends, n_frames=3, backend=device, **way)
         frames = [morph.frame(t)[..., :3] for t in TIMES]
         pairs = list(zip(frames, TIMES, strict=True))
         cells.append(" ".join(f"{relative(mean_gradient, f, ends, t):.2f}" for f, t in pairs))
@@ -72,7 +73,7 @@ def judge_deformed(name: str, seed: int, device: str) -> str:
     fade = psnr((first + last) / 2, truth)
     gains = [
         psnr(
-            clmorph.morph(first, last, n_frames=3, detail=way, backend=device).frame(0.5)[..., :3],
+            clmorph.morph(first, last, n_frames=3, backend=device, **way).frame(0.5)[..., :3],
             truth,
         )
         - fade

@@ -33,7 +33,7 @@ _Bool = NDArray[np.bool_]
 #: Largest number of regions of an image: a drawing's and a sprite's.
 DRAWN_COLORS, SPRITE_COLORS = 6, 16
 #: Kernel width of parts: a share of the canvas's longer side and at least some pixels; a sprite's.
-SHAPE_SHARE, NARROWEST, SPRITE_WIDTH = 0.006, 0.7, 0.45
+SHAPE_SHARE, NARROWEST, SPRITE_WIDTH = 0.004, 0.7, 0.45
 #: Power of densities by which parts are mixed: edges between parts are about a pixel wide.
 CONTRAST = 16
 #: Parts with less mass than this share of a pixel's are left out: they prevail nowhere.

@@ -166,7 +166,11 @@ def test_one_line(folder, monkeypatch, capfd, arguments, words):
     assert main(["morph", *arguments.split()]) == 2
     out, err = capfd.readouterr()
     assert out == ""
-    told = [line for line in err.splitlines() if not line.startswith(("device: ", "memory: "))]
+    told = [
+        line
+        for line in err.splitlines()
+        if not line.startswith(("device: ", "preset: ", "memory: "))
+    ]
     assert len(told) == 1, err
     assert told[0].startswith("clmorph: error: ")
     if words:

@@ -47,7 +47,9 @@ def told(capfd, *arguments):
     out, err = capfd.readouterr()
     assert out == ""
     lines = [
-        line for line in err.splitlines() if not line.startswith(("device:", "memory:", "note:"))
+        line
+        for line in err.splitlines()
+        if not line.startswith(("device:", "preset:", "memory:", "note:"))
     ]
     assert len(lines) == 1
     return lines[0]
@@ -233,7 +235,7 @@ def test_everything_that_decides_is_recorded(capfd):
     assert main(["morph", "a.png", "b.png", "-o", "o.gif", *options]) == 0
     told = json.loads(Path("o.gif.json").read_text())["options"]
     wanted = {"fps": 20, "hold": 0.65, "ease": "linear", "loop": "loop",
-              "mass": "uniform", "tol": 0.001, "seed": 0, "frames": 3}  # fmt: skip
+              "mass": "foreground", "tol": 0.001, "seed": 0, "frames": 3}  # fmt: skip
     assert wanted.items() <= told.items()
     assert set(dumped(capfd)) >= {*wanted, "max_pixels"}
     # What does not change the picture is not a recipe's to say.

@@ -157,7 +157,8 @@ def cases() -> dict[str, dict[str, Any]]:
     of_morph = {"morph": some["morph"]}
     given: dict[str, dict[str, Any]] = {
         "morph": images | STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | playback | {
-            "n_frames": 2, "splatting": "adaptive", "sigma": None, "endpoints": "exact",
+            "draft": False, "n_frames": 2, "splatting": "adaptive", "sigma": None,
+            "endpoints": "exact",
             "detail": "particles",
             "unmatched": "fade", "path_space": "srgb", "barycentric": False, "sample": None,
             "seed": 0, "ease": "linear",

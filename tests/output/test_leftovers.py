@@ -476,7 +476,8 @@ def test_a_full_disk_leaves_nothing(name, monkeypatch, capfd):
     out, err = capfd.readouterr()
     assert code == 2
     assert out == ""
-    last = [line for line in err.splitlines() if not line.startswith(("device:", "memory:"))]
+    about = ("device:", "preset:", "memory:")
+    last = [line for line in err.splitlines() if not line.startswith(about)]
     assert len(last) == 1
     assert "cannot be written (File too large)" in last[0] or "failed" in last[0]
     assert names() == []

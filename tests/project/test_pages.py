@@ -27,7 +27,7 @@ from clmorph.cli.main import cli, main
 from clmorph.output.save import FORMATS
 from clmorph.pipeline import budget as planning
 from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.presets import AUTO, PRESETS
 
 ROOT = Path(__file__).parents[2]
 #: Every page by its path.
@@ -249,7 +249,7 @@ def test_tools_are_listed():
 
 
 def test_presets_formats_and_options_are_listed():
-    for preset in PRESETS:
+    for preset in (AUTO, *PRESETS):
         assert f"| `{preset}`" in PAGES[README]
     for format in FORMATS.values():
         assert all(f"`{ending}`" in PAGES[README] for ending in format.endings[:1] if ending)
