@@ -119,6 +119,12 @@ from .transport.potentials import (
 from .transport.sinkhorn import (
     sinkhorn as sinkhorn,
 )
+from .transport.sinkhorn_batch import (
+    PotentialsBatch as PotentialsBatch,
+)
+from .transport.sinkhorn_batch import (
+    sinkhorn_batch as sinkhorn_batch,
+)
 
 __all__ = [
     "__version__",
@@ -143,6 +149,7 @@ __all__ = [
     "Plan",
     "PlanSizeError",
     "Potentials",
+    "PotentialsBatch",
     "PruningWarning",
     "WeightedPoints",
     "barycentric_plan",
@@ -160,6 +167,7 @@ __all__ = [
     "sample_plan",
     "save",
     "sinkhorn",
+    "sinkhorn_batch",
     "sinkhorn_divergence",
     "transport_plan",
 ]
