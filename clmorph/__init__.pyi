@@ -104,6 +104,12 @@ from .transport.divergence import (
 from .transport.divergence import (
     sinkhorn_divergence as sinkhorn_divergence,
 )
+from .transport.divergence_matrix import (
+    DivergenceMatrix as DivergenceMatrix,
+)
+from .transport.divergence_matrix import (
+    divergence_matrix as divergence_matrix,
+)
 from .transport.plan import (
     Plan as Plan,
 )
@@ -136,6 +142,7 @@ __all__ = [
     "DeviceError",
     "Displacement",
     "Divergence",
+    "DivergenceMatrix",
     "FileError",
     "ImageWarning",
     "InputError",
@@ -154,6 +161,7 @@ __all__ = [
     "WeightedPoints",
     "barycentric_plan",
     "displacement_statistics",
+    "divergence_matrix",
     "fit",
     "get_backend",
     "inspect",

@@ -85,6 +85,18 @@ class PotentialsBatch(Sequence[Potentials]):
         """Whether all residuals are at most the tolerance."""
         return all(status == "converged" for status in self.statuses)
 
+    @property
+    def missed(self) -> str:
+        """How many problems did not converge, and how the first of them ended; '' if all did."""
+        missed = [place for place, each in enumerate(self.statuses) if each != "converged"]
+        if not missed:
+            return ""
+        part, place = self._place[missed[0]]
+        return (
+            f"{len(missed)} of {len(self)} problems did not converge; problem {missed[0]}: "
+            f"{part.message(place)}"
+        )
+
     @overload
     def __getitem__(self, key: int) -> Potentials: ...
     @overload
@@ -106,9 +118,7 @@ class PotentialsBatch(Sequence[Potentials]):
 class _Solved:
     """Problems that were solved together."""
 
-    def __init__(
-        self, numbers: IntArray, iteration: BatchIteration, given: Regularization
-    ) -> None:
+    def __init__(self, numbers: IntArray, iteration: BatchIteration, given: Regularization) -> None:
         self.numbers, self._iteration, self._given = numbers, iteration, given
         self.statuses: list[str] = list(iteration.status)
         self.residuals, self.n_iter = iteration.residual, iteration.n_iter
@@ -250,14 +260,8 @@ def sinkhorn_batch(
 
 def _warned(found: PotentialsBatch) -> PotentialsBatch:
     """Return potentials, and warn if not all reached the tolerance."""
-    missed = [number for number, status in enumerate(found.statuses) if status != "converged"]
-    if missed:
-        part, place = found._place[missed[0]]
-        warn_unless_converged(
-            "missed",
-            f"{len(missed)} of {len(found)} problems did not converge; "
-            f"problem {missed[0]}: {part.message(place)}",
-        )
+    if not found.converged:
+        warn_unless_converged("missed", found.missed)
     return found
 
 
@@ -351,5 +355,3 @@ def together(pairs: Sequence[tuple[AnyMeasure, AnyMeasure]]) -> list[list[int]]:
         own.append(number)
         open_lists[dimension] = own, total
     return lists
-
-

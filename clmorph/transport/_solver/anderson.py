@@ -153,9 +153,7 @@ class Anderson:
         right = stored * right / scale
         return np.linalg.solve(normal, right[..., None])[..., 0] / scale, found
 
-    def _remember(
-        self, of_image: Array, of_residual: Array, weights: Array, stored: Any
-    ) -> None:
+    def _remember(self, of_image: Array, of_residual: Array, weights: Array, stored: Any) -> None:
         place, self._next = self._next % MEMORY, self._next + 1
         if place == 0 and not self._residuals.size:
             self._ahead, self._residuals = (np.empty((MEMORY, len(of_image))) for _ in range(2))

@@ -153,7 +153,8 @@ def some(problem: Problem, problems: IntArray) -> Problem:
         BatchSoftmin(problem.operations, columns, rows, of_columns, of_rows),
         (a, b), problem.rho, problem.largest_cost[problems], (of_rows, of_columns),
     )  # fmt: skip
-    made.oscillations = tuple(each[problems] for each in problem.oscillations)
+    one, other = problem.oscillations
+    made.oscillations = one[problems], other[problems]
     return made
 
 
@@ -185,5 +186,6 @@ def one_measured(problem: Problem, number: int, roundoffs: tuple[float, float]) 
         _Measured(roundoffs[0]), _Measured(roundoffs[1]), weights, problem.rho,
         float(problem.largest_cost[number]), (WHOLE, WHOLE),
     )  # fmt: skip
-    made.oscillations = tuple(float(each[number]) for each in problem.oscillations)
+    rows, columns = problem.oscillations
+    made.oscillations = float(rows[number]), float(columns[number])
     return made

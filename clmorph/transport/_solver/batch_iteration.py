@@ -1,46 +1,25 @@
-"""The iteration behind `clmorph.sinkhorn_batch`: that of `_solver.iteration`, of many problems.
-
-All problems take a step at the same time, so that one launch of a kernel serves them all. Each stops
-by itself, and problems that have stopped are taken out of the vectors. What a step computes is
-written in `Problem` and `Anderson`, for one problem and for many.
-"""
+"""The iteration behind `clmorph.sinkhorn_batch`: that of `_solver.iteration`, of many problems."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from clmorph._shared.progress import Share
-from clmorph._shared.typing import Array, BoolArray, IntArray
-from clmorph.transport._solver.anderson import Anderson
+from clmorph._shared.typing import Array, IntArray
 from clmorph.transport._solver.batch import some
+from clmorph.transport._solver.batch_steps import Reached, Record, Steps, segments
 from clmorph.transport._solver.iteration import (
     ANNEALING,
     ANNEALING_SHARE,
     LEAVING_MARGIN,
     LEVEL_TOLERANCE,
     REPEATED,
-    SHORT,
-    STALLED,
     annealing,
     top_blur,
-    without_drift,
 )
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.reductions import Segments
-from clmorph.transport._solver.state import ROUNDING_MARGIN, needs_more, slack_of
-
-#: Problems that have stopped are taken out once they are this share of those in the vectors.
-STOPPED = 1 / 16
-
-
-class Reached(NamedTuple):
-    """Potentials of some problems after the last half-step of a level."""
-
-    problems: IntArray  #: (k,) their numbers
-    f: Array
-    g: Array
-    residual: Array  #: (k,) before that half-step
+from clmorph.transport._solver.state import needs_more
 
 
 class BatchIteration:
@@ -88,22 +67,18 @@ class BatchIteration:
         self.roundoffs = np.zeros((2, count))
         self.status = np.full(count, "max_iter", object)
         self.precise = np.zeros(count, bool)
-        self._n_softmin = np.zeros(count, np.int64)
-        self._histories: list[tuple[IntArray, Array]] = []
+        self._record = Record(count)
+        self._rows, self._columns = segments(problem)
         self._done = 0.0
 
     @property
     def n_iter(self) -> IntArray:
         """Iterations of each problem so far."""
-        return -(-self._n_softmin // 2)
+        return self._record.n_iter
 
     def histories(self) -> list[Array]:
         """Return the residuals of every problem after each of its iterations."""
-        numbers = np.concatenate([numbers for numbers, _ in self._histories])
-        values = np.concatenate([values for _, values in self._histories])
-        order = np.argsort(numbers, kind="stable")
-        ends = np.cumsum(np.bincount(numbers, minlength=len(self.status)))
-        return np.split(values[order], ends[:-1])
+        return self._record.residuals()
 
     def run(self) -> None:
         """Iterate from the largest blur of each problem's annealing."""
@@ -136,16 +111,6 @@ class BatchIteration:
             self._share((number + 1) / (len(levels) + 2))
         self._last_level(g)
         self._share(1.0)
-
-    @property
-    def _rows(self) -> Segments:
-        assert isinstance(self.problem.of_rows, Segments)
-        return self.problem.of_rows
-
-    @property
-    def _columns(self) -> Segments:
-        assert isinstance(self.problem.of_columns, Segments)
-        return self.problem.of_columns
 
     def _share(self, share: float) -> None:
         self._done = max(self._done, share)
@@ -198,12 +163,13 @@ class BatchIteration:
         rows = Segments(self._rows.counts[reached.problems]).points_of(places)
         columns = Segments(self._columns.counts[reached.problems]).points_of(places)
         return Reached(
-            reached.problems[places], reached.f[rows], reached.g[columns], reached.residual[places]
-        )
+            reached.problems[places], reached.f[rows], reached.g[columns],
+            reached.residual[places], reached.status[places],
+        )  # fmt: skip
 
     def _measure(self, reached: Reached, epsilon: float) -> None:
         """Compute the softmins of the potentials that are returned, and their residuals."""
-        numbers, f, g, _ = reached
+        numbers, f, g, _, _ = reached
         if not len(numbers):
             return
         problem = some(self.problem, numbers)
@@ -214,7 +180,7 @@ class BatchIteration:
         self.g[columns], self.t_columns[columns] = g, t_columns
         self.residual[numbers] = residual
         self.roundoffs[:, numbers] = problem.to_rows.roundoff, problem.to_columns.roundoff
-        self._histories.append((numbers, residual))
+        self._record.add(numbers, residual)
         within = residual <= self.tol
         missed = ~within & (self.status[numbers] == "converged")
         self.status[numbers[within]] = "converged"
@@ -239,104 +205,11 @@ class BatchIteration:
         precise: bool,
         leave: bool = False,
     ) -> Reached:
-        """Iterate some problems at one epsilon, each until its residual is within its `tol`.
-
-        See `Iteration._iterate`, whose steps these are.
-        """
-        problem = some(self.problem, numbers)
-        rounding = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
-        self.rounding[numbers] = rounding
-        reached = Reached(
-            numbers, np.zeros(len(problem.a)), np.zeros(len(problem.b)), np.zeros(len(numbers))
-        )
-        layout = problem.reductions
-        places = np.arange(len(numbers))  # of the problems in the vectors, among all of `numbers`
-        memory = Anderson(problem.of_columns)
-        best, since_best = np.full(len(numbers), np.inf), np.zeros(len(numbers), np.int64)
-        running = np.ones(len(numbers), bool)
-        # Next potentials of the plain iteration, the problems that have left these for an
-        # extrapolation, and the duals that were reached.
-        fallback, guessed, floor = g, np.zeros_like(running), np.zeros(len(numbers))
-        while True:
-            f, g_shifted, t_rows = problem.update_f(
-                g, problem.softmin_rows(g, epsilon, precise), epsilon
-            )
-            bad = np.zeros_like(running)
-            if guessed.any():
-                mass = problem.of_rows.sum(problem.row_mass(f, t_rows, epsilon))
-                dual = problem.dual(f, g_shifted, mass, epsilon)
-                slack = slack_of(problem, floor, rounding, mass, epsilon)
-                bad = guessed & ~(dual >= floor - slack)
-                memory.accepted(guessed & ~bad)
-                if bad.any():
-                    memory.rejected(bad)
-            self._n_softmin[numbers[places[running]]] += 1
-            live = running & ~bad
-            if not live.any():
-                g, guessed = self._taken_back(problem, g, fallback, bad), np.zeros_like(running)
-                continue
-            t_columns = problem.softmin_columns(f, epsilon, precise)
-            residual = problem.residual(f, g_shifted, t_rows, t_columns, epsilon)
-            image, f, t_columns = problem.update_g(f, t_columns, epsilon)
-            going = numbers[places[live]]
-            self._n_softmin[going] += 1
-            self._histories.append((going, residual[live]))
-            since_best = np.where(live, np.where(residual < 0.9 * best, 0, since_best + 1), since_best)
-            best = np.where(live, np.minimum(best, residual), best)
-            stalled = (since_best >= STALLED) & (leave | (residual <= rounding))
-            within, n_iter = residual <= tol, self.n_iter[numbers[places]]
-            finished = live & (within | stalled | (n_iter >= limit))
-            if finished.any():
-                here = np.flatnonzero(finished)
-                status = np.where(stalled, "precision", "max_iter").astype(object)
-                status[within] = "converged"
-                self.status[numbers[places[here]]] = status[here]
-                self._keep(reached, layout, places[here], problem, here, f, image, residual)
-                running = running & ~finished
-                if not running.any():
-                    return reached
-            column_mass = problem.column_mass(image, t_columns, epsilon)
-            floor = problem.dual(f, image, problem.of_columns.sum(column_mass), epsilon)
-            # An extrapolation can cost one softmin more, which the limit must allow.
-            may = running & live & (n_iter + 1 < limit) & (self._max_iter >= SHORT)
-            following, guessed = image, np.zeros_like(running)
-            if may.any():
-                guess, guessed = memory.extrapolate(g, image, column_mass, may)
-                following = without_drift(problem, guess, image, column_mass)
-            # A problem that was taken back goes on from where the plain iteration was.
-            g, fallback = self._taken_back(problem, following, fallback, bad), image
-            if np.count_nonzero(running) <= (1 - STOPPED) * len(running):
-                kept = np.flatnonzero(running)
-                assert isinstance(problem.of_columns, Segments)
-                points = problem.of_columns.points_of(kept)
-                problem = some(problem, kept)
-                assert isinstance(problem.of_columns, Segments)
-                memory.take(kept, points, problem.of_columns)
-                g, fallback = g[points], fallback[points]
-                places, tol, rounding, best, since_best, running, guessed, floor = (
-                    each[kept]
-                    for each in (places, tol, rounding, best, since_best, running, guessed, floor)
-                )
-
-    def _taken_back(self, problem: Problem, g: Array, fallback: Array, bad: BoolArray) -> Array:
-        """Return g, with the fallback for the problems whose extrapolation was bad."""
-        return np.where(problem.of_columns.spread(bad), fallback, g) if bad.any() else g
-
-    def _keep(
-        self,
-        reached: Reached,
-        layout: tuple[Any, Any],
-        places: IntArray,
-        problem: Problem,
-        here: IntArray,
-        f: Array,
-        g: Array,
-        residual: Array,
-    ) -> None:
-        """Write what problems `here` in the vectors have reached to their places."""
-        of_rows, of_columns = problem.reductions
-        assert isinstance(of_rows, Segments)
-        assert isinstance(of_columns, Segments)
-        reached.f[layout[0].points_of(places)] = f[of_rows.points_of(here)]
-        reached.g[layout[1].points_of(places)] = g[of_columns.points_of(here)]
-        reached.residual[places] = residual[here]
+        """Iterate some problems at one epsilon; see `Steps`."""
+        steps = Steps(
+            self.problem, numbers, epsilon, tol, limit, self._max_iter, precise, leave,
+            self._record,
+        )  # fmt: skip
+        reached = steps.run(g)
+        self.rounding[numbers], self.status[numbers] = steps.rounding, reached.status
+        return reached

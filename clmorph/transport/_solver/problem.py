@@ -59,7 +59,7 @@ class Problem:
         self.of_rows, self.of_columns = self.reductions = reductions
         self.rho, self.largest_cost = rho, largest_cost
         #: Bounds of |C_ij - C_kj| over rows i, k, and of |C_ij - C_il| over columns j, l.
-        self.oscillations = largest_cost, largest_cost
+        self.oscillations: tuple[Any, Any] = largest_cost, largest_cost
         #: 1 / rho, 0 if balanced: with it one infinite rho is harmless.
         self.inverse_rho = tuple(0.0 if np.isinf(value) else 1.0 / value for value in rho)
         self.masses = self.of_rows.sum(self.a), self.of_columns.sum(self.b)

@@ -89,7 +89,7 @@ class Segments:
         return np.asarray(np.maximum.reduceat(x, self.starts))
 
     def spread(self, value: Any) -> Any:
-        """Return a number of each problem for each of its points; one number of all is unchanged."""
+        """Return a number of each problem for each of its points; a single number as it is."""
         return value if np.ndim(value) == 0 else np.repeat(value, self.counts)
 
     def scaled(self, factor: Any, x: Array) -> Array:

@@ -1,7 +1,7 @@
 """The log-sum-exp of many problems at once, by ``cl_kernels/log_sum_exp.cl`` with lists of tiles.
 
-The clouds of all problems stand in one sorted cloud, in which each begins a tile. The row tiles of a
-problem list its own column tiles, so one launch sums for all problems.
+The clouds of all problems stand in one sorted cloud, in which each begins a tile. The row tiles of
+a problem list its own column tiles, so one launch sums for all problems.
 """
 
 from typing import NamedTuple
