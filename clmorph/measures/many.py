@@ -43,7 +43,12 @@ def as_many(name: str, value: Any) -> list[Any]:
     if foreign or _is_array(value) or not isinstance(value, Iterable):
         what = printable(type(value).__name__)
         raise InputError(f"{name} is a {what}: expected {_EXPECTED}")
-    return list(value)
+    try:
+        return list(value)
+    except Exception as error:
+        # Foreign types can raise any exception.
+        reason = printable(str(error) or type(error).__name__, 120)
+        raise InputError(f"{name} cannot be read ({reason}): expected {_EXPECTED}") from None
 
 
 def _is_array(value: Any) -> bool:

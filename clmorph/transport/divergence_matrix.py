@@ -136,7 +136,7 @@ def divergence_matrix(
     >>> measures = [([0.5, 0.5], [0.0, x]) for x in (0.2, 0.4, 0.8)]
     >>> matrix = clmorph.divergence_matrix(measures, 0.1, 0.3, backend="numpy")
     >>> matrix.values.round(4).tolist()
-    [[0.0, 0.0079, 0.0402], [0.0079, 0.0, 0.0229], [0.0402, 0.0229, 0.0]]
+    [[0.0, 0.0089, 0.0466], [0.0089, 0.0, 0.0314], [0.0466, 0.0314, 0.0]]
     """
     given = one_regularization(blur, reach, epsilon, rho)
     tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)

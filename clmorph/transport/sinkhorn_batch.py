@@ -57,7 +57,7 @@ class PotentialsBatch(Sequence[Potentials]):
     >>> found
     <PotentialsBatch of 4 problems, all converged>
     >>> [round(each.transported_mass, 2) for each in found[1:3]]
-    [1.02, 1.02]
+    [0.96, 0.96]
     """
 
     def __init__(self, parts: list[_Part], count: int) -> None:
