@@ -24,7 +24,7 @@ from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import warn_unless_converged
-from clmorph.transport.sinkhorn_batch import MeasuresLike, PotentialsBatch, solve_many
+from clmorph.transport.sinkhorn_batch import MeasuresLike, PotentialsBatch, solve_many, what_missed
 
 
 class DivergenceMatrix:
@@ -142,22 +142,31 @@ def divergence_matrix(
     tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
     report = check_progress(progress)
     own = as_many("measures", measures)
-    pairs: list[tuple[AnyMeasure, AnyMeasure]] = []
-    places = np.zeros((len(own), len(own)), np.int64)
-    for i, measure in enumerate(own):
-        places[i, i] = len(pairs)
-        pairs.append(_pair(i, i, measure, measure))
+    # Pairs (i, j) of measures, and the measures.
+    between = [(i, i) for i in range(len(own))]
+    pairs = [_pair(i, i, own[i], own[i]) for i in range(len(own))]
     checked = [pair[0] for pair in pairs]
-    for i in range(len(own)):
-        for j in range(i + 1, len(own)):
-            if are_equal(checked[i], checked[j]):
-                places[i, j] = places[i, i]
-                continue
-            places[i, j] = len(pairs)
-            pairs.append(_pair(i, j, checked[i], checked[j]))
+    places = np.diag(np.arange(len(own)))
+    for i, j in zip(*np.triu_indices(len(own), 1), strict=True):
+        if are_equal(checked[i], checked[j]):
+            places[i, j] = places[i, i]
+            continue
+        places[i, j] = len(pairs)
+        between.append((int(i), int(j)))
+        pairs.append(_pair(int(i), int(j), checked[i], checked[j]))
     operations = get_backend(backend)
-    solved = solve_many(pairs, given, tol, max_iter, operations, precision, report)
-    return _warned(DivergenceMatrix(solved, places, given), solved)
+
+    def name(number: int) -> str:
+        return _name(*between[number])
+
+    solved = solve_many(pairs, given, tol, max_iter, operations, precision, report, name)
+    matrix = DivergenceMatrix(solved, places, given)
+    return matrix if solved.converged else _warned(matrix, what_missed(solved, name))
+
+
+def _name(i: int, j: int) -> str:
+    """Return the name of a pair of measures in messages."""
+    return f"measure {i} with itself" if i == j else f"measures {i} and {j}"
 
 
 def _pair(i: int, j: int, source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
@@ -166,12 +175,11 @@ def _pair(i: int, j: int, source: Any, target: Any) -> tuple[AnyMeasure, AnyMeas
         pair = as_pair(source, target)
         check_symmetric(*pair)
     except InputError as error:
-        raise InputError(f"measures {i} and {j}: {error}") from None
+        raise InputError(f"{_name(i, j)}: {error}") from None
     return pair
 
 
-def _warned(matrix: DivergenceMatrix, solved: PotentialsBatch) -> DivergenceMatrix:
-    """Return a matrix, and warn if not all solves reached the tolerance."""
-    if not solved.converged:
-        warn_unless_converged("missed", solved.missed)
+def _warned(matrix: DivergenceMatrix, message: str) -> DivergenceMatrix:
+    """Return a matrix, and warn that not all solves reached the tolerance."""
+    warn_unless_converged("missed", message)
     return matrix

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, overload
 
 import numpy as np
@@ -85,17 +85,10 @@ class PotentialsBatch(Sequence[Potentials]):
         """Whether all residuals are at most the tolerance."""
         return all(status == "converged" for status in self.statuses)
 
-    @property
-    def missed(self) -> str:
-        """How many problems did not converge, and how the first of them ended; '' if all did."""
-        missed = [place for place, each in enumerate(self.statuses) if each != "converged"]
-        if not missed:
-            return ""
-        part, place = self._place[missed[0]]
-        return (
-            f"{len(missed)} of {len(self)} problems did not converge; problem {missed[0]}: "
-            f"{part.message(place)}"
-        )
+    def message(self, number: int) -> str:
+        """Return the line that reports how the solve of a problem ended, see `Potentials`."""
+        part, place = self._place[range(len(self))[number]]
+        return part.message(place)
 
     @overload
     def __getitem__(self, key: int) -> Potentials: ...
@@ -261,8 +254,31 @@ def sinkhorn_batch(
 def _warned(found: PotentialsBatch) -> PotentialsBatch:
     """Return potentials, and warn if not all reached the tolerance."""
     if not found.converged:
-        warn_unless_converged("missed", found.missed)
+        warn_unless_converged("missed", what_missed(found, _name))
     return found
+
+
+def _name(number: int) -> str:
+    """Return the name of a problem in messages."""
+    return f"problem {number}"
+
+
+def what_missed(found: PotentialsBatch, name: Callable[[int], str]) -> str:
+    """Return how many solves did not converge, and how the first of them ended.
+
+    Parameters
+    ----------
+    found : PotentialsBatch
+        Not all converged.
+    name : callable
+        A function that returns the name of a problem.
+    """
+    missed = [number for number, each in enumerate(found.statuses) if each != "converged"]
+    first = missed[0]
+    return (
+        f"{len(missed)} of {len(found)} solves did not converge; {name(first)}: "
+        f"{found.message(first)}"
+    )
 
 
 def _pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasure, AnyMeasure]]:
@@ -277,7 +293,7 @@ def _pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasure, Any
         try:
             pairs.append(as_pair(*pair))
         except InputError as error:
-            raise InputError(f"problem {number}: {error}") from None
+            raise InputError(f"{_name(number)}: {error}") from None
     return pairs
 
 
@@ -289,6 +305,7 @@ def solve_many(
     operations: Operations,
     precision: str,
     report: Progress,
+    name: Callable[[int], str] = _name,
 ) -> PotentialsBatch:
     """Solve the problems of checked pairs of measures, without a warning.
 
@@ -299,12 +316,14 @@ def solve_many(
     tol, max_iter, precision, report
         Checked arguments of `sinkhorn_batch`.
     operations : Operations
+    name : callable
+        A function that returns the name of a problem for error messages.
     """
     for number, pair in enumerate(pairs):
         try:
             check_problem(*pair, given, operations, precision)
         except InputError as error:
-            raise InputError(f"problem {number}: {error}") from None
+            raise InputError(f"{name(number)}: {error}") from None
     done, parts = 0, list[_Part]()
     for numbers in together(pairs):
         own = [pairs[number] for number in numbers]
@@ -324,8 +343,7 @@ def solve_many(
             try:
                 iteration.run()
             except NotFiniteError as error:
-                name = f"problem {numbers[error.problem]}: points"
-                raise overflow(name) from None
+                raise overflow(f"{name(numbers[error.problem])}: points") from None
             parts.append(_Solved(np.array(numbers), iteration, given))
         done += len(own)
     return PotentialsBatch(parts, len(pairs))

@@ -1,12 +1,13 @@
 """Checks of soft minima between the clouds of many problems at once."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from clmorph.backends.comparison import LARGEST_BOUND, Finding
 from clmorph.backends.interface import Operations
-from clmorph.backends.verification.clouds import clustered, log_sum_exp_tolerance
+from clmorph.backends.verification.clouds import Cloud, clustered, log_sum_exp_tolerance
 
 #: Numbers of points of the rows and the columns of each problem: single points, whole tiles and
 #: parts of them, and several tiles.
@@ -36,38 +37,41 @@ def check_softmin_batch(
         (clustered(dimension, n, 3 * number), clustered(dimension, m, 3 * number + 1))
         for number, (n, m) in enumerate(SIZES)
     ]
-    batches = []
-    for side in range(2):
-        clouds = [pair[side] for pair in pairs]
-        counts = np.array([len(weights) for _, weights in clouds])
-        batches.append(
-            operations.upload_batch(*map(np.concatenate, zip(*clouds, strict=True)), counts)
-        )
     rng = np.random.default_rng(0)
     potentials = [EPSILON * rng.normal(size=m) for _, m in SIZES]
     want, errors = [], []
-    for pair, g in zip(pairs, potentials, strict=True):
-        clouds = [exact.upload(*cloud) for cloud in pair]
+    for (rows, columns), g in zip(pairs, potentials, strict=True):
+        clouds = exact.upload(*rows), exact.upload(*columns)
         softmin, error = exact.bounded_softmin(*clouds, g, EPSILON)
         want.append(softmin)
         errors.append(error)
-    for numbers in (np.arange(len(pairs)), TAKEN):
-        own = batches
-        if len(numbers) < len(pairs):
-            own = [operations.take_batch(batch, numbers) for batch in batches]
+    whole = tuple(_upload(operations, [pair[side] for pair in pairs]) for side in range(2))
+    part = tuple(operations.take_batch(batch, TAKEN) for batch in whole)
+    for own, numbers in ((whole, np.arange(len(pairs))), (part, TAKEN)):
         g = np.concatenate([potentials[number] for number in numbers])
         if bounded:
-            got, bounds = operations.bounded_softmin_batch(*own, g, EPSILON)
+            got, bounds = operations.bounded_softmin_batch(own[0], own[1], g, EPSILON)
+            bounds = np.minimum(bounds, LARGEST_BOUND)
         else:
-            got = operations.softmin_batch(*own, g, EPSILON, precise)
-            bounds = [log_sum_exp_tolerance(operations, *pairs[number], EPSILON, precise)
-                      for number in numbers]  # fmt: skip
+            got = operations.softmin_batch(own[0], own[1], g, EPSILON, precise)
+            bounds = np.array(
+                [
+                    log_sum_exp_tolerance(operations, *pairs[number], EPSILON, precise)
+                    for number in numbers
+                ]
+            )
         ends = np.cumsum([len(want[number]) for number in numbers])
         share = 0.0
-        for part, number, bound in zip(np.split(got, ends[:-1]), numbers, bounds, strict=True):
-            error = float(np.abs(part - want[number]).max()) / EPSILON
-            share = max(share, error / (min(float(bound), LARGEST_BOUND * bounded or np.inf)
-                                        + errors[number]))  # fmt: skip
-        kind = "bounded_" * bounded + "softmin_batch"
-        name = f"{'precise ' * precise}{kind} of {len(numbers)} problems, {dimension}D"
+        for found, number, bound in zip(np.split(got, ends[:-1]), numbers, bounds, strict=True):
+            error = float(np.abs(found - want[number]).max()) / EPSILON
+            share = max(share, error / (float(bound) + errors[number]))
+        kind = "bounded_" * bounded + "precise " * (precise and not bounded)
+        name = f"{kind}softmin_batch of {len(numbers)} problems, {dimension}D"
         yield Finding(name, share, 1.0, "of the tolerance")
+
+
+def _upload(operations: Operations, clouds: list[Cloud]) -> Any:
+    """Upload a batch of clouds."""
+    points, weights = (np.concatenate(each) for each in zip(*clouds, strict=True))
+    counts = np.array([len(own) for _, own in clouds])
+    return operations.upload_batch(points, weights, counts)

@@ -24,6 +24,8 @@ class BatchSoftmin:
     rows, columns
         Batches of clouds that the backend holds.
     of_rows, of_columns : Segments
+    numbers : (B,) array
+        Numbers of the problems in the whole batch.
     """
 
     #: All pairs are summed.
@@ -37,9 +39,10 @@ class BatchSoftmin:
         columns: Any,
         of_rows: Segments,
         of_columns: Segments,
+        numbers: IntArray,
     ) -> None:
         self.operations, self.rows, self.columns = operations, rows, columns
-        self.of_rows, self.of_columns = of_rows, of_columns
+        self.of_rows, self.of_columns, self.numbers = of_rows, of_columns, numbers
         #: As in `Softmin`, a bound for each problem.
         self.roundoff: Any = 0.0
 
@@ -56,7 +59,7 @@ class BatchSoftmin:
         if not np.all(np.isfinite(softmin)):
             place = int(np.argmin(np.isfinite(softmin)))
             problem = int(np.searchsorted(self.of_rows.starts, place, side="right")) - 1
-            raise NotFiniteError(problem)
+            raise NotFiniteError(int(self.numbers[problem]))
         return softmin
 
     def rounding(self, n_columns: int, largest_cost: Array, epsilon: float, precise: bool) -> Any:
@@ -96,10 +99,10 @@ def problem_of_many(
     sides = [_Side(operations, [pair[number] for pair in pairs]) for number in range(2)]
     rows, columns = sides
     low, high = np.minimum(rows.low, columns.low), np.maximum(rows.high, columns.high)
-    largest = cost_across(low, high)
+    largest, numbers = cost_across(low, high), np.arange(len(pairs))
     made = Problem(
-        BatchSoftmin(operations, rows.cloud, columns.cloud, rows.of, columns.of),
-        BatchSoftmin(operations, columns.cloud, rows.cloud, columns.of, rows.of),
+        BatchSoftmin(operations, rows.cloud, columns.cloud, rows.of, columns.of, numbers),
+        BatchSoftmin(operations, columns.cloud, rows.cloud, columns.of, rows.of, numbers),
         (rows.weights, columns.weights), rho, largest, (rows.of, columns.of),
     )  # fmt: skip
     made.oscillations = largest + rows.range_of_offsets, largest + columns.range_of_offsets
@@ -148,9 +151,10 @@ def some(problem: Problem, problems: IntArray) -> Problem:
         kept = problem.operations.take_batch(cloud, problems)
         sides.append((Segments(of.counts[problems]), weights[of.points_of(problems)], kept))
     (of_rows, a, rows), (of_columns, b, columns) = sides
+    numbers = problem.to_rows.numbers[problems]
     made = Problem(
-        BatchSoftmin(problem.operations, rows, columns, of_rows, of_columns),
-        BatchSoftmin(problem.operations, columns, rows, of_columns, of_rows),
+        BatchSoftmin(problem.operations, rows, columns, of_rows, of_columns, numbers),
+        BatchSoftmin(problem.operations, columns, rows, of_columns, of_rows, numbers),
         (a, b), problem.rho, problem.largest_cost[problems], (of_rows, of_columns),
     )  # fmt: skip
     one, other = problem.oscillations
