@@ -6,10 +6,11 @@ r"""Compare many small problems at once with a loop, and with other libraries, i
 Each problem is between crops of two photographs, color weight 2, blur 0.05, reach 0.3 or balanced.
 Every contestant has a process of its own in each round, is run once to warm up (compilation is not
 counted) and then timed; the least time of the rounds counts. Each library stops by its own rule,
-with its defaults. Error: the sum of |pi 1 - r|_1 and |pi^T 1 - c|_1, as a share of the mass, against the
-marginals r and c of the converged solutions; the mean over the problems. For every peer, clmorph is
-timed at the loosest tolerance that is at least as exact. POT has a batch solver for balanced problems
-alone. `--python` is an interpreter that has the other libraries, if this one has not.
+with its defaults. Error: the sum of |pi 1 - r|_1 and |pi^T 1 - c|_1, as a share of the mass,
+against the marginals r and c of the converged solutions; the mean over the problems. For every
+peer, clmorph is timed at the loosest tolerance that is at least as exact, certificates included.
+POT has a batch solver for balanced problems alone. `--python` is an interpreter that has the other
+libraries, if this one has not.
 """
 
 import argparse

@@ -16,6 +16,7 @@ from clmorph.measures.many import as_many
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.batch import NotFiniteError, one_measured, problem_of_many
 from clmorph.transport._solver.batch_iteration import BatchIteration
+from clmorph.transport._solver.batch_steps import segments
 from clmorph.transport._solver.checks import (
     check_problem,
     check_solver_options,
@@ -85,11 +86,6 @@ class PotentialsBatch(Sequence[Potentials]):
         """Whether all residuals are at most the tolerance."""
         return all(status == "converged" for status in self.statuses)
 
-    def message(self, number: int) -> str:
-        """Return the line that reports how the solve of a problem ended, see `Potentials`."""
-        part, place = self._place[range(len(self))[number]]
-        return part.message(place)
-
     @overload
     def __getitem__(self, key: int) -> Potentials: ...
     @overload
@@ -120,28 +116,21 @@ class _Solved:
     def make(self, place: int) -> Potentials:
         """Return the potentials of a problem, by its place among these."""
         of, given = self._iteration, self._given
-        rows, columns = of.problem.reductions
-        f, t_rows = rows.part(of.f, place), rows.part(of.t_rows, place)  # type: ignore[union-attr]
-        g, t_columns = (columns.part(each, place) for each in (of.g, of.t_columns))  # type: ignore[union-attr]
+        rows, columns = segments(of.problem)
+        f, t_rows = rows.part(of.f, place), rows.part(of.t_rows, place)
+        g, t_columns = columns.part(of.g, place), columns.part(of.t_columns, place)
         roundoffs = float(of.roundoffs[0, place]), float(of.roundoffs[1, place])
         problem = one_measured(of.problem, place, roundoffs)
         if self._histories is None:
             self._histories = of.histories()
-        status, residual = str(of.status[place]), float(of.residual[place])
+        status, residual = self.statuses[place], float(of.residual[place])
         n_iter = int(self.n_iter[place])
+        message = outcome(status, n_iter, residual, of.tol, float(of.rounding[place]), of.precision)
         return Potentials(
-            f.copy(), g.copy(), given.blur, given.reach, status, self.message(place), n_iter,
+            f.copy(), g.copy(), given.blur, given.reach, status, message, n_iter,
             residual, self._histories[place].copy(),
             problem.certificate(f, g, t_rows, t_columns, given.epsilon),
             bool(of.precise[place]), None, problem.error, 1.0,
-        )  # fmt: skip
-
-    def message(self, place: int) -> str:
-        """Return how the solve of a problem ended."""
-        of = self._iteration
-        return outcome(
-            str(of.status[place]), int(self.n_iter[place]), float(of.residual[place]), of.tol,
-            float(of.rounding[place]), of.precision,
         )  # fmt: skip
 
 
@@ -156,10 +145,6 @@ class _Single:
     def make(self, place: int) -> Potentials:
         """Return the potentials."""
         return self._potentials
-
-    def message(self, place: int) -> str:
-        """Return how the solve ended."""
-        return self._potentials.message
 
 
 _Part = _Solved | _Single
@@ -277,7 +262,7 @@ def what_missed(found: PotentialsBatch, name: Callable[[int], str]) -> str:
     first = missed[0]
     return (
         f"{len(missed)} of {len(found)} solves did not converge; {name(first)}: "
-        f"{found.message(first)}"
+        f"{found[first].message}"
     )
 
 
