@@ -17,6 +17,10 @@ from clmorph.measures.points import MAX_COORDINATE, WeightedPoints, as_measure
 _EXPECTED = "stacked arrays (weights (B, N), points (B, N, D)), or a list of measures"
 
 
+class Checked(list[WeightedPoints]):
+    """Measures that need no further check, all of one dimension."""
+
+
 def as_many(name: str, value: Any) -> list[Any]:
     """Return measures, or what is given for each of them.
 
@@ -30,7 +34,7 @@ def as_many(name: str, value: Any) -> list[Any]:
     Returns
     -------
     list
-        Of stacked arrays, measures that need no further check. Of an iterable, its items.
+        Of stacked arrays, a `Checked` list. Of an iterable, its items.
 
     Raises
     ------
@@ -55,7 +59,7 @@ def _is_array(value: Any) -> bool:
     return hasattr(value, "shape") and not isinstance(value, Measure | WeightedPoints)
 
 
-def _unstacked(name: str, weights: Any, points: Any) -> list[WeightedPoints]:
+def _unstacked(name: str, weights: Any, points: Any) -> Checked:
     """Return the measures of stacked arrays, checked at once."""
     weights = as_floats(f"{name}: its weights", weights, _EXPECTED)
     points = as_floats(f"{name}: its points", points, _EXPECTED)
@@ -76,4 +80,4 @@ def _unstacked(name: str, weights: Any, points: Any) -> list[WeightedPoints]:
         # The message names the first measure that is wrong, and what is wrong with it.
         for number, pair in enumerate(pairs):
             as_measure(f"{name}[{number}]", pair)
-    return [WeightedPoints(own_points, own_weights) for own_weights, own_points in pairs]
+    return Checked(WeightedPoints(own_points, own_weights) for own_weights, own_points in pairs)

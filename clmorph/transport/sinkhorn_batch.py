@@ -12,7 +12,7 @@ from clmorph._shared.validation import check_progress
 from clmorph.backends.interface import MAX_BATCH, Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
-from clmorph.measures.many import as_many
+from clmorph.measures.many import Checked, as_many
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.batch import NotFiniteError, one_measured, problem_of_many
 from clmorph.transport._solver.batch_iteration import BatchIteration
@@ -273,8 +273,13 @@ def _pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasure, Any
             f"there are {len(sources)} sources and {len(targets)} targets: expected as many, one "
             "pair for each problem"
         )
+    both = list(zip(sources, targets, strict=True))
+    if isinstance(sources, Checked) and isinstance(targets, Checked):
+        dimensions = {measure.points.shape[1] for pair in both[:1] for measure in pair}
+        if len(dimensions) == 1:
+            return both
     pairs = []
-    for number, pair in enumerate(zip(sources, targets, strict=True)):
+    for number, pair in enumerate(both):
         try:
             pairs.append(as_pair(*pair))
         except InputError as error:

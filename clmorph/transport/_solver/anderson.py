@@ -88,8 +88,12 @@ class Anderson:
         self._was_cut = self._was_cut[problems]
         self._begun, self._stored = self._begun[problems], self._stored[problems]
         self._products = self._products[problems]
-        if self._next:
-            self._ahead, self._residuals = self._ahead[:, points], self._residuals[:, points]
+        count = min(self._next, MEMORY)
+        before = self._ahead, self._residuals
+        if count:
+            self._ahead, self._residuals = (np.empty((MEMORY, len(points))) for _ in range(2))
+            for kept, each in zip((self._ahead, self._residuals), before, strict=True):
+                kept[:count] = each[:count, points]
         if self._image is not None and self._residual is not None and self._weights is not None:
             self._image, self._residual = self._image[points], self._residual[points]
             self._weights = self._weights[points]

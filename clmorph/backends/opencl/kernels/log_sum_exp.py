@@ -140,6 +140,9 @@ class LogSumExp:
             for values, buffer in zip((found, planes), buffers, strict=True):
                 cl.enqueue_copy(loop.work.queue, values, buffer)
             section = slice(part.start * tile, part.stop * tile)
+            if shares == 1 and not bounded:
+                maxima[section], sums[section] = found[0], planes[0, 0]
+                continue
             of_shares = planes.astype(float).sum(axis=0)
             m = found.max(axis=0).astype(float)
             maxima[section] = m
