@@ -124,7 +124,7 @@ class LogSumExp:
         kernel = loop.kernel(
             "log_sum_exp.cl", "log_sum_exp", rows, precise, pairs is not None, bounded
         )
-        exponents = loop.exponents(rows, columns, potential, epsilon, pairs)
+        exponents = loop.exponents(rows, columns, potential, epsilon, pairs, precise=precise)
         shares = loop.column_shares(rows, columns, pairs)
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
         for part in loop.parts(kernel, rows, columns, pairs=pairs, shares=shares):
