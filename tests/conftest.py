@@ -38,6 +38,22 @@ NO_DEVICE = "needs a usable OpenCL device, and there is none (clmorph devices sa
 OF_DEVICES = ("variant", "device", "each_device", "any_backend")
 #: A slow device runs one of so many tests of a grid's share.
 SLOW_STEP = 3
+#: Modules that take longest with --full, the longest first. Processes that share the tests take a
+#: module at a time and in this order, so that none starts on a long one when the others are done.
+LONGEST = (
+    "backends/test_operations.py",
+    "backends/test_verification.py",
+    "project/test_reproduce.py",
+    "pipeline/test_morph.py",
+    "cli/test_check.py",
+    "frames/test_widths.py",
+    "project/test_pages.py",
+    "backends/test_tuning.py",
+    "backends/test_cross_compile.py",
+    "backends/test_device.py",
+    "frames/test_carried_detail.py",
+    "analysis/test_inspection.py",
+)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -60,6 +76,10 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "small: for slow devices too")
     config.addinivalue_line("markers", "one_device: on the first tested device, in its own build")
     config.addinivalue_line("markers", "needs_device: skipped without a usable OpenCL device")
+    if config.getoption("numprocesses", None):
+        # Processes of tests share the cores, and inherit this. With threads of linear algebra a
+        # frame of the dense reference takes 1.2 to 2.5 times as long.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     name = config.getoption("--device")
     if name is None:
         if not TESTED:
@@ -163,6 +183,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     chosen = {item for own in functions.values() for item in _share(own)} | everything
     config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
     items[:] = [item for item in items if item in chosen]
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        items.sort(key=_turn)
+
+
+def _turn(item: pytest.Item) -> int:
+    """Return which module's turn it is; modules that are not among the longest come last."""
+    path = item.path.relative_to(Path(__file__).parent).as_posix()
+    return LONGEST.index(path) if path in LONGEST else len(LONGEST)
 
 
 def _is_repeated(device: Device | None) -> bool:

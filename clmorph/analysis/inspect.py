@@ -29,8 +29,9 @@ from clmorph.pipeline.budget import (
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.memory import estimate
-from clmorph.pipeline.morph import ImagePair, as_options, fitted
+from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
+from clmorph.pipeline.prepare import as_images, as_options, fitted
 from clmorph.pipeline.presets import PresetName
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.displacement import Displacement, displacement_of, displacement_statistics
@@ -114,11 +115,12 @@ def inspect(
     >>> found.divergence.value > 0
     True
     """
-    chosen = as_options(options, preset, given)
+    images = as_images((image_a, image_b))
+    chosen = as_options(options, preset, False, given, images)
     max_bytes = PruningOptions.checked("max_bytes", max_bytes)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
-    pair = ImagePair(fitted((image_a, image_b), chosen, weights, color_metric), chosen)
+    pair = ImagePair(fitted(images, chosen, weights, color_metric), chosen)
     whole = pair.measures(weights, color_metric)
     blocks = pair.blocks(*whole)
     source, target = blocks[0].coarse, blocks[1].coarse
@@ -160,7 +162,7 @@ def inspect(
         *blocks, potentials, operations, max_particles, max_memory, log_threshold, stacklevel=2
     )
     drawn, moving = _drawn(blocks, potentials, plan, pairs, way, operations)
-    frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations)
+    frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations, chosen.detail)
     report("timing", 1.0)
     return Inspection(
         source=source,

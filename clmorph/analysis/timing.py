@@ -10,7 +10,7 @@ from clmorph.backends.interface import Operations
 from clmorph.frames.carried_detail import band_width
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
-from clmorph.frames.options import RenderOptions
+from clmorph.frames.options import Detail, RenderOptions
 from clmorph.frames.particles import particles
 from clmorph.frames.render import Widths
 from clmorph.images.detail import auto_sigma
@@ -38,10 +38,11 @@ def frame_seconds(
     pairs: int,
     n_frames: int,
     operations: Operations,
+    detail: Detail = RenderOptions.detail,
 ) -> float:
     """Estimate how long a morph takes to make particles of a plan and to draw its frames.
 
-    Frames are drawn as by ``clmorph morph`` (its preset "photo"). If there are many particles, a
+    Frames are drawn as by ``clmorph morph`` with this `detail`. If there are many particles, a
     sample of them and a quarter of this sample are drawn instead, and the time is assumed to be
     linear in the number of particles.
 
@@ -55,6 +56,7 @@ def frame_seconds(
         Number of pairs that the plan keeps; a plan of means has one per row.
     n_frames : int
     operations : Operations
+    detail : {"carried", "particles", "shapes", "pixels"}
 
     Returns
     -------
@@ -69,7 +71,7 @@ def frame_seconds(
         most = min(len(plan), SAMPLED_PAIRS)
         sizes = [most] if len(plan) == most == pairs else [max(1, most // 4), most]
         plans = [_thinned(plan, size) for size in sizes]
-    found = [_time(source, target, thin, operations) for thin in plans]
+    found = [_time(source, target, thin, operations, detail) for thin in plans]
     each, once = found[-1]
     if len(found) > 1 and len(plans[1]) > len(plans[0]):
         more = (pairs - len(plans[1])) / (len(plans[1]) - len(plans[0]))
@@ -117,7 +119,11 @@ def _growth(small: float, large: float, more: float, times: float) -> float:
 
 
 def _time(
-    source: Measure, target: Measure, plan: Plan | Barycentric, operations: Operations
+    source: Measure,
+    target: Measure,
+    plan: Plan | Barycentric,
+    operations: Operations,
+    detail: Detail,
 ) -> tuple[float, float]:
     """Return the seconds of one frame, and those of the preparation before the first frame."""
     start, end = (auto_sigma(image) for image in _images(source, target))
@@ -132,7 +138,7 @@ def _time(
         )  # fmt: skip
 
     def prepare() -> None:
-        made.append(renderer(RenderOptions.detail))
+        made.append(renderer(detail))
         made[0].prepare()
 
     # Kernels are built first.

@@ -21,7 +21,7 @@ from clmorph.cli.common import quiet_libraries
 from clmorph.cli.terminal import note
 from clmorph.errors import FileError, InputError
 from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.pipeline.recipe import IMAGES, OUTPUT, OWN, PRESET, options_of, read_recipe, read_toml
 
 Settings = dict[str, Any]
@@ -147,12 +147,13 @@ def read_settings(path: Path) -> Found:
         users = {}
     options = options_of(by_name, str(path))
     chosen = options.pop(PRESET, None)
-    if chosen is not None and (not isinstance(chosen, str) or chosen not in PRESETS):
+    names = (AUTO, *PRESETS)
+    if chosen is not None and (not isinstance(chosen, str) or chosen not in names):
         raise InputError(
-            f"{path}: preset = {shown(chosen)}: expected one of {', '.join(map(repr, PRESETS))}"
+            f"{path}: preset = {shown(chosen)}: expected one of {', '.join(map(repr, names))}"
         )
     try:
-        MorphOptions(preset=chosen, **options)
+        MorphOptions(preset=None if chosen == AUTO else chosen, **options)
     except InputError as error:
         raise FileError(f"{path}: {error}") from None
     known = [

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -16,12 +17,15 @@ from clmorph.cli.common import note_warning, open_backend, read_picture
 from clmorph.cli.terminal import Stages
 from clmorph.errors import ConvergenceWarning
 from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.prepare import as_images, as_options
+from clmorph.pipeline.presets import AUTO
 
 
 def run_inspect(
     images: Sequence[Path],
     output: Path | None,
-    options: MorphOptions,
+    preset: str | None,
+    given: dict[str, Any],
     *,
     max_pixels: int,
     device: str | None,
@@ -35,14 +39,19 @@ def run_inspect(
     images : (A, B)
     output : Path, optional
         Path of the drawing: .png, .svg or .pdf.
-    options : MorphOptions
+    preset : str, optional
+    given : dict
+        Options by their names in Python.
     max_pixels, device, backend, as_json
         As for ``clmorph morph``.
     """
+    if preset not in (None, AUTO):
+        MorphOptions(preset=preset, **given)  # raises an error before the pictures are read
     if output is not None:
         check_plotting(output)
         check_apart([output], images)
     pictures = [read_picture(path, max_pixels) for path in images]
+    options = as_options(None, preset, False, given, as_images(pictures))
     operations = open_backend(device, backend)
     with Stages() as stages, warnings.catch_warnings():
         # The printed statistics report convergence instead.

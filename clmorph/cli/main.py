@@ -1,6 +1,6 @@
 """The command ``clmorph``."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from clmorph.cli.reporting import run
 from clmorph.errors import InputError
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.options import MorphOptions, preset_options
-from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS, drafted
 
 #: Shells for which completion is supported.
 SHELLS = ("bash", "zsh", "fish")
@@ -47,7 +47,8 @@ def _print_version(context: click.Context, parameter: click.Parameter, wanted: b
 
 #: One line about each preset.
 _PRESETS = "Presets:\n\n" + "\n\n".join(
-    f"{name}: {preset.help}" for name, preset in PRESETS.items()
+    f"{name}: {help}"
+    for name, help in ((AUTO, AUTO_HELP), *((name, each.help) for name, each in PRESETS.items()))
 )
 
 
@@ -89,9 +90,15 @@ def _settings_callback(context: click.Context, parameter: click.Parameter, path:
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
 @options.file_options
 @click.option(
-    "--preset", type=click.Choice(list(PRESETS)), panel="Settings",
-    help="Set of options for a kind of pictures; see below.  [default: photo]",
+    "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Settings",
+    help="Set of options for a kind of pictures; see below.  [default: auto]",
 )  # fmt: skip
+@click.option(
+    "--draft",
+    is_flag=True,
+    panel="Settings",
+    help="A first look in about a second: smaller, with fewer frames and less accuracy.",
+)
 @click.option(
     "--config", type=options.FileName(), is_eager=True, callback=_settings_callback,
     panel="Settings",
@@ -115,6 +122,7 @@ def morph(
     images: tuple[Path, ...],
     output: tuple[Path, ...],
     preset: str | None,
+    draft: bool,
     config: files.Found | None,
     dump_config: bool,
     as_json: bool,
@@ -140,7 +148,11 @@ def morph(
     from clmorph.cli.morph import Request, announce_changes, announce_idle, run_morph
 
     line = options.given_options(given)
-    chosen = _options(context, preset, config, line)
+    options_of = _options(context, draft, config, line)
+    # Recipes hold all options, so nothing is left to a preset.
+    foreign = config is not None and not config.named.own
+    auto = preset == AUTO or (preset is None and not foreign)
+    chosen = options_of(None if auto else preset)
     if config is not None and not images:
         named = config.named.images()
         images = tuple(path for path, _ in named)
@@ -151,6 +163,12 @@ def morph(
         format = None  # the file's format applies only to the output that the file names
     most = MAX_PIXELS if max_pixels is None else max_pixels
     if dump_config:
+        if auto and images:
+            from clmorph.cli.common import read_picture
+            from clmorph.pipeline.prepare import as_images, recognized
+
+            pictures = as_images([read_picture(path, most) for path in images])
+            chosen = options_of(recognized(pictures))
         own = {"format": format, "recipe": recipe, "max_pixels": most}
         settings = {name: value for name, value in own.items() if value is not None}
         # TOML is UTF-8, independent of the terminal's encoding.
@@ -164,10 +182,10 @@ def morph(
         raise InputError("no output given: expected -o with a name, such as -o out.gif")
     announce_idle(list(line), output, format)
     # A limit that the user repeats on the command line counts as the user's own.
-    foreign = config is not None and not config.named.own
     run_morph(
         Request(
-            images, output, chosen, format=format, recipe=bool(recipe), max_pixels=most,
+            images, output, chosen, options_of if auto else None, format=format,
+            recipe=bool(recipe), max_pixels=most,
             config=None if config is None else config.named.file,
             capped=foreign and "max_memory" not in line,
         ),
@@ -177,15 +195,28 @@ def morph(
 
 def _options(
     context: click.Context,
-    preset: str | None,
+    draft: bool,
     config: files.Found | None,
     line: dict[str, Any],
-) -> MorphOptions:
-    """Join the preset, the file of settings and the command line; the command line wins."""
-    chosen, file = preset_options(preset), {} if config is None else config.options
-    in_line = context.get_parameter_source("preset") is ParameterSource.COMMANDLINE
-    layers = (file, chosen, line) if in_line else (chosen, file, line)
-    return MorphOptions(**MorphOptions.layered(layers))
+) -> Callable[[str | None], MorphOptions]:
+    """Join a preset, the file of settings and the command line; the command line wins.
+
+    Returns
+    -------
+    callable
+        The options by the name of the preset.
+    """
+    file = {} if config is None else config.options
+    given = context.get_parameter_source("preset") is ParameterSource.COMMANDLINE
+
+    def options_of(name: str | None) -> MorphOptions:
+        chosen = preset_options(name)
+        below = MorphOptions.layered((file, chosen) if given else (chosen, file))
+        if draft:
+            below |= drafted(below)
+        return MorphOptions(**MorphOptions.layered((below, line)))
+
+    return options_of
 
 
 def _counted(images: Sequence[Path]) -> str:
@@ -203,8 +234,8 @@ def _counted(images: Sequence[Path]) -> str:
     "--json", "as_json", is_flag=True, panel="File", help="Print the numbers for programs."
 )
 @click.option(
-    "--preset", type=click.Choice(list(PRESETS)), panel="Transport",
-    help="Set of options for a kind of pictures; see below.  [default: photo]",
+    "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Transport",
+    help="Set of options for a kind of pictures; see below.  [default: auto]",
 )  # fmt: skip
 @options.inspect_options
 @options.max_pixels_option
@@ -230,7 +261,7 @@ def inspect(
     if len(images) != 2:
         raise InputError(f"{_counted(images)}: expected two, as in clmorph inspect a.png b.jpg")
     run_inspect(
-        images, output, MorphOptions(preset=preset, **options.given_options(given)),
+        images, output, preset, options.given_options(given),
         max_pixels=MAX_PIXELS if max_pixels is None else max_pixels, device=device,
         backend=backend, as_json=as_json,
     )  # fmt: skip

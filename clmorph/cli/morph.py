@@ -5,7 +5,7 @@ import json
 import math
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -38,8 +38,9 @@ from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
 from clmorph.pipeline.budget import default_memory
 from clmorph.pipeline.memory import estimate
-from clmorph.pipeline.morph import ImagePair, fitted
+from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.prepare import fitted, recognized
 from clmorph.pipeline.recipe import recipe
 from clmorph.pipeline.result import Morph
 from clmorph.transport.potentials import Potentials
@@ -55,6 +56,8 @@ class Request:
         Two pictures, or more for a chain of morphs.
     outputs : sequence of Path
     options : MorphOptions
+    options_of : callable or None
+        The options by a preset, if the pictures choose it; they replace `options`.
     format : str or None
         The output format, in place of the format of the output's ending.
     recipe : bool
@@ -71,6 +74,7 @@ class Request:
     images: Sequence[Path]
     outputs: Sequence[Path]
     options: MorphOptions
+    options_of: Callable[[str], MorphOptions] | None = None
     format: str | None = None
     recipe: bool = False
     max_pixels: int = MAX_PIXELS
@@ -154,12 +158,22 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     check_apart([*outputs, *recipes], [*images, *([request.config] if request.config else [])])
     run = _Run(images, request.options, places)
     whole = [read_picture(path, request.max_pixels) for path in images]
-    pictures = fitted(whole, request.options)
+    preset = None
+    if request.options_of is not None:
+        preset = recognized(whole)
+        run.options = request.options_of(preset)
+    pictures = fitted(whole, run.options)
     operations = open_backend(device, backend)
     if request.capped:
         _cap_memory(run, operations)
     reduced = any(a.shape != b.shape for a, b in zip(whole, pictures, strict=True))
-    shown = f"; pictures reduced to {run.options.size} pixels (--size)" if reduced else ""
+    shown = ""
+    if reduced and run.options.detail == "pixels":
+        shown = "; blocks of the sprites are taken as pixels"
+    elif reduced:
+        shown = f"; pictures reduced to {run.options.size} pixels (--size)"
+    if preset is not None:
+        say(f"preset: {preset}, for what the pictures show (--preset takes another)")
     say(f"{run.memory(pictures, operations)}{shown}")
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:
@@ -200,6 +214,8 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
                 lambda place, share: stages(f"write {place.path.name}", share), texts,
             )  # fmt: skip
             summary = _summary(run, film, stages, notes)
+    if preset is not None:
+        summary["preset"] = preset
     summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
     click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
 

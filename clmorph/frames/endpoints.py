@@ -9,6 +9,7 @@ difference that remains at the ends even so (pixels from which nothing travels i
 is dropped, or rounding) fades at its place.
 """
 
+from collections.abc import Callable
 from copy import copy
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
+from clmorph.frames.growth import grown_ends
 from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.pixels import resized
 from clmorph.measures.measure import Measure
@@ -31,6 +33,9 @@ NARROW = 0.3
 #: Factor between the kernel widths for which the correction is computed.
 STEP = 1.25
 
+#: The time after which `brief_share` is 0. Outlines move, so what rests must be gone soon.
+BRIEF = 0.12
+
 #: A correction that travels is left out if it is smaller than the first of these everywhere: nobody
 #: sees it. One that rests costs little, and is left out if it is rounding of float32.
 NEGLIGIBLE, ROUNDING = 1e-4, 1e-7
@@ -39,6 +44,11 @@ NEGLIGIBLE, ROUNDING = 1e-4, 1e-7
 def share(t: float) -> float:
     """Return the strength of the correction at time t, from 1 at both ends to 0 halfway."""
     return float(np.cos(np.pi * t) ** 2)
+
+
+def brief_share(t: float) -> float:
+    """Return the strength, at time t, of a correction that is seen near the ends alone."""
+    return max(0.0, 1.0 - min(t, 1.0 - t) / BRIEF) ** 2
 
 
 class Lacking(NamedTuple):
@@ -147,25 +157,32 @@ class EndCorrection:
     ----------
     details : (source's, target's)
         Corrections that travel; None for an end that needs no correction.
+    share : callable, optional
+        The strength of the correction at a time.
     """
 
-    def __init__(self, details: tuple[Details | None, Details | None]) -> None:
-        self._details = details
+    def __init__(
+        self,
+        details: tuple[Details | None, Details | None],
+        share: Callable[[float], float] = share,
+    ) -> None:
+        self._details, self._share = details, share
         self._rest: list[Array | None] = [None, None]
 
     def on(self, operations: Operations) -> "EndCorrection":
         """Return the same correction for another device."""
         source, target = (None if one is None else one.on(operations) for one in self._details)
-        other = EndCorrection((source, target))
+        other = EndCorrection((source, target), self._share)
         other._rest = self._rest
         return other
 
     def moving(self, t: float, canvas: Canvas, width: float) -> Array | float:
         """Return the correction of the colors at time t, in the space of the path."""
         total: Array | float = 0.0
+        share = self._share(t)
         for end, details in zip(((1 - t), t), self._details, strict=True):
-            if details is not None and end * share(t) > 0:
-                total = total + end * share(t) * details.at(t, canvas, width)
+            if details is not None and end * share > 0:
+                total = total + end * share * details.at(t, canvas, width)
         return total
 
     def set_rest(self, end: int, missing: Array) -> None:
@@ -176,9 +193,10 @@ class EndCorrection:
     def resting(self, t: float, canvas: Canvas) -> Array | float:
         """Return the correction of the finished frame at t, which rests: (H, W, C) array, or 0."""
         total: Array | float = 0.0
+        share = self._share(t)
         for end, missing in zip(((1 - t), t), self._rest, strict=True):
-            if missing is not None and end * share(t) > 0:
-                total = total + end * share(t) * resized(missing, canvas.shape)
+            if missing is not None and end * share > 0:
+                total = total + end * share * resized(missing, canvas.shape)
         return total
 
 
@@ -219,12 +237,13 @@ def make_details(
     plan : Plan or Barycentric
     missing : two of Lacking
         At t = 0 and at t = 1.
-    unmatched : {"fade", "drop"}
-        With "drop" no detail stays in place.
+    unmatched : {"fade", "grow", "drop"}
+        With "fade" alone detail stays in place, as the mass that dies or is born.
     """
     source, target = measures
     masses = plan.marginals
     destinations = mean_destinations(source, target, plan)
+    grown = grown_ends(source, target, plan) if unmatched == "grow" else None
     result: list[Details | None] = []
     for end, measure in enumerate(measures):
         if np.abs(missing[end].missing).max() <= NEGLIGIBLE:
@@ -232,12 +251,12 @@ def make_details(
             continue
         moved, own = masses[end], measure.weights
         moving = np.divide(moved, own, out=np.zeros_like(own), where=own > 0)
-        moving = np.minimum(moving, 1.0) if unmatched == "fade" else (moving > 0).astype(float)
-        result.append(
-            Details(
-                operations, measure, missing[end],
-                np.where(moved[:, None] > 0, destinations[end], measure.positions),
-                moving, backwards=end == 1,
-            )
-        )  # fmt: skip
+        there = np.where(moved[:, None] > 0, destinations[end], measure.positions)
+        moving = np.minimum(moving, 1.0)
+        if grown is not None:
+            there = moving[:, None] * there + (1.0 - moving[:, None]) * grown[end]
+            moving = np.ones_like(moving)
+        elif unmatched == "drop":
+            moving = (moving > 0).astype(float)
+        result.append(Details(operations, measure, missing[end], there, moving, backwards=end == 1))
     return result[0], result[1]

@@ -9,16 +9,26 @@ from numpy.typing import NDArray
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.carried_detail import CarriedDetail, band_width
-from clmorph.frames.endpoints import EndCorrection, Lacking, ladder, make_details
+from clmorph.frames.endpoints import (
+    EndCorrection,
+    Lacking,
+    brief_share,
+    ladder,
+    make_details,
+    share,
+)
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.opacity import alpha_particles, opacity
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths, render
+from clmorph.frames.shapes import Shapes
 from clmorph.images.color import from_space, to_space
 from clmorph.measures.measure import Measure
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
 
+#: The values of `detail` that draw flat shapes.
+FLAT = ("shapes", "pixels")
 #: The opacity below which a pixel is invisible in 8 bits.
 UNSEEN = 1 / 1024
 
@@ -38,8 +48,8 @@ class FrameRenderer:
     kernel_width : KernelWidth
     operations : Operations
     endpoints : {"exact", "paper"}
-    unmatched : {"fade", "drop"}
-    detail : {"carried", "particles"}
+    unmatched : {"fade", "grow", "drop"}
+    detail : {"carried", "particles", "shapes", "pixels"}
     """
 
     def __init__(
@@ -69,9 +79,9 @@ class FrameRenderer:
 
     @property
     def detail(self) -> str:
-        """What draws the fine detail of the frames: "carried" or "particles"."""
+        """What draws the fine detail of the frames, see `clmorph.frames.options.Detail`."""
         opaque = all(measure.alpha is None for measure in self._measures)
-        return self._detail if opaque else "particles"
+        return self._detail if opaque or self._detail != "carried" else "particles"
 
     def on(self, operations: Operations, like: "FrameRenderer | None" = None) -> "FrameRenderer":
         """Return a renderer of the same morph on another device.
@@ -92,7 +102,7 @@ class FrameRenderer:
 
     def prepare(self) -> None:
         """Compute what all frames share, which otherwise the first frame does."""
-        _ = self._correction, self._carried
+        _ = self._correction, self._carried, self._shapes
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t."""
@@ -159,6 +169,8 @@ class FrameRenderer:
     def _picture(self, t: float, correction: EndCorrection | None) -> NDArray[np.float64]:
         """Return colors and, if there is one, opacity, before the resting correction is added."""
         canvas, carried = self.canvas(t), self._carried
+        if self._shapes is not None:
+            return self._shapes.frame(t, canvas)
         if carried is not None:
             smooth = self.sums(t, Widths(carried.kernel_width(t)))
             colors = carried.frame(t, canvas, smooth.colors)
@@ -186,6 +198,17 @@ class FrameRenderer:
         return CarriedDetail(self._measures, self._particles, (start, middle, end), (first, last))
 
     @cached_property
+    def _shapes(self) -> Shapes | None:
+        """The parts of flat images; None if particles or carried detail draw the frames."""
+        if self.detail not in FLAT:
+            return None
+        if self._like is not None:
+            shapes = self._like._shapes
+            return None if shapes is None else shapes.on(self._operations)
+        crisp = self.detail == "pixels"
+        return Shapes(self._measures, self._particles, self._operations, crisp=crisp)
+
+    @cached_property
     def _correction(self) -> EndCorrection | None:
         """The correction of both ends; None if the frames there stay as the kernel draws them."""
         if self._endpoints == "paper":
@@ -193,8 +216,9 @@ class FrameRenderer:
         if self._like is not None:
             correction = self._like._correction
             return None if correction is None else correction.on(self._operations)
-        correction = EndCorrection((None, None))
-        if self._carried is None:
+        flat = self._shapes is not None
+        correction = EndCorrection((None, None), brief_share if flat else share)
+        if self._carried is None and not flat:
             lacking = self._lacking(0.0), self._lacking(1.0)
             correction = EndCorrection(
                 make_details(self._operations, self._measures, self._plan, lacking, self._unmatched)
@@ -203,7 +227,7 @@ class FrameRenderer:
             picture = self._picture(float(end), correction)
             image = measure.colors.reshape(*measure.shape, 3)
             rest = image - picture[..., :3]
-            if self._alpha_particles is not None:
+            if picture.shape[2] == 4:
                 alpha = np.ones(measure.shape)
                 if measure.alpha is not None:
                     alpha = measure.alpha.reshape(measure.shape)

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph.frames.growth import take_after
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums
 from clmorph.measures.measure import Measure
@@ -56,11 +57,14 @@ def alpha_particles(
             ends[1] = np.concatenate((ends[1], np.full(len(plan), ends[1] @ arriving)))
     table = moving.table.copy()
     table[:, 2:5] = 0.0
-    table[:, 2] = np.concatenate(alphas)
+    known = sum(map(len, alphas))
+    table[:known, 2] = np.concatenate(alphas)
     links = moving.links.astype(np.int64)
+    # Mass that grows or shrinks has the opacity of its own pixel all the way.
+    take_after(table[:, 2], links, known)
     areas = np.zeros_like(moving.weights)
-    # Only resting particles die or are born; no other starts at the target or ends at the source.
-    starts, stops = links[:, 0] < n, links[:, 1] >= n
+    # No other particle starts at the target or ends at the source than those that die or are born.
+    starts, stops = links[:, 0] < n, (links[:, 1] >= n) & (links[:, 1] < known)
     areas[starts, 0] = moving.weights[starts, 0] * per_mass[0][links[starts, 0]]
     areas[stops, 1] = moving.weights[stops, 1] * per_mass[1][links[stops, 1] - n]
     for end, measure in enumerate((source, target)):

@@ -18,12 +18,14 @@ BULGING = ("adaptive",)
 #: smoothed by the kernel as in the paper.
 Endpoints = Literal["exact", "paper"]
 ENDPOINTS = get_args(Endpoints)
-#: The rules for mass that does not travel: it is drawn as it dies and is born, or left out.
-Unmatched = Literal["fade", "drop"]
+#: The rules for mass that does not travel: it is drawn as it dies and is born in its place, or as
+#: it shrinks into and grows out of the nearest mass that travels; or it is left out.
+Unmatched = Literal["fade", "grow", "drop"]
 UNMATCHED = get_args(Unmatched)
-#: Where the fine detail of a frame comes from: from both images, carried along the mean motion; or
-#: from the particles alone, as in the paper.
-Detail = Literal["carried", "particles"]
+#: Where the fine detail of a frame comes from: from both images, carried along the mean motion;
+#: from the particles alone, as in the paper; or from the outlines of flat shapes, smooth or of
+#: pixels.
+Detail = Literal["carried", "particles", "shapes", "pixels"]
 #: A kernel width in pixels, or "auto": half the smallest detail of the image.
 Sigma = float | Literal["auto"]
 
@@ -40,9 +42,9 @@ class RenderOptions(Options):
 
     detail: Detail = option(
         "carried", choice(Detail),
-        "Fine detail of a frame: carried from both pictures along the mean motion, or that of the "
-        "particles alone (particles), which options of their kernel below imply. Pictures with "
-        "opacity are always drawn by particles.",
+        "Fine detail of a frame: carried from both pictures along the mean motion (pictures with "
+        "opacity: as particles); that of the particles alone (particles), which options of their "
+        "kernel below imply; flat parts with sharp outlines (shapes); or whole pixels (pixels).",
         "Drawing", word="",
     )  # fmt: skip
     splatting: Splatting = option(
@@ -79,7 +81,8 @@ class RenderOptions(Options):
     )  # fmt: skip
     unmatched: Unmatched = option(
         "fade", choice(Unmatched),
-        "Draw mass that does not move as it dies and is born, or leave it out.",
+        "Draw mass that does not move as it dies and is born in its place (fade), as it shrinks "
+        "into and grows out of the nearest mass that moves (grow), or leave it out (drop).",
         "Drawing", word="",
     )  # fmt: skip
     path_space: ColorSpace = option(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from clmorph._shared.validation import check_number
 from clmorph.errors import InputError
+from clmorph.frames.growth import grown_ends
 from clmorph.frames.options import RenderOptions
 from clmorph.images.color import to_space
 from clmorph.measures.measure import Measure
@@ -28,7 +29,7 @@ class Particles:
     table : (P, 6) array
         Positions in the common frame, colors in the space of the path, and the distance to
         neighbors. The rows are the source's points, then the target's, then the mean destinations
-        if particles end there.
+        if particles end there, then the other ends of mass that grows or shrinks.
     links : (K, 2) array of uint32
         Rows of `table` where each particle starts and ends.
     weights : (K, 2) array
@@ -113,8 +114,9 @@ def particles(
     plan : Plan or Barycentric
         With a `Barycentric` plan each source point is one particle, which ends at its mean
         destination in its mean color; so the frame at t = 1 is not quite the target.
-    unmatched : {"fade", "drop"}
-        With "drop" no particle rests, and a kept pair has the mass pi_ij at all times, as in the
+    unmatched : {"fade", "grow", "drop"}
+        With "grow" the mass that dies or is born does not rest, see `clmorph.frames.growth`. With
+        "drop" there is none, and a kept pair has the mass pi_ij at all times, as in the
         paper's code.
     path_space : {"srgb", "linear", "lab", "luv", "oklab"}
         The color space in which colors change linearly between both ends.
@@ -174,7 +176,7 @@ def particles(
     table = np.concatenate([np.column_stack(end) for end in ends])
     links = np.column_stack((i, n + j))
     weights = np.column_stack((mass, mass))
-    if unmatched == "fade":
+    if unmatched != "drop":
         # With the whole plan's marginals, mass that pruning dropped or draws missed travels as the
         # other mass of its point does.
         sent, received = plan.marginals
@@ -186,7 +188,15 @@ def particles(
         dying, born = source.weights - sent, target.weights - received
         dies, comes = np.flatnonzero(dying), np.flatnonzero(born)
         resting = np.concatenate((dies, n + comes))
-        links = np.concatenate((links, np.column_stack((resting, resting))))
+        others = resting
+        if unmatched == "grow":
+            others = len(table) + np.arange(len(resting))
+            ends_of = grown_ends(source, target, plan)
+            there = np.concatenate((ends_of[0][dies], ends_of[1][comes]))
+            table = np.concatenate((table, np.column_stack((there, table[resting, 2:]))))
+        first, last = resting.copy(), others.copy()
+        first[len(dies) :], last[len(dies) :] = others[len(dies) :], resting[len(dies) :]
+        links = np.concatenate((links, np.column_stack((first, last))))
         fading = np.zeros((len(resting), 2))
         fading[: len(dies), 0] = dying[dies]
         fading[len(dies) :, 1] = born[comes]

@@ -38,7 +38,7 @@ class FrameSequence(Sequence[Frame]):
     kernel_width : KernelWidth
     endpoints : {"exact", "paper"}
         Whether the first and the last frame are the images themselves.
-    unmatched : {"fade", "drop"}
+    unmatched : {"fade", "grow", "drop"}
         Whether mass that does not travel is drawn.
     options : Options
         The options that the morph was made with, including those of playback and of files.

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
+from numpy.typing import NDArray
 
 from clmorph._shared.typing import Array
 
@@ -13,6 +16,14 @@ FEWEST_LINES = 4.0
 #: Largest number of colors, and of pixels along a side, of a sprite that is not enlarged.
 SPRITE_COLORS = 64
 SPRITE_SIDE = 256
+#: Largest share of translucent pixels among the visible ones of such a sprite. The edges of
+#: drawings are translucent, even if they have one color.
+TRANSLUCENT_SHARE = 0.1
+#: Colors of anti-aliased edges are mixtures of the most frequent colors. Number of colors up to
+#: which they may be mixtures anyway, least share of mixtures among those of a drawing, number of
+#: the most frequent colors, and largest difference from a mixture in steps of 8 bits.
+FEW_COLORS, MIXED_SHARE, MAIN_COLORS, MIXED_STEPS = 6, 0.6, 6, 3
+_DIGITS = np.array([1 << 16, 1 << 8, 1])
 #: Range of luma below which an image has no detail; it is less than a step of 8 bits.
 FAINTEST = 1e-3
 #: Share of the edges' energy that lies below an image's highest frequency, by definition.
@@ -60,14 +71,49 @@ def is_pixel_art(image: Array) -> bool:
     image : (H, W, 3) or (H, W, 4) array
         Opacity and the colors of invisible pixels are ignored.
     """
-    if image.shape[2] == 4:
-        image = np.where(image[..., 3:] > 0, image[..., :3], 0.0)
-    if _block_side(image) > 1:
-        return True
+    return _block_side(_visible(image)) > 1 or has_few_colors(image)
+
+
+def has_few_colors(image: Array) -> bool:
+    """Return whether an image is small, has few colors in 8 bits and hardly any translucent edges.
+
+    Parameters
+    ----------
+    image : (H, W, 3) or (H, W, 4) array
+        Opacity and the colors of invisible pixels are ignored.
+    """
     if max(image.shape[:2]) > SPRITE_SIDE:
         return False
-    colors = np.unique(image.reshape(-1, image.shape[2]), axis=0)
-    return len(colors) <= min(SPRITE_COLORS, image.shape[0] * image.shape[1] // 4)
+    if image.shape[2] == 4:
+        alpha = image[..., 3]
+        translucent = np.count_nonzero((alpha > 0) & (alpha < 1))
+        if translucent > TRANSLUCENT_SHARE * np.count_nonzero(alpha):
+            return False
+    levels = np.rint(255 * _visible(image)).astype(np.int64)
+    colors, counts = np.unique(levels @ _DIGITS, return_counts=True)
+    if len(colors) > min(SPRITE_COLORS, image.shape[0] * image.shape[1] // 4):
+        return False
+    if len(colors) <= FEW_COLORS:
+        return True
+    spectrum = (colors[:, None] // _DIGITS) % 256
+    mixed = _between(spectrum, spectrum[np.argsort(-counts, kind="stable")[:MAIN_COLORS]])
+    return bool(mixed.mean() < MIXED_SHARE)
+
+
+def _between(colors: Array, ends: Array) -> NDArray[np.bool_]:
+    """Return which colors (N, 3) are mixtures of two of some others, in 8 bits: (N,) array."""
+    found = np.zeros(len(colors), dtype=bool)
+    for first, second in itertools.combinations(ends.astype(float), 2):
+        along = second - first
+        place = np.clip((colors - first) @ along / (along @ along), 0, 1)
+        off = np.abs(colors - first - place[:, None] * along).max(axis=1)
+        found |= (off <= MIXED_STEPS) & (place > 0) & (place < 1)
+    return found
+
+
+def _visible(image: Array) -> Array:
+    """Return the colors of an image, and black where it is transparent: (H, W, 3) array."""
+    return image if image.shape[2] == 3 else np.where(image[..., 3:] > 0, image[..., :3], 0.0)
 
 
 def _block_side(image: Array) -> int:

@@ -9,6 +9,7 @@ from clmorph.backends.arrays import as_floats
 from clmorph.backends.interface import MAX_POINTS
 from clmorph.errors import InputError
 from clmorph.images.color import ColorSpace, as_metric, to_space
+from clmorph.images.flat_colors import foreground
 from clmorph.images.pixels import as_pixels, split_alpha
 from clmorph.measures.measure import Measure, check_masses
 from clmorph.measures.options import Extent, LiftOptions, Mass
@@ -71,9 +72,11 @@ def lift(
     weights : (H, W) array, optional
         Masses of the pixels, at least 0, of positive sum, in place of `mass`. They are not
         normalized; opacity multiplies them.
-    mass : {"uniform", "luminance", "alpha"}
+    mass : {"uniform", "luminance", "alpha", "foreground"}
         The mass of a pixel: the same for all, its luminance, or its opacity alone, which the image
-        must then have. The masses are normalized to the sum 1.
+        must then have; or the same for all pixels before a transparent or flat background, whatever
+        their opacity (`clmorph.images.flat_colors.foreground`). The masses are normalized to the
+        sum 1.
     extent : {"true", "unit"}
         See `clmorph.measures.lift.pixel_positions`.
     color_space : {"srgb", "linear", "lab", "luv", "oklab"}
@@ -139,11 +142,13 @@ def _masses(colors: Array, alpha: Array | None, mass: str) -> Array:
     """Return masses by a rule: (N,) array of sum 1."""
     if mass == "alpha" and alpha is None:
         raise InputError("mass='alpha': the image is opaque; use 'uniform', or an RGBA image")
-    masses = np.ones(colors.shape[:2])
+    masses: Array = np.ones(colors.shape[:2])
     if mass == "luminance":
         masses = to_space(colors, "linear") @ LUMINANCE
+    if mass == "foreground":
+        masses = masses * foreground(colors, alpha)
     if alpha is not None:
-        masses = masses * alpha
+        masses = masses * (alpha > 0 if mass == "foreground" else alpha)
     total = masses.sum()
     if total <= 0:
         what = "black" if mass == "luminance" else "transparent"

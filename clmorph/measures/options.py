@@ -12,8 +12,9 @@ from clmorph.images.color import ColorSpace
 Extent = Literal["true", "unit"]
 EXTENTS = get_args(Extent)
 #: Mass of a pixel before multiplication by opacity: the same for all pixels, its luminance (Y of
-#: CIE 1931), or its opacity alone.
-Mass = Literal["uniform", "luminance", "alpha"]
+#: CIE 1931), or its opacity alone; or the same for all pixels before a transparent or flat
+#: background (`clmorph.images.flat_colors.foreground`), whatever their opacity.
+Mass = Literal["uniform", "luminance", "alpha", "foreground"]
 MASSES = get_args(Mass)
 
 
@@ -33,8 +34,8 @@ class LiftOptions(Options):
     )  # fmt: skip
     mass: Mass = option(
         "uniform", choice(Mass),
-        "Mass of a pixel: the same for all, its luminance, or its opacity alone; opacity "
-        "multiplies it in any case.",
+        "Mass of a pixel: the same for all, its luminance, or its opacity alone, each multiplied "
+        "by opacity; or the same for all before a transparent or flat background (foreground).",
         "Transport", word="",
     )  # fmt: skip
     extent: Extent = option(

@@ -11,7 +11,7 @@ class MorphKeywords(TypedDict, total=False):
 
     color_weight: float
     color_space: Literal["srgb", "linear", "lab", "luv", "oklab"]
-    mass: Literal["uniform", "luminance", "alpha"]
+    mass: Literal["uniform", "luminance", "alpha", "foreground"]
     extent: Literal["true", "unit"]
     blur: float | None
     reach: float | tuple[float | None, float | None] | None
@@ -27,14 +27,14 @@ class MorphKeywords(TypedDict, total=False):
     barycentric: bool
     sample: int | None
     seed: int
-    detail: Literal["carried", "particles"]
+    detail: Literal["carried", "particles", "shapes", "pixels"]
     splatting: Literal["local", "adaptive", "fixed", "none"]
     sigma_start: float | Literal["auto"]
     sigma_end: float | Literal["auto"]
     gamma: float | None
     sigma: Literal["optimal"] | None
     endpoints: Literal["exact", "paper"]
-    unmatched: Literal["fade", "drop"]
+    unmatched: Literal["fade", "grow", "drop"]
     path_space: Literal["srgb", "linear", "lab", "luv", "oklab"]
     n_frames: int
     fps: float | None

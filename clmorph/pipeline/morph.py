@@ -7,17 +7,15 @@ from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clmorph._shared.progress import StageProgress
-from clmorph._shared.validation import check_progress, shown
-from clmorph.backends.arrays import as_array
+from clmorph._shared.validation import check_progress
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.frames.kernel_width import KernelWidth, effective_count
 from clmorph.frames.particles import particles
 from clmorph.images.detail import auto_sigma
-from clmorph.images.pixels import as_pixels, fit
 from clmorph.measures.lift_pair import lift_pair
 from clmorph.measures.measure import Measure
 from clmorph.measures.options import LiftOptions
@@ -28,14 +26,13 @@ from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.optimal_width import optimal_curve
 from clmorph.pipeline.options import NO_DIVERGENCE, MorphOptions
+from clmorph.pipeline.prepare import Picture, as_images, as_options, fitted
 from clmorph.pipeline.presets import PresetName
 from clmorph.pipeline.result import Morph
 from clmorph.transport.barycentric import Barycentric, destination_colors
 from clmorph.transport.options import SolverOptions
 from clmorph.transport.plan import Plan
 from clmorph.transport.sinkhorn import sinkhorn
-
-Picture = NDArray[np.float64]
 
 
 @documented(MorphOptions)
@@ -45,6 +42,7 @@ def morph(
     options: MorphOptions | None = None,
     *,
     preset: PresetName | None = None,
+    draft: bool = False,
     backend: Backend = "auto",
     weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
     color_metric: ArrayLike | None = None,
@@ -62,7 +60,11 @@ def morph(
         All options at once; options given by name replace those of this object.
     preset : str, optional
         The name of the set of options (`clmorph.pipeline.presets.PRESETS`) from which those given
-        by name differ; "photo" by default.
+        by name differ. By default "auto": "pixel-art" if both images are sprites, "logo" if both
+        are flat drawings or sprites, and "photo" otherwise (`clmorph.images.kind.kind_of`).
+    draft : bool
+        A first look in about a second: smaller, with fewer frames and less accuracy, as far as
+        these options are not given (`clmorph.pipeline.presets.DRAFT`).
     backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
     weights : (map_a, map_b), optional
@@ -108,81 +110,10 @@ def morph(
     >>> bool(np.abs(result.frame(0.0) - red).max() < 1e-6)
     True
     """
-    chosen = as_options(options, preset, given)
-    pair = ImagePair(fitted((image_a, image_b), chosen, weights, color_metric), chosen)
+    images = as_images((image_a, image_b))
+    chosen = as_options(options, preset, draft, given, images)
+    pair = ImagePair(fitted(images, chosen, weights, color_metric), chosen)
     return pair.morph(backend, check_progress(progress), weights, color_metric)
-
-
-def as_options(options: MorphOptions | None, preset: str | None, given: Any) -> MorphOptions:
-    """Return the options of a call, from an options object, a preset and options by name.
-
-    Parameters
-    ----------
-    options : MorphOptions or None
-    preset : str or None
-    given : mapping
-        Options by name.
-
-    Raises
-    ------
-    InputError
-        If `options` has another type, or is given together with `preset`.
-    """
-    if options is None:
-        return MorphOptions(preset=preset, **given)
-    if not isinstance(options, MorphOptions):
-        raise InputError(
-            f"options={shown(options)}: expected MorphOptions; give single options by name, such "
-            "as n_frames=30"
-        )
-    if preset is not None:
-        raise InputError(
-            f"options and preset={shown(preset)} contradict: give one of them, or "
-            "MorphOptions(preset=...)"
-        )
-    return options.replace(**given) if given else options
-
-
-def fitted(
-    images: Sequence[ArrayLike],
-    options: MorphOptions,
-    weights: Any = None,
-    color_metric: Any = None,
-) -> list[Picture]:
-    """Return images downscaled to the size at which they are drawn.
-
-    Parameters
-    ----------
-    images : sequence of arrays
-    options : MorphOptions
-    weights, color_metric
-        As for `morph`. A map must have the shape of its image, so the image must not be reduced.
-
-    Raises
-    ------
-    InputError
-        If an image cannot be used, or an image with a map would be reduced.
-    """
-    names = [f"image_{letter}" for letter in "ab"] if len(images) == 2 else [""] * len(images)
-    whole = [as_pixels(image, name) for image, name in zip(images, names, strict=True)]
-    if options.size is None:
-        return whole
-    small = [fit(image, options.size) for image in whole]
-    reduced = [one.shape != other.shape for one, other in zip(whole, small, strict=True)]
-    maps = weights if isinstance(weights, tuple | list) else (None, None)
-    metric = color_metric is not None and as_array(
-        "color_metric", color_metric, "an array (3, 3), (H, W, 3, 3) or (H, W)"
-    ).shape != (3, 3)
-    for name, index, is_map in (
-        *(("weights", index, each is not None) for index, each in enumerate(maps[:2])),
-        ("color_metric", 0, metric),
-    ):
-        if is_map and reduced[index]:
-            raise InputError(
-                f"{name} is a map of the pixels of image_{'ab'[index]}, but size={options.size} "
-                "reduces that image: give size=None, or an image of that size"
-            )
-    return small
 
 
 @dataclass(frozen=True)
@@ -291,7 +222,7 @@ def _effective_counts(
     source: Measure, target: Measure, plan: Plan | Barycentric, unmatched: str
 ) -> tuple[float, float]:
     """Return N_eff (Eq. 3) of the masses drawn at both ends; with "drop" the plan's marginals."""
-    if unmatched == "fade":
+    if unmatched != "drop":
         return effective_count(source.weights), effective_count(target.weights)
     row_mass, column_mass = plan.marginals
     return effective_count(row_mass), effective_count(column_mass)

@@ -17,12 +17,12 @@ from clmorph._shared.options import (
     unknown_option,
     with_default,
 )
-from clmorph._shared.validation import as_float, check_choice, shown
+from clmorph._shared.validation import as_float, check_choice, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.frames.options import BULGING, GAMMA, RenderOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
-from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.presets import AUTO, PRESETS, drafted
 from clmorph.transport.options import PlanOptions, Reach, SolverOptions
 from clmorph.transport.regularization import regularization
 
@@ -124,7 +124,11 @@ class MorphOptions(
     Parameters
     ----------
     preset : str, optional
-        A name of `clmorph.pipeline.presets.PRESETS`; "photo" if none is given.
+        A name of `clmorph.pipeline.presets.PRESETS`; "photo" if none is given. The preset "auto" is
+        for `clmorph.morph`, which knows the pictures.
+    draft : bool
+        Whether size, particles, frames and accuracy are reduced to those of a first look, unless
+        they are given (`clmorph.pipeline.presets.DRAFT`).
     **given
         Options, see `clmorph.morph`.
 
@@ -146,8 +150,11 @@ class MorphOptions(
     #: A morph lets mass fade by default, unlike `clmorph.sinkhorn`.
     reach: Reach = with_default(SolverOptions, "reach", 0.3)
 
-    def __init__(self, *, preset: str | None = None, **given: Any) -> None:
-        super().__init__(**self.layered((preset_options(preset), given)))
+    def __init__(self, *, preset: str | None = None, draft: bool = False, **given: Any) -> None:
+        chosen = preset_options(preset)
+        if check_flag("draft", draft):
+            chosen |= drafted(chosen)
+        super().__init__(**self.layered((chosen, given)))
 
     @classmethod
     def layered(cls, layers: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
@@ -212,9 +219,9 @@ class MorphOptions(
             for name, neutral in OF_PARTICLES.items()
             if getattr(self, name) != neutral
         ]
-        if self.detail == "carried" and given:
+        if self.detail != "particles" and given:
             raise InputError(
-                f"detail='carried' and {', '.join(given)} contradict: these options are for "
+                f"detail={self.detail!r} and {', '.join(given)} contradict: these options are for "
                 "detail='particles'; leave one side out"
             )
         if self.sigma is None:
@@ -240,17 +247,19 @@ class MorphOptions(
         Parameters
         ----------
         **given
-            Options, see `clmorph.morph`. A preset is refused, because it sets many options.
+            Options, see `clmorph.morph`. A preset and a draft are refused: they set many options.
 
         Raises
         ------
         InputError
             The errors of `MorphOptions`.
         """
-        if "preset" in given:
-            raise InputError(
-                "preset: these options are chosen already; make others by MorphOptions(preset=...)"
-            )
+        for name in ("preset", "draft"):
+            if name in given:
+                raise InputError(
+                    f"{name}: these options are chosen already; make others by "
+                    f"MorphOptions({name}=...)"
+                )
         return type(self)(**MorphOptions.layered((self.as_dict(), given)))
 
     def chosen(self, names: Iterable[str], given: Mapping[str, Any]) -> Self:
@@ -298,6 +307,11 @@ def preset_options(name: str | None) -> dict[str, Any]:
     InputError
         If there is no such preset.
     """
+    if isinstance(name, str) and name == AUTO:
+        raise InputError(
+            "preset='auto' is chosen by the pictures: give it to clmorph.morph(a, b), or choose "
+            f"one of {', '.join(map(repr, PRESETS))}"
+        )
     chosen = PRESETS[check_choice("preset", "photo" if name is None else name, tuple(PRESETS))]
     decided = {option for preset in PRESETS.values() for option in preset.options}
     usual = {name: getattr(MorphOptions, name) for name in specifications(MorphOptions)}
@@ -350,7 +364,7 @@ def _settle_detail(settings: dict[str, Any], layer: Mapping[str, Any]) -> None:
     if "detail" not in layer:
         if asked(layer) or "splatting" in layer:
             settings["detail"] = "particles"
-    elif _is_off(layer["detail"], ("carried",)) and not asked(layer):
+    elif not _is_off(layer["detail"], ("particles",)) and not asked(layer):
         if "splatting" not in layer:
             settings |= {name: OF_PARTICLES[name] for name in asked(settings)}
         elif asked(settings):

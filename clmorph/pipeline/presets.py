@@ -2,13 +2,24 @@
 
 A preset lists the options that differ from the defaults of `clmorph.pipeline.options.MorphOptions`.
 These defaults are the preset "photo". The values of "paper" are those of the paper's section 4.
+`AUTO` is no set of options: it chooses one by the kinds of the pictures (`preset_for`).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple, get_args
 
-PresetName = Literal["photo", "paper", "pixel-art", "crossfade", "balanced"]
+from clmorph.images.kind import Kind
+
+PresetName = Literal[
+    "auto", "photo", "portrait", "logo", "pixel-art", "balanced", "crossfade", "paper"
+]
+#: The default of `clmorph.morph` and of ``clmorph morph``.
+AUTO: PresetName = "auto"
+AUTO_HELP = (
+    "The preset for what the pictures show: pixel-art for sprites, logo for flat drawings, photo "
+    "for all others, also if their kinds differ."
+)
 
 
 class Preset(NamedTuple):
@@ -28,6 +39,38 @@ class Preset(NamedTuple):
 
 PRESETS: dict[str, Preset] = {
     "photo": Preset("For any two pictures: sharp ends, no holes, colors that change.", {}),
+    "portrait": Preset(
+        "For faces in similar places: features stay where they are and change their colors.",
+        {"color_weight": 0.25, "blur": 0.06},
+    ),
+    "logo": Preset(
+        "For logos and flat drawings: shapes become shapes, and the background stays.",
+        {"mass": "foreground", "reach": math.inf, "blur": 0.02, "detail": "shapes"},
+    ),
+    "pixel-art": Preset(
+        "For sprites: whole pixels move, and blocks of enlarged sprites become pixels.",
+        {
+            "mass": "foreground",
+            "reach": math.inf,
+            "blur": 0.02,
+            "detail": "pixels",
+            "scaling": "nearest",
+        },
+    ),
+    "balanced": Preset(
+        "Nothing fades: all mass of one picture moves into the other, however far.",
+        {"reach": math.inf},
+    ),
+    "crossfade": Preset(
+        "Nothing moves: one picture fades into the other, to compare with.",
+        {
+            "reach": 0.001,
+            "detail": "particles",
+            "splatting": "fixed",
+            "sigma_start": 0.3,
+            "extent": "unit",
+        },
+    ),
     "paper": Preset(
         "Everything as in the paper: its numbers, axes stretched to a square, pruning threshold, "
         "and blurred first and last frame; for pictures of about 48 pixels.",
@@ -50,31 +93,54 @@ PRESETS: dict[str, Preset] = {
             "unmatched": "drop",
         },
     ),
-    "pixel-art": Preset(
-        "For sprites: pixels stay pixels and move with their colors.",
-        {
-            "size": 64,
-            "blur": 0.01,
-            "color_weight": 1.0,
-            "detail": "particles",
-            "sigma_start": 0.3,
-            "sigma_end": 0.3,
-            "scaling": "nearest",
-        },
-    ),
-    "crossfade": Preset(
-        "Nothing moves: one picture fades into the other, to compare with.",
-        {
-            "reach": 0.001,
-            "detail": "particles",
-            "splatting": "fixed",
-            "sigma_start": 0.3,
-            "extent": "unit",
-        },
-    ),
-    "balanced": Preset(
-        "Nothing fades: all mass of one picture moves into the other, however far.",
-        {"reach": math.inf},
-    ),
 }
-assert set(PRESETS) == set(get_args(PresetName))
+assert {AUTO, *PRESETS} == set(get_args(PresetName))
+
+
+#: Largest values of options, and least tolerance, of a first look that takes about a second.
+DRAFT: dict[str, int] = {"size": 96, "solve_size": 48, "max_particles": 100_000, "n_frames": 12}
+DRAFT_TOL = 1e-2
+
+
+def drafted(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that a first look changes, with their values.
+
+    Parameters
+    ----------
+    options : mapping
+        All options that a preset sets, and others that were given.
+
+    Examples
+    --------
+    >>> drafted({"size": 48, "n_frames": 60})["size"], drafted({"size": None})["n_frames"]
+    (48, 12)
+    """
+    found: dict[str, Any] = {}
+    for name, most in DRAFT.items():
+        value = options.get(name)
+        fewer = isinstance(value, int) and not isinstance(value, bool) and value < most
+        found[name] = value if fewer else most
+    tol = options.get("tol")
+    found["tol"] = max(tol, DRAFT_TOL) if isinstance(tol, float) else DRAFT_TOL
+    return found
+
+
+def preset_for(kinds: Iterable[Kind]) -> PresetName:
+    """Return the preset for pictures of some kinds.
+
+    Parameters
+    ----------
+    kinds : iterable of {"sprite", "drawing", "photograph"}
+        See `clmorph.images.kind.kind_of`.
+
+    Examples
+    --------
+    >>> preset_for(["sprite", "sprite"]), preset_for(["sprite", "drawing"])
+    ('pixel-art', 'logo')
+    >>> preset_for(["drawing", "photograph"])
+    'photo'
+    """
+    found = set(kinds)
+    if found == {"sprite"}:
+        return "pixel-art"
+    return "photo" if "photograph" in found else "logo"

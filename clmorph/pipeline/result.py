@@ -54,7 +54,7 @@ class Morph(FrameSequence):
         `clmorph.frames.spread`.
     endpoints : {"exact", "paper"}
         Whether the first and the last frame are the images themselves.
-    unmatched : {"fade", "drop"}
+    unmatched : {"fade", "grow", "drop"}
         Whether unmatched mass is drawn and fades, or is not drawn.
     options : MorphOptions
         The options of `clmorph.morph`.

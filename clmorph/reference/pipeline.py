@@ -121,7 +121,7 @@ def render(
         for name, measure in (("source", source), ("target", target))
     )
     t, sigma = check_number("t", t, 0.0, 1.0), WIDTH.check("sigma", sigma)
-    RenderOptions.checked("unmatched", unmatched)
+    _check_unmatched(unmatched)
     plan = as_floats("plan", plan, "an array (N, M) of masses")
     sizes = len(source), len(target)
     if plan.shape != sizes or not np.all(np.isfinite(plan) & (plan >= 0)):
@@ -260,6 +260,12 @@ class ReferenceMorph:
         return [self.frame(t) for t in self.times]
 
 
+def _check_unmatched(unmatched: str) -> None:
+    RenderOptions.checked("unmatched", unmatched)
+    if unmatched == "grow":
+        raise InputError("unmatched='grow': the reference knows 'fade' and 'drop'; use one of them")
+
+
 @documented(MorphOptions, REFERENCE_OPTIONS, PAPER)
 def morph(image_a: ArrayLike, image_b: ArrayLike, **given: Unpack[MorphKeywords]) -> ReferenceMorph:
     """Morph one image into another as the paper does; the defaults are the paper's.
@@ -289,6 +295,7 @@ def morph(image_a: ArrayLike, image_b: ArrayLike, **given: Unpack[MorphKeywords]
     [0.0, 0.5, 1.0]
     """
     options = PAPER.chosen(REFERENCE_OPTIONS, given)
+    _check_unmatched(options.unmatched)
     sigma_start = WIDTH.check("sigma_start", options.sigma_start)
     sigma_end = WIDTH.check("sigma_end", options.sigma_end)
     source, target = (

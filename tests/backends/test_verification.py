@@ -129,11 +129,17 @@ FOUND_BEFORE = {"splat": ("particles.cl", "deposit")}
 USUAL_FILES = {variant.file for variant in usual_variants()}
 
 
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """A folder for what PoCL compiles, by its source: a wrong kernel is compiled all the same."""
+    return tmp_path_factory.mktemp("compiled")
+
+
 @pytest.mark.full
 @pytest.mark.parametrize(
     "fault", [f for f in FAULTS if f.file in USUAL_FILES], ids=lambda fault: fault.kernel
 )
-def test_the_probe_refuses_a_device_with_a_wrong_kernel(tmp_path, fault):
+def test_the_probe_refuses_a_device_with_a_wrong_kernel(tmp_path, compiled, fault):
     """A new process tries it, says why it is refused, and remembers."""
     _planted_tree(tmp_path, fault)
     index = TESTED[0].index
@@ -145,7 +151,10 @@ def test_the_probe_refuses_a_device_with_a_wrong_kernel(tmp_path, fault):
         f"try: f.choose_device('{index}')\n"
         "except f.DeviceError as error: print(error)\n"
     )
-    environment = dict(os.environ, PYTHONPATH=str(tmp_path), XDG_CACHE_HOME=str(tmp_path / "c"))
+    environment = dict(
+        os.environ, PYTHONPATH=str(tmp_path), XDG_CACHE_HOME=str(tmp_path / "c"),
+        POCL_CACHE_DIR=str(compiled),
+    )  # fmt: skip
     done = subprocess.run(
         [sys.executable, "-P", "-c", code], capture_output=True, text=True, env=environment,
         check=True,

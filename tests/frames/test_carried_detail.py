@@ -255,8 +255,9 @@ class TestOptions:
             {"sigma": "optimal"},
             {"endpoints": "paper"},
             {"preset": "paper"},
-            {"preset": "pixel-art"},
             {"preset": "crossfade"},
+            {"preset": "logo", "sigma_start": 1.0},
+            {"preset": "pixel-art", "splatting": "local"},
         ],
     )
     def test_the_kernel_of_particles_implies_them(self, given):

@@ -620,7 +620,7 @@ def test_the_command_prints_notes_and_no_remarks_of_libraries(tmp_path, capfd, m
     assert main(["morph", "a.gif", "b.jpg", "-o", "out.png", *options]) == 0
     lines = capfd.readouterr().err.splitlines()
     assert "note: a.gif has several pictures: its first is taken" in lines
-    assert all(line.startswith(("device:", "memory:", "note:")) for line in lines), lines
+    assert all(line.startswith(("device:", "preset:", "memory:", "note:")) for line in lines), lines
     frames[1].save("c.tif", compression="tiff_lzw")
     data = (tmp_path / "c.tif").read_bytes()
     (tmp_path / "c.tif").write_bytes(data[:9] + b"\xff" * 20 + data[29:])  # libtiff prints itself
@@ -628,7 +628,7 @@ def test_the_command_prints_notes_and_no_remarks_of_libraries(tmp_path, capfd, m
     error = [
         line
         for line in capfd.readouterr().err.splitlines()
-        if not line.startswith(("device:", "memory:", "note:"))
+        if not line.startswith(("device:", "preset:", "memory:", "note:"))
     ]
     assert len(error) == 1
     assert "c.tif cannot be decoded" in error[0]

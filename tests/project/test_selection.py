@@ -7,7 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from conftest import TESTED, _is_repeated, _share
+from conftest import LONGEST, TESTED, _is_repeated, _share, _turn
 
 ROOT = Path(__file__).parents[2]
 
@@ -91,3 +91,18 @@ def test_a_device_that_repeats_another_one_is_known(monkeypatch):
     ]
     monkeypatch.setattr("conftest.TESTED", devices)
     assert [_is_repeated(device) for device in [*devices, None]] == [False] * 3 + [True, False]
+
+
+def test_the_longest_modules_come_first():
+    modules = [path.relative_to(ROOT / "tests") for path in (ROOT / "tests").rglob("test_*.py")]
+    assert set(LONGEST) <= {path.as_posix() for path in modules}
+    items = [SimpleNamespace(path=ROOT / "tests" / path) for path in modules]
+    items.sort(key=_turn)
+    assert [item.path for item in items[: len(LONGEST)]] == [
+        ROOT / "tests" / path for path in LONGEST
+    ]
+
+
+@pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="this process runs all tests")
+def test_processes_of_tests_have_one_thread_of_linear_algebra():
+    assert "OPENBLAS_NUM_THREADS" in os.environ

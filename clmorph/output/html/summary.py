@@ -139,8 +139,9 @@ def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
         kernel draws the detail of the frames.
     """
     moving = morph.particles
-    held_frames = moving.links[:, 0] == moving.links[:, 1]
-    begun = moving.weights[:, 0] @ held_frames, moving.weights[:, 1] @ held_frames
+    begun = [
+        float(mass[other == 0].sum()) for mass, other in (moving.weights.T, moving.weights.T[::-1])
+    ]
     whole = moving.weights.sum(axis=0)
     dying, born = (1 - times) * begun[0], times * begun[1]
     total = (1 - times) * whole[0] + times * whole[1]

@@ -1,0 +1,264 @@
+"""Frames of flat shapes: what stands before a background moves as a whole and keeps its outlines.
+
+Pixels of the foreground are those with mass. Both images are divided into regions of one color,
+and the particles into parts, by the regions in which they start and end. A frame shows, in each
+pixel, the part that is densest there, and the background where all parts together are thin:
+
+- The threshold between shape and background is the density at which the foreground's share of the
+  canvas goes linearly from that of the source to that of the target. So shapes neither fade nor
+  swell, however the particles spread.
+- Outlines are anti-aliased over one pixel. In pixel art each pixel belongs to one part alone.
+- The background stays where it is and mixes the colors of both.
+"""
+
+from copy import copy
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import Operations
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.growth import take_after
+from clmorph.frames.particles import Particles
+from clmorph.frames.render import CUT, kernel_sum
+from clmorph.images.color import from_space, to_space
+from clmorph.images.flat_colors import Regions, flat_regions, foreground
+from clmorph.measures.measure import Measure
+
+Array = NDArray[np.float64]
+_Bool = NDArray[np.bool_]
+
+#: Largest number of regions of an image: a drawing's and a sprite's.
+DRAWN_COLORS, SPRITE_COLORS = 6, 16
+#: Kernel width of parts: a share of the canvas's longer side and at least some pixels; a sprite's.
+SHAPE_SHARE, NARROWEST, SPRITE_WIDTH = 0.006, 0.7, 0.45
+#: Power of densities by which parts are mixed: edges between parts are about a pixel wide.
+CONTRAST = 16
+#: Parts with less mass than this share of a pixel's are left out: they prevail nowhere.
+SMALLEST = 0.25
+#: Least relative change of density over a pixel, and density (of an even spread) of no shape.
+FLATTEST, THINNEST = 0.05, 1e-6
+#: Rounds of bisection for the threshold of density.
+ROUNDS = 40
+#: Opacity from which a shape counts as opaque.
+OPAQUE = 0.999
+
+
+class _Side(NamedTuple):
+    """One image: foreground (H, W), its regions, and the background's color and opacity."""
+
+    inside: _Bool
+    regions: Regions
+    ground: Array
+    ground_alpha: float
+
+
+class Shapes:
+    """The parts of a morph between flat images.
+
+    Parameters
+    ----------
+    measures : (source, target)
+    particles : Particles
+    operations : Operations
+    crisp : bool
+        Whether the images are pixel art, whose edges are not anti-aliased.
+    """
+
+    def __init__(
+        self,
+        measures: tuple[Measure, Measure],
+        particles: Particles,
+        operations: Operations,
+        *,
+        crisp: bool,
+    ) -> None:
+        self._operations, self._crisp = operations, crisp
+        self._space = particles.path_space
+        self._sides = [_side(measure, crisp) for measure in measures]
+        #: Whether frames have a fourth channel, and whether shapes are translucent somewhere.
+        self.clear = any(measure.alpha is not None for measure in measures)
+        self._translucent = any(
+            side.regions.alpha[side.inside].min() < OPAQUE for side in self._sides
+        )
+        colors, alphas = (
+            np.concatenate([each.reshape(-1, count) for each in of_sides])
+            for count, of_sides in (
+                (3, [to_space(side.regions.colors, self._space) for side in self._sides]),
+                (1, [side.regions.alpha for side in self._sides]),
+            )
+        )
+        self._table = particles.table.copy()
+        self._table[: len(colors), 2:5] = colors
+        self._alphas = particles.table.copy()
+        self._alphas[:, 2:5] = 0.0
+        self._alphas[:, 2] = 1.0
+        self._alphas[: len(alphas), 2] = alphas[:, 0]
+        self._links, self._weights = particles.links, particles.weights
+        for table in (self._table, self._alphas):
+            take_after(table[:, 2:5], self._links.astype(np.int64), len(colors))
+        self._parts = self._divided(measures)
+
+    def on(self, operations: Operations) -> "Shapes":
+        """Return the same parts for another device."""
+        other = copy(self)
+        other._operations = operations
+        for name in ("_uploaded", "_uploaded_alphas"):
+            other.__dict__.pop(name, None)
+        return other
+
+    def frame(self, t: float, canvas: Canvas) -> Array:
+        """Return a frame: (H, W, 3) array of sRGB, or (H, W, 4) with opacity."""
+        sigma = SPRITE_WIDTH
+        if not self._crisp:
+            sigma = max(NARROWEST, SHAPE_SHARE * max(canvas.shape))
+        density, colors = self._mixed(t, canvas, sigma)
+        colors = from_space(colors, self._space)
+        area = float(np.dot((1 - t, t), [side.inside.mean() for side in self._sides]))
+        opaque = _inside(density, area, crisp=self._crisp)[..., None]
+        if self._translucent:
+            opaque = opaque * self._opacity(t, canvas, sigma)[..., None]
+        ground, alpha = self._ground(t)
+        if not self.clear:
+            return np.asarray(opaque * colors + (1 - opaque) * ground)
+        behind = (1 - opaque) * alpha
+        total = opaque + behind
+        mixed = np.where(
+            total > 0, (opaque * colors + behind * ground) / np.maximum(total, 1e-12), colors
+        )
+        return np.concatenate((mixed, total), axis=2)
+
+    def _divided(self, measures: tuple[Measure, Measure]) -> list[NDArray[np.int64]]:
+        """Return the particles of each part, by number; particles that rest have their own."""
+        n, m = map(len, measures)
+        start, end = self._links.astype(np.int64).T
+        first, second = (side.regions.labels.ravel() + 1 for side in self._sides)
+        # 0 stands for no region: mass that dies or is born, or that ends between pixels.
+        source = np.where(start < n, np.append(first, 0)[np.minimum(start, n)], 0)
+        stop = end - n
+        ends_in_pixel = (stop >= 0) & (stop < m)
+        target = np.where(ends_in_pixel, second[np.clip(stop, 0, m - 1)], 0)
+        keys = source * (second.max() + 1) + target
+        least = SMALLEST * np.array([1 / side.inside.sum() for side in self._sides])
+        whole = self._weights.sum(axis=0)
+        found = [np.flatnonzero(keys == key) for key in np.unique(keys)]
+        large = [
+            part for part in found
+            if np.any(self._weights[part].sum(axis=0) >= least * whole)
+        ]  # fmt: skip
+        return large or found
+
+    def _upload(self, table: Array, part: NDArray[np.int64] | slice) -> Any:
+        return self._operations.upload_particles(table, self._links[part], self._weights[part])
+
+    @cached_property
+    def _uploaded(self) -> list[Any]:
+        return [self._upload(self._table, part) for part in self._parts]
+
+    @cached_property
+    def _uploaded_alphas(self) -> Any:
+        return self._upload(self._alphas, slice(None))
+
+    def _splat(self, part: Any, t: float, canvas: Canvas, sigma: float) -> tuple[Array, Array]:
+        """Return a part's mean color, and its density relative to an even spread of all mass."""
+        splats = self._operations.advect(part, t, canvas.scale, canvas.center)
+        numerator, denominator = self._operations.splat(splats, canvas.shape, sigma, CUT * sigma)
+        mean = numerator / np.maximum(denominator, np.finfo(float).tiny)[..., None]
+        start, end = self._weights.sum(axis=0)
+        even = ((1 - t) * start + t * end) * kernel_sum(sigma) / denominator.size
+        return mean, denominator / even
+
+    def _mixed(self, t: float, canvas: Canvas, sigma: float) -> tuple[Array, Array]:
+        """Return the density of all parts, and the color of the densest: (H, W), (H, W, 3)."""
+        total, share = np.zeros(canvas.shape), np.zeros(canvas.shape)
+        colors = np.zeros((*canvas.shape, 3))
+        for part in self._uploaded:
+            mean, density = self._splat(part, t, canvas, sigma)
+            total += density
+            if self._crisp:
+                prevails = density > share
+                colors[prevails], share[prevails] = mean[prevails], density[prevails]
+            else:
+                power = density**CONTRAST
+                colors += power[..., None] * mean
+                share += power
+        known = share > 0
+        if not self._crisp:
+            colors[known] /= share[known][..., None]
+        return total, colors if known.all() else colors[_nearest(known)]
+
+    def _opacity(self, t: float, canvas: Canvas, sigma: float) -> Array:
+        """Return the mean opacity of the particles around each pixel: (H, W) array."""
+        mean, density = self._splat(self._uploaded_alphas, t, canvas, sigma)
+        return np.clip(mean[..., 0][_nearest(density > 0)], 0.0, 1.0)
+
+    def _ground(self, t: float) -> tuple[Array, float]:
+        """Return color and opacity of the background at time t."""
+        share = np.array([(1 - t), t]) * [side.ground_alpha for side in self._sides]
+        alpha = float(share.sum())
+        if alpha == 0:
+            return np.zeros(3), 0.0
+        colors = to_space(np.array([side.ground for side in self._sides]), self._space)
+        return from_space(share @ colors / alpha, self._space), alpha
+
+
+def _side(measure: Measure, crisp: bool) -> _Side:
+    """Divide an image into background and regions."""
+    colors = measure.colors.reshape(*measure.shape, 3)
+    inside = (measure.weights > 0).reshape(measure.shape)
+    alpha = np.ones(measure.shape)
+    if measure.alpha is not None:
+        alpha = measure.alpha.reshape(measure.shape)
+        # A pixel of an edge belongs to the shape if it is mostly opaque.
+        solid = inside & foreground(colors, alpha)
+        inside = solid if solid.any() else inside
+    most = SPRITE_COLORS if crisp else DRAWN_COLORS
+    regions = flat_regions(colors, alpha, inside, most, edges=not crisp)
+    if inside.all():
+        return _Side(inside, regions, np.zeros(3), 0.0)
+    clear = measure.alpha is not None
+    ground = np.zeros(3) if clear else np.median(colors[~inside], axis=0)
+    return _Side(inside, regions, ground, 0.0 if clear else 1.0)
+
+
+def _nearest(known: _Bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the indices of the nearest known pixel of each pixel."""
+    from scipy.ndimage import distance_transform_edt
+
+    rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return rows, columns
+
+
+def _inside(density: Array, area: float, *, crisp: bool) -> Array:
+    """Return how far each pixel lies inside the shapes, from 0 to 1: (H, W) array.
+
+    Parameters
+    ----------
+    density : (H, W) array
+        Relative to an even spread.
+    area : float
+        The shapes' share of the canvas; the threshold of the density follows from it.
+    crisp : bool
+        Whether each pixel is either inside or outside.
+    """
+    size = density.size
+    if area >= 1 - 0.5 / size:
+        return np.ones(density.shape)
+    if crisp:
+        found = np.zeros(size)
+        found[np.argsort(-density.ravel(), kind="stable")[: max(1, round(area * size))]] = 1.0
+        return found.reshape(density.shape)
+    level = np.log(np.maximum(density, THINNEST))
+    slopes = [
+        np.gradient(level, axis=axis) if density.shape[axis] > 1 else np.zeros(density.shape)
+        for axis in (0, 1)
+    ]
+    slope = np.maximum(np.hypot(*slopes), FLATTEST)
+    low, high = float(level.min()) - 1.0, float(level.max()) + 1.0
+    for _ in range(ROUNDS):
+        threshold = 0.5 * (low + high)
+        found = np.clip(0.5 + (level - threshold) / slope, 0.0, 1.0)
+        low, high = (threshold, high) if found.mean() > area else (low, threshold)
+    return np.asarray(found)

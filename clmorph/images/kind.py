@@ -1,0 +1,83 @@
+"""The kind of a picture: a sprite, a flat drawing such as a logo, or a photograph."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from clmorph._shared.typing import Array, BoolArray
+from clmorph.images.detail import has_few_colors
+from clmorph.images.flat_colors import foreground, palette
+from clmorph.images.pixels import block_size, fit, split_alpha
+
+Kind = Literal["sprite", "drawing", "photograph"]
+
+#: Numbers of blocks along the longer side of an enlarged sprite.
+FEWEST_BLOCKS, MOST_BLOCKS = 8, 128
+#: Longest side of a plain sprite, in blocks; a larger one has small parts, and so at least this
+#: share of unequal neighbors.
+MOST_PLAIN, LEAST_CHANGES = 96, 0.05
+#: Pictures are reduced to this longer side before they are judged.
+LONGEST = 1024
+#: Steps of 8 bits up to which neighbors count as smooth, and up to which a color is explained.
+SMOOTH, EXPLAINED = 2, 12
+#: Least shares of equal neighbors, of smooth ones, and number and least share of flat colors.
+EQUAL, EQUAL_BEFORE, SMOOTH_BEFORE = 0.6, 0.5, 0.85
+FLAT_COLORS, FLAT_SHARE = 8, 0.9
+
+
+def kind_of(image: Array) -> Kind:
+    """Return the kind of a picture.
+
+    A sprite consists of equal blocks, or is small with few colors; an enlarged sprite with
+    artifacts of compression is none. A drawing has equal neighbors almost everywhere, and in
+    addition its foreground is flat, or consists of few colors as text does, so that a photographed
+    object on white is none. Under a transparent background a foreground without grain suffices.
+
+    Parameters
+    ----------
+    image : (H, W, 3) or (H, W, 4) array
+        sRGB in [0, 1], and opacity.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> kind_of(rng.random((40, 50, 3)))
+    'photograph'
+    >>> y, x = np.mgrid[-1:1:300j, -1:1:300j]
+    >>> disc = np.clip((0.7 - np.hypot(x, y)) * 150, 0, 1)  # its edge is anti-aliased
+    >>> kind_of(np.dstack((disc, disc, np.ones_like(disc))))
+    'drawing'
+    """
+    block = block_size(image)
+    if block > 1 and FEWEST_BLOCKS <= max(image.shape[:2]) // block <= MOST_BLOCKS:
+        return "sprite"
+    small = image[::block, ::block]
+    if has_few_colors(small):
+        changes = np.mean(_steps(np.rint(255 * small), np.ones(small.shape[:2], dtype=bool)) > 0)
+        if max(small.shape[:2]) <= MOST_PLAIN or changes >= LEAST_CHANGES:
+            return "sprite"
+    colors, alpha = split_alpha(fit(image, LONGEST))
+    before = foreground(colors, alpha)
+    levels = np.rint(255 * colors)
+    if alpha is None:
+        steps = _steps(levels, np.ones_like(before))
+        if not len(steps) or np.mean(steps == 0) < EQUAL:
+            return "photograph"
+    steps = _steps(levels, before)
+    smooth = len(steps) > 0 and np.mean(steps <= SMOOTH) >= SMOOTH_BEFORE
+    flat = len(steps) > 0 and np.mean(steps == 0) >= EQUAL_BEFORE
+    if flat or (smooth and alpha is not None):
+        return "drawing"
+    found = palette(colors[before], FLAT_COLORS)[1]
+    explained = np.abs(255 * found - levels[before]).max(axis=1) <= EXPLAINED
+    return "drawing" if np.mean(explained) >= FLAT_SHARE else "photograph"
+
+
+def _steps(levels: Array, within: BoolArray) -> Array:
+    """Return the largest difference of a channel of all neighbors within a mask, in 8 bits."""
+    down = np.abs(np.diff(levels, axis=0)).max(axis=2)[within[1:] & within[:-1]]
+    along = np.abs(np.diff(levels, axis=1)).max(axis=2)[within[:, 1:] & within[:, :-1]]
+    return np.concatenate((down, along))

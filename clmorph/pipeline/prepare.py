@@ -1,0 +1,147 @@
+"""Prepare a call: check its images, choose its options, and bring the images to their size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clmorph._shared.validation import check_flag, shown
+from clmorph.backends.arrays import as_array
+from clmorph.errors import InputError
+from clmorph.images.kind import FEWEST_BLOCKS, kind_of
+from clmorph.images.pixels import as_pixels, block_size, fit
+from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.presets import AUTO, PresetName, preset_for
+
+Picture = NDArray[np.float64]
+
+
+def as_images(images: Sequence[ArrayLike]) -> list[Picture]:
+    """Return images as `clmorph.images.pixels.as_pixels` does, named in its error messages.
+
+    Parameters
+    ----------
+    images : sequence of arrays
+
+    Raises
+    ------
+    InputError
+        If an image cannot be used.
+    """
+    names = [f"image_{letter}" for letter in "ab"] if len(images) == 2 else [""] * len(images)
+    return [as_pixels(image, name) for image, name in zip(images, names, strict=True)]
+
+
+def recognized(images: Iterable[Picture]) -> PresetName:
+    """Return the preset for what images show (`clmorph.pipeline.presets.preset_for`).
+
+    Parameters
+    ----------
+    images : iterable of (H, W, C) arrays
+        Images that `as_images` has returned, as large as they were given.
+    """
+    return preset_for(kind_of(image) for image in images)
+
+
+def as_options(
+    options: MorphOptions | None,
+    preset: str | None,
+    draft: bool,
+    given: Any,
+    images: Iterable[Picture],
+) -> MorphOptions:
+    """Return the options of a call, from an options object, a preset and options by name.
+
+    Parameters
+    ----------
+    options : MorphOptions or None
+    preset : str or None
+    draft : bool
+    given : mapping
+        Options by name.
+    images : iterable of (H, W, C) arrays
+        The images, which choose the preset "auto".
+
+    Raises
+    ------
+    InputError
+        If `options` has another type, or is given together with `preset` or `draft`.
+    """
+    if options is None:
+        if preset is None or (isinstance(preset, str) and preset == AUTO):
+            MorphOptions(draft=draft, **given)  # raises an error before the images are looked at
+            preset = recognized(images)
+        return MorphOptions(preset=preset, draft=draft, **given)
+    if not isinstance(options, MorphOptions):
+        raise InputError(
+            f"options={shown(options)}: expected MorphOptions; give single options by name, such "
+            "as n_frames=30"
+        )
+    if preset is not None:
+        raise InputError(
+            f"options and preset={shown(preset)} contradict: give one of them, or "
+            "MorphOptions(preset=...)"
+        )
+    if check_flag("draft", draft):
+        raise InputError(
+            "options and draft=True contradict: give one of them, or MorphOptions(draft=True)"
+        )
+    return options.replace(**given) if given else options
+
+
+def fitted(
+    images: Sequence[Picture],
+    options: MorphOptions,
+    weights: Any = None,
+    color_metric: Any = None,
+) -> list[Picture]:
+    """Return images downscaled to the size at which they are drawn.
+
+    Parameters
+    ----------
+    images : sequence of (H, W, C) arrays
+        Images that `as_images` has returned.
+    options : MorphOptions
+    weights, color_metric
+        As for `morph`. A map must have the shape of its image, so the image must not be reduced.
+
+    Raises
+    ------
+    InputError
+        If an image with a map would be reduced.
+    """
+    small = [_reduced(image, options) for image in images]
+    reduced = [one.shape != other.shape for one, other in zip(images, small, strict=True)]
+    maps = weights if isinstance(weights, tuple | list) else (None, None)
+    metric = color_metric is not None and as_array(
+        "color_metric", color_metric, "an array (3, 3), (H, W, 3, 3) or (H, W)"
+    ).shape != (3, 3)
+    for name, index, is_map in (
+        *(("weights", index, each is not None) for index, each in enumerate(maps[:2])),
+        ("color_metric", 0, metric),
+    ):
+        if is_map and reduced[index]:
+            raise InputError(
+                f"{name} is a map of the pixels of image_{'ab'[index]}, but {_reason(options)} "
+                "reduces that image: give size=None, or an image of that size"
+            )
+    return small
+
+
+def _reduced(image: Picture, options: MorphOptions) -> Picture:
+    """Return an image at the size at which it is drawn; blocks of a sprite become pixels."""
+    if options.size is None:
+        return image
+    if options.detail == "pixels":
+        block = block_size(image)
+        if max(image.shape[:2]) >= FEWEST_BLOCKS * block:
+            image = image[::block, ::block]
+    return fit(image, options.size)
+
+
+def _reason(options: MorphOptions) -> str:
+    """Return the option that reduces images."""
+    return "detail='pixels'" if options.detail == "pixels" else f"size={options.size}"

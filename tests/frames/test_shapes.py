@@ -1,0 +1,182 @@
+"""Frames of flat shapes: outlines stay sharp, areas change evenly, sprites keep their pixels."""
+
+import numpy as np
+import pytest
+from drawn import compressed, logo, sprite
+
+import clmorph
+from clmorph import InputError, MorphOptions
+from clmorph.frames.shapes import _inside
+
+TIMES = (0.0, 0.02, 0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9, 0.98, 1.0)
+SMALL = {"solve_size": 32, "n_frames": 3}
+
+
+def shares(morph):
+    """Return the share of opaque, and of half transparent, pixels at `TIMES`."""
+    alphas = [morph.frame(t)[..., 3] for t in TIMES]
+    return [a.mean() for a in alphas], [((a > 0.05) & (a < 0.95)).mean() for a in alphas]
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return logo("star", ground=None), logo("disc", ground=None)
+
+
+class TestLogos:
+    def test_shapes_become_shapes(self, device, pair):
+        """Area goes evenly from one to the other, and a frame is as opaque as its ends."""
+        morph = clmorph.morph(*pair, backend=device, **SMALL)
+        assert morph.detail == morph.options.detail == "shapes"
+        area, soft = shares(morph)
+        start, end = area[0], area[-1]
+        even = [(1 - t) * start + t * end for t in TIMES]
+        assert np.allclose(area, even, atol=0.012)
+        assert max(soft) < 1.5 * max(soft[0], soft[-1])
+        # Cross-fading would show half of the star's arms in the middle.
+        arms = (pair[0][..., 3] > 0.9) & (pair[1][..., 3] < 0.1)
+        alpha = morph.frame(0.5)[..., 3]
+        assert np.mean((alpha[arms] > 0.1) & (alpha[arms] < 0.9)) < 0.3
+
+    @pytest.mark.parametrize("ground", [None, "white", "#203040"])
+    def test_ends_are_the_images(self, device, ground):
+        pair = logo("ring", ground=ground), logo("bars", 50, ground=ground)
+        morph = clmorph.morph(*pair, backend=device, **SMALL)
+        for t, image in zip((0.0, 1.0), pair, strict=True):
+            frame = morph.frame(t)
+            assert frame.shape == image.shape
+            assert np.abs(frame[..., 3:] - image[..., 3:]).max(initial=0) < 1e-5
+            seen = image[..., 3:] > 0 if ground is None else np.ones((*image.shape[:2], 1), bool)
+            assert np.abs((frame - image)[..., :3] * seen).max() < 1e-5
+        for t in TIMES:
+            frame = morph.frame(t)
+            assert 0 <= frame.min() <= frame.max() <= 1
+            assert frame.shape[:2] == morph.canvas(t).shape
+
+    def test_the_background_stays_and_mixes(self, device):
+        pair = logo("star", ground="#ffffff"), logo("disc", ground="#000000")
+        morph = clmorph.morph(*pair, backend=device, **SMALL)
+        corners = [morph.frame(t)[0, 0] for t in TIMES]
+        assert np.all(np.diff([corner.mean() for corner in corners]) < 0)
+        assert np.ptp(morph.frame(0.5)[:4, :4], axis=(0, 1)).max() < 1e-3
+
+    def test_opaque_and_clear_backgrounds(self, device):
+        """The background of the opaque one fades away."""
+        pair = logo("star", ground="#ffffff"), logo("disc", ground=None)
+        morph = clmorph.morph(*pair, backend=device, **SMALL)
+        assert [morph.frame(t)[0, 0, 3] for t in (0.0, 0.5, 1.0)] == pytest.approx([1, 0.5, 0])
+        assert morph.frame(0.5)[32, 32, 3] == pytest.approx(1.0, abs=1e-3)
+
+    def test_translucent_shapes_stay_translucent(self, device, pair):
+        glass = [image * (1, 1, 1, 0.5) for image in pair]
+        morph = clmorph.morph(*glass, preset="logo", backend=device, **SMALL)
+        assert morph.frame(0.5)[32, 32, 3] == pytest.approx(0.5, abs=0.01)
+        assert morph.frame(0.5)[..., 3].max() < 0.51
+
+    def test_compressed_logos(self, device):
+        pair = [compressed(logo(name, 200), 75) for name in ("star", "disc")]
+        morph = clmorph.morph(*pair, backend=device, **SMALL)
+        assert morph.detail == "shapes"
+        assert np.abs(morph.frame(0.0) - pair[0]).max() < 1e-5
+        middle = morph.frame(0.5)
+        assert np.mean(middle[:15] > 0.95) > 0.99  # no dirt in the background
+
+    @pytest.mark.parametrize(
+        "given",
+        [
+            {"reach": 0.2}, {"reach": 0.2, "unmatched": "grow"}, {"mass": "uniform"},
+            {"sample": 2}, {"barycentric": True}, {"path_space": "linear"}, {"extent": "unit"},
+            {"reach": 0.2, "unmatched": "drop"},
+        ],
+        ids=str,
+    )  # fmt: skip
+    def test_all_ways(self, device, pair, given):
+        other = logo("ring", 40, ground=None)
+        morph = clmorph.morph(pair[0], other, backend=device, preset="logo", **SMALL, **given)
+        for t in TIMES:
+            frame = morph.frame(t)
+            assert np.all(np.isfinite(frame))
+            assert 0 <= frame.min() <= frame.max() <= 1
+        assert np.abs(morph.frame(0.0)[..., 3] - pair[0][..., 3]).max() < 1e-5
+        assert np.abs(morph.frame(1.0)[..., 3] - other[..., 3]).max() < 1e-5
+
+    def test_numpy_draws_the_same(self, device, pair):
+        first, second = (
+            clmorph.morph(*pair, backend=backend, **SMALL) for backend in (device, "numpy")
+        )
+        for t in (0.25, 0.5):
+            differ = np.abs(first.frame(t) - second.frame(t)).max(axis=2)
+            assert np.mean(differ > 0.02) < 0.01
+
+    def test_a_picture_without_background_fills_the_canvas(self, device):
+        full = np.zeros((40, 40, 3))
+        full[:, :20], full[:, 20:] = (0.8, 0.2, 0.1), (0.1, 0.3, 0.7)
+        morph = clmorph.morph(full, logo("disc", 40), preset="logo", backend=device, **SMALL)
+        white = [np.mean(morph.frame(t).min(axis=2) > 0.95) for t in TIMES]
+        assert white[0] == 0
+        assert np.all(np.diff(white) > -0.02)
+        assert white[-1] == pytest.approx(1 - np.pi * 0.22**2, abs=0.03)
+
+
+class TestSprites:
+    @pytest.mark.parametrize("block", [1, 4])
+    def test_pixels_stay_pixels(self, device, block):
+        """Each is opaque or clear, and in the middle none is a mixture of neighbors."""
+        pair = sprite("heart", block), sprite("ghost", block)
+        morph = clmorph.morph(*pair, backend=device, n_frames=3)
+        assert morph.detail == "pixels"
+        assert morph.frame(0.5).shape == (8, 12, 4)  # blocks are taken as pixels
+        ends = [np.count_nonzero(sprite(name)[..., 3]) for name in ("heart", "ghost")]
+        for t in (0.2, 0.35, 0.5, 0.65, 0.8):
+            alpha = morph.frame(t)[..., 3]
+            assert np.all((alpha < 1e-6) | (alpha > 1 - 1e-6))
+            assert round(float(alpha.sum())) == round((1 - t) * ends[0] + t * ends[1])
+
+    def test_frames_have_few_colors(self, device):
+        pair = sprite("invader", 1, (20, 20, 40)), sprite("ghost", 1, (20, 20, 40))
+        morph = clmorph.morph(*pair, backend=device, n_frames=3)
+        assert morph.frame(0.5).shape[2] == 3
+        for t in (0.25, 0.5, 0.75):
+            assert len(np.unique(morph.frame(t).round(2).reshape(-1, 3), axis=0)) <= 7
+
+    def test_ends_are_the_sprites(self, device):
+        pair = sprite("ghost"), sprite("invader")
+        morph = clmorph.morph(*pair, backend=device, n_frames=3)
+        for t, image in zip((0.0, 1.0), pair, strict=True):
+            frame = morph.frame(t)
+            assert np.array_equal(frame[..., 3].round(6), image[..., 3])
+            assert np.abs((frame - image)[image[..., 3] > 0]).max() < 1e-5
+
+    def test_maps_keep_the_blocks(self, device):
+        pair = sprite("heart", 4), sprite("ghost", 4)
+        with pytest.raises(InputError, match="detail='pixels' reduces that image: give size=None"):
+            clmorph.morph(*pair, backend=device, weights=(np.ones((32, 48)), None))
+
+
+class TestThreshold:
+    @pytest.mark.parametrize("area", [1e-3, 0.1, 0.5, 0.97, 1.0])
+    @pytest.mark.parametrize("crisp", [False, True])
+    def test_the_area_is_as_asked(self, rng, area, crisp):
+        from scipy.ndimage import gaussian_filter
+
+        density = np.maximum(gaussian_filter(rng.random((60, 80)), 4) - 0.45, 0)
+        found = _inside(density, area, crisp=crisp)
+        assert found.mean() == pytest.approx(area, abs=0.5 / density.size if crisp else 0.02)
+        assert 0 <= found.min() <= found.max() <= 1
+
+    @pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (2, 2)])
+    @pytest.mark.parametrize("crisp", [False, True])
+    def test_tiny_canvases(self, shape, crisp):
+        for density in (np.zeros(shape), np.ones(shape), np.arange(np.prod(shape)).reshape(shape)):
+            for area in (0.01, 0.5, 1.0):
+                found = _inside(density.astype(float), area, crisp=crisp)
+                assert found.shape == shape
+                assert np.all(np.isfinite(found))
+
+
+class TestOptions:
+    @pytest.mark.parametrize("detail", ["shapes", "pixels"])
+    @pytest.mark.parametrize("given", [{"sigma_start": 1.0}, {"gamma": 0.4}, {"splatting": "none"}])
+    def test_the_kernel_of_particles_contradicts(self, detail, given):
+        with pytest.raises(InputError, match=f"^detail='{detail}' and .* contradict"):
+            MorphOptions(detail=detail, **given)

@@ -1,0 +1,133 @@
+"""The kind of a picture, and its flat regions."""
+
+import numpy as np
+import pytest
+from drawn import SPRITES, compressed, logo, sprite
+from picture_pairs import CUTS, DRAWINGS, picture
+from skimage import data
+
+from clmorph.images.flat_colors import background_color, flat_regions, foreground, palette
+from clmorph.images.kind import kind_of
+
+LOGOS = ("star", "disc", "ring", "bars")
+
+
+@pytest.mark.parametrize("name", CUTS)
+def test_photographs(name):
+    image = picture(name)
+    assert kind_of(image) == "photograph"
+    assert kind_of(compressed(image, 60)) == "photograph"
+
+
+@pytest.mark.parametrize("name", ["portrait", "cat"])
+def test_a_photographed_object_is_no_drawing(name):
+    """Neither on white, nor cut out."""
+    image = picture(name)
+    y, x = np.mgrid[-1:1:256j, -1:1:256j]
+    cut = np.clip((0.5 - np.hypot(x, y)) * 60, 0, 1)[..., None]
+    assert kind_of(cut * image + 1 - cut) == "photograph"
+    assert kind_of(np.dstack((image, cut))) == "photograph"
+
+
+@pytest.mark.parametrize("name", [*LOGOS[1:], *sum(DRAWINGS, ())])
+def test_drawings(name):
+    image = logo(name, 200) if name in LOGOS else picture(name)
+    assert kind_of(image) == "drawing"
+    assert kind_of(compressed(image, 75)) == "drawing"
+    if name in LOGOS:
+        assert kind_of(logo(name, 200, ground=None)) == "drawing"
+        assert kind_of(logo(name, 900, ground="#102030")) == "drawing"
+
+
+def test_a_shaded_drawing_with_opacity_is_one():
+    y, x = np.mgrid[-1:1:120j, -1:1:120j]
+    ball = np.clip(np.dstack((0.9 - 0.4 * np.hypot(x, y), 0.4 + 0 * x, 0.3 + 0.2 * y)), 0, 1)
+    assert kind_of(np.dstack((ball, np.hypot(x, y) < 0.7))) == "drawing"
+
+
+@pytest.mark.parametrize("name", SPRITES)
+@pytest.mark.parametrize("block", [1, 3, 8])
+@pytest.mark.parametrize("ground", [None, (20, 20, 40)])
+def test_sprites(name, block, ground):
+    assert kind_of(sprite(name, block, ground)) == "sprite"
+
+
+def test_one_color_with_soft_edges_is_no_sprite():
+    assert kind_of(logo("disc", 60, ground=None)) == "drawing"
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 3), (1, 9, 3), (2, 2, 4), (3, 1, 3)])
+def test_tiny_pictures_have_a_kind(shape, rng):
+    assert kind_of(rng.random(shape)) in ("sprite", "drawing", "photograph")
+    assert kind_of(np.ones(shape)) in ("sprite", "drawing", "photograph")
+
+
+def test_large_photographs_are_reduced(monkeypatch):
+    """What is judged has at most about a million pixels."""
+    seen = []
+    monkeypatch.setattr(
+        "clmorph.images.kind.foreground",
+        lambda colors, alpha: seen.append(colors.shape) or foreground(colors, alpha),
+    )
+    kind_of(np.asarray(data.astronaut())[:, :100].repeat(3, axis=0).repeat(2, axis=1) / 255.0)
+    assert all(max(shape) <= 1024 for shape in seen)
+    assert seen
+
+
+class TestForeground:
+    def test_it_is_what_was_drawn(self):
+        """To a pixel along the edge; a ring's inside belongs to the background."""
+        opaque, clear = logo("ring"), logo("ring", ground=None)
+        solid = clear[..., 3] >= 0.5
+        assert np.allclose(background_color(opaque), 1.0)
+        assert np.array_equal(foreground(clear[..., :3], clear[..., 3]), solid)
+        assert np.mean(foreground(opaque) != solid) < 0.02
+        assert not foreground(opaque)[32, 32]
+
+    @pytest.mark.parametrize("ground", ["black", "#808080", "#ff7f00"])
+    def test_any_background(self, ground):
+        inside = foreground(logo("disc", ground=ground))
+        assert inside.mean() == pytest.approx(np.pi * 0.22**2, rel=0.05)
+
+    def test_pictures_without_one(self):
+        image = picture("gravel")
+        assert background_color(image) is None
+        assert foreground(image).all()
+        assert foreground(np.full((5, 6, 3), 0.3)).all()  # nothing stands before it
+        assert foreground(image[:1, :1]).all()
+
+    def test_sprites_keep_colors_near_that_of_the_background(self):
+        image = sprite("ghost", 1, (20, 20, 40))
+        before = sprite("ghost")[..., 3] > 0
+        assert np.array_equal(foreground(image), before)
+
+
+class TestRegions:
+    def test_colors_are_the_pictures_without_edges(self):
+        image = logo("bars")
+        inside = foreground(image)
+        regions = flat_regions(image, np.ones(inside.shape), inside, 6, edges=True)
+        assert len(np.unique(regions.labels[inside])) == 3
+        expected = np.array([[228, 26, 28], [55, 126, 184], [77, 175, 74]]) / 255
+        found = np.unique(regions.colors[inside].round(6), axis=0)
+        assert found.shape == (3, 3)
+        for color in found:
+            assert np.abs(expected - color).max(axis=1).min() < 1e-5
+
+    def test_thin_strokes_have_regions_too(self):
+        image = np.ones((20, 20, 3))
+        image[10, 3:17] = 0.0
+        inside = foreground(image)
+        assert inside.sum() == 14
+        regions = flat_regions(image, np.ones(inside.shape), inside, 6, edges=True)
+        assert np.allclose(regions.colors[inside], 0.0)
+
+    def test_palette(self, rng):
+        colors = np.repeat(
+            [[0.9, 0.1, 0.1], [0.1, 0.1, 0.9], [0.92, 0.1, 0.1]], [50, 30, 5], axis=0
+        )
+        labels, each = palette(colors, 6)
+        assert set(labels) == {0, 1}
+        assert labels[0] == labels[-1]  # alike colors are one
+        assert np.abs(each - colors).max() < 0.03
+        assert palette(rng.random((500, 3)), 4)[0].max() <= 3
