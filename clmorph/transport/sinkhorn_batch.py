@@ -205,8 +205,8 @@ def sinkhorn_batch(
 
     Notes
     -----
-    Up to 2^18 points are solved together; more are taken in parts. Problems of 2^27 pairs of points
-    or more are solved one by one.
+    Up to 2^18 points are solved together; more are taken in parts. Problems of more points, or of
+    2^27 pairs of points or more, are solved one by one.
 
     Examples
     --------
@@ -322,21 +322,39 @@ def solve_many(
             report((done + value * count) / len(pairs))
 
         options = tol, max_iter, precision, share
-        if len(own) == 1 and len(own[0][0]) * len(own[0][1]) >= MANY_PAIRS:
-            limit = choose_truncation("auto", tol, True)
-            problem = Problem.between(operations, *own[0], given.rho, limit)
-            parts.append(_Single(numbers[0], solve(problem, own[0], given, *options)))
-        else:
-            iteration = BatchIteration(
-                problem_of_many(operations, own, given.rho), given.blur, *options
-            )
-            try:
+        try:
+            if _is_large(own[0]):
+                parts.append(_Single(numbers[0], _solve_large(own[0], operations, given, *options)))
+            else:
+                problem = problem_of_many(operations, own, given.rho)
+                iteration = BatchIteration(problem, given.blur, *options)
                 iteration.run()
-            except NotFiniteError as error:
-                raise overflow(f"{name(numbers[error.problem])}: points") from None
-            parts.append(_Solved(np.array(numbers), iteration, given))
+                parts.append(_Solved(np.array(numbers), iteration, given))
+        except NotFiniteError as error:
+            raise overflow(f"{name(numbers[error.problem])}: points") from None
+        except InputError as error:
+            raise InputError(f"{name(numbers[0])}: {error}") from None
         done += len(own)
     return PotentialsBatch(parts, len(pairs))
+
+
+def _is_large(pair: tuple[AnyMeasure, AnyMeasure]) -> bool:
+    """Return whether a problem is solved by itself."""
+    sizes = [len(measure) for measure in pair]
+    return sizes[0] * sizes[1] >= MANY_PAIRS or max(sizes) > MAX_BATCH
+
+
+def _solve_large(
+    pair: tuple[AnyMeasure, AnyMeasure],
+    operations: Operations,
+    given: Regularization,
+    tol: float,
+    *options: Any,
+) -> Potentials:
+    """Solve a problem by itself."""
+    limit = choose_truncation("auto", tol, len(pair[0]) * len(pair[1]) >= MANY_PAIRS)
+    problem = Problem.between(operations, *pair, given.rho, limit)
+    return solve(problem, pair, given, tol, *options)
 
 
 def together(pairs: Sequence[tuple[AnyMeasure, AnyMeasure]]) -> list[list[int]]:
@@ -351,7 +369,7 @@ def together(pairs: Sequence[tuple[AnyMeasure, AnyMeasure]]) -> list[list[int]]:
     open_lists: dict[int, tuple[list[int], list[int]]] = {}
     for number, pair in enumerate(pairs):
         sizes = [len(measure) for measure in pair]
-        if sizes[0] * sizes[1] >= MANY_PAIRS or max(sizes) > MAX_BATCH:
+        if _is_large(pair):
             lists.append([number])
             continue
         dimension = pair[0].points.shape[1]
