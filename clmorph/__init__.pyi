@@ -122,11 +122,11 @@ from .transport.plan_sampling import (
 from .transport.potentials import (
     Potentials as Potentials,
 )
+from .transport.potentials_batch import (
+    PotentialsBatch as PotentialsBatch,
+)
 from .transport.sinkhorn import (
     sinkhorn as sinkhorn,
-)
-from .transport.sinkhorn_batch import (
-    PotentialsBatch as PotentialsBatch,
 )
 from .transport.sinkhorn_batch import (
     sinkhorn_batch as sinkhorn_batch,

@@ -22,9 +22,10 @@ from clmorph.transport.divergence import (
 )
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials
+from clmorph.transport.potentials_batch import PotentialsBatch
 from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import warn_unless_converged
-from clmorph.transport.sinkhorn_batch import MeasuresLike, PotentialsBatch, solve_many, what_missed
+from clmorph.transport.sinkhorn_batch import MeasuresLike, solve_many, what_missed
 
 
 class DivergenceMatrix:
