@@ -104,6 +104,12 @@ from .transport.divergence import (
 from .transport.divergence import (
     sinkhorn_divergence as sinkhorn_divergence,
 )
+from .transport.divergence_matrix import (
+    DivergenceMatrix as DivergenceMatrix,
+)
+from .transport.divergence_matrix import (
+    divergence_matrix as divergence_matrix,
+)
 from .transport.plan import (
     Plan as Plan,
 )
@@ -116,8 +122,14 @@ from .transport.plan_sampling import (
 from .transport.potentials import (
     Potentials as Potentials,
 )
+from .transport.potentials_batch import (
+    PotentialsBatch as PotentialsBatch,
+)
 from .transport.sinkhorn import (
     sinkhorn as sinkhorn,
+)
+from .transport.sinkhorn_batch import (
+    sinkhorn_batch as sinkhorn_batch,
 )
 
 __all__ = [
@@ -130,6 +142,7 @@ __all__ = [
     "DeviceError",
     "Displacement",
     "Divergence",
+    "DivergenceMatrix",
     "FileError",
     "ImageWarning",
     "InputError",
@@ -143,10 +156,12 @@ __all__ = [
     "Plan",
     "PlanSizeError",
     "Potentials",
+    "PotentialsBatch",
     "PruningWarning",
     "WeightedPoints",
     "barycentric_plan",
     "displacement_statistics",
+    "divergence_matrix",
     "fit",
     "get_backend",
     "inspect",
@@ -160,6 +175,7 @@ __all__ = [
     "sample_plan",
     "save",
     "sinkhorn",
+    "sinkhorn_batch",
     "sinkhorn_divergence",
     "transport_plan",
 ]

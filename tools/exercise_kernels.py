@@ -53,6 +53,20 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         operations.bounded_softmin(rows, columns, g, 0.01)[0],
         operations.bounded_softmin(columns, rows, f, 0.01)[0],
     ]
+    # Three problems, then the outer two.
+    counts = np.array([60, 1, 69]), np.array([1, 40, 26])
+    points = [rng.random((size, 5)) for size in (n, m)]
+    batches = [
+        operations.upload_batch(own, np.full(len(own), 0.5), count)
+        for own, count in zip(points, counts, strict=True)
+    ]
+    outer = [operations.take_batch(batch, np.array([0, 2])) for batch in batches]
+    for own, potential in ((batches, g), (outer, np.delete(g, range(1, 41)))):
+        results += [
+            operations.softmin_batch(*own, potential, 0.01),
+            operations.softmin_batch(*own, potential, 0.01, True),
+            operations.bounded_softmin_batch(*own, potential, 0.01)[0],
+        ]
     for clouds, own, potential in (((rows, columns), f, g), ((columns, rows), g, f)):
         guess = operations.softmin(*clouds, potential, 0.01)
         near = operations.near_pairs(*clouds, potential, guess, 0.01, 1e-7)

@@ -15,6 +15,8 @@ from clmorph.backends.records import Bins, Float32, Float64, NearPairs, PlanRows
 #: The largest number of points of a cloud: kernels count columns in float32, which is exact up to
 #: this number.
 MAX_POINTS = 1 << 24
+#: The largest number of points of a batch of clouds (`Operations.upload_batch`).
+MAX_BATCH = 1 << 18
 #: The largest dimension of points: a kernel keeps one register for each coordinate.
 MAX_DIMENSION = 11
 
@@ -129,6 +131,66 @@ class Operations(Protocol):
         error : float
             A bound of the rounding error of the sums' logarithms, in nats; infinite where
             numbers are too large for a bound. It does not cover the pairs that `near` leaves out.
+        """
+
+    def upload_batch(
+        self,
+        points: Float64,
+        weights: Float64,
+        counts: NDArray[np.int64],
+        offsets: Float64 | None = None,
+    ) -> Any:
+        """Upload the clouds of many problems.
+
+        Parameters
+        ----------
+        points, weights, offsets : (N, D), (N,) and (N,) arrays
+            As in `upload`, the points of the clouds one after the other.
+        counts : (B,) array
+            Number of points of each cloud, at least 1. There are at most `MAX_BATCH` points.
+
+        Returns
+        -------
+        batch
+        """
+
+    def take_batch(self, batch: Any, problems: NDArray[np.int64]) -> Any:
+        """Return a batch of some clouds of a batch, in the order of their numbers `problems`."""
+
+    def softmin_batch(
+        self, rows: Any, columns: Any, potential: Float64, epsilon: float, precise: bool = False
+    ) -> Float64:
+        """Return the soft minima of many problems: `softmin` between the clouds of two batches.
+
+        Cloud b of the rows is summed over cloud b of the columns, for all b at once.
+
+        Parameters
+        ----------
+        rows, columns : batches of B clouds, of N and M points in all
+        potential : (M,) array, cost units
+        epsilon, precise
+            As in `softmin`.
+
+        Returns
+        -------
+        (N,) array, cost units
+        """
+
+    def bounded_softmin_batch(
+        self, rows: Any, columns: Any, potential: Float64, epsilon: float
+    ) -> tuple[Float64, Float64]:
+        """Return the soft minima of many problems with proven bounds of their rounding errors.
+
+        Parameters
+        ----------
+        rows, columns, potential, epsilon
+            As in `softmin_batch`.
+
+        Returns
+        -------
+        softmin : (N,) array, cost units
+        errors : (B,) array
+            As in `bounded_softmin`, a bound for each problem.
         """
 
     def near_pairs(

@@ -1,9 +1,11 @@
 """Estimate the rounding errors in the results of a backend."""
 
+from typing import Any
+
 from clmorph.backends.interface import Operations
 
 
-def rounding_error(operations: Operations, n_columns: int, largest: float, precise: bool) -> float:
+def rounding_error(operations: Operations, n_columns: Any, largest: Any, precise: bool) -> Any:
     """Return the rounding error that a log-sum-exp of `operations` may have, in nats.
 
     The estimate adds a few roundings of each term (8 units, the exponential's error included),
@@ -13,9 +15,9 @@ def rounding_error(operations: Operations, n_columns: int, largest: float, preci
     Parameters
     ----------
     operations : Operations
-    n_columns : int
+    n_columns : int, or an array of them
         Number of terms of each sum.
-    largest : float
+    largest : float, or an array of them
         The largest C / epsilon.
     precise : bool
         Whether exponents are formed in more than float32.

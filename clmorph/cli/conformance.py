@@ -13,6 +13,7 @@ from clmorph.backends.comparison import SIGNS_OF_WRONG_RESULTS, Finding, words_o
 from clmorph.backends.interface import Operations
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.kernel_files import KERNELS
+from clmorph.backends.verification.batches import check_softmin_batch
 from clmorph.backends.verification.clouds import CloudCase, splat_case
 from clmorph.backends.verification.plans import check_plan_rows, check_stored
 from clmorph.backends.verification.reductions import (
@@ -141,6 +142,8 @@ def _checks(operations: Operations) -> Iterator[Check]:
         kernels = (*KERNELS["sliced_ellpack.cl"], *_PLAN, *_NEAR * listed)
         yield Check(kernels, partial(check_stored, case, listed))
     yield Check(("log_sum_exp",), partial(check_offsets, case))
+    for kind in ((False, False), (True, False), (True, True)):
+        yield Check(("log_sum_exp",), partial(check_softmin_batch, operations, exact, 5, *kind))
     # Of a few rows so many draws are compared that a single column's share shows.
     few = CloudCase(operations, exact, (pair[0][0][:4], pair[0][1][:4]), pair[1], 0.0025)
     for precise in (False, True):

@@ -9,6 +9,7 @@ transport" (2019).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -186,20 +187,11 @@ def sinkhorn_divergence(
     >>> float(clmorph.sinkhorn_divergence(source, source, 0.1, 0.3, backend="numpy"))
     0.0
     """
-    given = regularization(blur, reach, epsilon, rho)
-    if isinstance(given.reach, tuple):
-        raise InputError(
-            f"reach={given.reach!r}: expected one number for both measures (or None); with two "
-            "there is no divergence"
-        )
+    given = one_regularization(blur, reach, epsilon, rho)
     tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
     report = check_progress(progress)
     pair = as_pair(source, target)
-    if pair[0].offsets is not None or pair[1].offsets is not None:
-        raise InputError(
-            "a cost with a metric for each source pixel is no distance, so there is no "
-            "divergence: use one metric for all pixels"
-        )
+    check_symmetric(*pair)
     if cross is not None:
         _check_cross(cross, *pair, given)
     operations = get_backend(backend)
@@ -211,7 +203,7 @@ def sinkhorn_divergence(
         problem = Problem.between(operations, measure, measure, given.rho, truncation)
         parts.append(_self_transport(problem, given, tol, max_iter, precision))
         report(0.15 * (number + 1))
-    if _are_equal(*pair):
+    if are_equal(*pair):
         cross = parts[0]
     elif cross is None:
         cross = sinkhorn(
@@ -220,13 +212,66 @@ def sinkhorn_divergence(
         )  # fmt: skip
     report(1.0)
 
+    return combined(cross, parts[0], parts[1], given)
+
+
+def one_regularization(blur: Any, reach: Any, epsilon: Any, rho: Any) -> Regularization:
+    """Return checked strengths, with one reach for both measures; see `regularization`.
+
+    Raises
+    ------
+    InputError
+        If a value cannot be used, or there are two.
+    """
+    given = regularization(blur, reach, epsilon, rho)
+    if isinstance(given.reach, tuple):
+        raise InputError(
+            f"reach={given.reach!r}: expected one number for both measures (or None); with two "
+            "there is no divergence"
+        )
+    return given
+
+
+def check_symmetric(*measures: AnyMeasure) -> None:
+    """Check that the cost of measures is a squared distance.
+
+    Raises
+    ------
+    InputError
+        If a measure has offsets.
+    """
+    if any(measure.offsets is not None for measure in measures):
+        raise InputError(
+            "a cost with a metric for each source pixel is no distance, so there is no "
+            "divergence: use one metric for all pixels"
+        )
+
+
+def combined(
+    cross: Potentials, source: Potentials, target: Potentials, given: Regularization
+) -> Divergence:
+    """Return the divergence that three solves prove.
+
+    Parameters
+    ----------
+    cross, source, target : Potentials
+        Of the problem between both measures, and of each measure with itself.
+    given : Regularization
+
+    Raises
+    ------
+    InputError
+        If no bound can be proven for a part of the result.
+    """
+    parts = source, target
     if not all(np.isfinite(part.gap) for part in (cross, *parts)):
         raise InputError(
             "the divergence has no bound: points are too far apart for this blur on this device, "
             "or the solver was stopped too far from a solution; raise blur or max_iter, scale the "
             "points, or use backend='numpy'"
         )
-    extra = 0.5 * given.epsilon * (pair[0].mass - pair[1].mass) ** 2
+    masses = cross.certificate.masses
+    extra = 0.5 * given.epsilon * (masses[0] - masses[1]) ** 2
     duals = [part.dual for part in (cross, *parts)]
     # S(a, b) (paper, 2.2; math: S)
     value = duals[0] - 0.5 * (duals[1] + duals[2]) + extra
@@ -250,7 +295,8 @@ def _check_cross(
         )
 
 
-def _are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
+def are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
+    """Return whether two measures have the same points and the same weights."""
     return np.array_equal(source.points, target.points) and np.array_equal(
         source.weights, target.weights
     )

@@ -6,14 +6,14 @@ import warnings
 
 import numpy as np
 
-from clmorph._shared.typing import Progress
+from clmorph._shared.typing import Array, Progress
 from clmorph._shared.validation import (
     check_flag,
     check_progress,
 )
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning
-from clmorph.measures.points import MeasureLike, as_pair
+from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver import geomloss as geomloss_schedule
 from clmorph.transport._solver.checks import (
     check_problem,
@@ -156,10 +156,46 @@ def sinkhorn(
     problem = Problem.between(operations, *pair, given.rho, None if method == "geomloss" else limit)
     if method == "geomloss":
         return _geomloss(problem, given, scaling, tol, precision, report)
-    iteration: Iteration | Multiscale
+    options = given, tol, max_iter, precision, report
+    return _warned(solve(problem, pair, *options, g=g, multiscale=multiscale, verify=verify))
+
+
+def _warned(potentials: Potentials) -> Potentials:
+    """Return potentials, and warn if they did not reach the tolerance."""
+    warn_unless_converged(potentials.status, potentials.message)
+    return potentials
+
+
+def solve(
+    problem: Problem,
+    pair: tuple[AnyMeasure, AnyMeasure],
+    given: Regularization,
+    tol: float,
+    max_iter: int,
+    precision: str,
+    report: Progress,
+    g: Array | None = None,
+    multiscale: bool | str = "auto",
+    verify: bool = False,
+) -> Potentials:
+    """Solve one problem by the certified iteration, without a warning.
+
+    Parameters
+    ----------
+    problem : Problem
+    pair : (source, target)
+        Its measures.
+    given : Regularization
+    g : (M,) array, optional
+        Potentials at which the iteration begins.
+    tol, max_iter, precision, report, multiscale, verify
+        Checked arguments of `sinkhorn`.
+    """
+    limit = problem.truncation
     options = given.blur, tol, max_iter, precision, report
     if multiscale == "auto":
-        multiscale = many and max_iter >= SHORT
+        multiscale = len(problem.a) * len(problem.b) >= MANY_PAIRS and max_iter >= SHORT
+    iteration: Iteration | Multiscale
     iteration = Multiscale(problem, pair, *options) if multiscale else Iteration(problem, *options)
     iteration.run(g)
     if verify and limit is not None:
@@ -206,25 +242,44 @@ def _geomloss(
 def _finish(
     iteration: Iteration | Multiscale, given: Regularization, truncation: float | None
 ) -> Potentials:
-    """Return the potentials, and warn if they did not reach the tolerance."""
+    """Return the potentials that the iteration has reached."""
     problem, state = iteration.problem, iteration.state
-    reached = f"residual {state.residual:.1e} epsilon"
-    missed = (
-        f"not converged after {iteration.n_iter} iterations: {reached}, wanted {iteration.tol:.1e}"
-    )
-    message = {
-        "converged": f"converged in {iteration.n_iter} iterations ({reached})",
-        "max_iter": f"{missed}; raise max_iter, or use a larger blur or a smaller reach",
-        "precision": f"{missed}; rounding can leave {iteration.rounding:.0e} here, so raise tol or "
-        "blur, or use " + ("precision='auto'" if iteration.precision == "float32" else "'numpy'"),
-    }[iteration.status]
-    warn_unless_converged(iteration.status, message)
+    message = outcome(
+        iteration.status, iteration.n_iter, state.residual, iteration.tol, iteration.rounding,
+        iteration.precision,
+    )  # fmt: skip
     return Potentials(
         state.f, state.g, given.blur, given.reach, iteration.status, message, iteration.n_iter,
         state.residual, np.array(iteration.residuals),
         problem.certificate(state.f, state.g, state.t_rows, state.t_columns, given.epsilon),
         iteration.precise, truncation, problem.error, problem.visited,
     )  # fmt: skip
+
+
+def outcome(
+    status: str, n_iter: int, residual: float, tol: float, rounding: float, precision: str
+) -> str:
+    """Return one line that reports how a solve ended and, if it did not converge, a remedy.
+
+    Parameters
+    ----------
+    status : {"converged", "max_iter", "precision"}
+    n_iter : int
+    residual, tol : float
+        Units of epsilon.
+    rounding : float
+        Largest residual that rounding alone can cause, in units of epsilon.
+    precision : str
+        Option of the solver.
+    """
+    reached = f"residual {residual:.1e} epsilon"
+    missed = f"not converged after {n_iter} iterations: {reached}, wanted {tol:.1e}"
+    return {
+        "converged": f"converged in {n_iter} iterations ({reached})",
+        "max_iter": f"{missed}; raise max_iter, or use a larger blur or a smaller reach",
+        "precision": f"{missed}; rounding can leave {rounding:.0e} here, so raise tol or "
+        "blur, or use " + ("precision='auto'" if precision == "float32" else "'numpy'"),
+    }[status]
 
 
 def warn_unless_converged(status: str, message: str) -> None:

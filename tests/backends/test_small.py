@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from exercise_kernels import exercise
 
-from clmorph import lift, morph, sinkhorn, sinkhorn_divergence
+from clmorph import lift, morph, sinkhorn, sinkhorn_batch, sinkhorn_divergence
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import (
     apply_quirks,
@@ -54,6 +54,17 @@ def test_a_solve(each_device):
     ours, theirs = (sinkhorn(source, target, backend=backend) for backend in (each_device, "numpy"))
     assert ours.converged
     assert np.abs(ours.f - theirs.f).max() <= 0.03 * ours.epsilon
+
+
+def test_solves_at_once(each_device):
+    measures = [lift(picture) for side in (3, 9, 4) for picture in pictures(side)]
+    ours, theirs = (
+        sinkhorn_batch(measures[::2], measures[1::2], backend=backend)
+        for backend in (each_device, "numpy")
+    )
+    assert ours.converged
+    for one, other in zip(ours, theirs, strict=True):
+        assert np.abs(one.f - other.f).max() <= 0.03 * one.epsilon
 
 
 def test_a_divergence(each_device):

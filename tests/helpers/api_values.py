@@ -176,6 +176,14 @@ def cases() -> dict[str, dict[str, Any]]:
         "sinkhorn_divergence": measures | STRENGTHS | SOLVER | {
             "backend": "numpy", "precision": "auto", "cross": None, "progress": Idle(),
         },
+        "sinkhorn_batch": STRENGTHS | SOLVER | {
+            "sources": [some["source"], some["plain"]], "targets": [some["target"], some["plain"]],
+            "backend": "numpy", "precision": "auto", "progress": Idle(),
+        },
+        "divergence_matrix": STRENGTHS | SOLVER | {
+            "measures": [some["source"], some["target"]], "backend": "numpy", "precision": "auto",
+            "progress": Idle(),
+        },
         "transport_plan": planned | {
             "relative": 1e-4, "relative_to": "rows", "log_threshold": None, "max_bytes": 1e9,
         },

@@ -344,6 +344,11 @@ def solver_names(names):
         **{"a": rng.random(90), "x": rng.random((90, 3))},
         **{"b": rng.random(70), "y": rng.random((70, 3))},
         **{"source": source, "target": target, "other": other},
+        **{"all_a": rng.random((4, 9)), "all_x": rng.random((4, 9, 3))},
+        **{"all_b": rng.random((4, 7)), "all_y": rng.random((4, 7, 3))},
+        "sources": [(rng.random(n), rng.random((n, 3))) for n in (5, 1, 8, 3)],
+        "targets": [(rng.random(n), rng.random((n, 3))) for n in (2, 6, 8, 1)],
+        "measures": [(rng.random(n), rng.random((n, 3))) for n in (5, 1, 8)],
     }
 
 

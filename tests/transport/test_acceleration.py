@@ -9,6 +9,7 @@ from plain import reference, sinkhorn
 
 import clmorph
 from clmorph.transport._solver.anderson import Anderson
+from clmorph.transport._solver.reductions import Segments
 
 
 def clouds(kind, rng):
@@ -109,20 +110,53 @@ def test_extrapolation_solves_a_linear_problem_at_once(rng):
     memory._trust_radius = 1e6
     for _ in range(9):
         image = matrix @ x + offset
-        guess = memory.extrapolate(x, image, np.ones(30))
-        x = image if guess is None else guess
+        x, _ = memory.extrapolate(x, image, np.ones(30))
     assert np.abs(x - solution).max() < 1e-6 * np.abs(solution).max()
     assert np.abs(np.linalg.matrix_power(matrix, 9) @ solution).max() > 0.1
 
 
 def test_an_extrapolation_keeps_its_length(rng):
     memory = Anderson()
-    assert memory.extrapolate(np.zeros(3), np.ones(3), np.ones(3)) is None
+    plain, found = memory.extrapolate(np.zeros(3), np.ones(3), np.ones(3))
+    assert not found
+    assert np.array_equal(plain, np.ones(3))
     # Hardly any change of the residual: the next iterates lie very far away.
-    guess = memory.extrapolate(np.ones(3), 2 - 1e-9 * np.ones(3), np.ones(3))
+    guess, found = memory.extrapolate(np.ones(3), 2 - 1e-9 * np.ones(3), np.ones(3))
+    assert found
     assert np.linalg.norm(guess - 2) == pytest.approx(32 * 3**0.5, rel=1e-6)
     memory.accepted()
-    longer = memory.extrapolate(guess, guess + 1 - 2e-9, np.ones(3))
+    longer, _ = memory.extrapolate(guess, guess + 1 - 2e-9, np.ones(3))
     assert np.linalg.norm(longer - guess) > 100
     memory.rejected()
-    assert memory.extrapolate(guess, guess + 1, np.ones(3)) is None
+    assert not memory.extrapolate(guess, guess + 1, np.ones(3))[1]
+
+
+@pytest.mark.parametrize("sizes", [(7, 1, 12), (9, 9, 9)])
+def test_many_memories_are_those_of_each_problem(rng, sizes):
+    """One problem begins anew at times, and one is taken out."""
+    maps = [rng.uniform(-0.5, 0.95, size) for size in sizes]
+    weights = [rng.random(size) + 0.5 for size in sizes]
+    many, alone = Anderson(Segments(np.array(sizes))), [Anderson() for _ in sizes]
+    x, numbers = [rng.random(size) for size in sizes], np.arange(3)
+    for step in range(30):
+        if step in (3, 9, 24):
+            many.rejected(numbers == 2)
+            alone[2].rejected()
+        elif step:
+            many.accepted(numbers != 2)
+            for number in numbers[:-1]:
+                alone[number].accepted()
+        if step == 20:
+            kept, left = np.array([0, 2]), Segments(np.array([sizes[0], sizes[2]]))
+            many.take(kept, Segments(np.array(sizes)).points_of(kept), left)
+            x, numbers = [x[0], x[2]], kept
+        images = [maps[number] * own + 1 for number, own in zip(numbers, x, strict=True)]
+        masses = [weights[number] for number in numbers]
+        got, found = many.extrapolate(*map(np.concatenate, (x, images, masses)))
+        want = [
+            alone[number].extrapolate(*given)
+            for number, *given in zip(numbers, x, images, masses, strict=True)
+        ]
+        assert found.tolist() == [bool(extrapolated) for _, extrapolated in want]
+        x = [guess for guess, _ in want]
+        assert np.allclose(got, np.concatenate(x), rtol=1e-5, atol=1e-7)

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.cancellation import check_cancelled
+from clmorph.backends.numpy.batches import Batch, divide, for_each
 from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
 from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
 from clmorph.backends.records import (
@@ -83,6 +84,43 @@ class NumPyOperations:
         size += float(np.abs(columns.log_weights[massive]).max())
         operations = (points.shape[1] + 12) * size + len(columns.points) + 8
         return softmin, operations * 2.0**-52
+
+    def upload_batch(
+        self,
+        points: Float64,
+        weights: Float64,
+        counts: NDArray[np.int64],
+        offsets: Float64 | None = None,
+    ) -> Batch:
+        """Upload the clouds of many problems."""
+        return divide(self.upload(points, weights, offsets), counts)
+
+    def take_batch(self, batch: Batch, problems: NDArray[np.int64]) -> Batch:
+        """Return a batch of some clouds of a batch."""
+        return Batch([batch.clouds[number] for number in problems])
+
+    def softmin_batch(
+        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float, precise: bool = False
+    ) -> Float64:
+        """Return the soft minima of many problems."""
+
+        def one(row: Cloud, column: Cloud, part: Float64) -> Float64:
+            return self.softmin(row, column, part, epsilon)
+
+        return np.concatenate(for_each(one, rows, columns, potential))
+
+    def bounded_softmin_batch(
+        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float
+    ) -> tuple[Float64, Float64]:
+        """Return the soft minima of many problems, and bounds of their rounding errors in nats."""
+        errors: list[float] = []
+
+        def one(row: Cloud, column: Cloud, part: Float64) -> Float64:
+            softmin, error = self.bounded_softmin(row, column, part, epsilon)
+            errors.append(error)
+            return softmin
+
+        return np.concatenate(for_each(one, rows, columns, potential)), np.array(errors)
 
     def near_pairs(
         self,

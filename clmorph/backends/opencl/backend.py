@@ -13,6 +13,7 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices.process import claim_opencl, device_lock
 from clmorph.backends.opencl.devices.quirks import shares_host_memory
 from clmorph.backends.opencl.devices.speed import probed_speed, record_key
+from clmorph.backends.opencl.kernels.batches import BatchLogSumExp
 from clmorph.backends.opencl.kernels.clouds import CloudStore
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
@@ -99,6 +100,7 @@ class OpenCLOperations:
         loop = RowLoop(self.work, self.constants, self.programs)
         clouds = CloudStore(self.work, self.constants.tile)
         log_sum_exp, near_field = LogSumExp(loop), NearField(loop)
+        batches = BatchLogSumExp(loop, log_sum_exp)
         plan_rows, plan_shares = PlanRowReductions(loop), PlanShares(loop)
         self.plan_row_reductions = plan_rows
         stored = SlicedEllpack(loop, plan_rows)
@@ -109,6 +111,10 @@ class OpenCLOperations:
         self.softmin = take_turns(log_sum_exp.softmin)
         self.bounded_softmin = take_turns(log_sum_exp.bounded_softmin)
         self.row_maxima = take_turns(log_sum_exp.row_maxima)
+        self.upload_batch = take_turns(batches.upload_batch)
+        self.take_batch = take_turns(batches.take_batch)
+        self.softmin_batch = take_turns(batches.softmin_batch)
+        self.bounded_softmin_batch = take_turns(batches.bounded_softmin_batch)
         self.near_pairs = take_turns(near_field.near_pairs)
         self.count_plan_rows = take_turns(plan_rows.count_plan_rows)
         self.plan_rows = take_turns(plan_rows.plan_rows)

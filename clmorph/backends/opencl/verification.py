@@ -13,6 +13,7 @@ from clmorph.backends.opencl.devices.verdicts import WRONG
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
 from clmorph.backends.opencl.kernels.splat import Splatting
+from clmorph.backends.verification.batches import check_softmin_batch
 from clmorph.backends.verification.clouds import LONG_ROW, few_rows, several_tiles, splat_case
 from clmorph.backends.verification.plans import check_plan_rows, check_stored
 from clmorph.backends.verification.reductions import (
@@ -88,6 +89,10 @@ def _check_log_sum_exp(operations: Adjustable, variant: Variant) -> _Checks:
     cases = [several_tiles(operations, exact, variant.dimension)]
     if not variant.listed:
         cases.append(few_rows(operations, exact, variant.dimension))
+    if variant.listed:
+        yield from check_softmin_batch(
+            operations, exact, variant.dimension, variant.precise, variant.bounded
+        )
     for case in cases:
         if variant.bounded:
             yield from check_bounded_softmin(case, variant.listed)

@@ -22,7 +22,8 @@ class SeveralDevices:
     Each device holds the whole cloud as columns, and its share of the points as rows. An operation
     runs on all devices at the same time, one thread a device, and its result has the caller's
     order. Particles are on one device, the one with the largest share, because
-    `clmorph.frames.spread` gives whole frames to devices.
+    `clmorph.frames.spread` gives whole frames to devices. So are batches of clouds, whose problems
+    are small.
 
     Parameters
     ----------
@@ -95,6 +96,9 @@ class SeveralDevices:
         self.sum_stored = plans.sum_stored
         lone = self.members[int(np.argmax(self.shares))]
         self.bin_size = lone.bin_size
+        self.upload_batch, self.take_batch = lone.upload_batch, lone.take_batch
+        self.softmin_batch = lone.softmin_batch
+        self.bounded_softmin_batch = lone.bounded_softmin_batch
         self.upload_particles = lone.upload_particles
         self.upload_splats = lone.upload_splats
         self.advect = lone.advect

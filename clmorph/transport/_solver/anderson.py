@@ -7,10 +7,12 @@ Krylov method. It needs no factor to be chosen, as over-relaxation does, and it 
 best factor where only a few modes are slow.
 """
 
+from typing import Any
+
 import numpy as np
 
-from clmorph._shared.typing import Array
-from clmorph.transport._solver.problem import inner
+from clmorph._shared.typing import Array, IntArray
+from clmorph.transport._solver.reductions import WHOLE, Reductions, Segments
 
 #: Number of stored iterates.
 MEMORY = 16
@@ -21,84 +23,152 @@ MIXING = 1.5
 TRUST_RADIUS, GROWTH, SHRINKAGE = 32.0, 4.0, 0.25
 #: Regularization of the least-squares problem, relative to its diagonal.
 RIDGE = 1e-10
+#: The least length of a step, which only keeps the quotient by it finite.
+TINY = float(np.finfo(float).tiny)
 
 
 class Anderson:
-    """Anderson acceleration, which stores the last iterates and combines them."""
+    """Anderson acceleration, which stores the last iterates and combines them.
 
-    def __init__(self) -> None:
-        self._trust_radius, self._was_cut = TRUST_RADIUS, False
+    With the reductions `Segments` it accelerates many problems, each with a memory and a trust
+    region of its own. Truth values then are arrays, one for each problem.
+
+    Parameters
+    ----------
+    of : Reductions
+    """
+
+    def __init__(self, of: Reductions = WHOLE) -> None:
+        self._of = of
+        self._trust_radius = np.full(of.shape, TRUST_RADIUS)
+        self._was_cut = np.zeros(of.shape, bool)
         self._begin()
 
     def _begin(self) -> None:
+        #: Whether the last iterate is stored.
+        self._begun: Any = np.zeros(self._of.shape, bool)
         self._weights: Array | None = None
         self._image: Array | None = None
         self._residual: Array | None = None
         # Differences between successive iterates: those of the images plus the mixed share of the
-        # residuals, those of the residuals, and the inner products of the latter.
-        self._ahead: list[Array] = []
-        self._residuals: list[Array] = []
-        self._products = np.zeros((0, 0))
+        # residuals, those of the residuals, and the inner products of the latter. The oldest ones
+        # are overwritten. A problem has not stored all of them since it began anew.
+        self._ahead = self._residuals = np.zeros((0, 0))
+        self._next = 0
+        self._products = np.zeros((*self._of.shape, MEMORY, MEMORY))
+        self._stored = np.zeros((*self._of.shape, MEMORY), bool)
 
-    def accepted(self) -> None:
+    def accepted(self, which: Any = True) -> None:
         """Enlarge the trust region if it limited the last extrapolation, which was good."""
-        if self._was_cut:
-            self._trust_radius *= GROWTH
+        grown = self._trust_radius * GROWTH
+        self._trust_radius = np.where(which & self._was_cut, grown, self._trust_radius)
 
-    def rejected(self) -> None:
+    def rejected(self, which: Any = True) -> None:
         """Shrink the trust region after a bad extrapolation, and forget all iterates."""
-        self._trust_radius = max(1.0, SHRINKAGE * self._trust_radius)
-        self._begin()
+        shrunk = np.maximum(1.0, SHRINKAGE * self._trust_radius)
+        self._trust_radius = np.where(which, shrunk, self._trust_radius)
+        if np.all(which):
+            self._begin()
+            return
+        self._begun = self._begun & ~which
+        self._stored[which] = False
 
-    def extrapolate(self, x: Array, image: Array, weights: Array) -> Array | None:
-        """Store x and G(x) and return a better next iterate than G(x).
+    def take(self, problems: IntArray, points: IntArray, of: Segments) -> None:
+        """Go on with some of the problems.
+
+        Parameters
+        ----------
+        problems, points : arrays of int
+            Indices of the problems, and of their points.
+        of : Segments
+            The reductions over these.
+        """
+        self._of = of
+        self._trust_radius = self._trust_radius[problems]
+        self._was_cut = self._was_cut[problems]
+        self._begun, self._stored = self._begun[problems], self._stored[problems]
+        self._products = self._products[problems]
+        count = min(self._next, MEMORY)
+        before = self._ahead, self._residuals
+        if count:
+            self._ahead, self._residuals = (np.empty((MEMORY, len(points))) for _ in range(2))
+            for kept, each in zip((self._ahead, self._residuals), before, strict=True):
+                kept[:count] = each[:count, points]
+        if self._image is not None and self._residual is not None and self._weights is not None:
+            self._image, self._residual = self._image[points], self._residual[points]
+            self._weights = self._weights[points]
+
+    def extrapolate(
+        self, x: Array, image: Array, weights: Array, which: Any = True
+    ) -> tuple[Array, Any]:
+        """Store the iterate x with its image G(x), and return the next iterate.
 
         Parameters
         ----------
         x, image : (n,) arrays
         weights : (n,) array
-            Weights of the inner product; only those of the first iterate are used.
+            Weights of the inner product; only those of a problem's first iterate are used.
+        which : bool
+            The problems whose iterates these are; others begin anew with their next iterate.
 
         Returns
         -------
-        (n,) array or None
-            The next iterate; None until two iterates are stored.
+        (n,) array
+            The next iterate.
+        bool
+            Whether it was extrapolated, for which two iterates must be stored; else it is `image`.
         """
-        residual = image - x
+        of, residual = self._of, image - x
+        begun, which = self._begun, np.broadcast_to(which, of.shape)
+        self._begun = which
         if self._image is None or self._residual is None or self._weights is None:
             self._image, self._residual, self._weights = image, residual, weights
-            return None
+            return image, np.zeros(of.shape, bool)
+        if not np.all(begun):
+            self._weights = np.where(of.spread(begun), self._weights, weights)
         weights = self._weights
-        self._remember(image - self._image, residual - self._residual, weights)
+        self._remember(image - self._image, residual - self._residual, weights, begun & which)
         self._image, self._residual = image, residual
-        scale = np.sqrt(np.diag(self._products))
-        if not np.all(scale > 0):
-            return None
-        right = np.array([inner(d, weights * residual) for d in self._residuals])
-        normal = self._products / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
-        coefficients = np.linalg.solve(normal, right / scale) / scale
+        coefficients, found = self._coefficients(residual, weights)
+        found = found & which
+        if not np.any(found):
+            return image, found
         step = (MIXING - 1) * residual
-        for c, ahead in zip(coefficients, self._ahead, strict=True):
-            step -= c * ahead
-        longest = self._trust_radius * _norm(residual, weights)
-        length = _norm(step, weights)
-        self._was_cut = length > longest
-        return image + (longest / length if self._was_cut else 1.0) * step
+        step -= of.combined(coefficients, self._ahead[: coefficients.shape[-1]])
+        longest = self._trust_radius * _norm(of, residual, weights)
+        length = _norm(of, step, weights)
+        self._was_cut = found & (length > longest)
+        factor = found * np.minimum(1.0, longest / np.maximum(length, TINY))
+        return image + of.scaled(factor, step), found
 
-    def _remember(self, of_image: Array, of_residual: Array, weights: Array) -> None:
-        self._ahead.append(of_image + (MIXING - 1) * of_residual)
-        self._residuals.append(of_residual)
-        weighted = of_residual * weights
-        row = np.array([inner(weighted, other) for other in self._residuals])
-        size = len(row)
-        products = np.empty((size, size))
-        products[:-1, :-1] = self._products
-        products[-1], products[:, -1] = row, row
-        if size > MEMORY:
-            del self._ahead[0], self._residuals[0]
-            products = products[1:, 1:]
-        self._products = products
+    def _coefficients(self, residual: Array, weights: Array) -> tuple[Array, Any]:
+        """Return the coefficients of the stored differences, and whether they are determined."""
+        count = min(self._next, MEMORY)
+        right = self._of.inner_each(self._residuals[:count], weights * residual)
+        stored = self._stored[..., :count]
+        products = self._products[..., :count, :count]
+        squares = np.diagonal(products, axis1=-2, axis2=-1)
+        positive = stored & (squares > 0)
+        found = (positive == stored).all(axis=-1) & stored.any(axis=-1)
+        scale = np.sqrt(np.where(positive, squares, 1.0))
+        normal = products / (scale[..., :, None] * scale[..., None, :])
+        # Products with what is not stored are 0, so such coefficients are 0.
+        normal += (1 + RIDGE - normal) * np.eye(count)
+        right = stored * right / scale
+        return np.linalg.solve(normal, right[..., None])[..., 0] / scale, found
+
+    def _remember(self, of_image: Array, of_residual: Array, weights: Array, stored: Any) -> None:
+        place, self._next = self._next % MEMORY, self._next + 1
+        if place == 0 and not self._residuals.size:
+            self._ahead, self._residuals = (np.empty((MEMORY, len(of_image))) for _ in range(2))
+        self._ahead[place] = of_image + (MIXING - 1) * of_residual
+        self._residuals[place] = of_residual
+        self._stored[..., place] = stored
+        count = min(self._next, MEMORY)
+        row = self._of.inner_each(self._residuals[:count], of_residual * weights)
+        row *= self._stored[..., :count] & np.asarray(stored)[..., None]
+        self._products[..., place, :count] = self._products[..., :count, place] = row
 
 
-def _norm(x: Array, weights: Array) -> float:
-    return float(np.sqrt(inner(x * weights, x)))
+def _norm(of: Reductions, x: Array, weights: Array) -> Any:
+    return np.sqrt(of.inner(x * weights, x))

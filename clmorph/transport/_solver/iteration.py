@@ -7,20 +7,21 @@ blur, and the limit is that of the plain iteration.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from clmorph._shared.progress import Share
 from clmorph._shared.typing import Array
 from clmorph.transport._solver.anderson import Anderson
-from clmorph.transport._solver.problem import Problem, inner
+from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.state import (
     ROUNDING_MARGIN,
     State,
     measured,
     needs_more,
     share_done,
+    slack_of,
 )
 
 #: Factor between the blurs of the annealing.
@@ -119,7 +120,9 @@ class Iteration:
     def run(self, start: Array | None) -> None:
         """Iterate from potentials g, or from the largest blur of the annealing."""
         g = np.zeros(len(self.problem.b)) if start is None else start
-        levels = [] if start is not None else self._levels()
+        levels = []
+        if start is None:
+            levels = annealing(self.problem, self._blur, self.problem.largest_cost, self._max_iter)
         self._level_share = 1.0 / (len(levels) + 3)
         before: tuple[float, Array] | None = None
         for number, level in enumerate(levels):
@@ -144,19 +147,6 @@ class Iteration:
         self._reported = max(self._reported, share)
         note = f"residual {self.residuals[-1]:.0e} of {self.tol:.0e}" if self.residuals else ""
         self._report(Share(self._reported, note))
-
-    def _levels(self) -> list[float]:
-        """Return the blurs of the annealing, falling, without the last one."""
-        slowest = np.prod(self.problem.damping(self._blur**2))
-        if slowest <= EASY or self._max_iter < SHORT:
-            return []
-        top = TOP * np.sqrt(2 * self.problem.largest_cost)
-        level = self._blur / ANNEALING
-        levels: list[float] = []
-        while level < top and len(levels) < self._max_iter // 8:
-            levels.append(level)
-            level /= ANNEALING
-        return levels[::-1]
 
     def _last_level(self, g: Array) -> None:
         """Iterate in float32 as far as its rounding allows, then with better exponents."""
@@ -245,8 +235,7 @@ class Iteration:
             if fallback is not None:
                 mass = float(problem.row_mass(f, t_rows, epsilon).sum())
                 dual = problem.dual(f, g_shifted, mass, epsilon)
-                slack = 1e-12 * abs(floor) + 1e-2 * rounding * epsilon * mass
-                slack += problem.left_out * epsilon * mass
+                slack = slack_of(problem, floor, rounding, mass, epsilon)
                 if not dual >= floor - slack:
                     g, fallback = fallback, None
                     memory.rejected()
@@ -272,12 +261,56 @@ class Iteration:
             column_mass = problem.column_mass(image, t_columns, epsilon)
             floor = problem.dual(f, image, float(column_mass.sum()), epsilon)
             # An extrapolation can cost one softmin more, which the limit must allow.
-            guess = None
+            fallback = None
             if self.n_iter + 1 < limit and self._max_iter >= SHORT:
-                guess = memory.extrapolate(g, image, column_mass)
-            if guess is not None and not any(problem.inverse_rho):
-                # Balanced potentials are unique only up to a constant. Nothing bounds an
-                # extrapolation along it, and at a large constant float64 loses the other digits.
-                mean = inner(column_mass, guess - image) / float(column_mass.sum())
-                guess = guess - mean
-            g, fallback = (image, None) if guess is None else (guess, image)
+                guess, extrapolated = memory.extrapolate(g, image, column_mass)
+                if extrapolated:
+                    g, fallback = without_drift(problem, guess, image, column_mass), image
+            if fallback is None:
+                g = image
+
+
+def annealing(problem: Problem, blur: float, largest_cost: float, max_iter: int) -> list[float]:
+    """Return the blurs of the annealing, falling, without the last one.
+
+    Parameters
+    ----------
+    problem : Problem
+    blur : float
+        The last blur.
+    largest_cost : float
+        Upper bound of the cost.
+    max_iter : int
+    """
+    slowest = np.prod(problem.damping(blur**2))
+    if slowest <= EASY or max_iter < SHORT:
+        return []
+    top = top_blur(largest_cost)
+    level = blur / ANNEALING
+    levels: list[float] = []
+    while level < top and len(levels) < max_iter // 8:
+        levels.append(level)
+        level /= ANNEALING
+    return levels[::-1]
+
+
+def top_blur(largest_cost: Any) -> Any:
+    """Return the blur below which the annealing begins, by the largest cost."""
+    return TOP * np.sqrt(2 * largest_cost)
+
+
+def without_drift(problem: Problem, guess: Array, image: Array, column_mass: Array) -> Array:
+    """Return extrapolated potentials without the constant that they have added to the image.
+
+    Balanced potentials are unique only up to a constant. Nothing bounds an extrapolation along it,
+    and at a large constant float64 loses the other digits.
+
+    Parameters
+    ----------
+    problem : Problem
+    guess, image, column_mass : (M,) arrays
+    """
+    if any(problem.inverse_rho):
+        return guess
+    of = problem.of_columns
+    return guess - of.spread(of.inner(column_mass, guess - image) / of.sum(column_mass))

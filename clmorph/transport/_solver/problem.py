@@ -7,6 +7,12 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
 from clmorph.measures.points import AnyMeasure
+from clmorph.transport._solver.reductions import (
+    WHOLE,
+    Reductions,
+    largest_size,
+    log_sum_exp,
+)
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.certificate import (
     MAX_EXPONENT,
@@ -21,6 +27,9 @@ from clmorph.transport.certificate import (
 class Problem:
     """Unbalanced entropic transport between two measures, at any epsilon.
 
+    With the reductions `Segments` it is many problems (`_solver.batch`): vectors then hold the
+    points of all problems, and where a number is described, an array holds one for each problem.
+
     Parameters
     ----------
     to_rows, to_columns : Softmin
@@ -31,26 +40,29 @@ class Problem:
         Marginal penalties, cost units; infinity is balanced.
     largest_cost : float
         An upper bound of the cost.
+    reductions : (Reductions of the rows, Reductions of the columns)
     """
 
     def __init__(
         self,
-        to_rows: Softmin,
-        to_columns: Softmin,
+        to_rows: Any,
+        to_columns: Any,
         weights: tuple[Array, Array],
         rho: tuple[float, float],
-        largest_cost: float,
+        largest_cost: Any,
+        reductions: tuple[Reductions, Reductions] = (WHOLE, WHOLE),
     ) -> None:
         self.to_rows, self.to_columns = to_rows, to_columns
         self.a, self.b = weights
         with np.errstate(divide="ignore"):
             self.log_a, self.log_b = np.log(self.a), np.log(self.b)
+        self.of_rows, self.of_columns = self.reductions = reductions
         self.rho, self.largest_cost = rho, largest_cost
         #: Bounds of |C_ij - C_kj| over rows i, k, and of |C_ij - C_il| over columns j, l.
-        self.oscillations = largest_cost, largest_cost
+        self.oscillations: tuple[Any, Any] = largest_cost, largest_cost
         #: 1 / rho, 0 if balanced: with it one infinite rho is harmless.
         self.inverse_rho = tuple(0.0 if np.isinf(value) else 1.0 / value for value in rho)
-        self.masses = float(self.a.sum()), float(self.b.sum())
+        self.masses = self.of_rows.sum(self.a), self.of_columns.sum(self.b)
         self.n_softmin = 0
 
     @classmethod
@@ -146,12 +158,16 @@ class Problem:
         """Share of all pairs that the last softmins summed, as a mean over both softmins."""
         return 0.5 * (self.to_rows.visited + self.to_columns.visited)
 
-    def rounding(self, epsilon: float, precise: bool) -> float:
+    def rounding(self, epsilon: float, precise: bool) -> Any:
         """Return the largest effect of rounding on a softmin, in nats."""
-        return max(
+        return self._larger(
             self.to_rows.rounding(len(self.b), self.largest_cost, epsilon, precise),
             self.to_columns.rounding(len(self.a), self.largest_cost, epsilon, precise),
         )
+
+    def _larger(self, one: Any, other: Any) -> Any:
+        """Return the larger one of two numbers of each problem."""
+        return np.maximum(one, other) if self.of_rows.shape else max(one, other)
 
     def update_f(self, g: Array, t_rows: Array, epsilon: float) -> tuple[Array, Array, Array]:
         """Maximize the dual over all (f, g + s), given T(g): return f, g + s and its softmin.
@@ -161,17 +177,17 @@ class Problem:
         Vialard, Peyré, "Faster unbalanced optimal transport: translation invariant Sinkhorn and 1-D
         Frank-Wolfe" (2022).
         """
-        s = self._shift(self.log_a, t_rows, 0, self.log_b, g, epsilon)
-        return self.damping(epsilon)[0] * (t_rows - s), g + s, t_rows - s
+        s = self._shift(t_rows, 0, g, epsilon)
+        t_rows = t_rows - self.of_rows.spread(s)
+        return self.damping(epsilon)[0] * t_rows, g + self.of_columns.spread(s), t_rows
 
     def update_g(self, f: Array, t_columns: Array, epsilon: float) -> tuple[Array, Array, Array]:
         """Maximize the dual over all (f + s, g), given T(f): return g, f + s and its softmin."""
-        s = self._shift(self.log_b, t_columns, 1, self.log_a, f, epsilon)
-        return self.damping(epsilon)[1] * (t_columns - s), f + s, t_columns - s
+        s = self._shift(t_columns, 1, f, epsilon)
+        t_columns = t_columns - self.of_columns.spread(s)
+        return self.damping(epsilon)[1] * t_columns, f + self.of_rows.spread(s), t_columns
 
-    def _shift(
-        self, log_new: Array, softmin: Array, side: int, log_old: Array, old: Array, epsilon: float
-    ) -> float:
+    def _shift(self, softmin: Array, side: int, old: Array, epsilon: float) -> Any:
         """Return the best s for `old` + s, if the other potential follows by its half-step.
 
         (math: translation invariance)
@@ -181,8 +197,9 @@ class Problem:
         old_rate = self.inverse_rho[1 - side]
         if new_rate + old_rate == 0.0:
             return 0.0
-        excess = _log_sum_exp(log_old - old * old_rate)
-        excess -= _log_sum_exp(log_new - softmin * new_rate)
+        logarithms = self.log_a, self.log_b
+        excess = log_sum_exp(self.reductions[1 - side], logarithms[1 - side] - old * old_rate)
+        excess = excess - log_sum_exp(self.reductions[side], logarithms[side] - softmin * new_rate)
         return excess / (new_rate + old_rate)
 
     def bounded_softmins(self, f: Array, g: Array, epsilon: float) -> tuple[Array, Array]:
@@ -190,27 +207,24 @@ class Problem:
         t_rows = self.to_rows(g, epsilon, bounded=True)
         return t_rows, self.to_columns(f, epsilon, bounded=True)
 
-    def residual(
-        self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float
-    ) -> float:
+    def residual(self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float) -> Any:
         """Return max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon over points of positive mass.
 
         (math: residual) The softmins must be those computed last: the pairs that they left out are
         part of the result, and after `bounded_softmins` so is their rounding.
         """
         residuals = []
-        for side, damping in zip(
-            self._sides(f, g, t_rows, t_columns), self.damping(epsilon), strict=True
-        ):
-            massive = side.weights > 0
-            potential, softmin = side.potential[massive], side.softmin[massive]
+        sides = self._sides(f, g, t_rows, t_columns)
+        for side, damping, of in zip(sides, self.damping(epsilon), self.reductions, strict=True):
+            potential, softmin, massive = side.potential, side.softmin, side.weights > 0
             # Pairs left out can only make the sums behind the softmins smaller.
-            residual = float(np.abs(potential - damping * softmin).max()) / epsilon + side.left_out
-            if side.roundoff:
-                size = float(np.abs(potential).max() + np.abs(softmin).max()) / epsilon
-                residual += side.roundoff + STEPS_ERROR * size
+            residual = largest_size(of, potential - damping * softmin, massive) / epsilon
+            residual = residual + side.left_out
+            if np.any(side.roundoff):
+                size = largest_size(of, potential, massive) + largest_size(of, softmin, massive)
+                residual = residual + side.roundoff + STEPS_ERROR * size / epsilon
             residuals.append(residual)
-        return max(residuals)
+        return self._larger(*residuals)
 
     def row_mass(self, f: Array, t_rows: Array, epsilon: float) -> Array:
         """Return the first marginal of the plan of (f, g), given T(g) (math: plan, Eq. 2)."""
@@ -220,22 +234,22 @@ class Problem:
         """Return the second marginal of the plan of (f, g), given T(f) (math: plan, Eq. 2)."""
         return marginal(self.b, self.log_b, g, t_columns, epsilon)
 
-    def dual(self, f: Array, g: Array, plan_mass: float, epsilon: float) -> float:
+    def dual(self, f: Array, g: Array, plan_mass: Any, epsilon: float) -> Any:
         """Return D(f, g) without its constant epsilon m_a m_b, given the mass of its plan.
 
         (paper, 2.1; math: dual) Where masses are large, adding the constant would lose digits.
         """
         value = -epsilon * plan_mass
-        for potential, weights, inverse in (
-            (f, self.a, self.inverse_rho[0]),
-            (g, self.b, self.inverse_rho[1]),
+        for of, potential, weights, inverse in (
+            (self.of_rows, f, self.a, self.inverse_rho[0]),
+            (self.of_columns, g, self.b, self.inverse_rho[1]),
         ):
             if inverse:
                 # rho (1 - exp(-f / rho)), without the cancellation at large rho
                 scaled = np.minimum(-potential * inverse, MAX_EXPONENT)
-                value -= inner(weights, np.expm1(scaled)) / inverse
+                value = value - of.inner(weights, np.expm1(scaled)) / inverse
             else:
-                value += inner(weights, potential)
+                value = value + of.inner(weights, potential)
         return value
 
     def certificate(
@@ -256,22 +270,13 @@ class Problem:
         return rows, columns
 
 
-def inner(x: Array, y: Array) -> float:
-    """Return the inner product of two vectors, in this thread.
-
-    A BLAS that uses several threads lets them spin for a while afterwards, on the cores that the
-    next kernel of a CPU device needs; this made solves a quarter slower.
-    """
-    return float(np.einsum("i,i", x, y))
-
-
 def largest_cost(x: Array, y: Array) -> float:
     """Return a bound of the cost |X - Y|^2 / 2, from the joint bounding box (paper, Eq. 1)."""
     low = np.minimum(x.min(axis=0), y.min(axis=0))
     high = np.maximum(x.max(axis=0), y.max(axis=0))
-    return float(0.5 * np.sum((high - low) ** 2))
+    return float(cost_across(low, high))
 
 
-def _log_sum_exp(values: Array) -> float:
-    largest = values.max()
-    return float(largest + np.log(np.sum(np.exp(values - largest))))
+def cost_across(low: Array, high: Array) -> Any:
+    """Return the cost |X - Y|^2 / 2 of opposite corners of boxes, (..., D) arrays."""
+    return 0.5 * np.sum((high - low) ** 2, axis=-1)

@@ -195,7 +195,12 @@ def _finite(softmin: Array) -> Array:
     """Return a softmin if it is finite; values in the range of float64 can overflow in float32."""
     if np.all(np.isfinite(softmin)):
         return softmin
-    raise InputError(
-        "points are too far apart for this blur on this device, whose float32 overflows: raise "
+    raise overflow("points")
+
+
+def overflow(name: str) -> InputError:
+    """Return the error for points, which `name` names, that are too far apart for float32."""
+    return InputError(
+        f"{name} are too far apart for this blur on this device, whose float32 overflows: raise "
         "blur, scale the points, or use backend='numpy'"
     )

@@ -1,6 +1,6 @@
 """Shared parts of the solvers `Iteration` and `Multiscale`: state, precision, progress."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,25 @@ def measured(problem: Problem, f: Array, g: Array, epsilon: float) -> State:
     return State(f, g, *softmins, problem.residual(f, g, *softmins, epsilon))
 
 
+def slack_of(problem: Problem, floor: Any, rounding: Any, mass: Any, epsilon: float) -> Any:
+    """Return by how much rounding and truncation can make a dual seem to have fallen.
+
+    Parameters
+    ----------
+    problem : Problem
+    floor : float
+        The dual that was reached before.
+    rounding : float
+        Largest residual that rounding alone can cause, in units of epsilon.
+    mass : float
+        Mass of the plan.
+    epsilon : float
+        Cost units.
+    """
+    slack = 1e-12 * abs(floor) + 1e-2 * rounding * epsilon * mass
+    return slack + problem.left_out * epsilon * mass
+
+
 def share_done(first: float, residual: float, tol: float) -> float:
     """Return the share of the work that is done, if residuals fall geometrically.
 
@@ -50,7 +69,7 @@ def share_done(first: float, residual: float, tol: float) -> float:
     return float(np.clip(np.log(first / residual) / np.log(first / tol), 0.0, 1.0))
 
 
-def needs_more(problem: Problem, precision: str, epsilon: float, tol: float) -> bool:
+def needs_more(problem: Problem, precision: str, epsilon: float, tol: float) -> Any:
     """Return whether a tolerance needs exponents better than float32 and `precision` allows them.
 
     Parameters

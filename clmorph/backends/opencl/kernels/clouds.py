@@ -64,6 +64,8 @@ class Cloud:
     centers_buffer : (tiles, D) float32
     box : (2, D) array
         Smallest and largest coordinates.
+    planes : (2, D, stride) float32 array, or None
+        The content of `shifts_buffer`, where it is kept.
     """
 
     order: NDArray[np.intp]
@@ -76,6 +78,7 @@ class Cloud:
     shifts_buffer: cl.Buffer
     centers_buffer: cl.Buffer
     box: Float64
+    planes: NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return len(self.order)

@@ -1,11 +1,14 @@
 """The log-sum-exp of ``cl_kernels/log_sum_exp.cl``: soft minima and the rows' maxima."""
 
+from typing import Any
+
 import numpy as np
 import pyopencl as cl
 
-from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64, NearPairs
 
 #: Relative errors of an operation, and of a power of two, in pairs of float32.
@@ -63,25 +66,20 @@ class LogSumExp:
     def _error_bound(
         self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
     ) -> float:
-        """Return the bound of `bounded_softmin` in nats, with every rounding error at its largest.
-
-        An exponent is a sum of products no larger than `size`, formed in 3 D + 6 operations from
-        numbers that pairs of float32 hold to 2^-49. The constant of a row is at most `of_row`
-        and is formed in float64. See ``cl_kernels/sums.cl`` for powers and additions.
-        """
-        k, n_tiles, dimension = LOG2_E / epsilon, len(columns.centers), columns.centers.shape[1]
-        constants = self._loop.constants
-        operation, power = (2.0**-53, 2.0**-44) if constants.precise == 2 else PAIRS_ERRORS
+        """Return the bound of `bounded_softmin` in nats."""
+        k = LOG2_E / epsilon
         low = np.minimum(rows.box[0], columns.box[0])
         high = np.maximum(rows.box[1], columns.box[1])
-        costs = 0.5 * k * float(np.sum((high - low) ** 2))
         values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
         values = values[columns.log2_weights > 0.5 * SENTINEL]
-        size = 8 * costs + 2 * float(np.ptp(values))
-        of_row = costs + float(np.abs(values).max()) + k * float(np.abs(rows.offsets).max())
-        exponents = size * ((3 * dimension + 6) * operation + 2.0**-47) + 2.0**-49 * of_row
-        sums = power + (constants.tile + n_tiles) * operation + 2.0**-46
-        return float(np.log(2) * exponents + sums)
+        largest = float(np.abs(values).max()) + k * float(np.abs(rows.offsets).max())
+        costs = 0.5 * k * float(np.sum((high - low) ** 2))
+        return float(
+            rounding_bound(
+                self._loop.constants, columns.centers.shape[1], costs, float(np.ptp(values)),
+                largest, len(columns.centers),
+            )
+        )  # fmt: skip
 
     def row_maxima(
         self,
@@ -105,16 +103,28 @@ class LogSumExp:
         near: NearPairs | None = None,
         bounded: bool = False,
     ) -> tuple[Float64, Float64, Float64]:
+        pairs = None if near is None else near.pairs
+        return self.of_sorted(rows, columns, potential, epsilon, precise, pairs, bounded)
+
+    def of_sorted(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        potential: Float64,
+        epsilon: float,
+        precise: bool,
+        pairs: TilePairs | None = None,
+        bounded: bool = False,
+    ) -> tuple[Float64, Float64, Float64]:
         """Return maximum, sum and offset of every sorted row.
 
         The row's log-sum-exp, to base 2, is maximum + offset + log2(sum).
         """
-        pairs = None if near is None else near.pairs
         loop, tile = self._loop, self._loop.constants.tile
         kernel = loop.kernel(
             "log_sum_exp.cl", "log_sum_exp", rows, precise, pairs is not None, bounded
         )
-        exponents = loop.exponents(rows, columns, potential, epsilon, pairs)
+        exponents = loop.exponents(rows, columns, potential, epsilon, pairs, precise=precise)
         shares = loop.column_shares(rows, columns, pairs)
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
         for part in loop.parts(kernel, rows, columns, pairs=pairs, shares=shares):
@@ -130,9 +140,46 @@ class LogSumExp:
             for values, buffer in zip((found, planes), buffers, strict=True):
                 cl.enqueue_copy(loop.work.queue, values, buffer)
             section = slice(part.start * tile, part.stop * tile)
+            if shares == 1 and not bounded:
+                maxima[section], sums[section] = found[0], planes[0, 0]
+                continue
             of_shares = planes.astype(float).sum(axis=0)
             m = found.max(axis=0).astype(float)
             maxima[section] = m
             sums[section] = np.sum(of_shares * np.exp2(found - m), axis=0)
         n = len(rows)
         return maxima[:n], sums[:n], loop.row_offsets(rows, exponents)
+
+
+def rounding_bound(
+    constants: BuildConstants,
+    dimension: int,
+    costs: Any,
+    spread: Any,
+    largest: Any,
+    n_tiles: Any,
+) -> Any:
+    """Return a bound of a log-sum-exp in nats, with every rounding error at its largest.
+
+    An exponent is a sum of products no larger than `size`, formed in 3 D + 6 operations from
+    numbers that pairs of float32 hold to 2^-49. The constant of a row is at most `of_row`
+    and is formed in float64. See ``cl_kernels/sums.cl`` for powers and additions.
+
+    Parameters
+    ----------
+    constants : BuildConstants
+    dimension : int
+        Dimension of the points.
+    costs : float, or an array of them
+        k times the largest cost.
+    spread, largest : float
+        Range of k g_j + log2 b_j over the columns with mass, and their largest absolute value, with
+        the rows' offsets added.
+    n_tiles : int
+        Number of column tiles.
+    """
+    operation, power = (2.0**-53, 2.0**-44) if constants.precise == 2 else PAIRS_ERRORS
+    size, of_row = 8 * costs + 2 * spread, costs + largest
+    exponents = size * ((3 * dimension + 6) * operation + 2.0**-47) + 2.0**-49 * of_row
+    sums = power + (constants.tile + n_tiles) * operation + 2.0**-46
+    return np.log(2) * exponents + sums

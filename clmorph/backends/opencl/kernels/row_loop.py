@@ -72,9 +72,12 @@ class RowLoop:
         return self._kernels[variant][name]
 
     def column_logits(
-        self, columns: Cloud, potential: Float64, k: float
+        self, columns: Cloud, potential: Float64, k: float, precise: bool = True
     ) -> tuple[cl.Buffer, Float64]:
-        """Split k g + log2 b into each tile's maximum (float64) and the rest (on the device)."""
+        """Split k g + log2 b into each tile's maximum (float64) and the rest (on the device).
+
+        Only kernels with precise exponents read what float32 rounds off.
+        """
         values = pad(
             (potential[columns.order] - columns.offsets) * k + columns.log2_weights,
             columns.stride,
@@ -83,7 +86,7 @@ class RowLoop:
         values[values < 0.5 * SENTINEL] = SENTINEL
         tile_max = values.max(axis=1)
         logits = np.where(values == SENTINEL, SENTINEL, values - tile_max[:, None])
-        return self.work.buffer(split(logits)), tile_max
+        return self.work.buffer(split(logits) if precise else logits), tile_max
 
     def exponents(
         self,
@@ -93,6 +96,7 @@ class RowLoop:
         epsilon: float,
         pairs: TilePairs | None = None,
         within: range | None = None,
+        precise: bool = True,
     ) -> Exponents:
         """Return the terms of the rows' exponents, over all pairs of tiles or the listed ones.
 
@@ -104,9 +108,11 @@ class RowLoop:
         pairs : TilePairs, optional
         within : range, optional
             The row tiles that are needed; all if not given.
+        precise : bool
+            Whether a kernel with precise exponents may use them.
         """
         k = LOG2_E / epsilon
-        logits, tile_max = self.column_logits(columns, potential, k)
+        logits, tile_max = self.column_logits(columns, potential, k, precise)
         row_level = np.zeros(len(rows.centers))
         within = within or range(len(row_level))
         each = len(tile_max) if pairs is None else -(-len(pairs.tiles) // len(within))

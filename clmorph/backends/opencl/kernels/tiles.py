@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 PLACE_BITS, POINT_BITS = 20, 24
 
 
-def tile_order(points: NDArray[np.float64], size: int) -> NDArray[np.intp]:
+def tile_order(
+    points: NDArray[np.float64], size: int, counts: NDArray[np.int64] | None = None
+) -> NDArray[np.intp]:
     """Sort points so that each run of `size` consecutive ones is compact.
 
     Segments are halved along their longest side, at a multiple of `size` so that only
@@ -23,6 +25,9 @@ def tile_order(points: NDArray[np.float64], size: int) -> NDArray[np.intp]:
         Coordinates of at most 2^24 points.
     size : int
         Points of one tile.
+    counts : (B,) array, optional
+        Numbers of points of clouds that stand one after the other, at least 1 each and at most
+        2^18 clouds. They are sorted one by one, and each begins a tile.
 
     Returns
     -------
@@ -32,7 +37,7 @@ def tile_order(points: NDArray[np.float64], size: int) -> NDArray[np.intp]:
     count = len(points)
     everyone = np.arange(count)
     order, columns = everyone, points.T.copy()
-    bounds = np.array([0, count])
+    bounds = np.array([0, count]) if counts is None else np.append(0, np.cumsum(counts))
     while True:
         counts = np.diff(bounds)
         tiles = -(-counts // size)

@@ -1,0 +1,230 @@
+"""The log-sum-exp of many problems at once, by ``cl_kernels/log_sum_exp.cl`` with lists of tiles.
+
+The clouds of all problems stand in one sorted cloud, in which each begins a tile. The row tiles of
+a problem list its own column tiles, so one launch sums for all problems.
+"""
+
+import weakref
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.kernels.clouds import Cloud, split
+from clmorph.backends.opencl.kernels.launches import Workspace
+from clmorph.backends.opencl.kernels.log_sum_exp import (
+    LARGEST_MAXIMUM,
+    SMALLEST_SUM,
+    LogSumExp,
+    rounding_bound,
+)
+from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
+from clmorph.backends.opencl.kernels.tiles import tile_order
+from clmorph.backends.records import Float64
+
+
+class Batch(NamedTuple):
+    """The clouds of many problems on the device.
+
+    Attributes
+    ----------
+    cloud : Cloud
+        All points, with the last tile of each problem padded to a whole one: `order` repeats the
+        problem's last point there, and it has no mass.
+    counts : (B,) array
+        Number of points of each problem.
+    tiles : (B,) array
+        Number of tiles of each problem.
+    boxes : (B, 2, D) array
+        Smallest and largest coordinates of each problem.
+    paired : dict
+        The lists of tiles for the columns with which these rows have been summed.
+    """
+
+    cloud: Cloud
+    counts: NDArray[np.int64]
+    tiles: NDArray[np.int64]
+    boxes: Float64
+    paired: dict[int, tuple[weakref.ref[Cloud], TilePairs]]
+
+    @property
+    def first_tiles(self) -> NDArray[np.int64]:
+        """(B,) the first tile of each problem."""
+        return np.cumsum(self.tiles) - self.tiles
+
+    def in_order(self, values: Float64) -> Float64:
+        """Return values of the sorted and padded points in the caller's order."""
+        result = np.empty(int(self.counts.sum()))
+        result[self.cloud.order] = values
+        return result
+
+    def tile_numbers(self, problems: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the tiles of some problems, problem after problem."""
+        return runs(self.first_tiles[problems], self.tiles[problems])
+
+
+def runs(firsts: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the concatenation of runs of consecutive numbers."""
+    ends = np.cumsum(lengths)
+    total = int(ends[-1]) if len(ends) else 0
+    return np.arange(total) + np.repeat(firsts - (ends - lengths), lengths)
+
+
+class BatchLogSumExp:
+    """Soft minima between the clouds of batches.
+
+    Parameters
+    ----------
+    loop : RowLoop
+    log_sum_exp : LogSumExp
+    """
+
+    def __init__(self, loop: RowLoop, log_sum_exp: LogSumExp) -> None:
+        self._loop, self._log_sum_exp = loop, log_sum_exp
+
+    def upload_batch(
+        self,
+        points: Float64,
+        weights: Float64,
+        counts: NDArray[np.int64],
+        offsets: Float64 | None = None,
+    ) -> Batch:
+        """Upload the clouds of many problems."""
+        size = self._loop.constants.tile
+        points, counts = np.asarray(points, float), np.asarray(counts, np.int64)
+        starts = np.cumsum(counts) - counts
+        boxes = np.stack(
+            (np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts)), axis=1
+        )
+        tiles = -(-counts // size)
+        # Places in the sorted list, with the last place of a problem repeated up to a whole tile.
+        within = runs(np.zeros_like(tiles), tiles * size)
+        last = np.repeat(counts - 1, tiles * size)
+        order = tile_order(points, size, counts)
+        order = order[np.repeat(starts, tiles * size) + np.minimum(within, last)]
+        with np.errstate(divide="ignore"):
+            log2_weights = np.log2(np.asarray(weights, float)[order])
+        log2_weights = np.where(within > last, SENTINEL, np.maximum(log2_weights, SENTINEL))
+        tiled = points[order].reshape(-1, size, points.shape[1])
+        centers = 0.5 * (tiled.min(axis=1) + tiled.max(axis=1))
+        # Centers are rounded first, so that the device's copy is exact, as in `make_cloud`.
+        centers = centers.astype(np.float32).astype(float)
+        shifts = (tiled - centers[:, None]).reshape(-1, points.shape[1])
+        added = np.zeros(len(order)) if offsets is None else np.asarray(offsets, float)[order]
+        own_costs = 0.5 * np.sum(shifts**2, axis=1) + added
+        return _batch(
+            self._loop.work, order, centers, log2_weights, added, own_costs, split(shifts.T),
+            counts, tiles, boxes,
+        )  # fmt: skip
+
+    def take_batch(self, batch: Batch, problems: NDArray[np.int64]) -> Batch:
+        """Return a batch of some clouds of a batch."""
+        cloud, size = batch.cloud, self._loop.constants.tile
+        tiles = batch.tile_numbers(problems)
+        places = (tiles[:, None] * size + np.arange(size)).ravel()
+        counts = batch.counts[problems]
+        before, after = np.cumsum(batch.counts) - batch.counts, np.cumsum(counts) - counts
+        moved = np.repeat(after - before[problems], batch.tiles[problems] * size)
+        assert cloud.planes is not None
+        return _batch(
+            self._loop.work, cloud.order[places] + moved, cloud.centers[tiles],
+            cloud.log2_weights[places], cloud.offsets[places], cloud.own_costs[places],
+            cloud.planes[:, :, places], counts, batch.tiles[problems], batch.boxes[problems],
+        )  # fmt: skip
+
+    def softmin_batch(
+        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float, precise: bool = False
+    ) -> Float64:
+        """Return the soft minima of many problems."""
+        softmin, _, _ = self._softmin(rows, columns, potential, epsilon, precise, False)
+        return softmin
+
+    def bounded_softmin_batch(
+        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float
+    ) -> tuple[Float64, Float64]:
+        """Return the soft minima of many problems, and bounds of their rounding errors in nats."""
+        softmin, maxima, sums = self._softmin(rows, columns, potential, epsilon, True, True)
+        size, starts = self._loop.constants.tile, rows.first_tiles * self._loop.constants.tile
+        errors = self._error_bounds(rows, columns, potential, epsilon)
+        usable = np.maximum.reduceat(np.abs(maxima), starts) <= LARGEST_MAXIMUM
+        usable &= np.minimum.reduceat(sums, starts) > SMALLEST_SUM
+        assert len(maxima) == size * len(rows.cloud.centers)
+        return softmin, np.where(usable, errors, np.inf)
+
+    def _softmin(
+        self,
+        rows: Batch,
+        columns: Batch,
+        potential: Float64,
+        epsilon: float,
+        precise: bool,
+        bounded: bool,
+    ) -> tuple[Float64, Float64, Float64]:
+        """Return soft minima, and the maxima and sums of the sorted rows."""
+        maxima, sums, offsets = self._log_sum_exp.of_sorted(
+            rows.cloud, columns.cloud, potential, epsilon, precise, _pairs(rows, columns), bounded
+        )
+        with np.errstate(invalid="ignore", divide="ignore"):
+            softmin = -epsilon / LOG2_E * (maxima + offsets + np.log2(sums))
+        return rows.in_order(softmin), maxima, sums
+
+    def _error_bounds(
+        self, rows: Batch, columns: Batch, potential: Float64, epsilon: float
+    ) -> Float64:
+        """Return the bounds of `bounded_softmin_batch` in nats."""
+        k, size, cloud = LOG2_E / epsilon, self._loop.constants.tile, columns.cloud
+        low = np.minimum(rows.boxes[:, 0], columns.boxes[:, 0])
+        high = np.maximum(rows.boxes[:, 1], columns.boxes[:, 1])
+        costs = 0.5 * k * np.sum((high - low) ** 2, axis=1)
+        values = (potential[cloud.order] - cloud.offsets) * k + cloud.log2_weights
+        massive, starts = cloud.log2_weights > 0.5 * SENTINEL, columns.first_tiles * size
+        highest = np.maximum.reduceat(np.where(massive, values, -np.inf), starts)
+        lowest = np.minimum.reduceat(np.where(massive, values, np.inf), starts)
+        added = np.maximum.reduceat(np.abs(rows.cloud.offsets), rows.first_tiles * size)
+        largest = np.maximum(np.abs(highest), np.abs(lowest)) + k * added
+        return np.asarray(
+            rounding_bound(
+                self._loop.constants, cloud.centers.shape[1], costs, highest - lowest, largest,
+                columns.tiles,
+            )
+        )  # fmt: skip
+
+
+def _batch(
+    work: Workspace,
+    order: NDArray[np.intp],
+    centers: Float64,
+    log2_weights: Float64,
+    offsets: Float64,
+    own_costs: Float64,
+    planes: NDArray[np.float32],
+    counts: NDArray[np.int64],
+    tiles: NDArray[np.int64],
+    boxes: Float64,
+) -> Batch:
+    shifts = planes[0].T.reshape(len(centers), -1, centers.shape[1])
+    cloud = Cloud(
+        order, centers, log2_weights, offsets, own_costs, len(order), shifts,
+        work.buffer(planes), work.buffer(centers), np.stack((boxes[:, 0].min(axis=0),
+        boxes[:, 1].max(axis=0))), planes,
+    )  # fmt: skip
+    return Batch(cloud, counts, tiles, boxes, {})
+
+
+def _pairs(rows: Batch, columns: Batch) -> TilePairs:
+    """Return the column tiles of every row tile: those of its own problem."""
+    known = rows.paired.get(id(columns.cloud))
+    if known is not None and known[0]() is columns.cloud:
+        return known[1]
+    per_row = np.repeat(columns.tiles, rows.tiles)
+    tiles = runs(np.repeat(columns.first_tiles, rows.tiles), per_row)
+    row_of = np.repeat(np.arange(len(per_row)), per_row)
+    distances = np.zeros(len(tiles))
+    for row_side, column_side in zip(rows.cloud.centers.T, columns.cloud.centers.T, strict=True):
+        distances += 0.5 * (row_side[row_of] - column_side[tiles]) ** 2
+    pairs = TilePairs(np.append(0, np.cumsum(per_row)), tiles.astype(np.uint32), distances)
+    # Another cloud can have the address of one that is gone, hence the reference.
+    rows.paired[id(columns.cloud)] = weakref.ref(columns.cloud), pairs
+    return pairs

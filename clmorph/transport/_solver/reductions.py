@@ -1,0 +1,153 @@
+"""Sums and maxima over the points of one problem, or of each of many problems.
+
+The mathematics of the solver is written once, over these reductions. With `Whole`, a vector belongs
+to one problem, and a sum is a number. With `Segments`, a vector holds the points of many problems
+one after the other, and a sum is an array with one number for each problem.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from clmorph._shared.typing import AnyArray, Array, BoolArray, IntArray
+
+
+class Whole:
+    """Reductions over the vectors of one problem."""
+
+    #: Shape of the reductions' results.
+    shape: tuple[int, ...] = ()
+
+    def sum(self, x: Array) -> float:
+        """Return the sum of a vector."""
+        return float(x.sum())
+
+    def inner(self, x: Array, y: Array) -> float:
+        """Return the inner product of two vectors, in this thread.
+
+        A BLAS that uses several threads lets them spin for a while afterwards, on the cores that
+        the next kernel of a CPU device needs; this made solves a quarter slower.
+        """
+        return float(np.einsum("i,i", x, y))
+
+    def largest(self, x: Array) -> float:
+        """Return the largest entry of a vector."""
+        return float(x.max())
+
+    def spread(self, value: Any) -> Any:
+        """Return a number of each problem for each of its points."""
+        return value
+
+    def scaled(self, factor: Any, x: Array) -> Array:
+        """Return a vector multiplied by a number of each problem."""
+        return factor * x
+
+    def inner_each(self, many: Array, x: Array) -> Array:
+        """Return the inner products of (k, n) vectors with one vector: (k,) array."""
+        return np.asarray(np.einsum("kn,n->k", many, x))
+
+    def combined(self, factors: Array, many: Array) -> Array:
+        """Return the sum of (k, n) vectors, each multiplied by one of the (k,) factors."""
+        return np.asarray(np.einsum("k,kn->n", factors, many))
+
+
+class Segments:
+    """Reductions over vectors that hold the points of many problems, one after the other.
+
+    Parameters
+    ----------
+    counts : (B,) array
+        Number of points of each problem, at least 1.
+    """
+
+    def __init__(self, counts: IntArray) -> None:
+        self.counts = counts
+        self.shape: tuple[int, ...] = (len(counts),)
+        ends = np.cumsum(counts)
+        self.starts = ends - counts
+        self.n_points = int(ends[-1]) if len(counts) else 0
+        #: The number of points of every problem, if it is the same for all; else 0.
+        self._each = int(counts[0]) if len(counts) and np.all(counts == counts[0]) else 0
+
+    def sum(self, x: Array) -> Array:
+        """Return the sum over each problem: (B,) array."""
+        if self._each:
+            return np.asarray(x.reshape(-1, self._each).sum(axis=1))
+        return np.asarray(np.add.reduceat(x, self.starts))
+
+    def inner(self, x: Array, y: Array) -> Array:
+        """Return the inner product of the parts of two vectors of each problem: (B,) array."""
+        if self._each:
+            shape = -1, self._each
+            return np.asarray(np.einsum("bn,bn->b", x.reshape(shape), y.reshape(shape)))
+        return self.sum(x * y)
+
+    def largest(self, x: Array) -> Array:
+        """Return the largest entry of each problem: (B,) array."""
+        if self._each:
+            return np.asarray(x.reshape(-1, self._each).max(axis=1))
+        return np.asarray(np.maximum.reduceat(x, self.starts))
+
+    def spread(self, value: Any) -> Any:
+        """Return a number of each problem for each of its points; a single number as it is."""
+        return value if np.ndim(value) == 0 else np.repeat(value, self.counts)
+
+    def scaled(self, factor: Any, x: Array) -> Array:
+        """Return a vector multiplied by a number of each problem."""
+        if np.ndim(factor) == 0:
+            return np.asarray(factor * x)
+        if self._each:
+            return (factor[:, None] * x.reshape(-1, self._each)).ravel()
+        return np.asarray(np.repeat(factor, self.counts) * x)
+
+    def inner_each(self, many: Array, x: Array) -> Array:
+        """Return the inner products of (k, n) vectors with one vector: (B, k) array."""
+        if self._each:
+            parts = many.reshape(len(many), -1, self._each)
+            return np.asarray(np.einsum("kbn,bn->bk", parts, x.reshape(-1, self._each)))
+        return np.stack([np.add.reduceat(each * x, self.starts) for each in many], axis=-1)
+
+    def combined(self, factors: Array, many: Array) -> Array:
+        """Return the sum of (k, n) vectors, each multiplied by its (B, k) factors."""
+        if self._each:
+            parts = many.reshape(len(many), -1, self._each)
+            return np.einsum("bk,kbn->bn", factors, parts).ravel()
+        result = np.zeros(many.shape[1])
+        for factor, each in zip(factors.T, many, strict=True):
+            result += self.scaled(factor, each)
+        return result
+
+    def points_of(self, problems: IntArray) -> IntArray:
+        """Return the indices of the points of some problems, problem after problem."""
+        counts = self.counts[problems]
+        ends = np.cumsum(counts)
+        total = int(ends[-1]) if len(ends) else 0
+        return np.arange(total) + np.repeat(self.starts[problems] - (ends - counts), counts)
+
+    def part(self, x: AnyArray, problem: int) -> AnyArray:
+        """Return the entries of one problem, as a view."""
+        start = self.starts[problem]
+        return x[start : start + self.counts[problem]]
+
+
+Reductions = Whole | Segments
+#: The reductions of one problem.
+WHOLE = Whole()
+
+
+def log_sum_exp(of: Reductions, values: Array) -> Any:
+    """Return the logarithm of the sum of exponentials over each problem."""
+    largest = of.largest(values)
+    return largest + np.log(of.sum(np.exp(values - of.spread(largest))))
+
+
+def largest_size(of: Reductions, values: Array, counted: BoolArray) -> Any:
+    """Return the largest absolute value over each problem, of the counted points alone.
+
+    Parameters
+    ----------
+    of : Reductions
+    values : (n,) array
+    counted : (n,) array of bool
+    """
+    return of.largest(np.where(counted, np.abs(values), 0.0))

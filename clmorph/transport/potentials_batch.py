@@ -1,0 +1,133 @@
+"""The potentials of many problems, which `clmorph.sinkhorn_batch` returns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import overload
+
+import numpy as np
+
+from clmorph._shared.typing import Array, IntArray
+from clmorph.transport._solver.batch import one_measured
+from clmorph.transport._solver.batch_iteration import BatchIteration
+from clmorph.transport._solver.batch_steps import segments
+from clmorph.transport.potentials import Potentials
+from clmorph.transport.regularization import Regularization
+from clmorph.transport.sinkhorn import outcome
+
+
+class PotentialsBatch(Sequence[Potentials]):
+    """The potentials of many problems, in the order of the problems.
+
+    Each `clmorph.Potentials`, with its certificate, is made when it is first asked for.
+
+    Attributes
+    ----------
+    statuses : list of str
+        How each solve ended, see `clmorph.Potentials`.
+    residuals : (B,) array
+        Residual of each problem.
+    n_iter : (B,) array of int
+        Number of iterations of each problem.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> weights, points = np.full((4, 3), 1 / 3), np.linspace(0.0, 1.0, 12).reshape(4, 3)
+    >>> found = clmorph.sinkhorn_batch(
+    ...     (weights, points), (weights, points + 0.1), blur=0.1, reach=0.3, backend="numpy"
+    ... )
+    >>> found
+    <PotentialsBatch of 4 problems, all converged>
+    >>> [round(each.transported_mass, 2) for each in found[1:3]]
+    [0.96, 0.96]
+    """
+
+    def __init__(self, parts: list[Part], count: int) -> None:
+        self._parts = parts
+        self._place: dict[int, tuple[Part, int]] = {}
+        self.statuses = [""] * count
+        self.residuals, self.n_iter = np.zeros(count), np.zeros(count, np.int64)
+        for part in parts:
+            for place, number in enumerate(part.numbers):
+                self._place[int(number)] = part, place
+                self.statuses[number] = part.statuses[place]
+            self.residuals[part.numbers], self.n_iter[part.numbers] = part.residuals, part.n_iter
+        self._made: dict[int, Potentials] = {}
+
+    def __len__(self) -> int:
+        return len(self.statuses)
+
+    def __repr__(self) -> str:
+        missed = len(self) - self.statuses.count("converged")
+        how = f"{missed} not converged" if missed else "all converged"
+        return f"<PotentialsBatch of {len(self)} problems, {how}>"
+
+    @property
+    def converged(self) -> bool:
+        """Whether all residuals are at most the tolerance."""
+        return all(status == "converged" for status in self.statuses)
+
+    @overload
+    def __getitem__(self, key: int) -> Potentials: ...
+    @overload
+    def __getitem__(self, key: slice) -> list[Potentials]: ...
+    def __getitem__(self, key: int | slice) -> Potentials | list[Potentials]:
+        """Return the potentials of a problem, or a list of those of some."""
+        if isinstance(key, slice):
+            return [self[number] for number in range(len(self))[key]]
+        number = range(len(self))[key]
+        if number not in self._made:
+            part, place = self._place[number]
+            self._made[number] = part.make(place)
+        return self._made[number]
+
+    def __iter__(self) -> Iterator[Potentials]:
+        return (self[number] for number in range(len(self)))
+
+
+class Solved:
+    """Problems that were solved together."""
+
+    def __init__(self, numbers: IntArray, iteration: BatchIteration, given: Regularization) -> None:
+        self.numbers, self._iteration, self._given = numbers, iteration, given
+        self.statuses: list[str] = list(iteration.status)
+        self.residuals, self.n_iter = iteration.residual, iteration.n_iter
+        self._histories: list[Array] | None = None
+
+    def make(self, place: int) -> Potentials:
+        """Return the potentials of a problem, by its place among these."""
+        of, given = self._iteration, self._given
+        rows, columns = segments(of.problem)
+        f, t_rows = rows.part(of.f, place), rows.part(of.t_rows, place)
+        g, t_columns = columns.part(of.g, place), columns.part(of.t_columns, place)
+        roundoffs = float(of.roundoffs[0, place]), float(of.roundoffs[1, place])
+        problem = one_measured(of.problem, place, roundoffs)
+        if self._histories is None:
+            self._histories = of.histories()
+        status, residual = self.statuses[place], float(of.residual[place])
+        n_iter = int(self.n_iter[place])
+        message = outcome(status, n_iter, residual, of.tol, float(of.rounding[place]), of.precision)
+        return Potentials(
+            f.copy(), g.copy(), given.blur, given.reach, status, message, n_iter,
+            residual, self._histories[place].copy(),
+            problem.certificate(f, g, t_rows, t_columns, given.epsilon),
+            bool(of.precise[place]), None, problem.error, 1.0,
+        )  # fmt: skip
+
+
+class Single:
+    """A problem that was solved by itself."""
+
+    def __init__(self, number: int, potentials: Potentials) -> None:
+        self.numbers, self._potentials = np.array([number]), potentials
+        self.statuses, self.n_iter = [potentials.status], np.array([potentials.n_iter])
+        self.residuals = np.array([potentials.residual])
+
+    def make(self, place: int) -> Potentials:
+        """Return the potentials."""
+        return self._potentials
+
+
+Part = Solved | Single

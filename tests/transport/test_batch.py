@@ -1,0 +1,407 @@
+"""Many problems at once: each as `sinkhorn` solves it, on every device and on NumPy."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph import ConvergenceWarning, InputError
+from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.opencl.kernels.launches import Workspace
+from clmorph.transport import certificate, sinkhorn_batch
+from clmorph.transport._solver.problem import Problem
+
+REFERENCE = NumPyOperations()
+
+
+def cloud(rng, n, dimension=3, zeros=0.0):
+    weights = rng.random(n) + 0.1
+    weights[rng.random(n) < zeros] = 0.0
+    weights[0] = 1.0
+    return weights / weights.sum(), rng.random((n, dimension))
+
+
+def random_pairs(rng, count=8, sizes=(1, 90), **more):
+    return [
+        tuple(cloud(rng, int(rng.integers(*sizes)), **more) for _ in range(2)) for _ in range(count)
+    ]
+
+
+def solve(pairs, *given, **options):
+    return clmorph.sinkhorn_batch(
+        [pair[0] for pair in pairs], [pair[1] for pair in pairs], *given, **options
+    )
+
+
+def true_residual(pair, potentials):
+    """The residual as `sinkhorn` defines it, by NumPy."""
+    measures = [clmorph.WeightedPoints(np.asarray(x), np.asarray(w)) for w, x in pair]
+    rho = potentials.rho if isinstance(potentials.rho, tuple) else (potentials.rho,) * 2
+    problem = Problem.between(REFERENCE, *measures, rho)
+    softmins = (
+        problem.softmin_rows(potentials.g, potentials.epsilon, True),
+        problem.softmin_columns(potentials.f, potentials.epsilon, True),
+    )
+    return problem.residual(potentials.f, potentials.g, *softmins, potentials.epsilon)
+
+
+def assert_alike(found, pairs, backend, **options):
+    """Each problem of a batch has what a solve of its own has."""
+    assert len(found) == len(pairs)
+    for pair, ours, status, residual in zip(
+        pairs, found, found.statuses, found.residuals, strict=True
+    ):
+        alone = clmorph.sinkhorn(*pair, backend=backend, **options)
+        assert (ours.status, ours.residual) == (status, residual)
+        assert (ours.f.shape, ours.g.shape) == (alone.f.shape, alone.g.shape)
+        assert (ours.blur, ours.reach, ours.status) == (alone.blur, alone.reach, alone.status)
+        if not alone.converged:
+            continue
+        # Certificates enclose one optimum.
+        assert ours.dual <= alone.primal
+        assert alone.dual <= ours.primal
+        assert true_residual(pair, ours) <= ours.residual <= options.get("tol", 1e-3)
+        assert ours.residual == ours.residuals[-1]
+        assert ours.certificate.masses == pytest.approx(alone.certificate.masses)
+        assert ours.row_mass.sum() == pytest.approx(ours.transported_mass)
+        assert ours.transported_mass == pytest.approx(alone.transported_mass, rel=0.01)
+        assert 0 < ours.truncation_error < 1e-5
+        assert (
+            ours.message
+            == f"converged in {ours.n_iter} iterations (residual {residual:.1e} epsilon)"
+        )
+
+
+@pytest.mark.parametrize("reach", [0.3, None, (0.3, None), 0.01, 50.0])
+def test_each_problem_is_solved_as_by_sinkhorn(any_backend, rng, reach):
+    pairs = random_pairs(rng, zeros=0.2)
+    found = solve(pairs, blur=0.08, reach=reach, backend=any_backend)
+    assert found.converged
+    assert repr(found) == "<PotentialsBatch of 8 problems, all converged>"
+    assert_alike(found, pairs, any_backend, blur=0.08, reach=reach)
+
+
+@pytest.mark.parametrize("tol", [1e-1, 1e-4, 1e-6])
+def test_tolerances(any_backend, rng, tol):
+    pairs = random_pairs(rng, 5)
+    found = solve(pairs, 0.1, 0.5, tol, backend=any_backend)
+    assert_alike(found, pairs, any_backend, blur=0.1, reach=0.5, tol=tol)
+
+
+def test_small_and_large_problems_in_units_of_epsilon(any_backend, rng):
+    """Some problems of a batch need better exponents than float32, and others do not."""
+    pairs = random_pairs(rng, 3, (20, 60))
+    pairs += [tuple((w, 30 * x) for w, x in pair) for pair in random_pairs(rng, 3, (20, 60))]
+    found = solve(pairs, 0.1, 0.5, backend=any_backend)
+    assert_alike(found, pairs, any_backend, blur=0.1, reach=0.5)
+    want = [clmorph.sinkhorn(*pair, 0.1, 0.5, backend=any_backend).precise for pair in pairs]
+    assert [each.precise for each in found] == want
+
+
+NASTY = {
+    "one point each": (([1.0], [[0.1, 0.2]]), ([1.0], [[0.3, 0.1]])),
+    "unequal masses": (([1e-3], [[0.1, 0.2]]), ([1e3], [[0.3, 0.1]])),
+    "one and many": (([1.0], [[0.1, 0.2]]), (np.full(70, 1 / 70), np.full((70, 2), 0.5))),
+    "equal points": (
+        (np.full(65, 1 / 65), np.full((65, 2), 0.3)), (np.full(9, 1 / 9), np.full((9, 2), 0.3)),
+    ),
+    "one mass among zeros": (
+        (np.eye(130)[77], np.random.default_rng(1).random((130, 2))),
+        (np.eye(64)[0], np.random.default_rng(2).random((64, 2))),
+    ),
+    "ten orders of mass": (
+        (10.0 ** -np.linspace(0, 10, 40), np.random.default_rng(3).random((40, 2))),
+        (10.0 ** -np.linspace(10, 0, 50), np.random.default_rng(4).random((50, 2))),
+    ),
+    "far away": (
+        (np.full(20, 0.05), 500 + np.random.default_rng(5).random((20, 2))),
+        (np.full(30, 1 / 30), 500 + np.random.default_rng(6).random((30, 2))),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("reach", [1e-3, 0.3, 1e3])
+def test_nasty_problems_side_by_side(any_backend, reach):
+    pairs = list(NASTY.values())
+    found = solve(pairs, 0.05, reach, backend=any_backend)
+    assert_alike(found, pairs, any_backend, blur=0.05, reach=reach)
+    for each in found:
+        assert np.all(np.isfinite(each.f))
+        assert np.all(np.isfinite(each.g))
+
+
+def test_stacked_arrays_are_a_list_of_measures(rng):
+    weights, points, others = rng.random((5, 20)), rng.random((5, 20, 2)), rng.random((5, 30, 2))
+    wide = np.full((5, 30), 1 / 30)
+    stacked = clmorph.sinkhorn_batch((weights, points), (wide, others), 0.1, 0.3, backend="numpy")
+    listed = clmorph.sinkhorn_batch(
+        list(zip(weights, points, strict=True)),
+        (clmorph.WeightedPoints(x, w) for w, x in zip(wide, others, strict=True)),
+        0.1, 0.3, backend="numpy",
+    )  # fmt: skip
+    for one, other in zip(stacked, listed, strict=True):
+        assert np.array_equal(one.f, other.f)
+        assert np.array_equal(one.g, other.g)
+    line = clmorph.sinkhorn_batch(
+        (weights, points[..., 0]), (weights, points[..., 1]), 0.1, 0.3, backend="numpy"
+    )
+    alone = clmorph.sinkhorn(
+        (weights[3], points[3, :, 0]), (weights[3], points[3, :, 1]), 0.1, 0.3, backend="numpy"
+    )
+    assert line[3].dual == pytest.approx(alone.dual, rel=1e-3)
+
+
+def test_images_and_maps_of_metrics(any_backend, rng):
+    """Measures of images, of several dimensions and with offsets, in one list."""
+    pictures = [clmorph.lift(rng.random((5, 6, 3)), 0.5) for _ in range(3)]
+    metric = np.broadcast_to(np.diag([1.0, 2.0, 3.0]), (5, 6, 3, 3)) * rng.random((5, 6, 1, 1))
+    mapped = clmorph.lift(rng.random((5, 6, 3)), 0.5, color_metric=metric)
+    pairs = [(pictures[0], pictures[1]), cloud(rng, 9), (mapped, pictures[2])]
+    pairs[1] = pairs[1], cloud(rng, 7)
+    found = solve(pairs, 0.1, 0.4, backend=any_backend)
+    for pair, ours in zip(pairs, found, strict=True):
+        alone = clmorph.sinkhorn(*pair, 0.1, 0.4, backend=any_backend)
+        assert ours.converged
+        assert max(ours.dual, alone.dual) <= min(ours.primal, alone.primal)
+        plan = clmorph.transport_plan(
+            *clmorph.measures.points.as_pair(*pair), ours, backend="numpy"
+        )
+        assert plan.mass.sum() == pytest.approx(ours.transported_mass, rel=0.02)
+
+
+def test_a_part_at_a_time_gives_the_same(monkeypatch, rng):
+    pairs = random_pairs(rng, 9)
+    whole = solve(pairs, 0.1, 0.3, backend="numpy")
+    monkeypatch.setattr(sinkhorn_batch, "MAX_BATCH", 100)
+    shares = []
+    parts = solve(pairs, 0.1, 0.3, backend="numpy", progress=shares.append)
+    lists = sinkhorn_batch.together([clmorph.measures.points.as_pair(*pair) for pair in pairs])
+    assert 2 < len(lists) < 9
+    assert sorted(number for each in lists for number in each) == list(range(9))
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    for one, other in zip(whole, parts, strict=True):
+        assert one.n_iter == other.n_iter
+        assert np.allclose(one.f, other.f, rtol=0, atol=1e-9)
+
+
+def test_many_pairs_are_solved_alone(monkeypatch, rng):
+    pairs = random_pairs(rng, 3, (30, 40))
+    monkeypatch.setattr(sinkhorn_batch, "MANY_PAIRS", 900)
+    found = solve(pairs, 0.1, 0.3, backend="numpy")
+    for pair, ours in zip(pairs, found, strict=True):
+        alone = clmorph.sinkhorn(*pair, 0.1, 0.3, truncation=1e-4, backend="numpy")
+        assert ours.truncation == alone.truncation
+        assert np.array_equal(ours.f, alone.f)
+
+
+class Counted(NumPyOperations):
+    """NumPy's operations, which count the problems of each batch."""
+
+    def __init__(self):
+        self.counts = []
+
+    def softmin_batch(self, rows, *more):
+        self.counts.append(len(rows.clouds))
+        return super().softmin_batch(rows, *more)
+
+
+def test_finished_problems_cost_nothing(rng):
+    pairs = random_pairs(rng, 60, (2, 12))
+    operations = Counted()
+    found = solve(pairs, 0.05, 1.0, backend=operations)
+    needed = 2 * found.n_iter
+    assert needed.max() > 1.5 * np.median(needed)
+    # A sixteenth of the problems may have stopped before they are taken out. Half-steps that are
+    # taken back cost one more softmin.
+    assert sum(operations.counts) <= 1.15 * needed.sum()
+    # Levels of the annealing begin for all problems at the same time.
+    assert len(operations.counts) <= 1.6 * needed.max()
+    assert operations.counts[-1] < 10
+
+
+def test_the_number_of_launches_is_that_of_the_slowest(device, rng, monkeypatch):
+    pairs = random_pairs(rng, 40, (30, 70))
+    solve(pairs, 0.1, 0.5, backend=device)
+    launches, launch = [], Workspace.launch
+    monkeypatch.setattr(
+        Workspace, "launch", lambda self, *given: (launches.append(1), launch(self, *given))
+    )
+    found = solve(pairs, 0.1, 0.5, backend=device)
+    # Two softmins an iteration, two for all certificates, and those that were taken back.
+    assert 2 * found.n_iter.max() <= len(launches) <= 2.3 * found.n_iter.max() + 8
+    launches.clear()
+    list(found)
+    assert not launches
+
+
+def test_potentials_are_made_when_they_are_asked_for(monkeypatch, rng):
+    calls, certify = [], certificate.certify
+    monkeypatch.setattr(
+        "clmorph.transport._solver.problem.certify",
+        lambda *given: (calls.append(1), certify(*given))[1],
+    )
+    found = solve(random_pairs(rng, 6), 0.1, 0.3, backend="numpy")
+    assert not calls
+    assert found[2] is found[2]
+    assert found[-1] is found[5]
+    assert len(calls) == 2
+    assert [each is found[number] for number, each in enumerate(found)] == [True] * 6
+    assert found[1:4] == [found[1], found[2], found[3]]
+    with pytest.raises(IndexError):
+        found[6]
+    # Arrays are copies: a change of one problem's cannot reach another's.
+    found[0].f[:] = np.nan
+    assert np.all(np.isfinite(found[1].f))
+    again = solve(random_pairs(np.random.default_rng(0), 6), 0.1, 0.3, backend="numpy")
+    assert again.n_iter.tolist() == [each.n_iter for each in again]
+
+
+def test_repeated_solves_are_equal(device, rng):
+    pairs = random_pairs(rng, 12)
+    one, other = (solve(pairs, 0.05, 0.5, backend=device) for _ in range(2))
+    for first, second in zip(one, other, strict=True):
+        assert np.array_equal(first.f, second.f)
+        assert first.certificate.dual == second.certificate.dual
+
+
+def test_nothing_to_solve():
+    found = clmorph.sinkhorn_batch([], [], backend="numpy")
+    assert (len(found), list(found), found.converged) == (0, [], True)
+    assert len(clmorph.divergence_matrix([], backend="numpy")) == 0
+    empty = np.zeros((0, 3))
+    assert len(clmorph.sinkhorn_batch((empty, empty), (empty, empty), backend="numpy")) == 0
+
+
+@pytest.mark.parametrize("max_iter", [1, 2, 7, 30])
+def test_iterations_that_run_out(any_backend, rng, max_iter):
+    pairs = random_pairs(rng, 5, (20, 40))
+    with pytest.warns(ConvergenceWarning, match=r"5 of 5 solves .* problem 0: not conv") as told:
+        found = solve(pairs, 0.01, 5.0, 1e-6, max_iter, backend=any_backend)
+    assert told[0].filename == __file__
+    assert found.statuses == ["max_iter"] * 5
+    assert np.all(found.n_iter <= max_iter)
+    assert "not all" not in repr(found)
+    for each, pair in zip(found, pairs, strict=True):
+        assert each.residual >= true_residual(pair, each)
+        assert each.dual <= each.primal
+
+
+def test_rounding_that_is_in_the_way_is_told(device, rng):
+    pairs = [*random_pairs(rng, 2, (30, 60)), NASTY["one point each"]]
+    pairs[2] = tuple((w, np.column_stack((x, [0.0]))) for w, x in pairs[2])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        found = solve(pairs, 0.1, 0.3, 1e-9, 300, backend=device)
+        alone = [clmorph.sinkhorn(*pair, 0.1, 0.3, 1e-9, 300, backend=device) for pair in pairs]
+    assert found.statuses == [each.status for each in alone]
+    assert "precision" in found.statuses
+
+
+def test_errors_name_the_problem(rng):
+    good = random_pairs(rng, 1)[0]
+    for wrong, text in (
+        (((-np.ones(3), np.zeros((3, 3))), good[1]), r"^problem 1: source: its weights: expected"),
+        ((good[0], (np.ones(2), np.zeros((2, 2)))), r"^problem 1: source has points in 3 dim"),
+        (((2 * good[0][0], good[0][1]), good[1]), r"^problem 1: the masses .* differ"),
+        (((good[0][0], 1e6 * good[0][1]), good[1]), r"^problem 1: blur=1e-05 is too small"),
+    ):
+        blur = 1e-5 if "blur" in text else 0.1
+        with pytest.raises(InputError, match=text):
+            solve([good, wrong], blur, backend="numpy")
+    with pytest.raises(InputError, match=r"there are 2 sources and 1 targets"):
+        clmorph.sinkhorn_batch([good[0]] * 2, [good[1]], backend="numpy")
+    weights = np.ones((3, 4))
+    weights[1, 2] = np.nan
+    with pytest.raises(InputError, match=r"targets\[1\]: its weights: expected masses"):
+        clmorph.sinkhorn_batch(
+            (np.ones((3, 4)), np.ones((3, 4))), (weights, np.ones((3, 4))), backend="numpy"
+        )
+    for shapes in (((3, 4), (3, 5)), ((3,), (3, 2)), ((3, 4), (4, 3, 2)), ((2, 0), (2, 0, 3))):
+        stack = tuple(map(np.ones, shapes))
+        with pytest.raises(InputError):
+            clmorph.sinkhorn_batch(stack, stack, backend="numpy")
+    for wrong in (None, "text", good[0][0], clmorph.WeightedPoints(good[0][1], good[0][0]), {}):
+        with pytest.raises(InputError, match=r"^sources is a \w+: expected stacked arrays"):
+            clmorph.sinkhorn_batch(wrong, [good[1]], backend="numpy")
+
+
+@pytest.mark.parametrize("name", ["method", "start", "truncation", "verify", "multiscale", "x"])
+def test_options_of_single_problems_are_refused(rng, name):
+    with pytest.raises(InputError, match=rf"^sinkhorn_batch has no option '{name}': .*[^\n]*$"):
+        solve(random_pairs(rng, 1), backend="numpy", **{name: None})
+
+
+def test_points_too_far_apart_for_float32_are_told(device):
+    near, far = ([1.0], [[0.0]]), ([1.0, 1.0], [[0.0], [1e6]])
+    pair = near, ([1.0], [[0.1]])
+    pairs = [pair, (([1.0, 1.0], [[0.0], [1e6]]), far), pair]
+    with pytest.raises(InputError) as alone:
+        clmorph.sinkhorn(*pairs[1], 1.0, 1e5, backend=device)
+    with pytest.raises(InputError, match=r"^problem 1: ") as told:
+        solve(pairs, 1.0, 1e5, backend=device)
+    assert str(told.value) == f"problem 1: {alone.value}"
+
+
+# --- divergences --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reach", [0.3, None])
+def test_divergences_are_those_of_each_pair(any_backend, rng, reach):
+    measures = [cloud(rng, n) for n in (1, 20, 70, 33)]
+    options = {"blur": 0.1, "reach": reach, "tol": 1e-5, "backend": any_backend}
+    matrix = clmorph.divergence_matrix(measures, **options)
+    assert matrix.converged
+    assert np.array_equal(np.asarray(matrix), matrix.values)
+    assert np.array_equal(matrix.values, matrix.values.T)
+    assert np.all(np.diag(matrix.values) == 0)
+    for i in range(4):
+        for j in range(4):
+            alone = clmorph.sinkhorn_divergence(measures[i], measures[j], **options)
+            found = matrix[i, j]
+            assert max(found.interval[0], alone.interval[0]) <= min(
+                found.interval[1], alone.interval[1]
+            )
+            assert found.value == pytest.approx(alone.value, rel=1e-3, abs=1e-6)
+            assert (found.value, *found.interval) == (
+                matrix.values[i, j], matrix.low[i, j], matrix.high[i, j]
+            )  # fmt: skip
+            assert (len(found.cross.f), len(found.cross.g)) == (
+                len(measures[i][0]), len(measures[j][0])
+            )  # fmt: skip
+    assert matrix[0, 1].closer_than(matrix[0, 0]) is not True
+
+
+def test_self_terms_are_solved_once(monkeypatch, rng):
+    solved, solve_many = [], sinkhorn_batch.solve_many
+    monkeypatch.setattr(
+        "clmorph.transport.divergence_matrix.solve_many",
+        lambda pairs, *more: (solved.extend(pairs), solve_many(pairs, *more))[1],
+    )
+    weights, points = np.full((5, 6), 1 / 6), rng.random((5, 6, 2))
+    points[4] = points[1]
+    matrix = clmorph.divergence_matrix((weights, points), 0.1, 0.3, backend="numpy")
+    # Five with themselves; of ten pairs one is of equal measures.
+    assert len(solved) == 5 + 9
+    assert matrix.values[1, 4] == matrix.low[1, 4] == 0
+    assert np.count_nonzero(matrix.values) == 18
+    assert repr(matrix) == "<DivergenceMatrix of 5 measures, all converged>"
+
+
+def test_what_has_no_divergence(rng):
+    measures = [cloud(rng, 4), cloud(rng, 5)]
+    with pytest.raises(InputError, match=r"expected one number for both measures"):
+        clmorph.divergence_matrix(measures, 0.1, (0.1, 0.2), backend="numpy")
+    with pytest.raises(InputError, match=r"^measures 0 and 1: the masses .* differ"):
+        clmorph.divergence_matrix(
+            [measures[0], (2 * measures[1][0], measures[1][1])], 0.1, backend="numpy"
+        )
+    with pytest.raises(InputError, match=r"^measures 0 and 1: source has points in 3 dimensions"):
+        clmorph.divergence_matrix([measures[0], cloud(rng, 4, 2)], 0.1, backend="numpy")
+    offsets = clmorph.WeightedPoints(measures[0][1], measures[0][0], np.ones(4))
+    with pytest.raises(InputError, match=r"no divergence"):
+        clmorph.divergence_matrix([offsets], 0.1, backend="numpy")
+    with pytest.warns(ConvergenceWarning, match=r"1 of 3 .* measures 0 and 1: not conv") as told:
+        clmorph.divergence_matrix(measures, 0.02, 2.0, 1e-6, 30, backend="numpy")
+    assert told[0].filename == __file__
