@@ -169,6 +169,10 @@ def morph(
 
             pictures = as_images([read_picture(path, most) for path in images])
             chosen = options_of(recognized(pictures))
+        elif auto:
+            from clmorph.cli.terminal import note
+
+            note("these are the options for photographs: name pictures for those that they choose")
         own = {"format": format, "recipe": recipe, "max_pixels": most}
         settings = {name: value for name, value in own.items() if value is not None}
         # TOML is UTF-8, independent of the terminal's encoding.

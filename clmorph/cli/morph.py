@@ -41,6 +41,7 @@ from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import fitted, recognized
+from clmorph.pipeline.presets import PRESETS
 from clmorph.pipeline.recipe import recipe
 from clmorph.pipeline.result import Morph
 from clmorph.transport.potentials import Potentials
@@ -173,7 +174,13 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     elif reduced:
         shown = f"; pictures reduced to {run.options.size} pixels (--size)"
     if preset is not None:
-        say(f"preset: {preset}, for what the pictures show (--preset takes another)")
+        usual = MorphOptions(preset=preset)
+        given = [
+            name for name in PRESETS[preset].options
+            if getattr(run.options, name) != getattr(usual, name)
+        ]  # fmt: skip
+        other = f"; given otherwise: {', '.join(given)}" if given else " (--preset takes another)"
+        say(f"preset: {preset}, for what the pictures show{other}")
     say(f"{run.memory(pictures, operations)}{shown}")
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:

@@ -57,7 +57,7 @@ def alpha_particles(
             ends[1] = np.concatenate((ends[1], np.full(len(plan), ends[1] @ arriving)))
     table = moving.table.copy()
     table[:, 2:5] = 0.0
-    known = sum(map(len, alphas))
+    known = len(table) - moving.n_grown
     table[:known, 2] = np.concatenate(alphas)
     links = moving.links.astype(np.int64)
     # Mass that grows or shrinks has the opacity of its own pixel all the way.

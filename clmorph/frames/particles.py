@@ -36,6 +36,8 @@ class Particles:
         Mass of each particle at t = 0 and at t = 1.
     path_space : str
         The color space in which colors change linearly, see `clmorph.images.color.to_space`.
+    n_grown : int
+        Number of the last rows of `table` that are other ends of mass that grows or shrinks.
 
     Examples
     --------
@@ -55,6 +57,7 @@ class Particles:
     links: NDArray[np.uint32]
     weights: NDArray[np.float64]
     path_space: str = "srgb"
+    n_grown: int = 0
 
     def __repr__(self) -> str:
         return f"<{len(self)} Particles>"
@@ -176,6 +179,7 @@ def particles(
     table = np.concatenate([np.column_stack(end) for end in ends])
     links = np.column_stack((i, n + j))
     weights = np.column_stack((mass, mass))
+    n_grown = 0
     if unmatched != "drop":
         # With the whole plan's marginals, mass that pruning dropped or draws missed travels as the
         # other mass of its point does.
@@ -190,7 +194,8 @@ def particles(
         resting = np.concatenate((dies, n + comes))
         others = resting
         if unmatched == "grow":
-            others = len(table) + np.arange(len(resting))
+            n_grown = len(resting)
+            others = len(table) + np.arange(n_grown)
             ends_of = grown_ends(source, target, plan)
             there = np.concatenate((ends_of[0][dies], ends_of[1][comes]))
             table = np.concatenate((table, np.column_stack((there, table[resting, 2:]))))
@@ -201,7 +206,7 @@ def particles(
         fading[: len(dies), 0] = dying[dies]
         fading[len(dies) :, 1] = born[comes]
         weights = np.concatenate((weights, fading))
-    return Particles(table, links.astype(np.uint32), weights, path_space)
+    return Particles(table, links.astype(np.uint32), weights, path_space, n_grown)
 
 
 def _shared_out(

@@ -94,11 +94,14 @@ class Shapes:
         self._table[: len(colors), 2:5] = colors
         self._alphas = particles.table.copy()
         self._alphas[:, 2:5] = 0.0
-        self._alphas[:, 2] = 1.0
         self._alphas[: len(alphas), 2] = alphas[:, 0]
+        known = len(self._table) - particles.n_grown
+        # Mean destinations between pixels have the mean opacity of the target.
+        target = self._sides[1]
+        self._alphas[len(alphas) : known, 2] = target.regions.alpha[target.inside].mean()
         self._links, self._weights = particles.links, particles.weights
         for table in (self._table, self._alphas):
-            take_after(table[:, 2:5], self._links.astype(np.int64), len(colors))
+            take_after(table[:, 2:5], self._links.astype(np.int64), known)
         self._parts = self._divided(measures)
 
     def on(self, operations: Operations) -> "Shapes":

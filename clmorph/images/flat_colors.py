@@ -124,7 +124,7 @@ def flat_regions(
 
 
 def palette(colors: Array, n_colors: int) -> tuple[IntArray, Array]:
-    """Return the nearest of a few colors for each color, by median cut and k-means.
+    """Return the nearest of a few colors for each color, by maximum coverage and k-means.
 
     Parameters
     ----------

@@ -9,12 +9,15 @@ import numpy as np
 from clmorph._shared.typing import Array, BoolArray
 from clmorph.images.detail import has_few_colors
 from clmorph.images.flat_colors import foreground, palette
-from clmorph.images.pixels import block_size, fit, split_alpha
+from clmorph.images.pixels import block_size, split_alpha
 
 Kind = Literal["sprite", "drawing", "photograph"]
 
-#: Numbers of blocks along the longer side of an enlarged sprite.
-FEWEST_BLOCKS, MOST_BLOCKS = 8, 128
+#: Numbers of blocks along the longer side of an enlarged sprite, and of lines between blocks at
+#: which it changes: those of a rectangle are 4.
+FEWEST_BLOCKS, MOST_BLOCKS, FEWEST_LINES = 8, 128, 8
+#: Unequal neighbors are those of a gradient if this share of them differs by at most these steps.
+RAMP_STEPS, RAMP_SHARE = 4, 0.8
 #: Longest side of a plain sprite, in blocks; a larger one has small parts, and so at least this
 #: share of unequal neighbors.
 MOST_PLAIN, LEAST_CHANGES = 96, 0.05
@@ -51,20 +54,14 @@ def kind_of(image: Array) -> Kind:
     >>> kind_of(np.dstack((disc, disc, np.ones_like(disc))))
     'drawing'
     """
-    block = block_size(image)
-    if block > 1 and FEWEST_BLOCKS <= max(image.shape[:2]) // block <= MOST_BLOCKS:
+    if _is_sprite(image):
         return "sprite"
-    small = image[::block, ::block]
-    if has_few_colors(small):
-        changes = np.mean(_steps(np.rint(255 * small), np.ones(small.shape[:2], dtype=bool)) > 0)
-        if max(small.shape[:2]) <= MOST_PLAIN or changes >= LEAST_CHANGES:
-            return "sprite"
-    colors, alpha = split_alpha(fit(image, LONGEST))
+    colors, alpha = split_alpha(_reduced(image))
     before = foreground(colors, alpha)
     levels = np.rint(255 * colors)
     if alpha is None:
         steps = _steps(levels, np.ones_like(before))
-        if not len(steps) or np.mean(steps == 0) < EQUAL:
+        if not len(steps) or np.mean(steps == 0) < EQUAL or (before.all() and _is_ramp(steps)):
             return "photograph"
     steps = _steps(levels, before)
     smooth = len(steps) > 0 and np.mean(steps <= SMOOTH) >= SMOOTH_BEFORE
@@ -74,6 +71,47 @@ def kind_of(image: Array) -> Kind:
     found = palette(colors[before], FLAT_COLORS)[1]
     explained = np.abs(255 * found - levels[before]).max(axis=1) <= EXPLAINED
     return "drawing" if np.mean(explained) >= FLAT_SHARE else "photograph"
+
+
+def _is_sprite(image: Array) -> bool:
+    """Return whether an image consists of equal blocks, or is small with few colors."""
+    block = block_size(image)
+    if block > 1 and FEWEST_BLOCKS <= max(image.shape[:2]) // block <= MOST_BLOCKS:
+        small = image[::block, ::block]
+        lines = sum(
+            np.count_nonzero(np.any(np.diff(small, axis=axis) != 0, axis=(1 - axis, 2)))
+            for axis in (0, 1)
+        )
+        if lines >= FEWEST_LINES:
+            return True
+    if not has_few_colors(image):
+        return False
+    steps = _steps(np.rint(255 * image), np.ones(image.shape[:2], dtype=bool))
+    if _is_ramp(steps):
+        return False
+    return max(image.shape[:2]) <= MOST_PLAIN or bool(np.mean(steps > 0) >= LEAST_CHANGES)
+
+
+def _is_ramp(steps: Array) -> bool:
+    """Return whether nearly all differences between neighbors are as small as in a gradient."""
+    unequal = steps[steps > 0]
+    return len(unequal) > 0 and bool(np.mean(unequal <= RAMP_STEPS) >= RAMP_SHARE)
+
+
+def _reduced(image: Array) -> Array:
+    """Return an image of at most `LONGEST` pixels along a side: means of whole squares of it."""
+    side = -(-max(image.shape[:2]) // LONGEST)
+    if side == 1:
+        return image
+    height, width = (max(1, length // side) for length in image.shape[:2])
+    cut = image[: height * side, : width * side]
+    down, along = min(side, cut.shape[0]), min(side, cut.shape[1])
+    squares = cut.reshape(height, down, width, along, image.shape[2])
+    if image.shape[2] == 3:
+        return squares.mean(axis=(1, 3))
+    alpha = squares[..., 3:].mean(axis=(1, 3))
+    seen = (squares[..., :3] * squares[..., 3:]).mean(axis=(1, 3))
+    return np.dstack((np.divide(seen, alpha, out=np.zeros_like(seen), where=alpha > 0), alpha))
 
 
 def _steps(levels: Array, within: BoolArray) -> Array:

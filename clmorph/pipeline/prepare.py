@@ -113,35 +113,34 @@ def fitted(
     InputError
         If an image with a map would be reduced.
     """
-    small = [_reduced(image, options) for image in images]
-    reduced = [one.shape != other.shape for one, other in zip(images, small, strict=True)]
     maps = weights if isinstance(weights, tuple | list) else (None, None)
     metric = color_metric is not None and as_array(
         "color_metric", color_metric, "an array (3, 3), (H, W, 3, 3) or (H, W)"
     ).shape != (3, 3)
+    mapped = metric or any(each is not None for each in maps[:2])
+    small = [_reduced(image, options, mapped) for image in images]
+    reduced = [one.shape != other.shape for one, other in zip(images, small, strict=True)]
     for name, index, is_map in (
         *(("weights", index, each is not None) for index, each in enumerate(maps[:2])),
         ("color_metric", 0, metric),
     ):
         if is_map and reduced[index]:
             raise InputError(
-                f"{name} is a map of the pixels of image_{'ab'[index]}, but {_reason(options)} "
+                f"{name} is a map of the pixels of image_{'ab'[index]}, but size={options.size} "
                 "reduces that image: give size=None, or an image of that size"
             )
     return small
 
 
-def _reduced(image: Picture, options: MorphOptions) -> Picture:
-    """Return an image at the size at which it is drawn; blocks of a sprite become pixels."""
+def _reduced(image: Picture, options: MorphOptions, mapped: bool) -> Picture:
+    """Return an image at the size at which it is drawn; blocks of a sprite become pixels.
+
+    With a map of its pixels (`mapped`) blocks stay what they are.
+    """
     if options.size is None:
         return image
-    if options.detail == "pixels":
+    if options.detail == "pixels" and not mapped:
         block = block_size(image)
         if max(image.shape[:2]) >= FEWEST_BLOCKS * block:
             image = image[::block, ::block]
     return fit(image, options.size)
-
-
-def _reason(options: MorphOptions) -> str:
-    """Return the option that reduces images."""
-    return "detail='pixels'" if options.detail == "pixels" else f"size={options.size}"

@@ -100,6 +100,18 @@ class TestLogos:
         assert np.abs(morph.frame(0.0)[..., 3] - pair[0][..., 3]).max() < 1e-5
         assert np.abs(morph.frame(1.0)[..., 3] - other[..., 3]).max() < 1e-5
 
+    def test_mean_destinations_have_the_colors_of_the_target(self, device):
+        pair = logo("disc"), logo("star")
+        morph = clmorph.morph(*pair, backend=device, barycentric=True, **SMALL)
+        ends = [image[32, 32] for image in pair]
+        for t in (0.2, 0.8):
+            away = [np.abs(morph.frame(t)[32, 32] - end).max() for end in ends]
+            assert away[round(t)] < 0.7 * away[1 - round(t)]
+        glass = [logo(name, ground=None) * (1, 1, 1, alpha) for name, alpha in
+                 (("disc", 1.0), ("star", 0.4))]  # fmt: skip
+        morph = clmorph.morph(*glass, backend=device, preset="logo", barycentric=True, **SMALL)
+        assert morph.frame(0.5)[32, 32, 3] == pytest.approx(0.7, abs=0.05)
+
     def test_numpy_draws_the_same(self, device, pair):
         first, second = (
             clmorph.morph(*pair, backend=backend, **SMALL) for backend in (device, "numpy")
@@ -148,9 +160,12 @@ class TestSprites:
             assert np.abs((frame - image)[image[..., 3] > 0]).max() < 1e-5
 
     def test_maps_keep_the_blocks(self, device):
+        """A map has one entry for each pixel, so that blocks stay what they are."""
         pair = sprite("heart", 4), sprite("ghost", 4)
-        with pytest.raises(InputError, match="detail='pixels' reduces that image: give size=None"):
-            clmorph.morph(*pair, backend=device, weights=(np.ones((32, 48)), None))
+        weights = (pair[0][..., 3] * 1.0, None)
+        morph = clmorph.morph(*pair, backend=device, weights=weights, n_frames=3)
+        assert morph.frame(0.5).shape == (32, 48, 4)
+        assert np.abs(morph.frame(0.0)[..., 3] - pair[0][..., 3]).max() < 1e-5
 
 
 class TestThreshold:

@@ -8,6 +8,7 @@ from skimage import data
 
 from clmorph.images.flat_colors import background_color, flat_regions, foreground, palette
 from clmorph.images.kind import kind_of
+from clmorph.images.pixels import block_size
 
 LOGOS = ("star", "disc", "ring", "bars")
 
@@ -50,6 +51,36 @@ def test_a_shaded_drawing_with_opacity_is_one():
 @pytest.mark.parametrize("ground", [None, (20, 20, 40)])
 def test_sprites(name, block, ground):
     assert kind_of(sprite(name, block, ground)) == "sprite"
+
+
+def test_hidden_colors_make_no_difference(rng):
+    image = sprite("heart", 30)
+    hidden = image[..., 3] == 0
+    image[hidden, :3] = rng.random((hidden.sum(), 3))
+    assert kind_of(image) == "sprite"
+    assert block_size(image) == 30
+
+
+@pytest.mark.parametrize("margins", [(100, 100), (60, 40), (61, 39)])
+def test_a_rectangle_is_no_sprite(margins):
+    image = np.pad(np.zeros((200, 200, 3)), (margins, (100, 100), (0, 0)), constant_values=1)
+    assert kind_of(image) == "drawing"
+
+
+@pytest.mark.parametrize("shape", [(400, 900), (60, 120), (256, 256), (800, 1200)])
+@pytest.mark.parametrize("end", [0.4, 0.8])
+def test_a_gradient_is_no_flat_picture(shape, end):
+    """There are no regions of one color in it."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    for ramp in (x / shape[1], y / shape[0], (x + y) / sum(shape)):
+        gray = np.rint(255 * (0.2 + (end - 0.2) * ramp)) / 255
+        assert kind_of(np.dstack((gray, gray, gray))) == "photograph"
+
+
+@pytest.mark.parametrize("shape", [(1, 5000), (3, 5000), (2047, 1025)])
+@pytest.mark.parametrize("channels", [3, 4])
+def test_long_pictures(shape, channels, rng):
+    assert kind_of(rng.random((*shape, channels))) == "photograph"
 
 
 def test_one_color_with_soft_edges_is_no_sprite():

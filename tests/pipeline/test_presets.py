@@ -121,7 +121,17 @@ class TestCommand:
         assert main(["morph", "logo0.png", "logo1.png", "--dump-config"]) == 0
         assert 'detail = "shapes"' in capfd.readouterr().out
         assert main(["morph", "--dump-config"]) == 0
-        assert 'detail = "carried"' in capfd.readouterr().out
+        shown = capfd.readouterr()
+        assert 'detail = "carried"' in shown.out
+        assert "name pictures" in shown.err
+
+    def test_it_says_what_a_file_changes(self, files, capfd):
+        (files / "mine.toml").write_text('detail = "particles"\n')
+        pair = ["logo0.png", "logo1.png"]
+        command = ["morph", *pair, "-o", "out.gif", "--config", "mine.toml", *OPTIONS]
+        assert main(command) == 0
+        told = "preset: logo, for what the pictures show; given otherwise: detail\n"
+        assert told in capfd.readouterr().err
 
     def test_draft(self, files, capfd):
         pair = ["photo0.png", "photo1.png"]
