@@ -108,7 +108,7 @@ def render(
     numerator, denominator = operations.splat(shaped, canvas.shape, sigma, CUT * sigma)
     coverage = denominator / uniform_density(mass, canvas, sigma)
     filling = Filling(coverage, widths.closed, fill)
-    colors = _mean(numerator, denominator)
+    colors = kernel_mean(numerator, denominator)
     density = denominator / kernel_sum(sigma)
     sums = np.dstack((colors, density)) * (1.0 - filling.wanted)[..., None]
     own, width = np.dstack((colors, density)), sigma
@@ -120,7 +120,7 @@ def render(
         whole = wider > 0 if width >= max(canvas.shape) else None
         before = filling.wanted
         given = filling.fill(share, whole)
-        colors, density = _mean(wider_numerator, wider), wider / kernel_sum(width)
+        colors, density = kernel_mean(wider_numerator, wider), wider / kernel_sum(width)
         sums += given[..., None] * np.dstack((colors, density))
         sums -= (filling.wanted - before)[..., None] * own
     # Pixels that no kernel could fill keep their colors.
@@ -128,10 +128,22 @@ def render(
     return Sums(sums[..., :3], filling.coverage, sums[..., 3])
 
 
-def _mean(numerator: NDArray[np.float64], denominator: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return numerator / denominator, and 0 where the denominator is 0."""
-    tiny = np.finfo(np.float64).tiny
-    return np.asarray(numerator / np.maximum(denominator, tiny)[..., None])
+def kernel_mean(
+    numerator: NDArray[np.float64], denominator: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return numerator / denominator, and 0 where the denominator is 0.
+
+    The numerator need not be 0 there: each sum of float32 is rounded to 0 by itself.
+
+    Parameters
+    ----------
+    numerator : (H, W, 3) array
+    denominator : (H, W) array
+    """
+    there = denominator[..., None] > 0
+    return np.divide(
+        numerator, denominator[..., None], out=np.zeros_like(numerator, dtype=float), where=there
+    )
 
 
 def neighbor_distances(operations: Operations, splats: Any, canvas: Canvas) -> NDArray[np.float64]:

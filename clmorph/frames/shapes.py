@@ -22,7 +22,7 @@ from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.growth import take_after
 from clmorph.frames.particles import Particles
-from clmorph.frames.render import CUT, kernel_sum
+from clmorph.frames.render import CUT, kernel_mean, kernel_sum
 from clmorph.images.color import from_space, to_space
 from clmorph.images.flat_colors import Regions, flat_regions, foreground
 from clmorph.measures.measure import Measure
@@ -168,7 +168,7 @@ class Shapes:
         """Return a part's mean color, and its density relative to an even spread of all mass."""
         splats = self._operations.advect(part, t, canvas.scale, canvas.center)
         numerator, denominator = self._operations.splat(splats, canvas.shape, sigma, CUT * sigma)
-        mean = numerator / np.maximum(denominator, np.finfo(float).tiny)[..., None]
+        mean = kernel_mean(numerator, denominator)
         start, end = self._weights.sum(axis=0)
         even = ((1 - t) * start + t * end) * kernel_sum(sigma) / denominator.size
         return mean, denominator / even

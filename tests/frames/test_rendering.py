@@ -1,8 +1,10 @@
+import warnings
 from itertools import pairwise
 
 import numpy as np
 import plain
 import pytest
+from drawn import logo
 from plain import lift, morph
 from scipy.ndimage import gaussian_filter
 
@@ -11,7 +13,7 @@ from clmorph import InputError
 from clmorph.frames.canvas import Canvas, canvas_at
 from clmorph.frames.filling import HOLE_COVERAGE
 from clmorph.frames.kernel_width import KernelWidth, effective_count
-from clmorph.frames.render import Widths, render
+from clmorph.frames.render import Widths, kernel_mean, render
 
 
 @pytest.mark.parametrize("sides", [(48, 48), (64, 16), (16, 64), (3, 1000), (1, 7)])
@@ -205,3 +207,21 @@ def test_an_even_spread_covers_evenly_up_to_the_border(device):
     for sigma in (1.0, 3.0, 12.0):
         coverage = render(device, moving, 1.0, 0.0, canvas, Widths(sigma)).coverage
         assert np.abs(coverage - 1).max() < 0.03
+
+
+def test_denominators_that_a_device_has_rounded_to_nothing_give_no_color():
+    """The numerator alone may be left: their ratio would be as large as float64 allows."""
+    numerator = np.array([[[1e-40, 2e-40, 0.0], [0.5, 0.25, 1.0]]])
+    assert np.array_equal(
+        kernel_mean(numerator, np.array([[0.0, 0.5]])), [[[0.0, 0.0, 0.0], [1.0, 0.5, 2.0]]]
+    )
+
+
+def test_transparent_corners_give_no_warning(device):
+    """Far from all particles colors are not known, and not needed."""
+    pair = [logo(name, 128, ground=None) for name in ("ring", "bars")]
+    morph = clmorph.morph(*pair, preset="crossfade", n_frames=3, backend=device)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        assert np.all(np.isfinite(morph.frame(0.125)))
+    assert np.abs(morph._renderer.sums(0.125).colors).max() < 10
