@@ -344,6 +344,13 @@ def solver_names(names):
         **{"a": rng.random(90), "x": rng.random((90, 3))},
         **{"b": rng.random(70), "y": rng.random((70, 3))},
         **{"source": source, "target": target, "other": other},
+    }
+
+
+def many_names(names):
+    """What the reader has where many problems are solved at once."""
+    rng = np.random.default_rng(6)
+    return {
         **{"all_a": rng.random((4, 9)), "all_x": rng.random((4, 9, 3))},
         **{"all_b": rng.random((4, 7)), "all_y": rng.random((4, 7, 3))},
         "sources": [(rng.random(n), rng.random((n, 3))) for n in (5, 1, 8, 3)],
@@ -373,6 +380,7 @@ GIVEN = {
     ("clmorph/backends/README.md", "In your own OpenCL program"): host_names,
     ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
     ("clmorph/transport/README.md", "The solver alone"): solver_names,
+    ("clmorph/transport/README.md", "Many problems at once"): many_names,
 }
 #: Files that blocks leave.
 LEFT = {
