@@ -163,7 +163,7 @@ def morph(
         format = None  # the file's format applies only to the output that the file names
     most = MAX_PIXELS if max_pixels is None else max_pixels
     if dump_config:
-        if auto and images:
+        if auto and images and all(path.is_file() for path in images):
             from clmorph.cli.common import read_picture
             from clmorph.pipeline.prepare import as_images, recognized
 
