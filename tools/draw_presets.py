@@ -5,19 +5,16 @@ Each row is one pair of pictures by the preset that they choose themselves (``au
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
+from drawn_pictures import logo, sprite
 from picture_pairs import picture
 from PIL import Image
 from rich.progress import track
 
 import clmorph
 from clmorph.pipeline.presets import PRESETS
-
-sys.path.append(str(Path(__file__).parents[1] / "tests" / "helpers"))
-from drawn import logo, sprite
 
 TIMES = (0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
 #: Height of the pictures, and width of the gaps, in pixels.

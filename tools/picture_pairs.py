@@ -1,6 +1,7 @@
 """Pairs of pictures by which frames are judged: photographs, drawings, and own deformations."""
 
 import numpy as np
+from drawn_pictures import star_corners
 from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter, map_coordinates
 from skimage import data
@@ -64,9 +65,7 @@ def _drawn(name: str) -> Image.Image:
         return tuple(unit * value for value in values)
 
     if name == "star":
-        turns, radii = np.arange(10) * np.pi / 5, np.where(np.arange(10) % 2, 19, 42)
-        corners = np.column_stack((50 + radii * np.sin(turns), 50 - radii * np.cos(turns)))
-        draw.polygon([at(*corner) for corner in corners.tolist()], fill="#d62728")
+        draw.polygon([at(*corner) for corner in star_corners()], fill="#d62728")
     elif name == "shapes":
         draw.ellipse(at(15, 20, 70, 75), fill="#1f77b4")
         draw.rectangle(at(60, 60, 90, 90), fill="#2ca02c")

@@ -116,7 +116,7 @@ def inspect(
     True
     """
     images = as_images((image_a, image_b))
-    chosen = as_options(options, preset, False, given, images)
+    chosen = as_options(options, preset, given, images)
     max_bytes = PruningOptions.checked("max_bytes", max_bytes)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)

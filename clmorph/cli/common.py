@@ -1,4 +1,4 @@
-"""Common steps of several commands: reading pictures and opening a device."""
+"""Common steps of several commands: reading pictures, choosing presets and opening a device."""
 
 import logging
 import os
@@ -12,6 +12,8 @@ from typing import Any
 from clmorph._shared.validation import check_max_pixels
 from clmorph.cli.terminal import NOTES, note, say
 from clmorph.errors import FileError, ImageWarning, InputError
+from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.presets import PRESETS
 
 #: A handler that keeps Python from printing log records without another handler.
 SILENT = logging.NullHandler()
@@ -115,3 +117,20 @@ def open_backend(device: str | None, backend: str | None) -> Any:
     if shared is not None:
         note(shared)
     return operations
+
+
+def chosen_preset(preset: str, options: MorphOptions) -> str:
+    """Return a line about the preset that the pictures have chosen.
+
+    Parameters
+    ----------
+    preset : str
+    options : MorphOptions
+        The options of the run, some of which can differ from those of the preset.
+    """
+    usual = MorphOptions(preset=preset)
+    given = [
+        name for name in PRESETS[preset].options if getattr(options, name) != getattr(usual, name)
+    ]
+    other = f"; given otherwise: {', '.join(given)}" if given else " (--preset takes another)"
+    return f"preset: {preset}, for what the pictures show{other}"

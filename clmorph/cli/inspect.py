@@ -13,11 +13,11 @@ from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
 from clmorph.analysis.figures import check_plotting, draw_inspection
 from clmorph.analysis.inspect import inspect
-from clmorph.cli.common import note_warning, open_backend, read_picture
-from clmorph.cli.terminal import Stages
+from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_picture
+from clmorph.cli.terminal import Stages, say
 from clmorph.errors import ConvergenceWarning
 from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.prepare import as_images, as_options
+from clmorph.pipeline.prepare import as_images, recognized
 from clmorph.pipeline.presets import AUTO
 
 
@@ -45,14 +45,17 @@ def run_inspect(
     max_pixels, device, backend, as_json
         As for ``clmorph morph``.
     """
-    if preset not in (None, AUTO):
-        MorphOptions(preset=preset, **given)  # raises an error before the pictures are read
+    auto = preset is None or preset == AUTO
+    options = MorphOptions(preset=None if auto else preset, **given)
     if output is not None:
         check_plotting(output)
         check_apart([output], images)
     pictures = [read_picture(path, max_pixels) for path in images]
-    options = as_options(None, preset, False, given, as_images(pictures))
     operations = open_backend(device, backend)
+    if auto:
+        preset = recognized(as_images(pictures))
+        options = MorphOptions(preset=preset, **given)
+        say(chosen_preset(preset, options))
     with Stages() as stages, warnings.catch_warnings():
         # The printed statistics report convergence instead.
         warnings.simplefilter("ignore", ConvergenceWarning)

@@ -97,7 +97,7 @@ def _settings_callback(context: click.Context, parameter: click.Parameter, path:
     "--draft",
     is_flag=True,
     panel="Settings",
-    help="A first look in about a second: smaller, with fewer frames and less accuracy.",
+    help="A first look in a few seconds: smaller, with fewer frames and less accuracy.",
 )
 @click.option(
     "--config", type=options.FileName(), is_eager=True, callback=_settings_callback,

@@ -19,7 +19,7 @@ from clmorph._shared.files import check_apart, check_place
 from clmorph._shared.printable import printable, size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
-from clmorph.cli.common import note_warning, open_backend, read_picture
+from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_picture
 from clmorph.cli.terminal import Stages, note, say
 from clmorph.errors import (
     ConvergenceWarning,
@@ -41,7 +41,6 @@ from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import fitted, recognized
-from clmorph.pipeline.presets import PRESETS
 from clmorph.pipeline.recipe import recipe
 from clmorph.pipeline.result import Morph
 from clmorph.transport.potentials import Potentials
@@ -174,13 +173,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     elif reduced:
         shown = f"; pictures reduced to {run.options.size} pixels (--size)"
     if preset is not None:
-        usual = MorphOptions(preset=preset)
-        given = [
-            name for name in PRESETS[preset].options
-            if getattr(run.options, name) != getattr(usual, name)
-        ]  # fmt: skip
-        other = f"; given otherwise: {', '.join(given)}" if given else " (--preset takes another)"
-        say(f"preset: {preset}, for what the pictures show{other}")
+        say(chosen_preset(preset, run.options))
     say(f"{run.memory(pictures, operations)}{shown}")
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:

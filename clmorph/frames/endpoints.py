@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
-from clmorph.frames.growth import grown_ends
+from clmorph.frames.growth import grown_ends, mean_destinations
 from clmorph.frames.render import CUT, kernel_sum
 from clmorph.images.pixels import resized
 from clmorph.measures.measure import Measure
@@ -198,27 +198,6 @@ class EndCorrection:
             if missing is not None and end * share > 0:
                 total = total + end * share * resized(missing, canvas.shape)
         return total
-
-
-def mean_destinations(
-    source: Measure, target: Measure, plan: Plan | Barycentric
-) -> tuple[Array, Array]:
-    """Return the mean destinations of source pixels and the mean origins of target pixels.
-
-    Parameters
-    ----------
-    source, target : Measure
-    plan : Plan or Barycentric
-
-    Returns
-    -------
-    (N, 2) and (M, 2) arrays
-        Positions in the common frame.
-    """
-    if isinstance(plan, Plan):
-        return plan.mean_destinations(source.positions, target.positions)
-    # The mean origin of a target pixel is not known, so its detail stays in place.
-    return plan.positions, target.positions
 
 
 def make_details(

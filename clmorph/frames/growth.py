@@ -19,6 +19,27 @@ Array = NDArray[np.float64]
 TRAVELS = 0.5
 
 
+def mean_destinations(
+    source: Measure, target: Measure, plan: Plan | Barycentric
+) -> tuple[Array, Array]:
+    """Return the mean destinations of source pixels and the mean origins of target pixels.
+
+    Parameters
+    ----------
+    source, target : Measure
+    plan : Plan or Barycentric
+
+    Returns
+    -------
+    (N, 2) and (M, 2) arrays
+        Positions in the common frame.
+    """
+    if isinstance(plan, Plan):
+        return plan.mean_destinations(source.positions, target.positions)
+    # The mean origin of a target pixel is not known, so what is born there rests.
+    return plan.positions, target.positions
+
+
 def grown_ends(source: Measure, target: Measure, plan: Plan | Barycentric) -> tuple[Array, Array]:
     """Return where unmatched mass of source pixels ends, and where that of target pixels starts.
 
@@ -33,10 +54,7 @@ def grown_ends(source: Measure, target: Measure, plan: Plan | Barycentric) -> tu
     (N, 2) and (M, 2) arrays
         Positions in the common frame. They are those of the pixels themselves if nothing travels.
     """
-    if isinstance(plan, Plan):
-        forth, back = plan.mean_destinations(source.positions, target.positions)
-    else:
-        forth, back = plan.positions, target.positions
+    forth, back = mean_destinations(source, target, plan)
     sent, received = plan.marginals
     return _nearest_end(source, sent, forth), _nearest_end(target, received, back)
 

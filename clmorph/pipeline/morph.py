@@ -63,7 +63,7 @@ def morph(
         by name differ. By default "auto": "pixel-art" if both images are sprites, "logo" if both
         are flat drawings or sprites, and "photo" otherwise (`clmorph.images.kind.kind_of`).
     draft : bool
-        A first look in about a second: smaller, with fewer frames and less accuracy, as far as
+        A first look in a few seconds: smaller, with fewer frames and less accuracy, as far as
         these options are not given (`clmorph.pipeline.presets.DRAFT`).
     backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
@@ -111,7 +111,7 @@ def morph(
     True
     """
     images = as_images((image_a, image_b))
-    chosen = as_options(options, preset, draft, given, images)
+    chosen = as_options(options, preset, given, images, draft=draft)
     pair = ImagePair(fitted(images, chosen, weights, color_metric), chosen)
     return pair.morph(backend, check_progress(progress), weights, color_metric)
 

@@ -49,9 +49,10 @@ def recognized(images: Iterable[Picture]) -> PresetName:
 def as_options(
     options: MorphOptions | None,
     preset: str | None,
-    draft: bool,
     given: Any,
     images: Iterable[Picture],
+    *,
+    draft: bool = False,
 ) -> MorphOptions:
     """Return the options of a call, from an options object, a preset and options by name.
 
@@ -59,11 +60,12 @@ def as_options(
     ----------
     options : MorphOptions or None
     preset : str or None
-    draft : bool
     given : mapping
         Options by name.
     images : iterable of (H, W, C) arrays
         The images, which choose the preset "auto".
+    draft : bool
+        See `MorphOptions`.
 
     Raises
     ------

@@ -17,8 +17,8 @@ PresetName = Literal[
 #: The default of `clmorph.morph` and of ``clmorph morph``.
 AUTO: PresetName = "auto"
 AUTO_HELP = (
-    "The preset for what the pictures show: pixel-art for sprites, logo for flat drawings, photo "
-    "for all others, also if their kinds differ."
+    "The pictures choose: pixel-art for sprites, logo for flat drawings (also beside sprites), and "
+    "photo for all others."
 )
 
 
@@ -41,7 +41,7 @@ PRESETS: dict[str, Preset] = {
     "photo": Preset("For any two pictures: sharp ends, no holes, colors that change.", {}),
     "portrait": Preset(
         "For faces in similar places: features stay where they are and change their colors.",
-        {"color_weight": 0.25, "blur": 0.06},
+        {"color_weight": 0.15},
     ),
     "logo": Preset(
         "For logos and flat drawings: shapes become shapes, and the background stays.",
@@ -97,7 +97,7 @@ PRESETS: dict[str, Preset] = {
 assert {AUTO, *PRESETS} == set(get_args(PresetName))
 
 
-#: Largest values of options, and least tolerance, of a first look that takes about a second.
+#: Largest values of options, and least tolerance, of a first look that takes a few seconds.
 DRAFT: dict[str, int] = {"size": 96, "solve_size": 48, "max_particles": 100_000, "n_frames": 12}
 DRAFT_TOL = 1e-2
 

@@ -180,9 +180,9 @@ class Morph(FrameSequence):
 
     @property
     def detail(self) -> str:
-        """What draws the fine detail of the frames: "carried" or "particles".
+        """What draws the fine detail of the frames: "carried", "particles", "shapes" or "pixels".
 
-        Pictures with opacity are drawn by particles, whatever the option `detail` says.
+        It is the option `detail`, but "particles" where pictures have opacity and it is "carried".
         """
         return self._renderer.detail
 
@@ -190,7 +190,8 @@ class Morph(FrameSequence):
     def sigma(self) -> NDArray[np.float64]:
         """(n_frames,) kernel width at `times`, in pixels; 0 where there is no kernel.
 
-        It is the width for ``detail="particles"`` and for `sums`. Where detail is carried,
+        It is the width for ``detail="particles"`` and for `sums`; flat shapes have their own. Where
+        detail is carried,
         particles show the lower band alone, with the width
         `clmorph.frames.carried_detail.band_width`.
         """
@@ -200,8 +201,9 @@ class Morph(FrameSequence):
         """Render the frame at time t.
 
         With ``detail="carried"`` the particles show the lower band of a frame, and its fine detail
-        is that of both images (`clmorph.frames.carried_detail`). With ``detail="particles"`` a
-        pixel is the weighted mean of Eq. 4 where `coverage` is at least `filling.HOLE_COVERAGE`
+        is that of both images (`clmorph.frames.carried_detail`). With "shapes" and "pixels" it
+        shows the densest part of flat images (`clmorph.frames.shapes`). With "particles" a pixel is
+        the weighted mean of Eq. 4 where `coverage` is at least `filling.HOLE_COVERAGE`
         (with "local" splatting, and where it is not torn out of its surroundings). Where coverage
         is at most half of that, the kernels' tails would decide, and
         wider kernels fill the pixel instead. Between the two limits both results are mixed. Pixels

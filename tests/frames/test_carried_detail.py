@@ -112,6 +112,26 @@ def test_frames_are_sharp_and_clean_at_all_times(device, names):
 
 
 @pytest.mark.parametrize(
+    "names",
+    [
+        ("portrait", "photographer"),
+        pytest.param(("portrait", "cat"), marks=pytest.mark.full),
+    ],
+)
+def test_features_of_portraits_stay_nearer_to_their_places(device, names):
+    ends = [picture(name) for name in names]
+    moved = []
+    for preset in ("portrait", "photo"):
+        morph = clmorph.morph(*ends, n_frames=3, preset=preset, backend=device)
+        links, mass = morph.particles.links, morph.particles.weights.mean(axis=1)
+        here, there = (morph.particles.table[links[:, end], :2] for end in (0, 1))
+        moved.append(np.average(np.linalg.norm(there - here, axis=1), weights=mass))
+        middle = morph.frame(0.5)
+        assert 0.85 < mean_gradient(middle) / np.mean([mean_gradient(end) for end in ends]) < 1.15
+    assert moved[0] < 0.8 * moved[1]
+
+
+@pytest.mark.parametrize(
     ("first", "last"),
     [((40, 56), (48, 33)), ((1, 1), (3, 3)), ((1, 20), (20, 1)), ((5, 7), (30, 20))],
 )

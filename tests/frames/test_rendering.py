@@ -4,7 +4,7 @@ from itertools import pairwise
 import numpy as np
 import plain
 import pytest
-from drawn import logo
+from drawn_pictures import logo
 from plain import lift, morph
 from scipy.ndimage import gaussian_filter
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from drawn import compressed, logo, sprite
+from drawn_pictures import compressed, logo, sprite
 
 import clmorph
 from clmorph import InputError, MorphOptions

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from drawn import SPRITES, compressed, logo, sprite
+from drawn_pictures import SPRITES, compressed, logo, sprite
 from picture_pairs import CUTS, DRAWINGS, picture
 from skimage import data
 

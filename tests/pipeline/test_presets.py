@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from drawn import logo, sprite
+from drawn_pictures import logo, sprite
 from picture_pairs import picture
 from PIL import Image
 
@@ -150,7 +150,9 @@ class TestCommand:
         pair = ["logo0.png", "logo1.png"]
         command = ["inspect", *pair, "--backend", "numpy", "--solve-size", "16", "--json"]
         assert main(command) == 0
-        auto = json.loads(capfd.readouterr().out)
+        shown = capfd.readouterr()
+        assert "preset: logo, for what the pictures show" in shown.err
+        auto = json.loads(shown.out)
         assert main([*command, "--preset", "logo"]) == 0
         given = json.loads(capfd.readouterr().out)
         assert auto["source"] == given["source"]

@@ -1,4 +1,4 @@
-"""Sprites and logos, drawn without files."""
+"""Sprites and logos that are drawn without files, for tests and for pictures of the pages."""
 
 import io
 
@@ -33,6 +33,13 @@ def sprite(name: str, block: int = 1, ground: tuple[int, int, int] | None = None
     return np.kron(levels, np.ones((block, block, 1))) / 255.0
 
 
+def star_corners() -> list[tuple[float, float]]:
+    """Return the corners of a star in a picture of 100 x 100 units."""
+    turns, radii = np.arange(10) * np.pi / 5, np.where(np.arange(10) % 2, 19, 42)
+    x, y = 50 + radii * np.sin(turns), 50 - radii * np.cos(turns)
+    return list(zip(x.tolist(), y.tolist(), strict=True))
+
+
 def logo(name: str, side: int = 64, *, ground: str | None = "white") -> np.ndarray:
     """Return an anti-aliased logo, with opacity if there is no background."""
     whole = 8 * side
@@ -43,9 +50,7 @@ def logo(name: str, side: int = 64, *, ground: str | None = "white") -> np.ndarr
         return tuple(whole * value / 100 for value in values)
 
     if name == "star":
-        turns, radii = np.arange(10) * np.pi / 5, np.where(np.arange(10) % 2, 19, 42)
-        corners = np.column_stack((50 + radii * np.sin(turns), 50 - radii * np.cos(turns)))
-        draw.polygon([at(*corner) for corner in corners.tolist()], fill="#d62728")
+        draw.polygon([at(*corner) for corner in star_corners()], fill="#d62728")
     elif name == "disc":
         draw.ellipse(at(28, 28, 72, 72), fill="#1f77b4")
     elif name == "ring":
