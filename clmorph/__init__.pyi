@@ -110,6 +110,12 @@ from .transport.divergence_matrix import (
 from .transport.divergence_matrix import (
     divergence_matrix as divergence_matrix,
 )
+from .transport.gradient import (
+    Gradient as Gradient,
+)
+from .transport.gradient import (
+    gradient as gradient,
+)
 from .transport.plan import (
     Plan as Plan,
 )
@@ -144,6 +150,7 @@ __all__ = [
     "Divergence",
     "DivergenceMatrix",
     "FileError",
+    "Gradient",
     "ImageWarning",
     "InputError",
     "Inspection",
@@ -164,6 +171,7 @@ __all__ = [
     "divergence_matrix",
     "fit",
     "get_backend",
+    "gradient",
     "inspect",
     "lift",
     "load",
