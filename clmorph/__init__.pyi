@@ -2,6 +2,18 @@ from . import reference as reference
 from ._shared.version import (
     __version__ as __version__,
 )
+from .adapters import (
+    geomloss as geomloss,
+)
+from .adapters import (
+    jax as jax,
+)
+from .adapters import (
+    pot as pot,
+)
+from .adapters import (
+    torch as torch,
+)
 from .analysis.inspect import (
     Inspection as Inspection,
 )
