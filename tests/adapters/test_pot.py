@@ -29,7 +29,7 @@ def test_against_pot(any_backend, rng, unbalanced, lazy):
     ours = clmorph.pot.solve_sample(*given, **options, lazy=lazy, backend=any_backend)
     near = {"rtol": 1e-4, "atol": 1e-6}
     np.testing.assert_allclose(ours.lazy_plan[:], theirs.plan, **near)
-    # The value by its definition: where POT 0.9.7 is unbalanced, its own is not.
+    # By its definition: POT 0.9.7 returns a value of about 0 for unbalanced problems.
     cost, plan = ot.dist(*given[:2]), theirs.plan
     value = np.vdot(plan, cost) + 0.2 * divergence(plan, given[2][:, None] * given[3])
     if unbalanced is not None:
