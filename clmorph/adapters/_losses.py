@@ -44,19 +44,7 @@ def divergence_and_gradient(
         If shapes do not belong together, or a problem cannot be solved.
     """
     a, x, b, y = (as_floats(*pair) for pair in zip(NAMES, arrays, strict=True))
-    shapes = ", ".join(f"{n} {v.shape}" for n, v in zip(NAMES, (a, x, b, y), strict=True))
-    batched = a.ndim == 2
-    if not (
-        a.ndim == b.ndim in (1, 2)
-        and x.ndim == y.ndim == a.ndim + 1
-        and x.shape[:-1] == a.shape
-        and y.shape[:-1] == b.shape
-        and (not batched or len(a) == len(b))
-    ):
-        raise InputError(
-            f"shapes {shapes}: expected a (N,), x (N, D), b (M,), y (M, D), or all with one more "
-            "axis for a batch in front"
-        )
+    batched = check_shapes(a.shape, x.shape, b.shape, y.shape)
     found = [
         sinkhorn_divergence(
             (each[0], each[1]), (each[2], each[3]), gradient=differentiate, **options
@@ -70,3 +58,26 @@ def divergence_and_gradient(
             stacked = [getattr(each.gradient, name) for each in found]
             parts.append(np.stack(stacked) if batched else stacked[0])
     return values if batched else values[0], tuple(parts)
+
+
+def check_shapes(*shapes: tuple[int, ...]) -> bool:
+    """Return whether arrays of these shapes, of a, x, b and y, are a batch.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not belong together.
+    """
+    a, x, b, y = shapes
+    if not (
+        len(a) == len(b) in (1, 2)
+        and len(x) == len(y) == len(a) + 1
+        and (x[:-1], y[:-1]) == (a, b)
+        and (len(a) == 1 or (len(a) == 2 and a[0] == b[0] > 0))
+    ):
+        listed = ", ".join(f"{name} {shape}" for name, shape in zip(NAMES, shapes, strict=True))
+        raise InputError(
+            f"shapes {listed}: expected a (N,), x (N, D), b (M,), y (M, D), or all with one more "
+            "axis for a batch in front"
+        )
+    return len(a) == 2

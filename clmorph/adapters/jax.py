@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from clmorph.adapters._losses import LOSS_TOL, divergence_and_gradient
-from clmorph.backends.select import Backend
+from clmorph.adapters._losses import LOSS_TOL, check_shapes, divergence_and_gradient
+from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
+from clmorph.transport._solver.checks import check_solver_options
+from clmorph.transport.divergence import one_regularization
 from clmorph.transport.options import SolverOptions
 
 __all__ = ["sinkhorn_divergence"]
@@ -54,8 +56,8 @@ def sinkhorn_divergence(
     Raises
     ------
     InputError
-        If JAX is not installed or an argument is no array of floats. Under `jax.jit`, JAX reports
-        errors of the solver as its own.
+        If JAX is not installed, or an argument cannot be used. What depends on the values of the
+        arrays (NaN, negative weights, different masses) JAX reports as an error of its own.
 
     Examples
     --------
@@ -79,10 +81,13 @@ def sinkhorn_divergence(
         arrays = tuple(
             jnp.asarray(each, dtype=jnp.result_type(each, float)) for each in (a, x, b, y)
         )
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError("a, x, b, y: expected arrays of floats") from None
-    if not 1 <= arrays[0].ndim <= 2:
-        raise InputError(f"a has shape {arrays[0].shape}: expected (N,), or (B, N) for a batch")
+    check_shapes(*(each.shape for each in arrays))
+    # What JAX would report as its own error is found here where it can be.
+    one_regularization(blur, reach, epsilon, rho)
+    check_solver_options(tol, max_iter)
+    get_backend(backend)
     options = {"blur": blur, "reach": reach, "tol": tol, "max_iter": max_iter,
                "backend": backend, "epsilon": epsilon, "rho": rho}  # fmt: skip
 

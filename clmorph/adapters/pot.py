@@ -20,7 +20,12 @@ from clmorph.transport.plan_building import transport_plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.sinkhorn import sinkhorn
 
-__all__ = ["LazyPlan", "OTResult", "solve_sample"]
+__all__ = ["LazyPlan", "OTResult", "UnsupportedError", "solve_sample"]
+
+
+class UnsupportedError(InputError, NotImplementedError):
+    """A problem of POT that this door does not solve; POT raises NotImplementedError, too."""
+
 
 #: Residual at which the solver stops, in units of epsilon.
 TOL = 1e-6
@@ -156,7 +161,7 @@ class OTResult:
     def plan(self) -> AnyArray:
         """(N, M) array; InputError for a lazy result, whose plan is not to be formed."""
         if self.is_lazy:
-            raise InputError(
+            raise UnsupportedError(
                 "the result is lazy: take parts of lazy_plan, or sparse_plan, or solve with "
                 "lazy=False"
             )
@@ -244,7 +249,7 @@ def solve_sample(
     Raises
     ------
     InputError
-        If an argument cannot be used.
+        If an argument cannot be used. It is a NotImplementedError too if POT solves such problems.
 
     Warns
     -----
@@ -265,11 +270,17 @@ def solve_sample(
         ("unbalanced_type", unbalanced_type, "kl"),
     ):  # fmt: skip
         if not isinstance(word, str) or word.lower() != only:
-            raise InputError(f"{name}={shown(word)}: expected {only!r}; use POT itself for others")
+            raise UnsupportedError(
+                f"{name}={shown(word)}: expected {only!r}; use POT itself for others"
+            )
     if c is not None:
-        raise InputError("c: expected None, the product of the weights; use POT itself for others")
+        raise UnsupportedError(
+            "c: expected None, the product of the weights; use POT itself for others"
+        )
     if reg is None:
-        raise InputError("reg is missing: expected a positive number, as exact transport needs POT")
+        raise UnsupportedError(
+            "reg is missing: expected a positive number, as exact transport needs POT"
+        )
     lazy = check_flag("lazy", lazy)
     # 1e-24 to 1e24: squares of lengths that the solver checks more closely
     epsilon = 0.5 * check_number("reg", reg, 1e-24, 1e24)
@@ -306,7 +317,7 @@ def _penalties(unbalanced: Any) -> Any:
         return np.inf
     try:
         sides = [float(np.inf if each is None else each) for each in np.ravel(unbalanced).tolist()]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         sides = []
     if len(sides) not in (1, 2) or not all(side > 0 for side in sides):
         raise InputError(

@@ -97,5 +97,9 @@ def test_jax(any_backend, rng):
     for got, exact in zip(found, (want.gradient.source_points, want.gradient.target_points),
                           strict=True):  # fmt: skip
         np.testing.assert_allclose(got, exact, atol=1e-4 * np.abs(exact).max())
+    with pytest.raises(InputError, match="shapes"):
+        loss(given[0], given[3])
+    with pytest.raises(InputError, match="blur=-1"):
+        clmorph.jax.sinkhorn_divergence(*given, -1)
     both = jax.vmap(loss, (0, None))(np.stack([given[1]] * 2), given[3])
     np.testing.assert_allclose(both, [want.value] * 2, rtol=1e-5)
