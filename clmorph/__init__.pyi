@@ -1,3 +1,4 @@
+from . import batch as batch
 from . import reference as reference
 from ._shared.version import (
     __version__ as __version__,
@@ -179,6 +180,7 @@ __all__ = [
     "PruningWarning",
     "WeightedPoints",
     "barycentric_plan",
+    "batch",
     "displacement_statistics",
     "divergence_matrix",
     "fit",
