@@ -14,8 +14,7 @@ from clmorph._shared.printable import printable
 from clmorph._shared.validation import shown
 from clmorph.batch.places import name_of, read_bytes, resolved
 from clmorph.errors import FileError, InputError
-from clmorph.output.formats.registry import by_ending
-from clmorph.output.save import usual_endings
+from clmorph.output.formats.registry import by_ending, usual_endings
 from clmorph.pipeline.options import MorphOptions, preset_options
 from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.pipeline.recipe import PRESET, options_of
@@ -253,8 +252,8 @@ def from_folder(folder: str, ending: str, chain: bool, defaults: Defaults) -> li
         names = [path.name if ambiguous else path.stem for path in (source, target)]
         output = resolved(f"{names[0]}-{names[1]}{ending}", defaults.folder)
         where = f"{source.name} and {target.name}"
-        places = (resolved(str(path)) for path in (source, target))
-        jobs.append(_made(where, *places, output, {}, None, defaults))
+        first, second = (resolved(str(path)) for path in (source, target))
+        jobs.append(_made(where, first, second, output, {}, None, defaults))
     return checked(jobs)
 
 

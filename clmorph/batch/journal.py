@@ -58,10 +58,8 @@ class Journal:
 
     def __init__(self, folder: str) -> None:
         self.place, self.records = resolved(NAME, folder), dict[str, dict[str, Any]]()
-        self._file: Any = None
+        self._file: Any = None if is_remote(self.place) else self._opened(folder)
         self._written = time.monotonic()
-        if not is_remote(self.place):
-            self._open(folder)
         text = read_bytes(self.place) if exists(self.place) else b""
         for line in text.split(b"\n"):
             # The last line of a run that was killed can be incomplete.
@@ -71,26 +69,28 @@ class Journal:
         if self._file is not None and text and not text.endswith(b"\n"):
             self._file.write(b"\n")
 
-    def _open(self, folder: str) -> None:
+    def _opened(self, folder: str) -> Any:
+        """Return the open journal, which no other run holds."""
         try:
             Path(folder).mkdir(parents=True, exist_ok=True)
-            self._file = Path(self.place).open("ab")  # noqa: SIM115
+            file = Path(self.place).open("ab")  # noqa: SIM115
         except OSError as error:
             raise OutputError(f"{folder}: cannot be written to ({reason_of(error)})") from None
         try:
             import fcntl
         except ImportError:  # Windows
-            return
+            return file
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            self._file.close()
+            file.close()
             raise OutputError(
                 f"{folder}: another clmorph batch writes to it; wait for it, or choose another "
                 "folder"
             ) from None
         except OSError:  # a file system without locks
-            return
+            pass
+        return file
 
     def missing(self, jobs: list[Job], device: str, redo: bool) -> list[tuple[Job, str]]:
         """Return the jobs that are still to be done, with their identities.

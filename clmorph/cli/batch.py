@@ -24,8 +24,7 @@ from clmorph.cli.config import Found, read_settings
 from clmorph.cli.terminal import NOTES, RESULTS, note, say
 from clmorph.errors import InputError
 from clmorph.images.pixels import MAX_PIXELS
-from clmorph.output.formats.registry import by_ending
-from clmorph.output.save import usual_endings
+from clmorph.output.formats.registry import by_ending, usual_endings
 
 #: Failed pairs that the summary lists; the page lists all.
 LISTED = 20
