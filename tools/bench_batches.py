@@ -65,7 +65,9 @@ def measure(pictures: Path, jobs: Path, workers: int, device: str, interval: flo
         command = [sys.executable, "-m", "clmorph", "batch", str(jobs), "-o", str(out), "--json"]
         command += ["--workers", str(workers), "--device" if device != "numpy" else "--backend"]
         began = time.perf_counter()
-        process = subprocess.Popen([*command, device], stdout=subprocess.PIPE, text=True)
+        told = Path(scratch, "told.json")  # a pipe that nobody reads would fill up
+        with told.open("w") as stream:
+            process = subprocess.Popen([*command, device], stdout=stream)
         memory, arrivals = [], []
         while process.poll() is None:
             memory.append(sum(map(memory_of, family(process.pid))))
@@ -74,7 +76,7 @@ def measure(pictures: Path, jobs: Path, workers: int, device: str, interval: flo
             arrivals.append((time.perf_counter(), done))
             time.sleep(interval)
         seconds = time.perf_counter() - began
-        summary = json.loads(process.communicate()[0])
+        summary = json.loads(told.read_text())
         working = [at for at, done in arrivals if done > 0]
         first = next(done for at, done in arrivals if done > 0)
         last = max(done for _, done in arrivals)

@@ -100,7 +100,7 @@ def _row(folder: str, record: Mapping[str, Any]) -> str:
             continue
         text = form.format(value) if form else size_text(value)
         cells.append(f'<td class="number" data-value="{value!r}">{_ascii(text)}</td>')
-    cells.append(f"<td>{_ascii(str(record.get('device', '')))}</td>")
+    cells.append(f'<td class="device">{_ascii(str(record.get("device", "")))}</td>')
     cells.append(f'<td class="line">{_ascii(str(record.get("line", "")))}</td>')
     return f'<tr class="{"done" if is_done else "failed"}">{"".join(cells)}</tr>\n'
 

@@ -66,7 +66,6 @@ def morph(
     ...     print("a client is needed")
     a client is needed
     """
-    check_client(client)
     if not isinstance(backend, str) or not backend:
         raise InputError(f"backend={shown(backend)}: expected a name, such as 'auto'")
     if preset is not None and (not isinstance(preset, str) or preset not in (AUTO, *PRESETS)):
@@ -74,4 +73,5 @@ def morph(
         raise InputError(f"preset={shown(preset)}: expected one of {names}")
     MorphOptions(**options)  # raises an error about the options themselves
     jobs = from_pairs(pairs, Defaults("", options, preset, MAX_PIXELS))
+    check_client(client)
     return run_jobs(client, [(job, "") for job in jobs], backend)
