@@ -2,6 +2,18 @@ from . import reference as reference
 from ._shared.version import (
     __version__ as __version__,
 )
+from .adapters import (
+    geomloss as geomloss,
+)
+from .adapters import (
+    jax as jax,
+)
+from .adapters import (
+    pot as pot,
+)
+from .adapters import (
+    torch as torch,
+)
 from .analysis.inspect import (
     Inspection as Inspection,
 )
@@ -110,6 +122,12 @@ from .transport.divergence_matrix import (
 from .transport.divergence_matrix import (
     divergence_matrix as divergence_matrix,
 )
+from .transport.gradient import (
+    Gradient as Gradient,
+)
+from .transport.gradient import (
+    gradient as gradient,
+)
 from .transport.plan import (
     Plan as Plan,
 )
@@ -144,6 +162,7 @@ __all__ = [
     "Divergence",
     "DivergenceMatrix",
     "FileError",
+    "Gradient",
     "ImageWarning",
     "InputError",
     "Inspection",
@@ -164,6 +183,7 @@ __all__ = [
     "divergence_matrix",
     "fit",
     "get_backend",
+    "gradient",
     "inspect",
     "lift",
     "load",

@@ -98,7 +98,7 @@ def main() -> None:
     print("\n| deformed, seed | cross-fade, dB | default | particles |\n|---|---|---|---|")
     for name in track(DEFORMED, "deformed", transient=True):
         if not options.only or options.only == name:
-            for seed in (0, 1):
+            for seed in (0, 1, 2):
                 print(judge_deformed(name, seed, options.device), flush=True)
 
 

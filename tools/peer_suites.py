@@ -33,6 +33,11 @@ from peers import outcomes, sources
 
 TOOLS = Path(__file__).resolve().parent
 LIBRARIES = {"pot": "ot", "geomloss": "geomloss", "ott": "ott"}
+#: POT's tests that call `solve_sample`.
+DOOR_TESTS = (
+    "test_solve_sample", "test_solve_sample_lazy", "test_solve_sample_debias",
+    "test_solve_sample_NotImplemented",
+)  # fmt: skip
 #: What stands for the modules that GeomLoss's sdist leaves out.
 STAND_IN = "from peers.geomloss_cases import *\n"
 
@@ -100,6 +105,12 @@ def make_suites(library: str, cache: Path, work: Path, extra: Path | None) -> li
     if library == "pot":
         # Both sides of each comparison are called by name: nothing is replaced.
         suites.append(("POT: problems of ours", "", "", cases, [cases / "pot_cases.py"]))
+        suites += [
+            ("POT's tests of solve_sample, by our door", "pot_door", fixtures, root,
+             [root / "test" / f"test_solvers.py::{test}" for test in DOOR_TESTS]),
+            ("POT: lazy and unbalanced, which it refuses", "", "", cases,
+             [cases / "pot_door_cases.py"]),
+        ]  # fmt: skip
     if library == "ott":
         # It puts the adapter in place itself, to have OTT's own answers as well.
         name = "OTT-JAX: problems of ours"

@@ -8,7 +8,7 @@ the images treats both alike (Liao et al., "Automating image morphing using stru
 on a halfway domain", ACM Transactions on Graphics 33(5), 2014).
 """
 
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,14 +31,35 @@ SMOOTHING = 0.045
 FAINT = 1e-3
 #: Number of particles that are added up at once.
 CHUNK = 1 << 17
-#: Registration: rounds, radius of its window in grid points, width in grid points of the Gaussian
-#: that smooths its result, and the longest correction as a share of the grid's longer side.
-ROUNDS, RADIUS, SOFTENING, LONGEST = 2, 7, 2.0, 0.045
+
+
+class Round(NamedTuple):
+    """One round of registration, in grid points."""
+
+    #: Width of the Gaussian over which local contrast is measured.
+    contrast_width: float
+    #: Radius of the window in which displacements are estimated.
+    radius: int
+
+
+#: A round that compares details, and one that compares what is about three times as large, so that
+#: a line of text is not taken for the next one.
+FINE, COARSE = Round(4.0, 7), Round(12.0, 16)
+#: Registration is tried with each of these sequences of rounds.
+TRIALS = ((FINE, FINE), (COARSE, FINE, FINE))
+#: The trial that differs least is taken at each point. Differences are averaged under a Gaussian of
+#: this share of the grid's longer side; the choice is smoothed by a Gaussian of this many points.
+COMPARED, CHOICE_WIDTH = 0.05, 6.0
+#: Registration counts in full where it lowers the difference to the first share or less, and not at
+#: all above the second: there the images have nothing in common, and it would only bend outlines.
+COMMON, FOREIGN = 0.6, 0.85
+#: Width in grid points of the Gaussian that smooths the result of a round, and the longest
+#: correction as a share of the grid's longer side.
+SOFTENING, LONGEST = 2.0, 0.045
 #: Images with a side below this number of grid points are not registered.
 FEWEST = 16
-#: Local contrast is measured over this number of grid points, and contrast below this lightness
-#: (Oklab) is treated as noise.
-CONTRAST_WIDTH, NOISE = 4.0, 0.02
+#: Contrast below this lightness (Oklab) is treated as noise.
+NOISE = 0.02
 #: Steps of the iteration that inverts the motion.
 STEPS = 8
 
@@ -169,34 +190,85 @@ def register(
     -------
     Halfway
     """
-    from scipy.ndimage import gaussian_filter
-    from skimage.registration import optical_flow_ilk
-
     grids = [canvas.reduced(GRID_SIDE) for canvas in ends]
     small = [
         resized(image[..., None], over.shape) for image, over in zip(lightness, grids, strict=True)
     ]
-    points = grid.positions()
     if min(grid.shape) >= FEWEST:
-        longest = LONGEST * max(grid.shape)
-        for _ in range(ROUNDS):
-            first, second = (
-                _contrast(sampled(image, over.places(points + share * displacement), 1)[..., 0])
-                for image, over, share in zip(small, grids, (-0.5, 0.5), strict=True)
-            )
-            flow = optical_flow_ilk(first, second, radius=RADIUS, num_warp=6)
-            flow *= np.minimum(1.0, longest / np.maximum(np.hypot(*flow), 1e-9))
-            soft = [gaussian_filter(part, SOFTENING, mode="nearest") for part in flow[::-1]]
-            moved = [part / max(scale, 1e-9) for part, scale in zip(soft, grid.scale, strict=True)]
-            displacement = displacement + np.stack(moved, axis=-1)
+        images = _Images(small, grids, grid)
+        trials = [images.moved(displacement, rounds) for rounds in TRIALS]
+        refined = images.moved(images.best(trials), (FINE,))
+        displacement = images.trusted(displacement, refined)
     kept = grid.reduced(max(1, GRID_SIDE // STRIDE))
     return Halfway(sampled(displacement, grid.places(kept.positions()), order=1), kept)
 
 
-def _contrast(lightness: Array) -> Array:
+class _Images(NamedTuple):
+    """Two images, and the grid halfway between them on which they are compared."""
+
+    images: list[Array]  # (H, W, 1)
+    canvases: list[Canvas]
+    grid: Canvas
+
+    def contrasts(self, displacement: Array, width: float) -> list[Array]:
+        """Return the local contrast of both images along a displacement, on the grid."""
+        points = self.grid.positions()
+        return [
+            _contrast(sampled(image, over.places(points + share * displacement), 1)[..., 0], width)
+            for image, over, share in zip(self.images, self.canvases, (-0.5, 0.5), strict=True)
+        ]
+
+    def moved(self, displacement: Array, rounds: tuple[Round, ...]) -> Array:
+        """Return a displacement after some rounds of registration."""
+        from scipy.ndimage import gaussian_filter
+        from skimage.registration import optical_flow_ilk
+
+        longest = LONGEST * max(self.grid.shape)
+        for each in rounds:
+            first, second = self.contrasts(displacement, each.contrast_width)
+            flow = optical_flow_ilk(first, second, radius=each.radius, num_warp=6)
+            flow *= np.minimum(1.0, longest / np.maximum(np.hypot(*flow), 1e-9))
+            soft = [gaussian_filter(part, SOFTENING, mode="nearest") for part in flow[::-1]]
+            displacement = displacement + np.stack(soft, axis=-1) / np.maximum(
+                self.grid.scale, 1e-9
+            )
+        return displacement
+
+    def best(self, trials: list[Array]) -> Array:
+        """Return at each point the displacement along which the images differ least there."""
+        from scipy.ndimage import gaussian_filter
+
+        chosen, least = trials[0], self._difference(trials[0])
+        for trial in trials[1:]:
+            difference = self._difference(trial)
+            better = np.asarray(difference < least, np.float64)
+            share = gaussian_filter(better, CHOICE_WIDTH, mode="nearest")[..., None]
+            chosen = chosen + share * (trial - chosen)
+            least = np.minimum(least, difference)
+        return chosen
+
+    def trusted(self, displacement: Array, refined: Array) -> Array:
+        """Return the refined displacement where it makes the images agree, the other elsewhere."""
+        from scipy.ndimage import gaussian_filter
+
+        left = self._difference(refined) / np.maximum(self._difference(displacement), 1e-9)
+        trust = np.clip((FOREIGN - left) / (FOREIGN - COMMON), 0.0, 1.0)
+        share = gaussian_filter(trust, CHOICE_WIDTH, mode="nearest")[..., None]
+        return np.asarray(displacement + share * (refined - displacement))
+
+    def _difference(self, displacement: Array) -> Array:
+        """Return how much the images' contrasts differ around each point of the grid."""
+        from scipy.ndimage import gaussian_filter
+
+        first, second = self.contrasts(displacement, FINE.contrast_width)
+        width = COMPARED * max(self.grid.shape)
+        return np.asarray(gaussian_filter(np.abs(first - second), width, mode="nearest"))
+
+
+def _contrast(lightness: Array, width: float) -> Array:
     """Return lightness less its local mean, divided by its local standard deviation."""
     from scipy.ndimage import gaussian_filter
 
-    detail = lightness - gaussian_filter(lightness, CONTRAST_WIDTH, mode="nearest")
-    power = gaussian_filter(detail**2, CONTRAST_WIDTH, mode="nearest")
+    detail = lightness - gaussian_filter(lightness, width, mode="nearest")
+    power = gaussian_filter(detail**2, width, mode="nearest")
     return np.asarray(detail / np.sqrt(power + NOISE**2))

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, shift
 import clmorph
 from clmorph import InputError, MorphOptions
 from clmorph.analysis.metrics import crumbs, mean_gradient, step_sizes
-from clmorph.frames import carried_detail
+from clmorph.frames import carried_detail, halfway
 from clmorph.frames.canvas import canvas_at
 from clmorph.frames.carried_detail import Bands, CarriedDetail, band_width
 from clmorph.frames.halfway import Halfway, register
@@ -38,6 +38,42 @@ class TestMotion:
         found = register((image, moved), (canvas, canvas), nothing, canvas)
         inner = found.displacement[12:-12, 12:-12] * canvas.scale
         assert np.abs(inner - (-4.0, 3.0)).max() < 0.5
+
+    @pytest.mark.parametrize("seed", [0, 1])
+    def test_registration_does_not_take_a_line_for_the_next_one(self, monkeypatch, seed):
+        """A page whose lines are 16 pixels apart, moved by a line: details alone stay there."""
+        shape, spacing = (160, 200), 16
+        rng = np.random.default_rng(seed)
+        words = gaussian_filter(rng.normal(size=shape), (0.5, spacing / 3)) > 0
+        paragraphs = gaussian_filter(rng.normal(size=shape), spacing) > 0
+        lines = np.arange(shape[0])[:, None] % spacing < spacing / 2
+        page = gaussian_filter((lines & words & paragraphs).astype(float), 1.0)
+        moved = shift(page, (spacing, 0.0), order=1, mode="nearest")
+        canvas = canvas_at(0.0, shape, shape)
+
+        def share_of_wrong():
+            found = register((page, moved), (canvas, canvas), np.zeros((*shape, 2)), canvas)
+            border = found.displacement.shape[0] // 10
+            inner = found.displacement[border:-border, border:-border] * canvas.scale
+            return np.mean(np.abs(inner - (0.0, spacing)).max(axis=-1) > 1.0)
+
+        assert share_of_wrong() < 0.5
+        monkeypatch.setattr(halfway, "TRIALS", halfway.TRIALS[:1])
+        assert share_of_wrong() > 0.9
+
+    def test_pictures_with_nothing_in_common_are_hardly_bent(self, monkeypatch):
+        first, second = (textured((200, 256), seed)[..., 0] for seed in (1, 2))
+        canvas = canvas_at(0.0, first.shape, first.shape)
+        before = np.full((*first.shape, 2), 0.02)
+
+        def bent():
+            found = register((first, second), (canvas, canvas), before, canvas)
+            return np.mean(np.linalg.norm(found.displacement - 0.02, axis=-1)) * max(canvas.scale)
+
+        with_trust = bent()
+        monkeypatch.setattr(halfway, "COMMON", 2.0)
+        monkeypatch.setattr(halfway, "FOREIGN", 3.0)
+        assert with_trust < 0.3 * bent(), (with_trust, bent())  # pixels
 
     @pytest.mark.parametrize("t", [0.0, 0.2, 0.5, 0.9, 1.0])
     def test_both_ends_of_a_point_are_the_same_at_all_times(self, t):

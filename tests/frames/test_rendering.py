@@ -146,8 +146,11 @@ def test_no_pixel_tips_at_a_threshold(device, backend, closed):
 
 @pytest.mark.parametrize("unmatched", ["drop", "fade"])
 @pytest.mark.parametrize("splatting", ["adaptive", "local"])
-def test_no_pixel_depends_on_pairs_that_were_dropped(device, splatting, unmatched):
+def test_no_pixel_depends_on_pairs_that_were_dropped(device, monkeypatch, splatting, unmatched):
     """Frames of the kept pairs are those of the whole plan, torn and empty pixels included."""
+    # Whether moments pay depends on the number of particles and on the device. Their error, within
+    # `KERNEL_ERROR` of the peak, is some percent of what fills a pixel at five kernel widths.
+    monkeypatch.setattr(device.splatting, "method", "gather")
     images = []
     for seed in (0, 1):
         image = gaussian_filter(np.random.default_rng(seed).random((24, 24, 3)), (3, 3, 0))

@@ -175,7 +175,9 @@ def cases() -> dict[str, dict[str, Any]]:
         },
         "sinkhorn_divergence": measures | STRENGTHS | SOLVER | {
             "backend": "numpy", "precision": "auto", "cross": None, "progress": Idle(),
+            "gradient": True,
         },
+        "gradient": planned,
         "sinkhorn_batch": STRENGTHS | SOLVER | {
             "sources": [some["source"], some["plain"]], "targets": [some["target"], some["plain"]],
             "backend": "numpy", "precision": "auto", "progress": Idle(),

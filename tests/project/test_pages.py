@@ -376,7 +376,14 @@ def host_names(names):
 
 
 #: Names that blocks use and do not define, by their pages and headings.
+def door_names(_names):
+    """Samples in the plane."""
+    x = np.random.default_rng(0).random((2, 20, 2))
+    return {"X_a": x[0], "X_b": x[1]}
+
+
 GIVEN = {
+    ("clmorph/adapters/README.md", "Doors of other libraries"): door_names,
     ("clmorph/backends/README.md", "In your own OpenCL program"): host_names,
     ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
     ("clmorph/transport/README.md", "The solver alone"): solver_names,

@@ -24,6 +24,10 @@ OUTSIDE: dict[str, tuple[Reason, ...]] = {
         Reason(r"nystroem|lowrank", "low-rank plans"),
         Reason(r"screenkhorn", "screening of the dual, an approximation of its own"),
         Reason(r"_emd|solve_sample_methods|solve_sample_bsp", "no entropy, or Gaussians"),
+        Reason(
+            r"sample_NotImplemented.*'reg': 1, 'unbalanced'",
+            "POT refuses what our door solves: see peers/pot_door_cases.py",
+        ),
         Reason(r"mm_wrong_divergence", "an unknown divergence is another library's choice"),
     ),
     "geomloss": (),

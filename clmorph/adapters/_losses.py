@@ -1,0 +1,83 @@
+"""The divergence as a function of arrays, with its derivatives, for libraries that differentiate.
+
+Source and target are one problem, with weights (N,) and points (N, D), or a batch of B problems
+with weights (B, N) and points (B, N, D).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from clmorph._shared.typing import Array
+from clmorph.backends.arrays import as_floats
+from clmorph.errors import InputError
+from clmorph.transport.divergence import sinkhorn_divergence
+
+#: Residual at which losses stop, in units of epsilon: derivatives are then exact to 1e-4.
+LOSS_TOL = 1e-6
+NAMES = ("a", "x", "b", "y")
+
+
+def divergence_and_gradient(
+    arrays: tuple[Any, Any, Any, Any], differentiate: bool, options: dict[str, Any]
+) -> tuple[Array, tuple[Array, ...]]:
+    """Return divergences and their derivatives.
+
+    Parameters
+    ----------
+    arrays : (a, x, b, y)
+    differentiate : bool
+        Whether derivatives are needed.
+    options : dict
+        Keywords of `clmorph.sinkhorn_divergence`.
+
+    Returns
+    -------
+    values : () or (B,) array
+    gradient : four arrays with the shapes of `arrays`, or none
+
+    Raises
+    ------
+    InputError
+        If shapes do not belong together, or a problem cannot be solved.
+    """
+    a, x, b, y = (as_floats(*pair) for pair in zip(NAMES, arrays, strict=True))
+    batched = check_shapes(a.shape, x.shape, b.shape, y.shape)
+    found = [
+        sinkhorn_divergence(
+            (each[0], each[1]), (each[2], each[3]), gradient=differentiate, **options
+        )
+        for each in (zip(a, x, b, y, strict=True) if batched else [(a, x, b, y)])
+    ]
+    values = np.array([each.value for each in found])
+    parts = []
+    if differentiate:
+        for name in ("source_weights", "source_points", "target_weights", "target_points"):
+            stacked = [getattr(each.gradient, name) for each in found]
+            parts.append(np.stack(stacked) if batched else stacked[0])
+    return values if batched else values[0], tuple(parts)
+
+
+def check_shapes(*shapes: tuple[int, ...]) -> bool:
+    """Return whether arrays of these shapes, of a, x, b and y, are a batch.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not belong together.
+    """
+    a, x, b, y = shapes
+    if not (
+        len(a) == len(b) in (1, 2)
+        and len(x) == len(y) == len(a) + 1
+        and (x[:-1], y[:-1]) == (a, b)
+        and (len(a) == 1 or (len(a) == 2 and a[0] == b[0] > 0))
+    ):
+        listed = ", ".join(f"{name} {shape}" for name, shape in zip(NAMES, shapes, strict=True))
+        raise InputError(
+            f"shapes {listed}: expected a (N,), x (N, D), b (M,), y (M, D), or all with one more "
+            "axis for a batch in front"
+        )
+    return len(a) == 2

@@ -1,0 +1,105 @@
+"""The doors of PyTorch, JAX and GeomLoss; tests of a library that is absent are skipped."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import clmorph
+import clmorph.geomloss
+import clmorph.jax
+import clmorph.torch
+from clmorph import InputError
+
+
+def arrays(rng, n=5, m=6, balanced=False):
+    a, b = rng.uniform(0.5, 1.5, n), rng.uniform(0.5, 1.5, m)
+    if balanced:
+        a, b = a / a.sum(), b / b.sum()
+    return a, rng.random((n, 2)), b, rng.random((m, 2))
+
+
+def test_doors_import_no_library():
+    code = (
+        "import sys, clmorph, clmorph.torch, clmorph.jax, clmorph.pot, clmorph.geomloss;"
+        "assert not {'torch', 'jax', 'ot', 'geomloss'} & set(sys.modules);"
+        "assert clmorph.torch is sys.modules['clmorph.torch']"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("reach", [0.4, None])
+def test_gradcheck(rng, reach):
+    torch = pytest.importorskip("torch")
+    tensors = [torch.tensor(each) for each in arrays(rng, balanced=reach is None)]
+    for each in tensors if reach else tensors[1::2]:
+        each.requires_grad_()
+    options = {"blur": 0.3, "reach": reach, "tol": 1e-8, "backend": "numpy"}
+    assert torch.autograd.gradcheck(
+        lambda *given: clmorph.torch.sinkhorn_divergence(*given, **options), tensors
+    )
+
+
+def test_torch_batches(any_backend, rng):
+    torch = pytest.importorskip("torch")
+    many = [np.stack(each) for each in zip(arrays(rng), arrays(rng), strict=True)]
+    tensors = [torch.tensor(each, dtype=torch.float32, requires_grad=True) for each in many]
+    values = clmorph.torch.sinkhorn_divergence(*tensors, 0.3, 0.5, backend=any_backend)
+    (values * torch.tensor([1.0, 2.0])).sum().backward()
+    for number, factor in enumerate((1.0, 2.0)):
+        a, x, b, y = (each[number] for each in many)
+        want = clmorph.sinkhorn_divergence(
+            (a, x), (b, y), 0.3, 0.5, 1e-6, backend=any_backend, gradient=True
+        )
+        assert values[number].item() == pytest.approx(want.value, rel=1e-5)
+        got = tensors[1].grad[number].numpy()
+        np.testing.assert_allclose(got, factor * want.gradient.source_points, atol=1e-5)
+    with pytest.raises(InputError, match="shapes"):
+        clmorph.torch.sinkhorn_divergence(tensors[0], *tensors[:3], backend="numpy")
+    with pytest.raises(InputError, match="tensor of floats"):
+        clmorph.torch.sinkhorn_divergence(*many, backend="numpy")
+
+
+def test_geomloss_door(rng):
+    torch = pytest.importorskip("torch")
+    a, x, b, y = (torch.tensor(each, requires_grad=True) for each in arrays(rng))
+    loss = clmorph.geomloss.SamplesLoss(blur=0.3, reach=0.5, device="numpy")
+    want = clmorph.torch.sinkhorn_divergence(a, x, b, y, 0.3, 0.5, backend="numpy")
+    assert loss(a, x, b, y).item() == want.item()
+    assert loss(x, y).item() == pytest.approx(
+        loss(torch.ones(5) / 5, x, torch.ones(6) / 6, y).item(), rel=1e-5
+    )
+    with pytest.raises(InputError, match="3 tensors"):
+        loss(a, x, b)
+    original = pytest.importorskip("geomloss").SamplesLoss(blur=0.3, reach=0.5, scaling=0.99)
+    assert loss(a, x, b, y).item() == pytest.approx(original(a, x, b, y).item(), rel=1e-3)
+
+
+def test_geomloss_arguments():
+    with pytest.raises(InputError, match="p is not 2"):
+        clmorph.geomloss.SamplesLoss(p=1)
+
+
+def test_jax(any_backend, rng):
+    jax = pytest.importorskip("jax")
+    given = arrays(rng)
+
+    def loss(x, y):
+        a, b = given[::2]
+        return clmorph.jax.sinkhorn_divergence(a, x, b, y, 0.3, 0.5, backend=any_backend)
+
+    want = clmorph.sinkhorn_divergence(
+        given[:2], given[2:], 0.3, 0.5, 1e-6, backend=any_backend, gradient=True
+    )
+    value, found = jax.jit(jax.value_and_grad(loss, (0, 1)))(given[1], given[3])
+    assert float(value) == pytest.approx(want.value, rel=1e-5)
+    for got, exact in zip(found, (want.gradient.source_points, want.gradient.target_points),
+                          strict=True):  # fmt: skip
+        np.testing.assert_allclose(got, exact, atol=1e-4 * np.abs(exact).max())
+    with pytest.raises(InputError, match="shapes"):
+        loss(given[0], given[3])
+    with pytest.raises(InputError, match="blur=-1"):
+        clmorph.jax.sinkhorn_divergence(*given, -1)
+    both = jax.vmap(loss, (0, None))(np.stack([given[1]] * 2), given[3])
+    np.testing.assert_allclose(both, [want.value] * 2, rtol=1e-5)

@@ -1,0 +1,160 @@
+"""Gradients in closed form, against central differences of dense solves in float64."""
+
+import numpy as np
+import pytest
+from plain import reference
+
+import clmorph
+from clmorph import InputError
+
+REACHES = [0.4, 3.0, (0.3, 1.0), (0.5, None), None]
+#: Of the largest component.
+TOLERANCE = 1e-4
+STEP, EXACT = 1e-4, {"tol": 1e-11, "max_iter": 10**5}
+NAMES = ("source_weights", "source_points", "target_weights", "target_points")
+
+
+def problem(rng, balanced, n=9, m=12, dimension=2):
+    a, b = rng.uniform(0.5, 1.5, n), rng.uniform(0.5, 2.0, m)
+    if balanced:
+        a, b = a / a.sum(), b / b.sum()
+    return (a, rng.random((n, dimension))), (b, 0.3 + rng.random((m, dimension)))
+
+
+def value(source, target, blur, reach):
+    """The value of a transport problem, from a solve in float64."""
+    return clmorph.sinkhorn(source, target, blur, reach, backend="numpy", **EXACT).dual
+
+
+def divergence(source, target, blur, reach):
+    masses = source[0].sum(), target[0].sum()
+    cross = value(source, target, blur, reach) + 0.5 * blur**2 * (masses[0] - masses[1]) ** 2
+    selves = value(source, source, blur, reach) + value(target, target, blur, reach)
+    return cross - 0.5 * selves
+
+
+def check(got, function, pair, rng, balanced):
+    """Compare with central differences in a random direction of each of the four arrays."""
+    for number, name in enumerate(NAMES):
+        derivative = getattr(got, name)
+        direction = rng.normal(size=derivative.shape)
+        if balanced and name.endswith("weights"):
+            direction -= direction.mean()  # masses stay equal
+        values = []
+        for step in (STEP, -STEP):
+            moved = [*pair[0], *pair[1]]
+            moved[number] = moved[number] + step * direction
+            values.append(function(tuple(moved[:2]), tuple(moved[2:])))
+        want = (values[0] - values[1]) / (2 * STEP)
+        limit = TOLERANCE * np.abs(derivative).max() * np.abs(direction).sum() ** 0.5
+        assert np.vdot(derivative, direction) == pytest.approx(want, rel=0, abs=limit), name
+
+
+@pytest.mark.parametrize("reach", REACHES)
+def test_value_against_differences(any_backend, rng, reach):
+    pair = problem(rng, reach in (None, (0.5, None)))
+    solved = clmorph.sinkhorn(*pair, 0.2, reach, 1e-6, 5000, any_backend)
+    got = clmorph.gradient(*pair, solved, backend=any_backend)
+    check(got, lambda *moved: value(*moved, 0.2, reach), pair, rng, reach is None)
+
+
+@pytest.mark.parametrize("reach", [0.1, 0.4, 3.0, None])
+def test_divergence_against_differences(any_backend, rng, reach):
+    pair = problem(rng, reach is None)
+    found = clmorph.sinkhorn_divergence(
+        *pair, 0.2, reach, 1e-6, 5000, any_backend, gradient=True
+    )  # fmt: skip
+    check(found.gradient, lambda *moved: divergence(*moved, 0.2, reach), pair, rng, reach is None)
+
+
+@pytest.mark.small
+@pytest.mark.parametrize("reach", [0.3, None])
+@pytest.mark.parametrize("blur", [0.1, 0.01])
+def test_against_the_dense_plan(any_backend, rng, blur, reach):
+    """Every component, at a blur so small that exponents need more than float32."""
+    pair = problem(rng, reach is None, 60, 50, 3)
+    (a, x), (_, y) = pair
+    solved = clmorph.sinkhorn(*pair, blur, reach, 1e-6, 20000, any_backend)
+    got = clmorph.gradient(*pair, solved, backend=any_backend)
+    exact = clmorph.sinkhorn(*pair, blur, reach, 1e-9, 20000, "numpy")
+    plan = reference.transport_plan(*map(as_points, pair), exact)
+    forth = plan.sum(axis=1)[:, None] * x - plan @ y
+    back = plan.sum(axis=0)[:, None] * y - plan.T @ x
+    np.testing.assert_allclose(got.source_points, forth, atol=TOLERANCE * np.abs(forth).max())
+    np.testing.assert_allclose(got.target_points, back, atol=TOLERANCE * np.abs(back).max())
+    if reach is None:
+        np.testing.assert_allclose(got.source_weights.mean(), 0, atol=1e-12)
+    else:
+        # OT is positively homogeneous but for the entropic term: Euler's relation.
+        rho, epsilon = reach**2, blur**2
+        mass = plan.sum()
+        want = (rho + epsilon * pair[1][0].sum()) * a.sum() - (rho + epsilon) * mass
+        assert a @ got.source_weights == pytest.approx(want, rel=1e-5)
+
+
+def as_points(measure):
+    return clmorph.WeightedPoints(measure[1], measure[0])
+
+
+@pytest.mark.small
+def test_two_points(any_backend):
+    """Two Diracs: log m = ((rho + epsilon)(log a + log b) - C) / (2 rho + epsilon)."""
+    epsilon, rho, x, y, a, b = 0.04, 0.25, 0.1, 0.8, 0.7, 2.0
+    mass = np.exp(
+        ((rho + epsilon) * np.log(a * b) - 0.5 * (x - y) ** 2) / (2 * rho + epsilon)
+    )  # fmt: skip
+    pair = ([a], [x]), ([b], [y])
+    solved = clmorph.sinkhorn(*pair, 0.2, 0.5, 1e-6, backend=any_backend)
+    got = clmorph.gradient(*pair, solved, backend=any_backend)
+    assert got.source_points[0, 0] == pytest.approx(mass * (x - y), rel=1e-5)
+    assert got.target_points[0, 0] == pytest.approx(mass * (y - x), rel=1e-5)
+    want = rho + epsilon * b - (rho + epsilon) * mass / a
+    assert got.source_weights[0] == pytest.approx(want, rel=1e-5)
+
+
+@pytest.mark.parametrize("reach", [0.3, None])
+def test_equal_measures_and_points_without_mass(any_backend, rng, reach):
+    (a, x), _ = problem(rng, True)
+    a[2] = 0.0
+    a /= a.sum()
+    options = {"tol": 1e-6, "backend": any_backend, "gradient": True}
+    same = clmorph.sinkhorn_divergence((a, x), (a, x), 0.2, reach, **options).gradient
+    for name in NAMES:
+        assert not getattr(same, name).any()
+    moved = clmorph.sinkhorn_divergence((a, x), (a, x + 0.2), 0.2, reach, **options).gradient
+    for name in NAMES:
+        assert np.isfinite(getattr(moved, name)).all()
+    assert not moved.source_points[2].any()
+    # The weight of a point far from the target should shrink, also if the point has no mass.
+    assert np.ptp(moved.source_weights) > 0
+
+
+def test_translation_and_an_image(rng):
+    """Balanced and moved: the derivatives are -a_i shift, and -x shift up to a constant."""
+    (a, x), _ = problem(rng, True)
+    shift = np.array([0.3, -0.2])
+    found = clmorph.sinkhorn_divergence(
+        (a, x), (a, x + shift), 0.1, None, 1e-8, 20000, "numpy", gradient=True
+    )
+    np.testing.assert_allclose(found.gradient.source_points, -np.outer(a, shift), atol=1e-8)
+    along = x @ shift
+    np.testing.assert_allclose(found.gradient.source_weights, along.mean() - along, atol=1e-6)
+    measures = clmorph.lift(rng.random((4, 5, 3))), clmorph.lift(rng.random((5, 4, 3)))
+    found = clmorph.sinkhorn_divergence(*measures, 0.1, 0.3, backend="numpy", gradient=True)
+    assert found.gradient.source_points.shape == (20, 5)
+
+
+def test_no_gradient_of_other_problems(rng):
+    pair = problem(rng, False)
+    solved = clmorph.sinkhorn(*pair, 0.2, 0.5, backend="numpy")
+    with pytest.raises(InputError, match="other measures"):
+        clmorph.gradient(pair[0], (pair[1][0], pair[1][1] + 1), solved, backend="numpy")
+    with pytest.raises(InputError, match="gradient='yes'"):
+        clmorph.sinkhorn_divergence(*pair, 0.2, 0.5, backend="numpy", gradient="yes")
+    metric = np.tile(np.eye(3), (3, 3, 1, 1))
+    source, target = (
+        clmorph.lift(rng.random((3, 3, 3)), color_metric=each) for each in (metric, None)
+    )
+    solved = clmorph.sinkhorn(source, target, 0.2, 0.5, backend="numpy")
+    with pytest.raises(InputError, match="metric for each source pixel"):
+        clmorph.gradient(source, target, solved, backend="numpy")
