@@ -183,6 +183,25 @@ def test_kernels_never_use_scalars_of_another_call(device, rng):
     assert not wrong
 
 
+def test_ctrl_c_leaves_no_scalar_that_is_not_known(device, rng):
+    """It comes right after a scalar was set; the next call has the scalars of the one before."""
+    rows, columns = (device.upload(rng.random((n, 3)), np.full(n, 1 / n)) for n in (70, 150))
+    wanted = device.softmin(rows, columns, np.zeros(150), 0.01)
+    set_arg = cl.Kernel.set_arg
+
+    def interrupted(kernel, number, value):
+        set_arg(kernel, number, value)
+        if isinstance(value, np.generic):
+            raise KeyboardInterrupt
+
+    with (
+        mock.patch.object(cl.Kernel, "set_arg", interrupted),
+        pytest.raises(KeyboardInterrupt),
+    ):
+        device.softmin(rows, columns, np.zeros(150), 0.3)
+    assert np.array_equal(device.softmin(rows, columns, np.zeros(150), 0.01), wanted)
+
+
 def test_threads_take_turns(device):
     rng = np.random.default_rng(0)
     clouds = [device.upload(rng.random((n, 5)), np.full(n, 1 / n)) for n in (200, 300)]

@@ -131,6 +131,9 @@ class Workspace:
                 value = argument.tobytes()
                 if known.get(number) == value:
                     continue
+                # Ctrl-C may come between any two of these steps: the kernel must not store another
+                # value than the one that is known.
+                known.pop(number, None)
                 kernel.set_arg(number, argument)
                 known[number] = value
             else:
