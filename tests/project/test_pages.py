@@ -385,6 +385,13 @@ def host_names(names):
 
 
 #: Names that blocks use and do not define, by their pages and headings.
+def density_names(names):
+    y, x = np.mgrid[:24, :24] / 23
+    first, second = (np.exp(-50 * ((x - at) ** 2 + (y - 0.5) ** 2)) for at in (0.3, 0.7))
+    total = second.sum() / first.sum()
+    return {"clmorph": clmorph, "histogram_a": first * total, "histogram_b": second}
+
+
 def door_names(_names):
     """Samples in the plane."""
     x = np.random.default_rng(0).random((2, 20, 2))
@@ -403,6 +410,7 @@ def batch_names(_names):
 
 GIVEN = {
     ("clmorph/batch/README.md", "From Python"): batch_names,
+    ("clmorph/frames/README.md", "Densities"): density_names,
     ("clmorph/adapters/README.md", "Doors of other libraries"): door_names,
     ("clmorph/backends/README.md", "In your own OpenCL program"): host_names,
     ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
