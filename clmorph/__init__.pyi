@@ -1,3 +1,4 @@
+from . import batch as batch
 from . import reference as reference
 from ._shared.version import (
     __version__ as __version__,
@@ -189,6 +190,7 @@ __all__ = [
     "PruningWarning",
     "WeightedPoints",
     "barycentric_plan",
+    "batch",
     "density",
     "density_path",
     "displacement_statistics",

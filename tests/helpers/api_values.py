@@ -53,6 +53,7 @@ MODULES = {
     "quality": clmorph.analysis.metrics,
     "baseline": clmorph.analysis.channel_baseline,
     "reference": clmorph.reference,
+    "batch": clmorph.batch,
 }
 
 
@@ -189,6 +190,15 @@ def cases() -> dict[str, dict[str, Any]]:
         "sinkhorn_batch": STRENGTHS | SOLVER | {
             "sources": [some["source"], some["plain"]], "targets": [some["target"], some["plain"]],
             "backend": "numpy", "precision": "auto", "progress": Idle(),
+        },
+        # Without a client, which is checked last, so that every other value is.
+        "batch.morph": {
+            "pairs": [("a.png", "b.png", "out.gif")], "client": None, "backend": "numpy",
+            "preset": None,
+        },
+        "batch.divergence_matrix": STRENGTHS | SOLVER | {
+            "measures": [some["source"], some["target"]], "client": None, "backend": "numpy",
+            "precision": "auto", "block": 2,
         },
         "divergence_matrix": STRENGTHS | SOLVER | {
             "measures": [some["source"], some["target"]], "backend": "numpy", "precision": "auto",
