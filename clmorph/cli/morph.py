@@ -190,7 +190,8 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
         )
 
     notes: list[Warning] = []
-    with Stages() as stages, warnings.catch_warnings():
+    with Stages(began) as stages, warnings.catch_warnings():
+        stages.count("preparation")
         # The last line reports convergence instead.
         warnings.simplefilter("ignore", ConvergenceWarning)
         for kind in (MemoryWarning, PruningWarning):
