@@ -143,6 +143,7 @@ SOLVER = {"tol": 1e-3, "max_iter": 2000}
 WIDTHS = {"sigma_start": 1.2, "sigma_end": 0.5, "gamma": 0.5}
 LIFTING = {"extent": "true", "mass": "uniform", "weights": None, "color_space": "srgb",
            "color_metric": None, "color_weight": 2.0}  # fmt: skip
+GUIDES = {"landmarks": None}
 
 
 def cases() -> dict[str, dict[str, Any]]:
@@ -159,14 +160,14 @@ def cases() -> dict[str, dict[str, Any]]:
                 "lossless": False}  # fmt: skip
     of_morph = {"morph": some["morph"]}
     given: dict[str, dict[str, Any]] = {
-        "morph": images | STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | playback | {
+        "morph": images | STRENGTHS | SOLVER | WIDTHS | LIFTING | GUIDES | shared | playback | {
             "draft": False, "n_frames": 2, "splatting": "adaptive", "sigma": None,
             "endpoints": "exact",
             "detail": "particles",
             "unmatched": "fade", "path_space": "srgb", "barycentric": False, "sample": None,
             "seed": 0, "ease": "linear",
         },
-        "inspect": images | STRENGTHS | SOLVER | LIFTING | shared | {
+        "inspect": images | STRENGTHS | SOLVER | LIFTING | GUIDES | shared | {
             "n_frames": 2, "divergence": True, "max_bytes": 1e9,
         },
         "MorphOptions.replace": {"self": clmorph.MorphOptions()} | STRENGTHS | SOLVER,

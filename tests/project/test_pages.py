@@ -409,8 +409,8 @@ def batch_names(_names):
 
 
 GIVEN = {
-    ("clmorph/batch/README.md", "From Python"): batch_names,
     ("clmorph/frames/README.md", "Densities"): density_names,
+    ("clmorph/batch/README.md", "From Python"): batch_names,
     ("clmorph/adapters/README.md", "Doors of other libraries"): door_names,
     ("clmorph/backends/README.md", "In your own OpenCL program"): host_names,
     ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
