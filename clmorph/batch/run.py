@@ -15,8 +15,9 @@ AHEAD, LEAST = 2, 8
 def run_jobs(client: Any, jobs: Sequence[tuple[Job, str]], device: str) -> Iterator[dict[str, Any]]:
     """Yield the record of each job as it ends.
 
-    A worker that dies has its job done by another one; a job during which several workers die
-    is recorded as failed.
+    A worker that dies has its job done by another one. Dask gives a job up when several workers die
+    that had it, even if it was only waiting there. Such a job is done once more at the end, with
+    no other job beside it, and is recorded as failed if workers die again.
 
     Parameters
     ----------
@@ -33,11 +34,12 @@ def run_jobs(client: Any, jobs: Sequence[tuple[Job, str]], device: str) -> Itera
     from distributed import as_completed
 
     waiting = iter(jobs)
+    suspects: list[tuple[Job, str]] = []
     known: dict[Any, tuple[Job, str]] = {}
     ended = as_completed()
 
-    def send() -> bool:
-        for job, key in waiting:
+    def send(more: Iterator[tuple[Job, str]]) -> bool:
+        for job, key in more:
             # One key a submission: results of an earlier run that Dask remembers are not wanted.
             future = client.submit(run_job, job, key, device, pure=False)
             known[future] = job, key
@@ -46,13 +48,20 @@ def run_jobs(client: Any, jobs: Sequence[tuple[Job, str]], device: str) -> Itera
         return False
 
     try:
-        while len(known) < _ahead(client) and send():
+        while len(known) < _ahead(client) and send(waiting):
             pass
         for future in ended:
             job, key = known.pop(future)
-            yield _record(future, job, key)
-            while len(known) < _ahead(client) and send():
+            if _was_given_up(future):
+                suspects.append((job, key))
+            else:
+                yield _record(future, job, key)
+            while len(known) < _ahead(client) and send(waiting):
                 pass
+        alone = iter(suspects)
+        while send(alone):
+            for future in ended:
+                yield _record(future, *known.pop(future))
     finally:
         # A run that ends early takes its jobs back.
         client.cancel(list(known))
@@ -63,9 +72,13 @@ def _ahead(client: Any) -> int:
     return max(LEAST, AHEAD * sum(worker["nthreads"] for worker in workers))
 
 
-def _record(future: Any, job: Job, key: str) -> dict[str, Any]:
+def _was_given_up(future: Any) -> bool:
     from distributed import KilledWorker
 
+    return future.status == "error" and isinstance(future.exception(), KilledWorker)
+
+
+def _record(future: Any, job: Job, key: str) -> dict[str, Any]:
     if future.status == "finished":
         return future.result()
     if future.status != "error":
@@ -74,7 +87,7 @@ def _record(future: Any, job: Job, key: str) -> dict[str, Any]:
             "what is missing is done"
         )
     error = future.exception()
-    if isinstance(error, KilledWorker):
+    if _was_given_up(future):
         line = "the workers that tried it ended: out of memory, perhaps; use a smaller size"
     else:
         line = f"{type(error).__name__}: {reason_of(error)}"
