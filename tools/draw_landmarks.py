@@ -16,7 +16,7 @@ import clmorph
 TIMES = np.linspace(0.0, 1.0, 7)
 #: Left, top and side of the square that is taken of each photograph, and the side of the drawing.
 CUTS = {"astronaut": (165, 55, 120), "chelsea": (60, 0, 300)}
-SIDE = 192
+SIDE = 160
 #: Corners of the eyes, nose, mouth and its corners, in pixels of the squares.
 FACES = {
     "astronaut": [(29, 44), (45.7, 46.7), (74.3, 49), (93.3, 49.3), (61.7, 70), (58.3, 91),
@@ -43,7 +43,7 @@ def draw(path: Path, device: str) -> None:
             for t in TIMES
         ]
         rows.append(np.hstack([each.resize((SIDE, SIDE), Image.LANCZOS) for each in frames]))
-    Image.fromarray(np.vstack(rows)).quantize(240).save(path, optimize=True)
+    Image.fromarray(np.vstack(rows)).save(path, optimize=True)
 
 
 def random_picture(rng: np.random.Generator, side: int) -> np.ndarray:
