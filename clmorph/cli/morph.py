@@ -41,7 +41,7 @@ from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import fitted, recognized
-from clmorph.pipeline.recipe import recipe
+from clmorph.pipeline.recipe import picture_entries, recipe
 from clmorph.pipeline.result import Morph
 from clmorph.transport.potentials import Potentials
 
@@ -186,7 +186,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:
         return recipe(
-            run.options, images=files.pictures(images, folder), device=operations.description
+            run.options, images=picture_entries(images, folder), device=operations.description
         )
 
     notes: list[Warning] = []
