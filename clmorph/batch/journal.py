@@ -15,7 +15,7 @@ from typing import Any, Self
 from clmorph._shared.printable import reason_of
 from clmorph._shared.version import __version__
 from clmorph.batch.jobs import Job
-from clmorph.batch.places import exists, is_remote, read_bytes, resolved, stamp
+from clmorph.batch.places import exists, is_remote, read_if_any, resolved, stamp
 from clmorph.errors import InputError, OutputError
 
 #: The name of the journal.
@@ -60,13 +60,15 @@ class Journal:
         self.place, self.records = resolved(NAME, folder), dict[str, dict[str, Any]]()
         self._file: Any = None if is_remote(self.place) else self._opened(folder)
         self._written = time.monotonic()
-        text = read_bytes(self.place) if exists(self.place) else b""
+        text = read_if_any(self.place)
         for line in text.split(b"\n"):
             # The last line of a run that was killed can be incomplete.
             with suppress(ValueError, TypeError, KeyError):
                 record = json.loads(line)
                 self.records[str(record["output"])] = record
-        if self._file is not None and text and not text.endswith(b"\n"):
+        if self._file is None:
+            self._rewrite()  # before the work, so that a place that cannot be written is known
+        elif text and not text.endswith(b"\n"):
             self._file.write(b"\n")
 
     def _opened(self, folder: str) -> Any:

@@ -124,6 +124,25 @@ def read_bytes(place: str) -> bytes:
         raise FileError(f"{place}: cannot be read ({reason_of(error)})") from None
 
 
+def read_if_any(place: str) -> bytes:
+    """Return the content of a file; nothing if there is none.
+
+    Raises
+    ------
+    FileError
+        If it cannot be known whether there is one, or it cannot be read.
+    """
+    try:
+        if not is_remote(place):
+            return Path(place).read_bytes()
+        system, path = _system(place)
+        return system.cat_file(path)
+    except FileNotFoundError:
+        return b""
+    except Exception as error:  # file systems raise exceptions of any class
+        raise FileError(f"{place}: cannot be read ({reason_of(error)})") from None
+
+
 def _system(place: str) -> tuple[Any, str]:
     import fsspec
 

@@ -83,6 +83,7 @@ def local_client(devices: list[str], memory: str | None = None) -> Iterator[Any]
             "cls": Nanny,
             "options": {
                 "host": LOCAL, "nthreads": 1, "memory_limit": limit, "dashboard": False,
+                "preload": ["clmorph.batch.preload"],
                 "env": {} if device in ("auto", "opencl") else {"CLMORPH_DEVICE": device},
             },
         }

@@ -12,12 +12,14 @@ import click
 
 from clmorph._shared.printable import printable
 from clmorph._shared.signals import note_partial
+from clmorph._shared.staging import clear_leftovers
 from clmorph._shared.validation import check_max_pixels
+from clmorph.backends.select import get_backend
 from clmorph.batch.extra import need_dask
 from clmorph.batch.index import write_index
 from clmorph.batch.jobs import Defaults, Job, from_folder, read_jobs
 from clmorph.batch.journal import Journal
-from clmorph.batch.places import name_of, resolved
+from clmorph.batch.places import is_remote, name_of, resolved
 from clmorph.batch.run import run_jobs
 from clmorph.batch.workers import devices_of, local_client, remote_client
 from clmorph.cli.config import Found, read_settings
@@ -141,6 +143,9 @@ def run_batch(request: BatchRequest) -> int:
                 with _client(request, len(left)) as client:
                     _work(client, left, journal, request.device)
         finally:
+            # What workers left that were ended in the middle; those that still write hold a lock.
+            for place in {Path(job.output).parent for job, _ in left if not is_remote(job.output)}:
+                clear_leftovers(place)
             records = [journal.records[job.output] for job in jobs if job.output in journal.records]
             page = write_index(folder, records) if records else ""
             n_done = sum(record["status"] == "done" for record in records)
@@ -182,6 +187,8 @@ def _client(request: BatchRequest, count: int) -> AbstractContextManager[Any]:
     if request.scheduler is not None:
         return remote_client(request.scheduler)
     with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
+        if request.device not in ("auto", "opencl"):
+            get_backend(request.device)  # a mistake is one error, and not one for each pair
         devices = devices_of(request.device, request.workers)
     return local_client(devices[:count], request.memory)
 

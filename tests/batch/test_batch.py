@@ -271,15 +271,19 @@ def test_tables_that_are_wrong(tmp_path, capsys, name, text, words):
         (["a.csv", "--chain", "."], "expected a table of jobs, or"),
         (["--chain", "nowhere"], "nowhere: expected a folder"),
         (["--chain", "."], "holds 0 pictures"),
+        (["--chain", "PICTURES", "--device", "none such"], "matches 'none such'"),
+        (["--chain", "PICTURES", "-o", "nofs://x"], "nofs://x/clmorph-batch.jsonl: cannot be"),
         (["--chain", ".", "--ending", ".xyz"], "--ending .xyz: expected one of"),
         (["--chain", ".", "--memory", "much"], "--memory much: expected a size"),
         (["--chain", ".", "--device", "a", "--backend", "numpy"], "contradict"),
         (["--chain", ".", "--scheduler", "x", "--workers", "2"], "has workers of its own"),
     ],
 )
-def test_arguments_that_are_wrong(tmp_path, monkeypatch, capsys, arguments, words):
+def test_arguments_that_are_wrong(tmp_path, monkeypatch, capsys, pictures, arguments, words):
     monkeypatch.chdir(tmp_path)
-    assert main(["batch", *arguments, "-o", "out"]) == 2
+    folder = str(pictures[0].parent)
+    arguments = [folder if word == "PICTURES" else word for word in arguments]
+    assert main(["batch", "-o", "out", *arguments]) == 2
     assert words in capsys.readouterr().err
 
 
@@ -357,3 +361,26 @@ def test_the_index_in_a_browser(tmp_path):
         assert link == (tmp_path / "y#1.gif").as_uri()
         browser.close()
     assert troubles == []
+
+
+def test_ctrl_c_of_a_terminal(pictures, tmp_path):
+    """The workers get it, too, and say nothing."""
+    table(tmp_path / "jobs.csv", pictures)
+    out = tmp_path / "out"
+    call = ["batch", str(tmp_path / "jobs.csv"), "-o", str(out), "--backend", "numpy"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "clmorph", *call], start_new_session=True, text=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        wait_for(2, out, process)
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130, errors
+    *_, last = errors.splitlines()
+    assert last.startswith("clmorph: interrupted, ")
+    assert "Traceback" not in errors
+    assert (out / "index.html").exists()
+    assert not list(out.rglob(".clmorph-*"))
