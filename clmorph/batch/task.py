@@ -32,7 +32,7 @@ from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import Output, write_all
 from clmorph.pipeline.budget import default_memory
-from clmorph.pipeline.morph import ImagePair
+from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.prepare import fitted, recognized
 from clmorph.pipeline.recipe import picture_entries, recipe
 from clmorph.pipeline.result import Morph
@@ -98,7 +98,7 @@ def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[s
         place.check_motion(motion)
         pictures = fitted(whole, options)
         operations = get_backend(device)
-        morph = ImagePair(pictures, options).morph(operations, _silent)
+        morph = ImagePair(pictures, options, shapes_of(whole)).morph(operations, _silent)
 
         def metadata() -> dict[str, Any]:
             entries = picture_entries(images)

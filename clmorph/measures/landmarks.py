@@ -29,9 +29,13 @@ from clmorph.measures.landmark_options import Landmarks
 from clmorph.measures.measure import Measure
 
 #: Standard deviation of a bump, in sides of the image, and its height, in units of the cost's
-#: coordinates. On smooth random pictures of 64 and 256 pixels, with 1 to 60 landmarks, broader or
-#: lower bumps (0.06, 0.5) missed by up to 5 pixels of 256 and these by less than 1.
+#: coordinates. Lower ones hold less against colors, and broader ones are mistaken for those with
+#: which they share a coordinate (``tools/draw_landmarks.py --measure``).
 RADIUS, HEIGHT = 0.04, 1.5
+#: Rounds in which landmarks choose a coordinate.
+ROUNDS = 10
+#: Least standard deviation, in pixels: the grid must resolve a bump.
+LEAST_PIXELS = 3.0
 #: Fixed points along a side of the image's border.
 ALONG_A_SIDE = 5
 #: Least distance of a fixed border point from a landmark, in sides of the image.
@@ -101,13 +105,15 @@ def guided(
     if total <= 0:
         raise InputError("landmarks: the warp leaves no mass in image_a; move them less")
     channels = _channels(sides[1], MAX_DIMENSION - source.points.shape[1])
+    radius = bump_radius(source, target)
     return (
         replace(
             source, warped=warped, weights=masses * (source.mass / total),
-            features=_joined(source.features, _bumps(warped, sides[1], channels)),
+            features=_joined(source.features, _bumps(warped, sides[1], channels, radius)),
         ),
         replace(
-            target, features=_joined(target.features, _bumps(target.positions, sides[1], channels))
+            target,
+            features=_joined(target.features, _bumps(target.positions, sides[1], channels, radius)),
         ),
     )  # fmt: skip
 
@@ -200,31 +206,39 @@ def _jacobian(warped: Array, source: Measure, target: Measure, marks: Array) -> 
 def _channels(places: Array, most: int) -> IntArray:
     """Assign landmarks (n, 2) to coordinates, so that those which share one are far apart.
 
-    Each landmark in turn joins the coordinate whose nearest landmark is the farthest from it.
+    Each landmark in turn joins the coordinate whose nearest landmark is the farthest from it, in
+    several rounds, the first of which finds the coordinates empty.
     """
     if most < 1:
         raise InputError(
             f"landmarks need a coordinate of the cost, but it has {MAX_DIMENSION} at most, and all "
             "are taken: give fewer features"
         )
+    if len(places) <= most:
+        return np.arange(len(places))
+    distances = np.linalg.norm(places[:, None] - places, axis=2)
+    np.fill_diagonal(distances, np.inf)
     found = np.full(len(places), -1, np.int64)
-    for k, place in enumerate(places):
-        if k < most:
-            found[k] = k
-            continue
-        distances = np.linalg.norm(places[:k] - place, axis=1)
-        nearest = np.full(most, np.inf)
-        np.minimum.at(nearest, found[:k], distances)
-        found[k] = int(np.argmax(nearest))
+    for _ in range(ROUNDS):
+        for k, row in enumerate(distances):
+            taken = found >= 0
+            nearest = np.full(most, np.inf)
+            np.minimum.at(nearest, found[taken], row[taken])
+            found[k] = int(np.argmax(nearest))
     return found
 
 
-def _bumps(positions: Array, places: Array, channels: IntArray) -> Array:
+def bump_radius(source: Measure, target: Measure) -> float:
+    """Return the standard deviation of the bumps between two measures, in sides of the image."""
+    return max(RADIUS, LEAST_PIXELS * max(source.spacing, target.spacing))
+
+
+def _bumps(positions: Array, places: Array, channels: IntArray, radius: float) -> Array:
     """Return the bumps around landmarks at positions (N, 2): (N, coordinates) array."""
     found = np.zeros((len(positions), int(channels.max()) + 1))
     for place, channel in zip(places, channels, strict=True):
         squares = np.sum((positions - place) ** 2, axis=1)
-        found[:, channel] += HEIGHT * np.exp(-squares / (2 * RADIUS**2))
+        found[:, channel] += HEIGHT * np.exp(-squares / (2 * radius**2))
     return found
 
 

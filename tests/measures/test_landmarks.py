@@ -13,7 +13,7 @@ import clmorph
 from clmorph import InputError
 from clmorph.cli.main import main
 from clmorph.measures.landmark_options import read_landmarks
-from clmorph.measures.landmarks import HEIGHT, RADIUS, guided
+from clmorph.measures.landmarks import HEIGHT, bump_radius, guided
 from clmorph.measures.measure import check_measure
 from clmorph.output.provenance import read_parameters
 
@@ -71,12 +71,12 @@ def test_landmarks_go_to_their_partners(device, rng, reach):
     assert np.abs(guide.frame(1.0) - b).max() < 1e-4
 
 
-@pytest.mark.parametrize("blur", [0.05, 0.02])
-def test_sixty_landmarks(rng, blur):
-    n = 32
-    landmarks = many(rng, n, 60, 2.0)
+def test_landmarks_that_share_coordinates(rng):
+    """With the six coordinates that are left in the cost, 24 of them stay within a pixel."""
+    n = 36
+    landmarks = many(rng, n, 24, 2.0)
     morph = plain.morph(
-        smooth(rng, n, n), smooth(rng, n, n), n_frames=2, landmarks=landmarks, blur=blur,
+        smooth(rng, n, n), smooth(rng, n, n), n_frames=2, landmarks=landmarks, blur=0.02,
         color_weight=0.5, tol=1e-2, barycentric=True, backend="numpy",
     )  # fmt: skip
     assert morph.source.points.shape[1] == morph.target.points.shape[1] == 11
@@ -106,7 +106,7 @@ def test_the_warp_is_exact_and_keeps_the_mass(rng):
     # Bumps depend on the place in the target's frame alone.
     for measure, places in ((first, first.warped), (second, second.positions)):
         squares = np.sum((places - np.array(landmarks[0][1]) / 32) ** 2, axis=1)
-        bump = HEIGHT * np.exp(-squares / (2 * RADIUS**2))
+        bump = HEIGHT * np.exp(-squares / (2 * bump_radius(source, target) ** 2))
         assert np.abs(measure.features[:, 0] - bump).max() < 1e-9
 
 
