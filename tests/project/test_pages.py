@@ -64,7 +64,7 @@ ELSEWHERE = {
     r"python tools/faults\.py .*": ("tests/project/test_tools_faults.py", "import faults"),
     r"python tools/soak\.py .*": ("tests/project/test_tools_faults.py", "import soak"),
     r"python tools/cross_check\.py .*": ("tests/project/test_cross_check.py", "import cross_check"),
-    r"clmorph batch .*": ("tests/batch/test_batch.py", '["batch", '),
+    r"clmorph batch .*": ("tests/batch/test_dask_batches.py", '["batch", '),
     r"python tools/peer_suites\.py .*": ("tests/project/test_peer_suites.py", "peer_suites"),
 }
 PICTURES = {"a.png": "astronaut", "b.jpg": "coffee", "c.png": "chelsea", "d.jpg": "rocket"}
