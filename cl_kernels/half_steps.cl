@@ -1,11 +1,14 @@
-// The arithmetic of an iteration between two softmins, float64, in one launch of one work-group each:
-// damping, translation, marginals, residual, dual, and Anderson's combination of iterates (paper, 2.1
-// and 3.1; the formulas are those of clmorph/transport/_solver/half_steps.py, problem.py and anderson.py).
-// Before it a kernel joins the softmin that log_sum_exp.cl has computed; after it, it prepares the next.
+// The arithmetic of an iteration between two softmins, float64, in one launch of one work-group:
+// damping, translation, marginals, residual, dual, and Anderson's combination of iterates (paper,
+// 2.1 and 3.1; the formulas are those of half_steps.py, problem.py and anderson.py in
+// clmorph/transport/_solver). Before it a kernel joins the softmin that log_sum_exp.cl has
+// computed; after it, it prepares the next.
 //
-// Written by tools/make_half_steps.py from those formulas: change them.
+// Written by tools/make_half_steps.py from those formulas: change them. Each operation has its own
+// line; x are numbers, v entries of vectors.
 //
-// Shapes: n points of the rows and m of the columns, both padded to whole tiles by points without mass.
+// Shapes: n points of the rows and m of the columns, both padded to whole tiles by points without
+// mass.
 // Launch: get_global_size(0) == GROUP, see vector_steps.cl.
 //
 // -D BALANCED  1: inverse_rho_source is 0; 2: inverse_rho_target; 3: both; 0: none
@@ -22,15 +25,15 @@
 #define AHEAD(j) COLUMN(COLUMN_AHEAD + (j))
 #define DIFFERENCES(j) COLUMN(COLUMN_DIFFERENCES + (j))
 
-// `control` has g's place, the parity of the iterate, whether an iterate is stored, the place of its
-// difference, and the number of differences.
+// `control` has g's place, the parity of the iterate, whether an iterate is stored, the place of
+// its difference, and the number of differences.
 #define G_AT (control & 63u)
 #define PARITY (control >> 6 & 1u)
 #define BEGUN (control >> 7 & 1u)
 #define PLACE (control >> 8 & 15u)
 #define COUNT (control >> 12)
 
-// Prepare the softmin of the rows, T(g), for a new g: that of the host, or one of the columns' vectors.
+// Prepare the softmin of the rows, T(g), for a new g: the host's, or one of the columns' vectors.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void prepare_rows(
     const uint n, const uint m, const uint planes, const uint control, const double k,
@@ -45,8 +48,8 @@ void prepare_rows(
     if (G_AT == COLUMN_START)
         for (uint i = FIRST; i < m; i += STEP)
             DSTORE(DLOAD(i, start), i, COLUMN(COLUMN_START));
-    prepare_softmin(COLUMN(G_AT), COLUMN(COLUMN_OFFSETS), COLUMN(COLUMN_LOG2_WEIGHTS), tile_costs, m,
-                    n / TILE, planes, k, tile_max, row_level, logits, levels);
+    prepare_softmin(COLUMN(G_AT), COLUMN(COLUMN_OFFSETS), COLUMN(COLUMN_LOG2_WEIGHTS), tile_costs,
+                    m, n / TILE, planes, k, tile_max, row_level, logits, levels);
 }
 
 // After T(g): f, the shift of g, and the dual. Then the softmin of the columns, T(f), is prepared.
@@ -415,8 +418,8 @@ void row_step(
                     planes, k, tile_max, next_level, logits, levels);
 }
 
-// After T(f): the residual, the image of g, the shift of f, the dual, and the extrapolated g. Then the
-// softmin of the rows, T(g), is prepared.
+// After T(f): the residual, the image of g, the shift of f, the dual, and the extrapolated g. Then
+// the softmin of the rows, T(g), is prepared.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void column_step(
     const uint n, const uint m, const uint shares, const uint planes, const uint control,
@@ -1205,6 +1208,6 @@ void column_step(
 #endif
     // Without an extrapolation the image itself is next.
     const uint next_at = numbers_found ? guess_at : image_at;
-    prepare_softmin(COLUMN(next_at), COLUMN(COLUMN_OFFSETS), COLUMN(COLUMN_LOG2_WEIGHTS), tile_costs, m,
-                    n / TILE, planes, k, tile_max, next_level, logits, levels);
+    prepare_softmin(COLUMN(next_at), COLUMN(COLUMN_OFFSETS), COLUMN(COLUMN_LOG2_WEIGHTS),
+                    tile_costs, m, n / TILE, planes, k, tile_max, next_level, logits, levels);
 }

@@ -28,6 +28,10 @@ MAX_BATCH = 1 << 18
 #: The largest dimension of points: a kernel keeps one register for each coordinate.
 MAX_DIMENSION = 11
 
+#: The number of iterates that an accelerated iteration stores, and the regularization of its
+#: least-squares problem, relative to the diagonal.
+MEMORY, RIDGE = 16, 1e-10
+
 #: The largest error of a splat's kernel, as a share of the kernel's peak.
 KERNEL_ERROR = 1e-6
 
@@ -71,7 +75,7 @@ class ResidentIteration(Protocol):
         """
 
     def go_on(self, extrapolated: bool) -> None:
-        """Take the extrapolation of the last iteration, or its image of g, as the next potential."""
+        """Take the last iteration's extrapolation, or its image of g, as the next potential."""
 
     def go_back(self) -> None:
         """Drop the last iteration, and take the image of the one before as the next potential."""

@@ -12,17 +12,14 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
+from clmorph.backends.interface import MEMORY, RIDGE
 from clmorph.transport._solver.reductions import WHOLE, Reductions, Segments
 
-#: Number of stored iterates.
-MEMORY = 16
 #: Share of the remaining residual that is added, as in over-relaxation.
 MIXING = 1.5
 #: Initial radius of the trust region, in steps of the plain iteration; its growth factor after a
 #: good extrapolation that the radius had limited, and its factor after a bad extrapolation.
 TRUST_RADIUS, GROWTH, SHRINKAGE = 32.0, 4.0, 0.25
-#: Regularization of the least-squares problem, relative to its diagonal.
-RIDGE = 1e-10
 #: The least length of a step, which only keeps the quotient by it finite.
 TINY = float(np.finfo(float).tiny)
 

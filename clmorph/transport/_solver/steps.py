@@ -7,11 +7,9 @@ meet once: where the host then takes back an extrapolation, one softmin was in v
 
 from typing import NamedTuple
 
-import numpy as np
-
 from clmorph._shared.typing import Array
-from clmorph.backends.interface import ResidentIteration
-from clmorph.transport._solver.anderson import GROWTH, MEMORY, SHRINKAGE, TRUST_RADIUS, Anderson
+from clmorph.backends.interface import MEMORY, ResidentIteration
+from clmorph.transport._solver.anderson import GROWTH, SHRINKAGE, TRUST_RADIUS, Anderson
 from clmorph.transport._solver.half_steps import (
     ColumnStep,
     RowStep,

@@ -1,9 +1,7 @@
 """Where vectors and numbers of ``cl_kernels/half_steps.cl`` stand in its buffers."""
 
-#: Differences of iterates that the acceleration stores.
-MEMORY = 16
-#: Regularization of its normal equations, relative to their diagonal, in units of 10^-12.
-RIDGE_PPT = 100
+from clmorph.backends.interface import MEMORY, RIDGE
+
 #: Vectors that a loop keeps for a later one.
 SCRATCH = 4
 _SCRATCH = tuple(f"SCRATCH_{number}" for number in range(SCRATCH))
@@ -34,4 +32,4 @@ def macros() -> dict[str, int | float]:
     }
     # The differences follow those of the images.
     named["COLUMN_DIFFERENCES"] = COLUMN_SLOTS.index("AHEAD") + MEMORY
-    return named | {"MEMORY": MEMORY, "RIDGE_PPT": RIDGE_PPT}
+    return named | {"MEMORY": MEMORY, "RIDGE_PPT": round(1e12 * RIDGE)}

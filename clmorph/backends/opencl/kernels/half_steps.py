@@ -9,11 +9,11 @@ import numpy as np
 import pyopencl as cl
 
 from clmorph.backends.cancellation import check_cancelled
+from clmorph.backends.interface import MEMORY
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.build.half_step_slots import (
     COLUMN_SLOTS,
     GIVEN,
-    MEMORY,
     NUMBERS,
     ROW_SLOTS,
 )
@@ -98,12 +98,36 @@ class DeviceIteration:
         return self.steps.potentials(self)
 
 
-@dataclass
 class _Bound:
-    """Kernels of their own whose arguments stay set while an iteration goes on."""
+    """Kernels of their own, whose arguments stay set while an iteration goes on.
 
-    kernels: dict[str, cl.Kernel]
-    of: Any = None  #: a weak reference to the iteration, and its epsilon
+    Parameters
+    ----------
+    kernels : dict of kernels by name
+    """
+
+    def __init__(self, kernels: dict[str, cl.Kernel]) -> None:
+        self.kernels = kernels
+        self.iteration: weakref.ref[DeviceIteration] | None = None
+        self.epsilon = 0.0
+        self._known: dict[tuple[str, int], bytes] = {}
+
+    def set(self, name: str, first: int, *arguments: Any) -> None:
+        """Set arguments of a kernel from a number on; a scalar only where it has changed.
+
+        See `Workspace.launch`: Ctrl-C may come between any two of these steps.
+        """
+        kernel = self.kernels[name]
+        for number, argument in enumerate(arguments, first):
+            if isinstance(argument, np.generic | np.ndarray):
+                value = argument.tobytes()
+                if self._known.get((name, number)) == value:
+                    continue
+                self._known.pop((name, number), None)
+                kernel.set_arg(number, argument)
+                self._known[name, number] = value
+            else:
+                kernel.set_arg(number, argument)
 
 
 class HalfSteps:
@@ -165,8 +189,9 @@ class HalfSteps:
             for name in ("OWN_COSTS", "OFFSETS"):
                 vectors[GIVEN.index(name), n:] = vectors[GIVEN.index(name), n - 1]
             sides.append(work.buffer(vectors, np.float64))
+        balanced = int(inverse_rho[0] == 0) + 2 * int(inverse_rho[1] == 0)
         made = DeviceIteration(
-            self, rows, columns, int(inverse_rho[0] == 0) + 2 * int(inverse_rho[1] == 0), inverse_rho,
+            self, rows, columns, balanced, inverse_rho,
             (sides[0], sides[1]),
             (work.buffer(costs, np.float64), work.buffer(costs.T, np.float64)), {},
         )  # fmt: skip
@@ -236,14 +261,14 @@ class HalfSteps:
         with self._budget(iteration).measure(pairs):
             try:
                 if prepared != iteration.at:
-                    _set(bound, "prepare_rows", 3, control)
+                    bound.set("prepare_rows", 3, control)
                     enqueue("prepare_rows", group, group)
                 enqueue("rows", *self._sizes(rows, columns))
-                _set(bound, "row_step", 4, control)
+                bound.set("row_step", 4, control)
                 enqueue("row_step", group, group)
                 enqueue("columns", *self._sizes(columns, rows))
-                _set(bound, "column_step", 4, control)
-                _set(bound, "column_step", 9, np.float64(radius))
+                bound.set("column_step", 4, control)
+                bound.set("column_step", 9, np.float64(radius))
                 enqueue("column_step", group, group)
                 events.append(
                     cl.enqueue_copy(
@@ -255,7 +280,8 @@ class HalfSteps:
                     )
                 )
             finally:
-                cl.wait_for_events(events)
+                if events:
+                    cl.wait_for_events(events[-1:])
         found = dict(zip(NUMBERS, iteration.numbers.tolist(), strict=True))
         iteration.prepared = (
             _FIRST["GUESS"] if found["FOUND"] else _FIRST["IMAGE"]
@@ -287,7 +313,8 @@ class HalfSteps:
                     )
                 )
         finally:
-            cl.wait_for_events(events)
+            if events:
+                cl.wait_for_events(events)
         f, g, t_columns = (
             unsort(cloud, values) for (_, cloud, _), values in zip(places, found, strict=True)
         )
@@ -312,47 +339,46 @@ class HalfSteps:
                 steps[side] = programs.kernels(softmin)["log_sum_exp"]
             self._bound[key] = _Bound(steps)
         bound = self._bound[key]
-        if bound.of and bound.of[0]() is iteration and bound.of[1] == iteration.epsilon:
-            return bound
-        bound.of = None
-        k = LOG2_E / iteration.epsilon
+        if bound.iteration is None or bound.iteration() is not iteration:
+            bound.iteration, bound.epsilon = None, 0.0
+            self._set_buffers(bound, iteration)
+            bound.iteration = weakref.ref(iteration)
+        if bound.epsilon != iteration.epsilon:
+            bound.epsilon = 0.0
+            k = LOG2_E / iteration.epsilon
+            for name in ("rows", "columns"):
+                bound.set(name, 6, *split(np.asarray(k)))
+            for name in ("row_step", "column_step"):
+                bound.set(name, 5, np.float64(k), np.float64(iteration.epsilon))
+            bound.set("prepare_rows", 4, np.float64(k))
+            bound.epsilon = iteration.epsilon
+        return bound
+
+    def _set_buffers(self, bound: _Bound, iteration: DeviceIteration) -> None:
+        """Set what stays the same while an iteration goes on: sizes, rates and buffers."""
         rows, columns, own = iteration.rows, iteration.columns, iteration.work
-        planes = np.uint32(1 + iteration.precise)
+        planes, none = np.uint32(1 + iteration.precise), np.uint32(0)
         sizes = np.uint32(rows.stride), np.uint32(columns.stride)
-        none, zero = np.uint32(0), np.float64(0)
         for name, to, of in (("rows", rows, columns), ("columns", columns, rows)):
             tiles = np.uint32(len(of.centers))
-            _set_all(
-                bound.kernels[name], none, np.uint32(to.stride), np.uint32(of.stride), tiles, none,
-                tiles, *split(np.asarray(k)), to.shifts_buffer, to.centers_buffer,
-                of.shifts_buffer, of.centers_buffer, own["logits"], own["levels"],
-                np.uint32(to.stride), own["maxima"], own["sums"],
+            bound.set(name, 0, none, np.uint32(to.stride), np.uint32(of.stride), tiles, none, tiles)
+            bound.set(
+                name, 8, to.shifts_buffer, to.centers_buffer, of.shifts_buffer, of.centers_buffer,
+                own["logits"], own["levels"], np.uint32(to.stride), own["maxima"], own["sums"],
             )  # fmt: skip
-        scalars = (
-            np.float64(k), np.float64(iteration.epsilon), *map(np.float64, iteration.rates), zero,
-        )  # fmt: skip
         for name, to, of, costs, level, following in (
             ("row_step", rows, columns, iteration.costs[1], "row_level", "column_level"),
             ("column_step", columns, rows, iteration.costs[0], "column_level", "row_level"),
         ):
-            _set_all(
-                bound.kernels[name], *sizes, np.uint32(self._loop.column_shares(to, of)), planes,
-                none, *scalars, own["maxima"], own["sums"], own[level], *iteration.sides, costs,
-                own["tile_max"], own[following], own["logits"], own["levels"], own["products"],
-                own["numbers"],
+            shares = np.uint32(self._loop.column_shares(to, of))
+            bound.set(name, 0, *sizes, shares, planes, none)
+            bound.set(
+                name, 7, *map(np.float64, iteration.rates), np.float64(0), own["maxima"],
+                own["sums"], own[level], *iteration.sides, costs, own["tile_max"],
+                own[following], own["logits"], own["levels"], own["products"], own["numbers"],
             )  # fmt: skip
-        _set_all(
-            bound.kernels["prepare_rows"], *sizes, planes, none, np.float64(k), own["start"],
-            iteration.sides[1], iteration.costs[0], own["tile_max"], own["row_level"], own["logits"], own["levels"],
+        bound.set("prepare_rows", 0, *sizes, planes, none)
+        bound.set(
+            "prepare_rows", 5, own["start"], iteration.sides[1], iteration.costs[0],
+            own["tile_max"], own["row_level"], own["logits"], own["levels"],
         )  # fmt: skip
-        bound.of = weakref.ref(iteration), iteration.epsilon
-        return bound
-
-
-def _set(bound: _Bound, name: str, number: int, value: Any) -> None:
-    bound.kernels[name].set_arg(number, value)
-
-
-def _set_all(kernel: cl.Kernel, *arguments: Any) -> None:
-    for number, argument in enumerate(arguments):
-        kernel.set_arg(number, argument)
