@@ -20,6 +20,7 @@ from programs import program
 
 import clmorph
 from clmorph import InputError, OutputError
+from clmorph._shared.threads import MOST_THREADS
 from clmorph.images.pixels import to_bytes
 from clmorph.output.formats.sheet import Layout
 from clmorph.output.formats.video import CONTAINERS
