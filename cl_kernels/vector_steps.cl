@@ -57,11 +57,14 @@ typedef CONCAT(float, LANES) vsingle;
 #define FIRST (get_local_id(0) * LANES)
 #define STEP (GROUP * LANES)
 
-// A work-group of one needs no barrier.
+// A work-group of one needs no barrier. Long functions without one are not inlined, as Intel's compiler
+// takes twice as long otherwise.
 #if GROUP > 1
 #define STEP_BARRIER() barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE)
+#define LONG_FUNCTION static inline
 #else
 #define STEP_BARRIER()
+#define LONG_FUNCTION static __attribute__((noinline))
 #endif
 
 static inline double sum_of_lanes(const vdouble v)
@@ -151,7 +154,7 @@ static inline vdouble logit_of(
 
 // What row_loop.cl needs of the potential of the columns: logits below the largest of their tile, and the
 // levels of pairs of tiles below the largest of their row, both in float32 with its rounding errors.
-static inline void prepare_softmin(
+LONG_FUNCTION void prepare_softmin(
     const __global double* potential,    // (m,)
     const __global double* offsets,      // (m,)
     const __global double* log2_weights, // (m,)
@@ -199,7 +202,7 @@ static inline void prepare_softmin(
 
 // Solve the normal equations of the stored differences after the one at `place` has got new inner products:
 // coefficients of the residual, and whether they are determined. The first `count` are stored.
-static inline bool solve_normal(
+LONG_FUNCTION bool solve_normal(
     __global double* products,      // (MEMORY, MEMORY): inner products of the differences
     const double* row,              // (MEMORY,): those of the new one
     const double* right,            // (MEMORY,): inner products with the residual

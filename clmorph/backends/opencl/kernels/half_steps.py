@@ -26,7 +26,7 @@ from clmorph.backends.records import Float64, IterationNumbers
 
 #: The largest number of points of a side on devices that are not the host's processor. A single
 #: work-group of a graphics card has a small share of its float64 arithmetic.
-MOST_POINTS = 4096
+MOST_POINTS = 2048
 
 #: The number of softmins that are tried until one takes one launch.
 TRIALS = 8
