@@ -14,18 +14,22 @@ What the images have above it is sampled where the motion halfway (`halfway`) sa
   detail is, and fades towards the middle with `endpoints.share`.
 - c is near 1 where both lower bands agree along the motion, so that a picture and its own smooth
   deformation need nothing of the particles.
+
+All but both details is smooth, and is computed on a coarse canvas (`coarse_canvas`).
 """
 
-from concurrent.futures import ThreadPoolExecutor
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.threads import in_order
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.endpoints import share
 from clmorph.frames.halfway import mean_displacement, register, sampled
 from clmorph.frames.particles import Particles
+from clmorph.frames.resampling import enlarged, reduced
 from clmorph.images.color import to_space
 from clmorph.measures.measure import Measure
 
@@ -35,6 +39,10 @@ _Samples = NDArray[np.float32]
 #: Standard deviation of the Gaussian between both bands: a share of the longer side, and at least
 #: this number of pixels.
 BAND_SHARE, NARROWEST_BAND = 0.016, 1.5
+#: What is as smooth as the lower band is computed with so many pixels for each standard deviation.
+FINENESS = 2.0
+#: The largest number of pixels of a strip of a frame that one thread computes at a time.
+STRIP_PIXELS = 2**18
 #: Difference of the lower bands at which c falls to 1/e, and variance of a detail that nobody sees.
 #: Both are in Oklab, where the difference from black to white is 2.2; other spaces have their own.
 AGREEMENT, FLOOR = 0.1, 1e-5
@@ -49,6 +57,17 @@ def band_width(shape: tuple[int, int]) -> float:
     return max(NARROWEST_BAND, BAND_SHARE * max(shape))
 
 
+def coarse_canvas(canvas: Canvas) -> Canvas:
+    """Return the canvas on which what is as smooth as the lower band is computed."""
+    longest = max(canvas.shape)
+    return canvas.reduced(math.ceil(FINENESS * longest / band_width(canvas.shape)))
+
+
+def coarse_band_width(canvas: Canvas) -> float:
+    """Return the standard deviation of the Gaussian between both bands, in coarse pixels."""
+    return band_width(canvas.shape) * max(coarse_canvas(canvas).shape) / max(canvas.shape)
+
+
 class Bands(NamedTuple):
     """An image divided into bands, ready to be sampled.
 
@@ -56,16 +75,17 @@ class Bands(NamedTuple):
     ----------
     detail : (H, W, 3) array
         Image less lower band, as coefficients of a cubic spline.
-    smooth : (H, W, 7) array
-        The lower band, what the particles lack of it at this end, and the local variance of the
-        detail.
-    canvas : Canvas
-        The canvas of the image.
+    smooth : (h, w, 7) array
+        On a coarse canvas, the lower band, what the particles lack of it at this end, and the local
+        variance of the detail.
+    canvas, coarse : Canvas
+        The canvas of the image, and its `coarse_canvas`.
     """
 
     detail: _Samples
     smooth: _Samples
     canvas: Canvas
+    coarse: Canvas
 
     @classmethod
     def of(cls, colors: Array, canvas: Canvas, shown: Array | None = None) -> "Bands":
@@ -76,41 +96,44 @@ class Bands(NamedTuple):
         colors : (H, W, 3) array
             The image in the space of the path.
         canvas : Canvas
-        shown : (H, W, 3) array, optional
-            What the particles show at this end, drawn with a kernel of `band_width`. It differs
-            from the lower band where pixels have unequal masses, or where a plan leaves some out.
+        shown : (h, w, 3) array, optional
+            What the particles show at this end, drawn on the coarse canvas with a kernel of
+            `band_width`. It differs from the lower band where pixels have unequal masses, or where
+            a plan leaves some out.
         """
         from scipy.ndimage import spline_filter
 
-        width = band_width(canvas.shape)
-        low = _mean_around(colors, width)
-        detail = colors - low
-        variance = _mean_around((detail**2).sum(axis=-1)[..., None], width)
+        coarse = coarse_canvas(canvas)
+        width = coarse_band_width(canvas)
+        few = reduced(colors, coarse.shape)
+        low = _mean_around(few, width)
+        detail = np.asarray(colors - enlarged(low, canvas.shape), dtype=np.float64)
+        squares: Array = np.einsum("ijk,ijk->ij", detail, detail)[..., None]
+        powers = reduced(squares, coarse.shape)
+        variance = _mean_around(powers, width)
         coefficients = [
             spline_filter(detail[..., channel], order=3, mode="mirror") for channel in range(3)
         ]
         lacking = np.zeros_like(low) if shown is None else low - shown
         smooth = np.dstack((low, lacking, variance))
         return cls(
-            np.stack(coefficients, axis=-1).astype(np.float32), smooth.astype(np.float32), canvas
-        )
+            np.stack(coefficients, axis=-1).astype(np.float32), smooth.astype(np.float32),
+            canvas, coarse,
+        )  # fmt: skip
 
-    def at(self, positions: Array) -> "Samples":
-        """Sample the bands at positions (H, W, 2) of the common frame."""
-        places = self.canvas.places(positions)
-        smooth = sampled(self.smooth, places, order=1)
-        return Samples(
-            sampled(self.detail, places, order=3),
-            smooth[..., :3],
-            smooth[..., 3:6],
-            smooth[..., 6:],
-        )
+    def detail_at(self, positions: Array) -> _Samples:
+        """Sample the detail at positions (..., 2) of the common frame."""
+        return sampled(self.detail, self.canvas.places(positions), order=3)
+
+    def smooth_at(self, positions: Array) -> "Smooth":
+        """Sample what is smooth at positions (..., 2) of the common frame."""
+        found = sampled(self.smooth, self.coarse.places(positions), order=1)
+        return Smooth(found[..., :3], found[..., 3:6], found[..., 6:])
 
 
-class Samples(NamedTuple):
-    """Bands at the positions of a frame, see `Bands`: (H, W, 3) arrays, and (H, W, 1) variances."""
+class Smooth(NamedTuple):
+    """What is smooth of `Bands`, at some positions: (..., 3) arrays, and (..., 1) variances."""
 
-    detail: _Samples
     low: _Samples
     lacking: _Samples
     variance: _Samples
@@ -128,8 +151,8 @@ class CarriedDetail:
     canvases : three of Canvas
         At t = 0, 1/2 and 1.
     shown : (source's, target's)
-        What the particles show at t = 0 and t = 1, drawn with `band_width`: (H, W, 3) arrays in the
-        space of the path.
+        What the particles show at t = 0 and t = 1 on the coarse canvas, drawn with `band_width`:
+        (h, w, 3) arrays in the space of the path.
     """
 
     def __init__(
@@ -153,10 +176,23 @@ class CarriedDetail:
         #: The unit of the path's color space, where that of Oklab is 1.
         self._unit = white[0] / white[1]
 
-    def kernel_width(self, t: float) -> float:
-        """Return the kernel width with which particles are drawn at time t, in pixels."""
+    def kernel_width(self, t: float, canvas: Canvas) -> float:
+        """Return the kernel width with which particles are drawn at time t on the coarse canvas.
+
+        Parameters
+        ----------
+        t : float
+        canvas : Canvas
+            The canvas at t.
+
+        Returns
+        -------
+        float
+            In pixels of the coarse canvas.
+        """
         start, end = (band_width(bands.canvas.shape) for bands in self._bands)
-        return (1 - t) * start + t * end
+        shrink = max(coarse_canvas(canvas).shape) / max(canvas.shape)
+        return ((1 - t) * start + t * end) * shrink
 
     def frame(self, t: float, canvas: Canvas, colors: Array) -> Array:
         """Return a frame in the space of the path: (H, W, 3) array.
@@ -166,24 +202,23 @@ class CarriedDetail:
         t : float
         canvas : Canvas
             The canvas at t.
-        colors : (H, W, 3) array
-            What the particles show, drawn with `kernel_width`.
+        colors : (h, w, 3) array
+            What the particles show on the coarse canvas, drawn with `kernel_width`.
         """
-        positions = canvas.positions()
+        coarse = coarse_canvas(canvas)
         # The displacement is smooth, so a coarse grid of it is enough.
-        coarse = canvas.reduced(max(self._motion.displacement.shape))
-        displacement = self._motion.at(t, coarse.positions())
-        if coarse.shape != canvas.shape:
-            displacement = sampled(displacement, coarse.places(positions), order=1)
-        paths = positions - t * displacement, positions + (1 - t) * displacement
-        with ThreadPoolExecutor(2) as pool:  # SciPy samples without Python's lock
-            a, b = pool.map(Bands.at, self._bands, paths)
+        grid = canvas.reduced(max(self._motion.displacement.shape))
+        displacement = self._motion.at(t, grid.positions())
+        details = self._details(t, canvas, displacement)
+        places, motion = coarse.positions(), enlarged(displacement, coarse.shape)
+        a = self._bands[0].smooth_at(places - t * motion)
+        b = self._bands[1].smooth_at(places + (1 - t) * motion)
         floor = FLOOR * self._unit**2
         strong_a = (1 - t) * np.sqrt(a.variance + floor)
         strong_b = t * np.sqrt(b.variance + floor)
         k = strong_b / (strong_a + strong_b)
-        detail = (1 - k) * a.detail + k * b.detail
-        together = _mean_around((a.detail * b.detail).sum(axis=-1)[..., None], self.kernel_width(t))
+        product = np.einsum("ijk,ijk->ij", *details)[..., None]
+        together = _mean_around(reduced(product, coarse.shape), self.kernel_width(t, canvas))
         found = (1 - k) ** 2 * a.variance + k**2 * b.variance + 2 * k * (1 - k) * together
         wanted = CRISPNESS * (strong_a + strong_b)
         gain = np.minimum(1.0, wanted / np.sqrt(np.maximum(found, 0.0) + floor))
@@ -191,7 +226,41 @@ class CarriedDetail:
         agree = np.exp(-differ / (AGREEMENT * self._unit) ** 2)
         shown = colors + share(t) * ((1 - t) * a.lacking + t * b.lacking)
         low = (1 - agree) * shown + agree * ((1 - t) * a.low + t * b.low)
-        return np.asarray(low + gain * detail, dtype=np.float64)
+        smooth = np.dstack((low, gain * (1 - k), gain * k))
+        picture = np.empty((*canvas.shape, 3))
+
+        def mix(rows: slice) -> None:
+            here = enlarged(smooth, canvas.shape, rows.start, rows.stop)
+            picture[rows] = here[..., :3]
+            picture[rows] += here[..., 3:4] * details[0][rows]
+            picture[rows] += here[..., 4:] * details[1][rows]
+
+        for _ in in_order(mix, _strips(canvas)):
+            pass
+        return picture
+
+    def _details(self, t: float, canvas: Canvas, displacement: Array) -> tuple[_Samples, _Samples]:
+        """Return the details of both images where the motion has brought them at time t."""
+        found = np.empty((2, *canvas.shape, 3), np.float32)
+
+        def sample(rows: slice) -> None:
+            positions = canvas.positions(rows.start, rows.stop)
+            motion = enlarged(displacement, canvas.shape, rows.start, rows.stop)
+            for out, bands, share_of_path in zip(found, self._bands, (-t, 1 - t), strict=True):
+                out[rows] = bands.detail_at(positions + share_of_path * motion)
+
+        for _ in in_order(sample, _strips(canvas)):
+            pass
+        return found[0], found[1]
+
+
+def _strips(canvas: Canvas) -> list[slice]:
+    """Return the rows of a canvas in some strips, which threads compute at the same time."""
+    rows = max(1, min(-(-canvas.shape[0] // 4), STRIP_PIXELS // canvas.shape[1]))
+    return [
+        slice(first, min(first + rows, canvas.shape[0]))
+        for first in range(0, canvas.shape[0], rows)
+    ]
 
 
 def _mean_around(image: NDArray[np.floating], width: float) -> Array:
