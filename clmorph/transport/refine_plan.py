@@ -136,7 +136,8 @@ def _to_pixels(
     travels = np.flatnonzero(mass > 0)
     rank, finest = np.tile(np.arange(count), n)[travels], max(own.side, other.side)
     pixels, place = _in_turn(own, blocks[travels], rank, count, finest)
-    return pixels, _at_place(other, others[travels].astype(np.int64), place, finest), mass[travels]
+    there = _at_place(other, others[travels].astype(np.int64), place, finest)
+    return pixels, _with_mass(other)[there], mass[travels]
 
 
 def z_order(row: IntArray, column: IntArray) -> IntArray:
@@ -191,6 +192,29 @@ def _at_place(blocks: PixelBlocks, owner: IntArray, place: IntArray, finest: int
         inside = np.minimum(blocks.side, length - index * blocks.side)
         found.append(index * blocks.side + (offset * blocks.side // finest) % inside)
     return np.asarray(found[0] * blocks.fine.shape[1] + found[1])
+
+
+def _with_mass(blocks: PixelBlocks) -> IntArray:
+    """Return each pixel, or in place of one without mass the next one of its block that has some.
+
+    Blocks without mass keep their pixels.
+    """
+    count, massive = len(blocks.fine), blocks.fine.weights > 0
+    if massive.all():
+        return np.arange(count)
+    place = np.divmod(np.arange(count), blocks.fine.shape[1])
+    order = np.lexsort((z_order(*(axis % blocks.side for axis in place)), blocks.owners))
+    owners, there = blocks.owners[order], np.flatnonzero(massive[order])
+    following = np.searchsorted(there, np.arange(count))
+    found = np.arange(count)
+    # The next one along the curve, or the one before, if it is of the same block.
+    for near in (following, following - 1):
+        near = there[np.clip(near, 0, len(there) - 1)] if len(there) else np.arange(count)
+        wanted = ~massive[order[found]] & (owners[near] == owners)
+        found = np.where(wanted, near, found)
+    chosen = np.empty(count, np.int64)
+    chosen[order] = order[found]
+    return chosen
 
 
 def _as_plan(
