@@ -138,7 +138,9 @@ def inspect(
     check_ways(*blocks, operations, max_memory=max_memory, log_threshold=log_threshold)
     report("transport", 0.0)
     began = time.perf_counter()
-    solved, potentials = pair.solve(parts, operations, lambda share: report("transport", share))
+    solved, potentials = pair.solve(
+        parts, (source.mass, target.mass), operations, lambda share: report("transport", share)
+    )
     transport_seconds = time.perf_counter() - began
 
     found, why = None, _no_divergence(source, potentials, divergence, maps)

@@ -187,7 +187,11 @@ class ImagePair:
         return by_label(*whole, labels, options.solve_size, given)
 
     def solve(
-        self, parts: Sequence[Part], operations: Operations, report: Progress
+        self,
+        parts: Sequence[Part],
+        masses: tuple[float, float],
+        operations: Operations,
+        report: Progress,
     ) -> tuple[list[Potentials], Potentials]:
         """Return the potentials of each part, and those of all together.
 
@@ -195,6 +199,8 @@ class ImagePair:
         ----------
         parts : sequence of Part
             What `parts` has returned.
+        masses : (float, float)
+            Masses of both images.
         operations : Operations
         report : callable
             Called with the share of the work that is done.
@@ -211,7 +217,6 @@ class ImagePair:
                 **options.of(SolverOptions),
             )  # fmt: skip
             return [found], found
-        masses = parts[0].source.fine.mass, parts[0].target.fine.mass
         given = regularization(options.blur, options.reach, options.epsilon, options.rho)
         solved, whole = solve_parts(
             parts, masses, given, options.tol, options.max_iter, operations, report
@@ -235,7 +240,9 @@ class ImagePair:
             max_memory=options.max_memory, log_threshold=options.log_threshold,
         )  # fmt: skip
         report("transport", 0.0)
-        solved, potentials = self.solve(parts, operations, lambda share: report("transport", share))
+        solved, potentials = self.solve(
+            parts, (source.mass, target.mass), operations, lambda share: report("transport", share)
+        )
         report("plan", 0.0)
         plan = make_plan(
             parts, solved, operations, sample=options.sample,

@@ -120,8 +120,8 @@ def read_recipe(path: Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        The key ``options``, with names outside, and optionally ``images``, ``labels``, ``features``, ``arrays`` and
-        ``device``.
+        The key ``options``, with names outside, and optionally ``images``, ``labels``,
+        ``features``, ``arrays`` and ``device``.
 
     Raises
     ------
