@@ -45,12 +45,13 @@ def as_features(name: str, value: Any, shape: tuple[int, int]) -> Array:
     if is_path(value):
         raise InputError(f"{name} is a path: expected an array {_EXPECTED}; read the file first")
     array = as_floats(name, value, _EXPECTED)
+    given = array.shape
     if array.ndim == 2:
         array = array[..., None]
     if array.ndim != 3 or array.shape[:2] != shape or not array.shape[2]:
         raise InputError(
-            f"{name} have shape {array.shape}: expected {shape} or {(*shape, 'K')}, that of their "
-            "picture as it is given"
+            f"{name} have shape {given}: expected {shape}, the shape of their picture as it is "
+            "given, or K such maps along a third axis"
         )
     if not np.all(np.isfinite(array)):
         raise InputError(f"{name}: NaN or infinity in it; expected finite numbers")
