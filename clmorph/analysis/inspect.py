@@ -169,7 +169,10 @@ def inspect(
         parts, solved, operations, max_particles, max_memory, log_threshold, stacklevel=2
     )
     drawn, moving = _drawn(parts, solved, plan, pairs, way, operations)
-    frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations, chosen.detail)
+    # As in `Morph`: labels ask for the particles' own detail.
+    detail = chosen.detail
+    detail = "particles" if labels is not None and detail == "carried" else detail
+    frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations, detail)
     report("timing", 1.0)
     return Inspection(
         source=source,

@@ -59,7 +59,7 @@ class Morph(FrameSequence):
     options : MorphOptions
         The options of `clmorph.morph`.
     arrays : tuple of str
-        Names of the further input arrays: "weights", "color_metric".
+        Names of the further input arrays: "weights", "color_metric", "labels", "features".
 
     Examples
     --------
@@ -98,6 +98,8 @@ class Morph(FrameSequence):
     def __post_init__(self) -> None:
         # Ends seen through the kernel, and widths found for it, ask for the particles' own detail.
         asked = self.endpoints == "paper" or self.kernel_width.curve is not None
+        # The one motion that carries detail would carry it over the borders of labels.
+        asked |= "labels" in self.arrays and self.options.detail == "carried"
         renderer = FrameRenderer(
             self.source, self.target, self.plan, self.particles, self.kernel_width,
             self.operations, self.endpoints, self.unmatched,
@@ -182,7 +184,8 @@ class Morph(FrameSequence):
     def detail(self) -> str:
         """What draws the fine detail of the frames: "carried", "particles", "shapes" or "pixels".
 
-        It is the option `detail`, but "particles" where pictures have opacity and it is "carried".
+        It is the option `detail`, but "particles" where it is "carried" and pictures have opacity
+        or labels: the one motion that carries detail would carry it over the borders of labels.
         """
         return self._renderer.detail
 
