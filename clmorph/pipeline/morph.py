@@ -266,6 +266,7 @@ class ImagePair:
             unmatched=options.unmatched,
             options=options,
             arrays=self.maps.names,
+            shapes=(self.given_shapes[0], self.given_shapes[1]),
         )  # fmt: skip
         if options.sigma is None:
             return result
