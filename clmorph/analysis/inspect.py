@@ -40,11 +40,11 @@ from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.displacement import Displacement, displacement_of, displacement_statistics
 from clmorph.transport.divergence import sinkhorn_divergence
 from clmorph.transport.options import MAX_DRAWS, PruningOptions, Reach, SolverOptions
-from clmorph.transport.parts import Part, joined
 from clmorph.transport.plan import BYTES_PER_PAIR, Plan
 from clmorph.transport.plan_building import transport_plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.refine_plan import refined
+from clmorph.transport.subproblems import Subproblem, joined
 
 __all__ = ["Inspection", "Seconds", "inspect"]
 
@@ -198,7 +198,7 @@ def inspect(
 
 
 def _plan(
-    parts: Sequence[Part],
+    parts: Sequence[Subproblem],
     solved: Sequence[Potentials],
     max_bytes: float,
     log_threshold: float | None,
@@ -231,7 +231,7 @@ def _plan(
 
 
 def _drawn(
-    parts: Sequence[Part],
+    parts: Sequence[Subproblem],
     solved: Sequence[Potentials],
     plan: Plan | None,
     pairs: int,
@@ -279,7 +279,7 @@ def _one(reach: Reach) -> float | None:
 def _streamed_displacement(
     source: Measure,
     target: Measure,
-    parts: Sequence[Part],
+    parts: Sequence[Subproblem],
     solved: Sequence[Potentials],
     operations: Operations,
 ) -> Displacement:

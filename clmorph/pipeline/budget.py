@@ -16,13 +16,13 @@ from clmorph.pipeline.memory import affordable, estimate
 from clmorph.pipeline.pair_count import predict_pairs
 from clmorph.transport.barycentric import Barycentric, barycentric_plan
 from clmorph.transport.options import MAX_DRAWS
-from clmorph.transport.parts import Part, joined
 from clmorph.transport.plan import Plan
 from clmorph.transport.plan_building import transport_plan
 from clmorph.transport.plan_sampling import draw_pairs, n_draws, sample_plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.pruning import REMEDY, check_reachable
 from clmorph.transport.refine_plan import drawn, refined
+from clmorph.transport.subproblems import Subproblem, joined
 
 #: Share of a device's memory that a morph may take, unless the user sets a limit.
 MEMORY_SHARE = 0.5
@@ -37,7 +37,7 @@ def default_memory(operations: Operations) -> float | None:
 
 
 def make_plan(
-    parts: Sequence[Part],
+    parts: Sequence[Subproblem],
     solved: Sequence[Potentials],
     operations: Operations,
     *,
@@ -52,7 +52,7 @@ def make_plan(
 
     Parameters
     ----------
-    parts : sequence of Part
+    parts : sequence of Subproblem
         The problem between the blocks of both images, or those of its labels.
     solved : sequence of Potentials
         The potentials of each part.
@@ -86,7 +86,7 @@ def make_plan(
         )
         sample, barycentric = way.get("sample"), way.get("barycentric", False)
 
-    def made(part: Part, potentials: Potentials) -> Plan | Barycentric:
+    def made(part: Subproblem, potentials: Potentials) -> Plan | Barycentric:
         if barycentric:
             means = barycentric_plan(*part.measures, potentials, backend=operations)
             return refined(part.means_of_blocks(means), *part.blocks)
@@ -103,7 +103,7 @@ def make_plan(
 
 
 def _pruned(
-    part: Part, potentials: Potentials, operations: Operations, log_threshold: float | None
+    part: Subproblem, potentials: Potentials, operations: Operations, log_threshold: float | None
 ) -> Plan:
     """Return all pairs of pixels of a part that are not too small."""
     try:
@@ -120,7 +120,7 @@ def _pruned(
 
 
 def _sampled(
-    part: Part, potentials: Potentials, operations: Operations, sample: int, seed: int
+    part: Subproblem, potentials: Potentials, operations: Operations, sample: int, seed: int
 ) -> Plan:
     """Return pairs of pixels that are drawn from a part."""
     finest = finest_pixels(*part.blocks)
@@ -233,7 +233,7 @@ def dimension_of(measure: Measure) -> int:
 
 
 def choose_way(
-    parts: Sequence[Part],
+    parts: Sequence[Subproblem],
     solved: Sequence[Potentials],
     operations: Operations,
     max_particles: int | None,

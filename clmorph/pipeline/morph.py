@@ -35,11 +35,11 @@ from clmorph.pipeline.presets import PresetName
 from clmorph.pipeline.result import Morph
 from clmorph.transport.barycentric import Barycentric, destination_colors
 from clmorph.transport.options import SolverOptions
-from clmorph.transport.parts import Part, by_label, solve_parts
 from clmorph.transport.plan import Plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import regularization
 from clmorph.transport.sinkhorn import sinkhorn, warn_unless_converged
+from clmorph.transport.subproblems import Subproblem, by_label, solve_parts
 
 
 @documented(MorphOptions)
@@ -176,19 +176,19 @@ class ImagePair:
         most = self.options.solve_size
         return group_pixels(source, most), group_pixels(target, most)
 
-    def parts(self, blocks: tuple[PixelBlocks, PixelBlocks]) -> list[Part]:
+    def parts(self, blocks: tuple[PixelBlocks, PixelBlocks]) -> list[Subproblem]:
         """Return the problems that are solved by themselves: one, or one for each label."""
         options = self.options
         whole = blocks[0].fine, blocks[1].fine
         labels = self.maps.labels_of(whole, self.given_shapes)
         if labels is None:
-            return [Part(*blocks)]
+            return [Subproblem(*blocks)]
         given = regularization(options.blur, options.reach, options.epsilon, options.rho)
         return by_label(*whole, labels, options.solve_size, given)
 
     def solve(
         self,
-        parts: Sequence[Part],
+        parts: Sequence[Subproblem],
         masses: tuple[float, float],
         operations: Operations,
         report: Progress,
@@ -197,7 +197,7 @@ class ImagePair:
 
         Parameters
         ----------
-        parts : sequence of Part
+        parts : sequence of Subproblem
             What `parts` has returned.
         masses : (float, float)
             Masses of both images.

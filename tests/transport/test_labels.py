@@ -243,7 +243,7 @@ def test_a_label_of_all_pixels_changes_nothing(rng):
 
 def test_large_labels_go_through_coarser_problems(rng):
     """The problem of each label is solved as `clmorph.sinkhorn` solves one."""
-    from clmorph.transport import parts as module
+    from clmorph.transport import subproblems as module
 
     a, b, labels = pictures(rng, 24, 24)
     given = regularization(0.05, 0.3, None, None)

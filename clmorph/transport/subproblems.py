@@ -33,7 +33,7 @@ from clmorph.transport.sinkhorn import solve
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Subproblem:
     """A transport problem between blocks of pixels of two images: that of one label, or of all.
 
     Attributes
@@ -163,7 +163,7 @@ def by_label(
     labels: tuple[IntArray, IntArray],
     solve_size: int | None,
     given: Regularization,
-) -> list[Part]:
+) -> list[Subproblem]:
     """Divide the problem between two images into those of the labels that both have.
 
     A block of pixels of several labels becomes a point of each of them, with the mass and the mean
@@ -181,7 +181,7 @@ def by_label(
 
     Returns
     -------
-    list of Part
+    list of Subproblem
         In ascending order of labels. Labels that only one image has mass of are left out: their
         mass does not move.
 
@@ -217,7 +217,7 @@ def by_label(
             for measure, each in zip((source, target), labels, strict=True)
         ]
         points = tuple(np.flatnonzero(each.coarse.weights > 0) for each in blocks)
-        parts.append(Part(blocks[0], blocks[1], label, (points[0], points[1])))
+        parts.append(Subproblem(blocks[0], blocks[1], label, (points[0], points[1])))
     return parts
 
 
@@ -252,7 +252,7 @@ def _check_balance(masses: list[dict[int, float]], given: Regularization) -> Non
 
 
 def solve_parts(
-    parts: Sequence[Part],
+    parts: Sequence[Subproblem],
     masses: tuple[float, float],
     given: Regularization,
     tol: float,
@@ -264,7 +264,7 @@ def solve_parts(
 
     Parameters
     ----------
-    parts : sequence of Part
+    parts : sequence of Subproblem
     masses : (float, float)
         Masses of both images, of labels without a partner as well.
     given : Regularization
@@ -299,7 +299,7 @@ def solve_parts(
 
 
 def _together(
-    parts: Sequence[Part],
+    parts: Sequence[Subproblem],
     solved: Sequence[Potentials],
     masses: tuple[float, float],
     given: Regularization,
@@ -351,7 +351,7 @@ def _joint_certificate(
     )  # fmt: skip
 
 
-def joined(parts: Sequence[Part], plans: Sequence[Plan | Barycentric]) -> Plan | Barycentric:
+def joined(parts: Sequence[Subproblem], plans: Sequence[Plan | Barycentric]) -> Plan | Barycentric:
     """Return plans of parts, between the same pixels or blocks of both images, as one plan."""
     if parts[0].points is None:
         return plans[0]
@@ -380,7 +380,7 @@ def _sums(plans: Sequence[Plan] | Sequence[Barycentric]) -> list[Array]:
     ]  # fmt: skip
 
 
-def _joined_means(parts: Sequence[Part], plans: Sequence[Barycentric]) -> Barycentric:
+def _joined_means(parts: Sequence[Subproblem], plans: Sequence[Barycentric]) -> Barycentric:
     """Give each point the mean destination of its own label, and let others rest."""
     first = parts[0].source
     measure = first.fine if len(plans[0]) == len(first.fine) else first.coarse
