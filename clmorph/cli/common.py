@@ -12,7 +12,7 @@ from typing import Any
 from clmorph._shared.validation import check_max_pixels
 from clmorph.cli.terminal import NOTES, note, say
 from clmorph.errors import FileError, ImageWarning, InputError
-from clmorph.pipeline.maps import Maps
+from clmorph.pipeline.maps import Maps, read_maps
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
 
@@ -137,30 +137,11 @@ def chosen_preset(preset: str, options: MorphOptions) -> str:
     return f"preset: {preset}, for what the pictures show{other}"
 
 
-def read_maps(labels: Sequence[Path], features: Sequence[Path], max_pixels: int) -> Maps:
-    """Read the label images and the features of two pictures, where they are given.
-
-    Parameters
-    ----------
-    labels, features : sequences of Path
-        Two files each, or none.
-    max_pixels : int
-        Largest number of pixels of a file.
-
-    Raises
-    ------
-    FileError
-        If a file cannot be read.
-    """
-    from clmorph.images.label_maps import read_labels
-    from clmorph.measures.features import read_features
-
+def read_beside(labels: Sequence[Path], features: Sequence[Path], max_pixels: int) -> Maps:
+    """Read label images and features as `read_maps` does, and print warnings as notes."""
     check_max_pixels(max_pixels)
     with quiet_libraries() as found:
-        maps = Maps(
-            labels=tuple(read_labels(path, max_pixels=max_pixels) for path in labels) or None,
-            features=tuple(read_features(path, max_pixels=max_pixels) for path in features) or None,
-        )
+        maps = read_maps(labels, features, max_pixels)
     for remark in found:
         note(remark.message)
     return maps

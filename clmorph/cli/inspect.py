@@ -13,7 +13,7 @@ from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
 from clmorph.analysis.figures import check_plotting, draw_inspection
 from clmorph.analysis.inspect import inspect
-from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_maps, read_picture
+from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_beside, read_picture
 from clmorph.cli.terminal import Stages, say
 from clmorph.errors import ConvergenceWarning
 from clmorph.pipeline.options import MorphOptions
@@ -53,7 +53,7 @@ def run_inspect(
         check_plotting(output)
         check_apart([output], [*images, *labels, *features])
     pictures = [read_picture(path, max_pixels) for path in images]
-    maps = read_maps(labels, features, max_pixels)
+    maps = read_beside(labels, features, max_pixels)
     operations = open_backend(device, backend)
     if auto:
         preset = recognized(as_images(pictures))

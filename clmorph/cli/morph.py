@@ -19,7 +19,7 @@ from clmorph._shared.files import check_apart, check_place
 from clmorph._shared.printable import printable, size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
-from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_maps, read_picture
+from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_beside, read_picture
 from clmorph.cli.terminal import Stages, note, say
 from clmorph.errors import (
     ConvergenceWarning,
@@ -185,7 +185,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
                 f"--{name} is for two pictures, but {len(whole)} are given: morph them two at a "
                 "time"
             )
-    run.maps = read_maps(request.labels, request.features, request.max_pixels)
+    run.maps = read_beside(request.labels, request.features, request.max_pixels)
     run.shapes = shapes_of(whole)
     pictures = fitted(whole, run.options)
     operations = open_backend(device, backend)

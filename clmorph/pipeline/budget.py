@@ -132,7 +132,7 @@ def _sampled(
     draws = draw_pairs(
         *part.measures, potentials, (by_row, by_column), seed=seed, backend=operations
     )
-    return drawn(part.draws_of_blocks(draws), *part.blocks)
+    return drawn(draws, *part.blocks, part.points)
 
 
 def warn_if_much_is_dropped(plan: Plan, log_threshold: float, stacklevel: int = 2) -> None:

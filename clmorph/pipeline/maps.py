@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 from clmorph._shared.typing import Array, IntArray
 from clmorph._shared.validation import is_path
 from clmorph.errors import InputError
-from clmorph.images.label_maps import as_labels, reduced_labels
-from clmorph.measures.features import as_features, with_features
+from clmorph.images.label_maps import as_labels, read_labels, reduced_labels
+from clmorph.measures.features import as_features, read_features, with_features
 from clmorph.measures.measure import Measure
 
 Shape = tuple[int, int]
@@ -107,6 +108,27 @@ class Maps:
 
 #: No arrays.
 NO_MAPS = Maps()
+
+
+def read_maps(labels: Sequence[Path], features: Sequence[Path], max_pixels: int) -> Maps:
+    """Read the label images and the features of two pictures, where they are given.
+
+    Parameters
+    ----------
+    labels, features : sequences of Path
+        Two files each, or none.
+    max_pixels : int
+        Largest number of pixels of a file.
+
+    Raises
+    ------
+    FileError
+        If a file cannot be read.
+    """
+    return Maps(
+        labels=tuple(read_labels(path, max_pixels=max_pixels) for path in labels) or None,
+        features=tuple(read_features(path, max_pixels=max_pixels) for path in features) or None,
+    )
 
 
 def _pair(name: str, value: Any, expected: str) -> Sequence[Any]:

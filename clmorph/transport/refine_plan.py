@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
-from clmorph._shared.typing import Array, IntArray
+from clmorph._shared.typing import AnyArray, Array, IntArray
 from clmorph.images.pixels import resized
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.transport.barycentric import Barycentric
@@ -92,7 +91,12 @@ def _pixels(
     return pairs, found[0][pairs], found[1][pairs]
 
 
-def drawn(draws: Draws, source: PixelBlocks, target: PixelBlocks) -> Plan:
+def drawn(
+    draws: Draws,
+    source: PixelBlocks,
+    target: PixelBlocks,
+    points: tuple[IntArray, IntArray] | None = None,
+) -> Plan:
     """Convert draws from a plan between blocks to pairs of pixels, each draw to one pair.
 
     The draws of a row are ordered along a Z-curve over the target's blocks. They are assigned in
@@ -104,8 +108,10 @@ def drawn(draws: Draws, source: PixelBlocks, target: PixelBlocks) -> Plan:
     Parameters
     ----------
     draws : Draws
-        Draws from a plan between `source.coarse` and `target.coarse`.
+        Draws from a plan between `source.coarse` and `target.coarse`, or some of their blocks.
     source, target : PixelBlocks
+    points : pair of integer arrays, optional
+        The blocks of source and target between which the plan is; all if missing.
 
     Returns
     -------
@@ -114,22 +120,34 @@ def drawn(draws: Draws, source: PixelBlocks, target: PixelBlocks) -> Plan:
         mass.
     """
     by_row, by_column = draws.masses()
-    own, other, mass = _to_pixels(draws.targets, by_row, source, target)
-    back, forth, arriving = _to_pixels(draws.sources, by_column, target, source)
+    sizes = len(source.coarse), len(target.coarse)
+    targets: AnyArray = draws.targets
+    sources: AnyArray = draws.sources
+    i, j = np.arange(sizes[0]), np.arange(sizes[1])
+    if points is not None:
+        i, j = points
+        targets, sources = j[targets], i[sources]
+    own, other, mass = _to_pixels(targets, i, by_row, source, target)
+    back, forth, arriving = _to_pixels(sources, j, by_column, target, source)
     rows, columns = np.concatenate((own, forth)), np.concatenate((other, back))
-    marginals = draws.row_mass, draws.column_mass
+    marginals = np.zeros(sizes[0]), np.zeros(sizes[1])
+    marginals[0][i], marginals[1][j] = draws.row_mass, draws.column_mass
     return _as_plan(rows, columns, np.concatenate((mass, arriving)), marginals, source, target)
 
 
 def _to_pixels(
-    drawn: NDArray[np.int32], masses: Array, own: PixelBlocks, other: PixelBlocks
+    drawn: AnyArray,
+    chosen: IntArray,
+    masses: Array,
+    own: PixelBlocks,
+    other: PixelBlocks,
 ) -> tuple[IntArray, IntArray, Array]:
     """Return pixel pairs of one side's draws: own pixels, other pixels, and masses of the pairs."""
     n, count = drawn.shape
     along = z_order(*np.divmod(np.arange(len(other.coarse)), other.coarse.shape[1]))
     order = np.argsort(along[drawn], axis=1, kind="stable")
     blocks, others = (
-        np.repeat(np.arange(n), count),
+        np.repeat(chosen, count),
         np.take_along_axis(drawn, order, axis=1).ravel(),
     )
     mass = np.take_along_axis(masses, order, axis=1).ravel()

@@ -26,7 +26,6 @@ from clmorph.transport._solver.softmin import MANY_PAIRS
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.certificate import Certificate
 from clmorph.transport.plan import Plan
-from clmorph.transport.plan_sampling import Draws
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import solve
@@ -87,28 +86,6 @@ class Subproblem:
                 _scattered(values, chosen, count)
                 for values, chosen, count in zip(plan.marginals, self.points, shape, strict=True)
             ),
-        )  # fmt: skip
-
-    def draws_of_blocks(self, draws: Draws) -> Draws:
-        """Return draws from a plan between `measures` as draws from one between all blocks.
-
-        A block that has no mass draws the first block, with no mass.
-        """
-        if self.points is None:
-            return draws
-        rows, columns = self.points
-        found = []
-        for drawn, own, other, count in (
-            (draws.targets, rows, columns, len(self.source.coarse)),
-            (draws.sources, columns, rows, len(self.target.coarse)),
-        ):
-            spread = np.full((count, drawn.shape[1]), other[0], np.int32)
-            spread[own] = other[drawn]
-            found.append(spread)
-        return Draws(
-            found[0], found[1],
-            _scattered(draws.row_mass, rows, len(self.source.coarse)),
-            _scattered(draws.column_mass, columns, len(self.target.coarse)),
         )  # fmt: skip
 
     def means_of_blocks(self, plan: Barycentric) -> Barycentric:
