@@ -89,7 +89,7 @@ def test_a_page_has_at_most_the_bytes_it_may_have(rng):
         np.clip(smooth + rng.normal(0, 6, smooth.shape), 0, 255).astype(np.uint8) for _ in range(6)
     ]
     frames[0] = np.zeros_like(frames[0])
-    whole = sum(len(Encoder(1, 1e9).encode(frame).text) for frame in frames)
+    whole = sum(len(each.text) for each in Encoder(len(frames), 1e9).encode(frames))
     limit = 0.4 * whole
     text = page(Scene(frames, np.arange(6.0)), max_bytes=limit)
     assert sum(map(len, re.findall(r'class="frame">([^<]*)<', text))) <= limit

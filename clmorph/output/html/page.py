@@ -107,9 +107,8 @@ def _frames(scene: Scene, max_bytes: float) -> Iterator[str]:
     """Yield each frame as a data block, and at last the data that the script needs about them."""
     encoder = Encoder(len(scene.times), max_bytes)
     alpha = False
-    for frame in scene.frames:
-        encoded = encoder.encode(frame)
-        alpha = alpha or frame.shape[2] == 4
+    for encoded in encoder.encode(scene.frames):
+        alpha = alpha or encoded.alpha
         yield f'<script type="{encoded.kind}" class="frame">{encoded.text}</script>\n'
     if len(encoder.sizes) < len(scene.times):
         raise InputError(
