@@ -43,7 +43,9 @@ class Morph(FrameSequence):
     source, target : Measure
         The images, lifted to position and color.
     potentials : Potentials
-        The solution of the transport problem.
+        The solution of the transport problem. With labels it holds those of the problem of each
+        label, one after another, over the points that have mass
+        (`clmorph.transport.subproblems`).
     plan : Plan or Barycentric
     particles : Particles
     times : (n_frames,) array

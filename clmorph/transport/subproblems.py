@@ -287,7 +287,8 @@ def _together(
     first = solved[worst]
     if first.converged:
         message = (
-            f"{len(parts)} labels converged in at most {n_iter} iterations each (residual "
+            f"{len(parts)} label{'s' * (len(parts) > 1)} converged in at most {n_iter} iterations "
+            "each (residual "
             f"{first.residual:.1e} epsilon)"
         )
     else:
