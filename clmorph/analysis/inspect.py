@@ -169,10 +169,9 @@ def inspect(
         parts, solved, operations, max_particles, max_memory, log_threshold, stacklevel=2
     )
     drawn, moving = _drawn(parts, solved, plan, pairs, way, operations)
-    # As in `Morph`: labels ask for the particles' own detail.
-    detail = chosen.detail
-    detail = "particles" if labels is not None and detail == "carried" else detail
-    frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations, detail)
+    frames = frame_seconds(
+        *whole, potentials, drawn, moving, n_frames, operations, chosen.detail, pair.labels(*whole)
+    )
     report("timing", 1.0)
     return Inspection(
         source=source,

@@ -14,9 +14,14 @@ What the images have above it is sampled where the motion halfway (`halfway`) sa
   detail is, and fades towards the middle with `endpoints.share`.
 - c is near 1 where both lower bands agree along the motion, so that a picture and its own smooth
   deformation need nothing of the particles.
+
+Where pixels have labels, each label has a motion of its own, that of its own particles, and a frame
+is the mean of these mixtures, weighted by how much of each label is at a place: so no detail
+crosses the borders of labels.
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,12 +29,13 @@ from numpy.typing import NDArray
 
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.endpoints import share
-from clmorph.frames.halfway import mean_displacement, register, sampled
+from clmorph.frames.halfway import Halfway, mean_displacement, register, sampled
 from clmorph.frames.particles import Particles
 from clmorph.images.color import to_space
 from clmorph.measures.measure import Measure
 
 Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 _Samples = NDArray[np.float32]
 
 #: Standard deviation of the Gaussian between both bands: a share of the longer side, and at least
@@ -42,6 +48,9 @@ AGREEMENT, FLOOR = 0.1, 1e-5
 #: unlike images the lower band is softer than those of the images; a detail a little stronger
 #: makes frames as sharp as the images are. At both ends, and where details agree, g is 1 anyway.
 CRISPNESS = 1.03
+#: Least share of both images from which the motion of a label is registered, and largest number of
+#: labels whose detail is carried: each costs a registration, and a share of each frame.
+REGISTERED, MOST_LABELS = 0.1, 16
 
 
 def band_width(shape: tuple[int, int]) -> float:
@@ -142,8 +151,16 @@ class CarriedDetail:
         start, middle, end = canvases
         colors = [measure.colors.reshape(*measure.shape, 3) for measure in measures]
         first, second = (to_space(image, "oklab")[..., 0] for image in colors)
-        displacement, grid = mean_displacement(particles, middle)
-        self._motion = register((first, second), (start, end), displacement, grid)
+        #: The motion of each label, and where its pixels are in both images.
+        self._layers: list[_Layer] = []
+        for part, masks in _labeled(particles, measures):
+            displacement, grid = mean_displacement(part, middle)
+            # What surrounds a small label would decide its registration.
+            large = masks is None or min(float(mask.mean()) for mask in masks) >= REGISTERED
+            motion = Halfway(displacement, grid)
+            if large:
+                motion = register((first, second), (start, end), displacement, grid)
+            self._layers.append(_Layer(motion, masks))
         self._bands = [
             Bands.of(to_space(image, particles.path_space), canvas, low)
             for image, canvas, low in zip(colors, (start, end), shown, strict=True)
@@ -169,13 +186,42 @@ class CarriedDetail:
         colors : (H, W, 3) array
             What the particles show, drawn with `kernel_width`.
         """
+        if len(self._layers) == 1:
+            paths = self._paths(self._layers[0], t, canvas)
+            return self._mixed(t, paths, colors)
+        whole, weights = np.zeros_like(colors), np.zeros((*canvas.shape, 1))
+        for layer in self._layers:
+            paths = self._paths(layer, t, canvas)
+            weight = self._weight(layer, t, paths)
+            box = _box(weight[..., 0] > 0)
+            found = self._mixed(t, (paths[0][box], paths[1][box]), colors[box])
+            whole[box] += weight[box] * found
+            weights += weight
+        # Where no label arrives, particles alone are seen.
+        bare = np.maximum(0.0, 1.0 - weights)
+        return np.asarray((whole + bare * colors) / (weights + bare), dtype=np.float64)
+
+    def _paths(self, layer: "_Layer", t: float, canvas: Canvas) -> tuple[Array, Array]:
+        """Return where the points of a frame are in both images: (H, W, 2) arrays."""
         positions = canvas.positions()
         # The displacement is smooth, so a coarse grid of it is enough.
-        coarse = canvas.reduced(max(self._motion.displacement.shape))
-        displacement = self._motion.at(t, coarse.positions())
+        coarse = canvas.reduced(max(layer.motion.displacement.shape))
+        displacement = layer.motion.at(t, coarse.positions())
         if coarse.shape != canvas.shape:
             displacement = sampled(displacement, coarse.places(positions), order=1)
-        paths = positions - t * displacement, positions + (1 - t) * displacement
+        return positions - t * displacement, positions + (1 - t) * displacement
+
+    def _weight(self, layer: "_Layer", t: float, paths: tuple[Array, Array]) -> Array:
+        """Return how much of a label is at each point of a frame: (H, W, 1) array."""
+        assert layer.masks is not None  # there are several layers
+        first, second = (
+            sampled(mask, bands.canvas.places(path), order=1)
+            for mask, bands, path in zip(layer.masks, self._bands, paths, strict=True)
+        )
+        return np.asarray((1 - t) * first + t * second)
+
+    def _mixed(self, t: float, paths: tuple[Array, Array], colors: Array) -> Array:
+        """Return the mixture of both images along paths, and of what particles show there."""
         with ThreadPoolExecutor(2) as pool:  # SciPy samples without Python's lock
             a, b = pool.map(Bands.at, self._bands, paths)
         floor = FLOOR * self._unit**2
@@ -192,6 +238,51 @@ class CarriedDetail:
         shown = colors + share(t) * ((1 - t) * a.lacking + t * b.lacking)
         low = (1 - agree) * shown + agree * ((1 - t) * a.low + t * b.low)
         return np.asarray(low + gain * detail, dtype=np.float64)
+
+
+def _box(where: BoolArray) -> tuple[slice, slice]:
+    """Return the smallest box that holds all true values; an empty one if there are none."""
+    rows, columns = (np.flatnonzero(where.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+class _Layer(NamedTuple):
+    """The motion of one label, and its pixels in both images, or None for all: (H, W, 1) arrays."""
+
+    motion: Halfway
+    masks: tuple[Array, Array] | None
+
+
+def labels_to_carry(particles: Particles) -> NDArray[np.int64]:
+    """Return the labels of particles; none if they have none."""
+    labels = particles.labels
+    return np.zeros(0, np.int64) if labels is None else np.union1d(*labels)
+
+
+def _labeled(
+    particles: Particles, measures: tuple[Measure, Measure]
+) -> list[tuple[Particles, tuple[Array, Array] | None]]:
+    """Return the particles of each label, and its pixels in both images; or all particles."""
+    labels, names = particles.labels, labels_to_carry(particles)
+    if labels is None or len(names) < 2:
+        return [(particles, None)]
+    # A particle starts or ends at a pixel of an image, or both; the rows of its label come first.
+    rows = np.concatenate(labels)
+    links = particles.links.astype(np.int64)
+    known = np.where(links[:, 0] < len(rows), links[:, 0], links[:, 1])
+    own = rows[known]
+    found: list[tuple[Particles, tuple[Array, Array] | None]] = []
+    for name in names:
+        mine = own == name
+        masks = [
+            (each == name).astype(float).reshape(*measure.shape, 1)
+            for each, measure in zip(labels, measures, strict=True)
+        ]
+        part = replace(particles, links=particles.links[mine], weights=particles.weights[mine])
+        found.append((part, (masks[0], masks[1])))
+    return found
 
 
 def _mean_around(image: NDArray[np.floating], width: float) -> Array:

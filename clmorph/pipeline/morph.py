@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clmorph._shared.progress import StageProgress
-from clmorph._shared.typing import Progress
+from clmorph._shared.typing import IntArray, Progress
 from clmorph._shared.validation import check_progress
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
@@ -186,6 +186,11 @@ class ImagePair:
         given = regularization(options.blur, options.reach, options.epsilon, options.rho)
         return by_label(*whole, labels, options.solve_size, given)
 
+    def labels(self, source: Measure, target: Measure) -> tuple[IntArray, IntArray] | None:
+        """Return the labels of the pixels, (N,) and (M,); None if there are none."""
+        labels = self.maps.labels_of((source, target), self.given_shapes)
+        return None if labels is None else (labels[0].ravel(), labels[1].ravel())
+
     def solve(
         self,
         parts: Sequence[Subproblem],
@@ -256,8 +261,12 @@ class ImagePair:
             target=target,
             potentials=potentials,
             plan=plan,
-            particles=particles(
-                source, target, plan, unmatched=options.unmatched, path_space=options.path_space
+            particles=replace(
+                particles(
+                    source, target, plan, unmatched=options.unmatched,
+                    path_space=options.path_space,
+                ),
+                labels=self.labels(source, target),
             ),
             times=eased(np.linspace(0.0, 1.0, options.n_frames), options.ease),
             kernel_width=self._kernel_width(source, target, plan),

@@ -103,8 +103,6 @@ class Morph(FrameSequence):
     def __post_init__(self) -> None:
         # Ends seen through the kernel, and widths found for it, ask for the particles' own detail.
         asked = self.endpoints == "paper" or self.kernel_width.curve is not None
-        # The one motion that carries detail would carry it over the borders of labels.
-        asked |= "labels" in self.arrays and self.options.detail == "carried"
         renderer = FrameRenderer(
             self.source, self.target, self.plan, self.particles, self.kernel_width,
             self.operations, self.endpoints, self.unmatched,
@@ -205,7 +203,7 @@ class Morph(FrameSequence):
         """What draws the fine detail of the frames: "carried", "particles", "shapes" or "pixels".
 
         It is the option `detail`, but "particles" where it is "carried" and pictures have opacity
-        or labels: the one motion that carries detail would carry it over the borders of labels.
+        or more than 16 labels.
         """
         return self._renderer.detail
 
