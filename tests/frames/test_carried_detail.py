@@ -12,6 +12,7 @@ from clmorph.frames import carried_detail, halfway
 from clmorph.frames.canvas import canvas_at
 from clmorph.frames.carried_detail import Bands, CarriedDetail, band_width
 from clmorph.frames.halfway import Halfway, register
+from clmorph.frames.resampling import enlarged
 from clmorph.images.pixels import fit
 from clmorph.pipeline.options import preset_options
 
@@ -99,21 +100,37 @@ class TestMotion:
 
 
 class TestBands:
-    def test_their_sum_is_the_image(self):
-        image = textured((40, 53))
-        canvas = canvas_at(0.0, (40, 53), (40, 53))
-        detail, low, lacking, variance = Bands.of(image, canvas).at(canvas.positions())
-        assert not lacking.any()
-        assert np.abs(detail + low - image).max() < 1e-5
-        assert np.all(variance >= 0)
-        assert np.abs(gaussian_filter(detail, (6, 6, 0))).max() < 0.05
+    @pytest.mark.parametrize("shape", [(40, 53), (300, 210), (1, 9), (400, 3)])
+    def test_their_sum_is_the_image(self, shape):
+        image = textured((max(shape), max(shape)))[: shape[0], : shape[1]]
+        canvas = canvas_at(0.0, shape, shape)
+        bands = Bands.of(image, canvas)
+        assert max(bands.coarse.shape) <= max(shape)
+        assert max(shape) < 150 or max(bands.coarse.shape) < 0.6 * max(shape)
+        smooth = bands.smooth_at(bands.coarse.positions())
+        detail = bands.detail_at(canvas.positions())
+        assert not smooth.lacking.any()
+        assert np.abs(detail + enlarged(smooth.low, shape) - image).max() < 1e-5
+        assert np.all(smooth.variance >= 0)
+        width = 4 * band_width(shape)
+        assert np.abs(gaussian_filter(detail, (width, width, 0))).max() < 0.05
 
     def test_a_flat_image_has_no_detail(self):
-        flat = np.full((20, 30, 3), 0.3)
-        canvas = canvas_at(0.0, (20, 30), (20, 30))
-        detail, low, *_ = Bands.of(flat, canvas).at(canvas.positions())
-        assert np.abs(detail).max() < 1e-6
-        assert np.abs(low - 0.3).max() < 1e-6
+        flat = np.full((200, 300, 3), 0.3)
+        canvas = canvas_at(0.0, (200, 300), (200, 300))
+        bands = Bands.of(flat, canvas)
+        assert np.abs(bands.detail_at(canvas.positions())).max() < 1e-6
+        assert np.abs(bands.smooth_at(bands.coarse.positions()).low - 0.3).max() < 1e-6
+
+    def test_a_coarser_grid_changes_nothing_that_is_seen(self, device, monkeypatch):
+        ends = [fit(picture(name), 200) for name in ("portrait", "cat")]
+        frames = []
+        for fineness in (carried_detail.FINENESS, 100.0):
+            monkeypatch.setattr(carried_detail, "FINENESS", fineness)
+            morph = clmorph.morph(*ends, n_frames=3, backend=device)
+            frames.append([morph.frame(t) for t in (0.3, 0.5)])
+        for coarse, fine in zip(*frames, strict=True):
+            assert psnr(coarse, fine) > 45.0
 
 
 @pytest.mark.parametrize(("name", "seed"), [("cat", 0), ("rocket", 1)])
@@ -295,8 +312,8 @@ def test_the_band_is_a_share_of_the_picture_but_never_below_a_pixel():
     canvases = tuple(canvas_at(t, (10, 80), (110, 8)) for t in (0.0, 0.5, 1.0))
     shown = np.zeros((10, 80, 3)), np.zeros((110, 8, 3))
     carried = CarriedDetail(ends, clmorph.particles(*ends, plan), canvases, shown)
-    assert carried.kernel_width(0.0) == band_width((10, 80))
-    assert carried.kernel_width(1.0) == band_width((110, 8))
+    assert carried.kernel_width(0.0, canvases[0]) == band_width((10, 80))
+    assert carried.kernel_width(1.0, canvases[2]) == band_width((110, 8))
 
 
 class TestOptions:
