@@ -403,7 +403,7 @@ def density_names(names):
     return {"clmorph": clmorph, "histogram_a": first * total, "histogram_b": second}
 
 
-def door_names(_names):
+def interface_names(_names):
     """Samples in the plane."""
     x = np.random.default_rng(0).random((2, 20, 2))
     return {"X_a": x[0], "X_b": x[1]}
@@ -422,7 +422,7 @@ def batch_names(_names):
 GIVEN = {
     ("clmorph/frames/README.md", "Densities"): density_names,
     ("clmorph/batch/README.md", "From Python"): batch_names,
-    ("clmorph/adapters/README.md", "Doors of other libraries"): door_names,
+    ("clmorph/adapters/README.md", "Interfaces of other libraries"): interface_names,
     ("clmorph/backends/README.md", "In your own OpenCL program"): host_names,
     ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
     ("clmorph/pipeline/README.md", "Landmarks"): landmark_names,
