@@ -21,6 +21,12 @@ from clmorph.pipeline.recipe import PRESET, options_of
 
 #: Columns that each job has.
 COLUMNS = ("source", "target", "output")
+#: Columns of files beside the pictures, two of a kind or none.
+BESIDE = {
+    "labels": ("source_labels", "target_labels"),
+    "features": ("source_features", "target_features"),
+}
+_FILES = tuple(name for names in BESIDE.values() for name in names)
 #: Words of a CSV file for truth values.
 FLAGS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 #: Endings of pictures that are taken from a folder.
@@ -46,6 +52,8 @@ class Job:
     own_preset : bool
         Whether the row names the preset, which then wins over the defaults.
     max_pixels : int
+    beside : dict
+        Absolute paths of the label images and of the features of both pictures, by these words.
     """
 
     where: str
@@ -57,6 +65,12 @@ class Job:
     defaults: Mapping[str, Any] = field(default_factory=dict)
     own_preset: bool = False
     max_pixels: int = 0
+    beside: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def read(self) -> list[str]:
+        """The files that the job reads."""
+        return [self.source, self.target, *(place for two in self.beside.values() for place in two)]
 
     def settled(self, preset: str | None) -> MorphOptions:
         """Return the options of the morph, as ``clmorph morph`` joins them."""
@@ -134,10 +148,11 @@ def _json_rows(place: str, text: str) -> Iterator[tuple[str, dict[str, Any], dic
         where = f"{place} entry {number}"
         if not isinstance(entry, dict):
             raise FileError(f"{where}: {shown(entry)}: expected an object with {_wanted()}")
-        for name in COLUMNS:
+        for name in (*COLUMNS, *_FILES):
             if name in entry and not isinstance(entry[name], str):
                 raise FileError(f"{where}: {name} = {shown(entry[name])}: expected a text")
-        others = {name: value for name, value in entry.items() if name not in COLUMNS}
+        texts = (*COLUMNS, *_FILES)
+        others = {name: value for name, value in entry.items() if name not in texts}
         _check_columns(where, list(entry))
         try:
             yield where, entry, options_of(others, where)
@@ -163,8 +178,8 @@ def _check_columns(where: str, names: list[str]) -> None:
         plain = name.replace("-", "_")
         if name in names[:number]:
             raise FileError(f"{where}: two columns {shown(name)}")
-        if plain not in (*COLUMNS, PRESET, *_known()):
-            known = dict.fromkeys((*COLUMNS, PRESET, *_known()))
+        if plain not in (*COLUMNS, *_FILES, PRESET, *_known()):
+            known = dict.fromkeys((*COLUMNS, *_FILES, PRESET, *_known()))
             raise FileError(f"{where}: {unknown_option(name, known)}")
 
 
@@ -200,18 +215,26 @@ def _job(
         raise FileError(f"{where}: preset = {shown(preset)}: expected one of {names}")
     source, target = (resolved(row[name], base) for name in COLUMNS[:2])
     output = resolved(row["output"], defaults.folder)
-    return _made(where, source, target, output, options, preset, defaults)
+    beside: dict[str, tuple[str, str]] = {}
+    for kind, columns in BESIDE.items():
+        given = [row[name] for name in columns if row.get(name)]
+        if len(given) == 1 or any("\0" in each for each in given):
+            raise FileError(f"{where}: expected both {' and '.join(columns)}, or none of them")
+        if given:
+            beside[kind] = resolved(given[0], base), resolved(given[1], base)
+    return _made(where, source, target, output, options, preset, defaults, beside)
 
 
 def _made(
     where: str, source: str, target: str, output: str,
     options: Mapping[str, Any], preset: str | None, defaults: Defaults,
+    beside: Mapping[str, tuple[str, str]] | None = None,
 ) -> Job:  # fmt: skip
     own = preset is not None
     preset = preset if own else defaults.preset
     job = Job(
         where, source, target, output, dict(options), None if preset == AUTO else preset,
-        dict(defaults.options), own, defaults.max_pixels,
+        dict(defaults.options), own, defaults.max_pixels, dict(beside or {}),
     )  # fmt: skip
     try:
         job.settled(job.preset)
@@ -287,7 +310,7 @@ _TUPLE = f"({', '.join(COLUMNS)})"
 
 def checked(jobs: list[Job]) -> list[Job]:
     """Return jobs, after a check that no output replaces another output or a picture."""
-    read = {place for job in jobs for place in (job.source, job.target)}
+    read = {place for job in jobs for place in job.read}
     first: dict[str, str] = {}
     for job in jobs:
         if job.output in first:

@@ -27,11 +27,12 @@ INTERVAL = 10.0
 def identity(job: Job, device: str) -> str:
     """Return a digest of all that decides the bytes of a job's output.
 
-    Those are the options, the files of the pictures by size and time, the device as it was asked
+    Those are the options, the files that are read by size and time, the device as it was asked
     for, and the version of clmorph.
     """
+    beside = {kind: [[place, stamp(place)] for place in two] for kind, two in job.beside.items()}
     parts = [
-        job.source, job.target, stamp(job.source), stamp(job.target),
+        job.source, job.target, stamp(job.source), stamp(job.target), beside,
         job.settled(job.preset).outside(), job.preset, job.max_pixels, device, __version__,
     ]  # fmt: skip
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]

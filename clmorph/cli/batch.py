@@ -106,6 +106,11 @@ def batch_request(
         if not enough:
             raise InputError(f"--memory {memory}: expected a size such as 4GB, 300MB or more")
     found = None if config is None else read_settings(config)
+    for name in found.beside if found is not None else ():
+        raise InputError(
+            f"--config {config}: its {name} belong to one pair of pictures: name them in the "
+            f"table, in the columns source_{name} and target_{name}"
+        )
     if found is not None:
         ignored = [name for name in ("output", "format", "recipe") if name in found.own]
         if ignored:

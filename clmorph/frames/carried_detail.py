@@ -16,9 +16,14 @@ What the images have above it is sampled where the motion halfway (`halfway`) sa
   deformation need nothing of the particles.
 
 All but both details is smooth, and is computed on a coarse canvas (`coarse_canvas`).
+
+Where pixels have labels, each label has a motion of its own, that of its own particles, and a frame
+is the mean of these mixtures, weighted by how much of each label is at a place: so no detail
+crosses the borders of labels.
 """
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +32,7 @@ from numpy.typing import NDArray
 from clmorph._shared.threads import in_order
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.endpoints import share
-from clmorph.frames.halfway import mean_displacement, register, sampled
+from clmorph.frames.halfway import Halfway, mean_displacement, register, sampled
 from clmorph.frames.particles import Particles
 from clmorph.frames.resampling import enlarged, reduced
 from clmorph.images.color import to_space
@@ -50,6 +55,10 @@ AGREEMENT, FLOOR = 0.1, 1e-5
 #: unlike images the lower band is softer than those of the images; a detail a little stronger
 #: makes frames as sharp as the images are. At both ends, and where details agree, g is 1 anyway.
 CRISPNESS = 1.03
+#: Least share of both images from which the motion of a label is registered, and largest number of
+#: labels whose detail is carried: each costs a registration, and a share of each frame.
+REGISTERED, MOST_LABELS = 0.1, 16
+ALL_ROWS = slice(None)
 
 
 def band_width(shape: tuple[int, int]) -> float:
@@ -165,8 +174,16 @@ class CarriedDetail:
         start, middle, end = canvases
         colors = [measure.colors.reshape(*measure.shape, 3) for measure in measures]
         first, second = (to_space(image, "oklab")[..., 0] for image in colors)
-        displacement, grid = mean_displacement(particles, middle)
-        self._motion = register((first, second), (start, end), displacement, grid)
+        #: The motion of each label, and where its pixels are in both images.
+        self._layers: list[_Layer] = []
+        for part, masks in _labeled(particles, measures):
+            displacement, grid = mean_displacement(part, middle)
+            # What surrounds a small label would decide its registration.
+            large = masks is None or min(float(mask.mean()) for mask in masks) >= REGISTERED
+            motion = Halfway(displacement, grid)
+            if large:
+                motion = register((first, second), (start, end), displacement, grid)
+            self._layers.append(_Layer(motion, masks))
         self._bands = [
             Bands.of(to_space(image, particles.path_space), canvas, low)
             for image, canvas, low in zip(colors, (start, end), shown, strict=True)
@@ -205,11 +222,54 @@ class CarriedDetail:
         colors : (h, w, 3) array
             What the particles show on the coarse canvas, drawn with `kernel_width`.
         """
+        if len(self._layers) == 1:
+            return self._along(self._displacement(self._layers[0], t, canvas), t, canvas, colors)
+        whole, weights = np.zeros((*canvas.shape, 3)), np.zeros((*canvas.shape, 1))
+        for layer in self._layers:
+            displacement = self._displacement(layer, t, canvas)
+            weight = self._weight(layer, t, canvas, displacement)
+            rows = np.flatnonzero(weight.any(axis=(1, 2)))
+            if len(rows):
+                part = slice(int(rows[0]), int(rows[-1]) + 1)
+                whole[part] += weight[part] * self._along(displacement, t, canvas, colors, part)
+                weights += weight
+        # Where no label arrives, particles alone are seen.
+        bare = np.maximum(0.0, 1.0 - weights)
+        shown = enlarged(colors, canvas.shape) if bare.any() else 0.0
+        return np.asarray((whole + bare * shown) / (weights + bare), dtype=np.float64)
+
+    def _displacement(self, layer: "_Layer", t: float, canvas: Canvas) -> Array:
+        """Return the displacement at a frame's places; it is smooth, so a coarse grid is enough."""
+        grid = canvas.reduced(max(layer.motion.displacement.shape))
+        return layer.motion.at(t, grid.positions())
+
+    def _weight(self, layer: "_Layer", t: float, canvas: Canvas, displacement: Array) -> Array:
+        """Return how much of a label is at each point of a frame: (H, W, 1) array."""
+        assert layer.masks is not None  # there are several layers
+        positions, motion = canvas.positions(), enlarged(displacement, canvas.shape)
+        first, second = (
+            sampled(mask, bands.canvas.places(positions + share_of_path * motion), order=1)
+            for mask, bands, share_of_path in zip(
+                layer.masks, self._bands, (-t, 1 - t), strict=True
+            )
+        )
+        return np.asarray((1 - t) * first + t * second)
+
+    def _along(
+        self,
+        displacement: Array,
+        t: float,
+        canvas: Canvas,
+        colors: Array,
+        part: slice = ALL_ROWS,
+    ) -> Array:
+        """Return some rows of a frame along one motion, all by default: (rows, W, 3) array."""
         coarse = coarse_canvas(canvas)
-        # The displacement is smooth, so a coarse grid of it is enough.
-        grid = canvas.reduced(max(self._motion.displacement.shape))
-        displacement = self._motion.at(t, grid.positions())
-        details = self._details(t, canvas, displacement)
+        # Local deviations at the border of the part depend on what is beside it.
+        first, last, _ = part.indices(canvas.shape[0])
+        beside = math.ceil(4 * self.kernel_width(t, canvas) * canvas.shape[0] / coarse.shape[0])
+        wider = slice(max(0, first - beside), last + beside)
+        details = self._details(t, canvas, displacement, _strips(canvas, wider))
         places, motion = coarse.positions(), enlarged(displacement, coarse.shape)
         a = self._bands[0].smooth_at(places - t * motion)
         b = self._bands[1].smooth_at(places + (1 - t) * motion)
@@ -235,13 +295,18 @@ class CarriedDetail:
             picture[rows] += here[..., 3:4] * details[0][rows]
             picture[rows] += here[..., 4:] * details[1][rows]
 
-        for _ in in_order(mix, _strips(canvas)):
+        for _ in in_order(mix, _strips(canvas, part)):
             pass
-        return picture
+        return picture[part]
 
-    def _details(self, t: float, canvas: Canvas, displacement: Array) -> tuple[_Samples, _Samples]:
-        """Return the details of both images where the motion has brought them at time t."""
-        found = np.empty((2, *canvas.shape, 3), np.float32)
+    def _details(
+        self, t: float, canvas: Canvas, displacement: Array, strips: list[slice]
+    ) -> tuple[_Samples, _Samples]:
+        """Return the details of both images where the motion has brought them at time t.
+
+        Rows outside of the strips are zero.
+        """
+        found = np.zeros((2, *canvas.shape, 3), np.float32)
 
         def sample(rows: slice) -> None:
             positions = canvas.positions(rows.start, rows.stop)
@@ -249,18 +314,53 @@ class CarriedDetail:
             for out, bands, share_of_path in zip(found, self._bands, (-t, 1 - t), strict=True):
                 out[rows] = bands.detail_at(positions + share_of_path * motion)
 
-        for _ in in_order(sample, _strips(canvas)):
+        for _ in in_order(sample, strips):
             pass
         return found[0], found[1]
 
 
-def _strips(canvas: Canvas) -> list[slice]:
-    """Return the rows of a canvas in some strips, which threads compute at the same time."""
-    rows = max(1, min(-(-canvas.shape[0] // 4), STRIP_PIXELS // canvas.shape[1]))
-    return [
-        slice(first, min(first + rows, canvas.shape[0]))
-        for first in range(0, canvas.shape[0], rows)
-    ]
+def _strips(canvas: Canvas, part: slice) -> list[slice]:
+    """Return rows of a canvas in some strips, which threads compute at the same time."""
+    first, last, _ = part.indices(canvas.shape[0])
+    rows = max(1, min(-(-(last - first) // 4), STRIP_PIXELS // canvas.shape[1]))
+    return [slice(row, min(row + rows, last)) for row in range(first, last, rows)]
+
+
+class _Layer(NamedTuple):
+    """The motion of one label, and its pixels in both images, or None for all: (H, W, 1) arrays."""
+
+    motion: Halfway
+    masks: tuple[Array, Array] | None
+
+
+def labels_to_carry(particles: Particles) -> NDArray[np.int64]:
+    """Return the labels of particles; none if they have none."""
+    labels = particles.labels
+    return np.zeros(0, np.int64) if labels is None else np.union1d(*labels)
+
+
+def _labeled(
+    particles: Particles, measures: tuple[Measure, Measure]
+) -> list[tuple[Particles, tuple[Array, Array] | None]]:
+    """Return the particles of each label, and its pixels in both images; or all particles."""
+    labels, names = particles.labels, labels_to_carry(particles)
+    if labels is None or len(names) < 2:
+        return [(particles, None)]
+    # A particle starts or ends at a pixel of an image, or both; the rows of its label come first.
+    rows = np.concatenate(labels)
+    links = particles.links.astype(np.int64)
+    known = np.where(links[:, 0] < len(rows), links[:, 0], links[:, 1])
+    own = rows[known]
+    found: list[tuple[Particles, tuple[Array, Array] | None]] = []
+    for name in names:
+        mine = own == name
+        masks = [
+            (each == name).astype(float).reshape(*measure.shape, 1)
+            for each, measure in zip(labels, measures, strict=True)
+        ]
+        part = replace(particles, links=particles.links[mine], weights=particles.weights[mine])
+        found.append((part, (masks[0], masks[1])))
+    return found
 
 
 def _mean_around(image: NDArray[np.floating], width: float) -> Array:

@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas, canvas_at
-from clmorph.frames.carried_detail import CarriedDetail, coarse_band_width, coarse_canvas
+from clmorph.frames.carried_detail import (
+    MOST_LABELS,
+    CarriedDetail,
+    coarse_band_width,
+    coarse_canvas,
+    labels_to_carry,
+)
 from clmorph.frames.endpoints import (
     EndCorrection,
     Lacking,
@@ -80,8 +86,9 @@ class FrameRenderer:
     @property
     def detail(self) -> str:
         """What draws the fine detail of the frames, see `clmorph.frames.options.Detail`."""
-        opaque = all(measure.alpha is None for measure in self._measures)
-        return self._detail if opaque or self._detail != "carried" else "particles"
+        carries = all(measure.alpha is None for measure in self._measures)
+        carries = carries and len(labels_to_carry(self._particles)) <= MOST_LABELS
+        return self._detail if carries or self._detail != "carried" else "particles"
 
     def on(self, operations: Operations, like: "FrameRenderer | None" = None) -> "FrameRenderer":
         """Return a renderer of the same morph on another device.

@@ -10,7 +10,7 @@ import numpy as np
 from clmorph._shared.option_kinds import Kind
 from clmorph._shared.options import Options, option
 from clmorph._shared.printable import reason_of
-from clmorph._shared.validation import as_float, shown
+from clmorph._shared.validation import as_float, check_number, shown
 from clmorph.errors import InputError
 
 Point = tuple[float, float]
@@ -133,6 +133,51 @@ LANDMARKS = Kind(
     lambda value: isinstance(value, list), several=True,
 )  # fmt: skip
 
+#: Largest weight of a feature, and largest number of features.
+MAX_WEIGHT, MAX_FEATURES = 1e6, 6
+
+
+def check_feature_weight(name: str, value: Any) -> float | tuple[float, ...]:
+    """Return the weight of features: one number of at least 0, or one for each.
+
+    Raises
+    ------
+    InputError
+        If it is anything else.
+
+    Examples
+    --------
+    >>> check_feature_weight("feature_weight", [1, 0.5])
+    (1.0, 0.5)
+    """
+    rows = _parts(value)
+    if rows is None:
+        return check_number(name, value, 0.0, MAX_WEIGHT)
+    if not 1 <= len(rows) <= MAX_FEATURES:
+        raise InputError(f"{name}={shown(value)}: expected one number, or up to {MAX_FEATURES}")
+    return tuple(check_number(name, each, 0.0, MAX_WEIGHT) for each in rows)
+
+
+def _read_weight(text: str) -> float | tuple[float, ...]:
+    numbers = [float(part) for part in text.split(",")]
+    return numbers[0] if len(numbers) == 1 else tuple(numbers)
+
+
+def _is_weight(value: Any) -> bool:
+    parts = value if isinstance(value, list) else [value]
+    return all(as_float(each) is not None for each in parts)
+
+
+_WEIGHT_SCHEMA = {"type": "number", "minimum": 0.0, "maximum": MAX_WEIGHT}
+#: The kind of the weights of features among options.
+FEATURE_WEIGHT = Kind(
+    check_feature_weight, "a number, or several joined by commas", "number|number,number,...",
+    _read_weight,
+    {"anyOf": [_WEIGHT_SCHEMA, {"type": "array", "items": _WEIGHT_SCHEMA, "minItems": 1,
+                                "maxItems": MAX_FEATURES}]},
+    _is_weight,
+)  # fmt: skip
+
 
 @dataclass(frozen=True, init=False)
 class GuideOptions(Options):
@@ -143,4 +188,10 @@ class GuideOptions(Options):
         "Points that correspond, each a point of A and its partner in B, in pixels of each picture "
         "as it is given; repeatable. What is at one moves to the other.",
         "Transport", unit="pixels", outside="landmark",
+    )  # fmt: skip
+    feature_weight: float | Sequence[float] = option(
+        1.0, FEATURE_WEIGHT,
+        "Image sides that a feature of 1 is worth in the cost; several values belong to one "
+        "feature each.",
+        "Transport", unit="image sides", word="",
     )  # fmt: skip

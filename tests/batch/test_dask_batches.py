@@ -205,6 +205,34 @@ def test_other_file_systems(client, pictures, tmp_path):
     assert len(made) == 7
 
 
+def test_labels_and_features_of_a_table(client, pictures, tmp_path):
+    """The bytes are those of `clmorph morph` with the same files, whose change is noticed."""
+    rng = np.random.default_rng(2)
+    for name in ("one", "other"):
+        Image.fromarray(rng.integers(0, 2, (12, 12), np.uint8)).save(tmp_path / f"{name}.png")
+        np.save(tmp_path / f"{name}.npy", rng.random((12, 12)))
+    names = ("source", "target", "output", "source_labels", "target_labels", "source_features",
+             "target_features")  # fmt: skip
+    files = (*pictures[:2], "a.gif", "one.png", "other.png", "one.npy", "other.npy")
+    row = dict(zip(names, map(str, files), strict=True)) | {"frames": 3, "preset": "photo"}
+    (tmp_path / "jobs.json").write_text(json.dumps([row]))
+    call = ["batch", str(tmp_path / "jobs.json"), "-o", str(tmp_path / "out"), "--backend", "numpy"]
+    call += ["--scheduler", client.scheduler.address]
+    assert main(call) == 0
+    guides = ["--labels", *(str(tmp_path / f"{name}.png") for name in ("one", "other"))]
+    guides += ["--features", *(str(tmp_path / f"{name}.npy") for name in ("one", "other"))]
+    alone = ["-o", str(tmp_path / "b.gif"), "--frames", "3", "--backend", "numpy"]
+    alone += ["--preset", "photo"]
+    assert main(["morph", *map(str, pictures[:2]), *guides, *alone]) == 0
+    assert (tmp_path / "out" / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
+    np.save(tmp_path / "one.npy", rng.random((12, 12)) + 5)
+    os.utime(tmp_path / "one.npy", (1, 1))
+    assert main(call) == 2  # another file than the one that the output was made with
+    config = tmp_path / "own.toml"
+    config.write_text('labels = ["one.png", "other.png"]\n')
+    assert main([*call, "--redo", "--config", str(config)]) == 2
+
+
 @pytest.mark.small
 def test_the_bytes_are_those_of_the_device(request, device, client, pictures, tmp_path, capsys):
     paths = [str(pictures[0]), str(pictures[1])]
@@ -274,6 +302,21 @@ def test_divergence_matrix(client):
             "a.json",
             '[{"source": "a", "target": "b", "output": "c.gif", "frames": 2.5}]',
             "entry 1: frames = 2.5: expected a whole number",
+        ),
+        (
+            "a.csv",
+            "source,target,output,source_labels\na,b,c.gif,d.png\n",
+            "line 2: expected both source_labels and target_labels, or none",
+        ),
+        (
+            "a.json",
+            '[{"source": "a", "target": "b", "output": "c.gif", "source_features": 3}]',
+            "entry 1: source_features = 3: expected a text",
+        ),
+        (
+            "a.csv",
+            "source,target,output,source_labels,target_labels\na,b,c.gif,d.png,out/c.gif\n",
+            "would replace a picture",
         ),
         ("a.txt", "", "expected a table of jobs: .csv or .json"),
     ],

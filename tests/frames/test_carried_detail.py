@@ -380,3 +380,56 @@ class TestOptions:
         ((name, _),) = given.items()
         with pytest.raises(InputError, match=rf"^detail='carried' and .*{name}=.* contradict.*$"):
             MorphOptions(detail="carried", **given)
+
+
+def discs(places, side=48):
+    """Two discs of the same stripes on a smooth ground, and their labels 1 and 2."""
+    y, x = np.mgrid[:side, :side]
+    image = np.stack([0.3 + 0.2 * y / side] * 3, axis=-1)
+    labels = np.zeros((side, side), int)
+    for label, (column, row) in enumerate(places, start=1):
+        inside = np.hypot(x - column, y - row) < 7
+        image[inside] = np.where((x + y)[inside] % 3 < 1, 0.9, 0.5)[:, None] * (1.0, 0.8, 0.5)
+        labels[inside] = label
+    return image, labels
+
+
+def test_detail_goes_with_its_label(device):
+    """Discs that change sides meet in the middle, with their stripes; without labels none does."""
+    (a, ours), (b, theirs) = (
+        discs(places) for places in (((10, 20), (37, 27)), ((37, 20), (10, 27)))
+    )
+    y, x = np.mgrid[:48, :48]
+    middle = np.hypot(x - 23.5, y - 23.5) < 12
+    shares = {}
+    for name, labels in (("with", (ours, theirs)), ("without", None)):
+        morph = clmorph.morph(
+            a, b, labels=labels, n_frames=2, preset="photo", reach=1.0, tol=1e-2, backend=device
+        )
+        assert morph.detail == "carried"
+        assert np.abs(morph.frame(0.0) - a).max() < 1e-5
+        assert np.abs(morph.frame(1.0) - b).max() < 1e-5
+        frame = morph.frame(0.5).astype(float)
+        fine = ((frame - gaussian_filter(frame, (2, 2, 0))) ** 2).sum(axis=-1)
+        shares[name] = fine[middle].sum() / fine.sum()
+    assert shares["with"] > 0.4, shares
+    assert shares["without"] < 0.3, shares
+
+
+def test_many_labels_are_drawn_by_particles(rng):
+    image = rng.random((18, 18, 3))
+    labels = np.add.outer(np.arange(18) // 4 * 5, np.arange(18) // 4)
+    morph = clmorph.morph(
+        image, image[::-1], labels=(labels, labels), n_frames=2, preset="photo", backend="numpy"
+    )
+    assert len(np.unique(labels)) > 16
+    assert morph.detail == "particles"
+    assert np.all(np.isfinite(morph.frame(0.5)))
+    few = tuple((labels > each).astype(int) for each in (7, 90))  # the second picture has one
+    morph = clmorph.morph(
+        image, image[::-1], labels=few, n_frames=2, preset="photo", backend="numpy"
+    )
+    assert morph.detail == "carried"
+    for t, end in ((0.0, image), (1.0, image[::-1])):
+        assert np.abs(morph.frame(t) - end).max() < 1e-5
+    assert np.all(np.isfinite(morph.frame(0.5)))

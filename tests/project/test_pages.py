@@ -349,6 +349,12 @@ def landmark_names(names):
     return dict(zip(("face_a", "face_b"), photographs(40), strict=True))
 
 
+def label_names(names):
+    """Two pictures of the shapes that the blocks about labels and features have."""
+    first, second = photographs(40)
+    return {"np": np, "first": first, "second": second}
+
+
 def solver_names(names):
     """What the reader of the page about the solver has."""
     rng = np.random.default_rng(5)
@@ -420,6 +426,7 @@ GIVEN = {
     ("clmorph/backends/README.md", "In your own OpenCL program"): host_names,
     ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
     ("clmorph/pipeline/README.md", "Landmarks"): landmark_names,
+    ("clmorph/pipeline/README.md", "Labels"): label_names,
     ("clmorph/transport/README.md", "The solver alone"): solver_names,
     ("clmorph/transport/README.md", "Many problems at once"): many_names,
 }
