@@ -38,13 +38,21 @@ class Assignment(NamedTuple):
 
 
 def assign(
-    source: Array, target: Array, *, seconds: float = np.inf, seed: int = 0
+    source: Array,
+    target: Array,
+    *,
+    destinations: Array | None = None,
+    seconds: float = np.inf,
+    seed: int = 0,
 ) -> Assignment:
     """Assign points to points so that half the mean squared distance is small.
 
     Parameters
     ----------
     source, target : (N, D) arrays
+    destinations : (N, D) array, optional
+        Where each source goes about, such as the means of an entropic plan; the partition then
+        begins from there instead of from the sources.
     seconds : float
         Time after which no further round begins.
     seed : int
@@ -64,7 +72,7 @@ def assign(
     """
     rng = np.random.default_rng(seed)
     ends = time.perf_counter() + seconds
-    permutation = _partitioned(source, target, rng)
+    permutation = _partitioned(source if destinations is None else destinations, target, rng)
     cost = permutation_cost(source, target, permutation)
     idle = 0
     for _ in range(ROUNDS):
@@ -118,9 +126,7 @@ def _partitioned(source: Array, target: Array, rng: np.random.Generator) -> Indi
     return permutation
 
 
-def _exchange(
-    source: Array, target: Array, permutation: Indices, rng: np.random.Generator
-) -> None:
+def _exchange(source: Array, target: Array, permutation: Indices, rng: np.random.Generator) -> None:
     """Assign blocks of near pairs exactly, in place; the cost does not rise."""
     n = len(source)
     # Pairs are near if their sources or their targets are; a random share weighs the two.
