@@ -1,3 +1,4 @@
+from . import batch as batch
 from . import reference as reference
 from ._shared.version import (
     __version__ as __version__,
@@ -56,6 +57,12 @@ from .errors import (
 from .errors import (
     PruningWarning as PruningWarning,
 )
+from .frames.density_path import (
+    DensityPath as DensityPath,
+)
+from .frames.density_path import (
+    density_path as density_path,
+)
 from .frames.particles import (
     Particles as Particles,
 )
@@ -67,6 +74,9 @@ from .images.pixels import (
 )
 from .images.pixels import (
     read_image as read_image,
+)
+from .measures.density import (
+    density as density,
 )
 from .measures.lift import (
     lift as lift,
@@ -157,6 +167,7 @@ __all__ = [
     "ClmorphError",
     "ClmorphWarning",
     "ConvergenceWarning",
+    "DensityPath",
     "DeviceError",
     "Displacement",
     "Divergence",
@@ -179,6 +190,9 @@ __all__ = [
     "PruningWarning",
     "WeightedPoints",
     "barycentric_plan",
+    "batch",
+    "density",
+    "density_path",
     "displacement_statistics",
     "divergence_matrix",
     "fit",

@@ -74,9 +74,9 @@ class Counter:
             with measure(budget, pairs):
                 yield
 
-        def timed(*arguments: Any) -> None:
+        def timed(*arguments: Any, **options: Any) -> None:
             began = time.perf_counter()
-            launch(*arguments)
+            launch(*arguments, **options)
             self.launches.append((time.perf_counter() - began, arguments[0].function_name))
             held = CountedBuffer.now + work._pool.managed_bytes
             self.most_bytes = max(self.most_bytes, held)

@@ -1,10 +1,10 @@
-"""Count the commands by which a process moves memory of OpenCL devices.
+"""Count the commands by which a process moves memory of OpenCL devices, its launches and its waits.
 
 A test or an example counts with it which arrays are copied between host and device:
 
     with TransferCount() as count:
         ...
-    print(count.of([array]), count.of_others([array]))
+    print(count.of([array]), count.of_others([array]), count.n_launches, count.n_waits)
 
 It sees what goes through pyopencl in this process. On PoCL, ``POCL_TRACING=text`` shows the same
 commands as the driver receives them.
@@ -33,6 +33,10 @@ KINDS = {
     "migrate": ("enqueue_migrate_mem_objects", "_enqueue_svm_migrate_mem"),
     "map": ("enqueue_map_buffer", "enqueue_map_image", "_enqueue_svm_map"),
 }  # fmt: skip
+#: Functions of pyopencl that wait, beside the commands that block.
+WAITS = ((cl, "wait_for_events"), (cl.Event, "wait"), (cl.CommandQueue, "finish"))
+#: The kinds of commands that block unless they are told otherwise.
+BLOCKING = ("read", "write", "map")
 #: The kinds that copy.
 COPIES = ("read", "write", "copy", "fill", "migrate")
 
@@ -50,6 +54,8 @@ class TransferCount:
 
     def __init__(self) -> None:
         self.commands: list[Command] = []
+        #: Launches of kernels, and the times that the host has waited for the device.
+        self.n_launches = self.n_waits = 0
         self._patches: list[Any] = []
 
     def __enter__(self) -> "TransferCount":
@@ -60,6 +66,11 @@ class TransferCount:
                         recording = self._recording(kind, getattr(module, name))
                         self._patches.append(mock.patch.object(module, name, recording))
         self._patches.append(mock.patch.object(cl, "Buffer", self._buffer_class()))
+        for owner, name in WAITS:
+            waiting = self._waiting(getattr(owner, name))
+            self._patches.append(mock.patch.object(owner, name, waiting))
+        launching = self._launching(cl.enqueue_nd_range_kernel)
+        self._patches.append(mock.patch.object(cl, "enqueue_nd_range_kernel", launching))
         for patch in self._patches:
             patch.start()
         return self
@@ -74,10 +85,27 @@ class TransferCount:
             values = (*arguments, *options.values())
             memory = tuple(each for each in values if isinstance(each, cl.MemoryObjectHolder))
             n_bytes = sum(getattr(each, "nbytes", 0) for each in values)
+            self.n_waits += bool(options.get("is_blocking", True)) and kind in BLOCKING
             self.commands.append(Command(kind, memory, n_bytes))
             return function(*arguments, **options)
 
         return record
+
+    def _launching(self, function: Any) -> Any:
+        @functools.wraps(function)
+        def launch(*arguments: Any, **options: Any) -> Any:
+            self.n_launches += 1
+            return function(*arguments, **options)
+
+        return launch
+
+    def _waiting(self, function: Any) -> Any:
+        @functools.wraps(function)
+        def wait(*arguments: Any) -> Any:
+            self.n_waits += 1
+            return function(*arguments)
+
+        return wait
 
     def _buffer_class(self) -> type:
         """Return a class of buffers that records those which are filled from the host's memory."""

@@ -7,6 +7,7 @@ what the classes say.
 """
 
 import sys
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_args, get_origin
@@ -20,6 +21,7 @@ HEAD = '''"""The types of `clmorph.morph`'s options by name, for type checkers.
 Written by ``tools/make_keywords.py`` from the option classes: change those.
 """
 
+from collections.abc import Sequence
 from typing import Literal, TypedDict
 
 
@@ -38,6 +40,8 @@ def name_of(kind: Any) -> str:
         return f"Literal[{', '.join(map(quoted, parts))}]"
     if get_origin(kind) is tuple:
         return f"tuple[{', '.join(map(name_of, parts))}]"
+    if get_origin(kind) is Sequence:
+        return f"Sequence[{name_of(parts[0])}]"
     return " | ".join(map(name_of, parts))
 
 

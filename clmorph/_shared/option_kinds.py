@@ -42,6 +42,8 @@ class Kind:
         beside the option's own word for None.
     pair : bool
         Whether the option accepts two values, one for the source and one for the target.
+    several : bool
+        Whether the value is a sequence, to which each use on the command line adds.
     """
 
     check: Callable[[str, Any], Any]
@@ -52,6 +54,7 @@ class Kind:
     scalar: Callable[[Any], bool]
     words: tuple[tuple[str, Any], ...] = ()
     pair: bool = False
+    several: bool = False
 
 
 def _is_number(value: Any) -> bool:

@@ -229,6 +229,8 @@ def from_line(known: Option, value: str) -> Any:
         return dict(known.kind.words)[value]
     try:
         read = known.kind.read(value)
+    except InputError:  # it says more, such as which line of a file is wrong
+        raise
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{shown(value)}: expected {_expected(known)}") from None
     if isinstance(read, float) and not math.isfinite(read):

@@ -52,10 +52,13 @@ class Ending:
     ----------
     written : bool
         Whether all files of the run have replaced their targets.
+    partial : str
+        What a run of many parts has done so far, in place of `written`.
     """
 
     def __init__(self) -> None:
         self.written = False
+        self.partial = ""
         self._depth = 0
         self._waiting: int | None = None
         self._last = -PATIENCE
@@ -107,6 +110,7 @@ def farewell(ending: Ending, number: int) -> int:
     """Report on standard error why the run ends; return the exit code, 128 plus the signal."""
     what = "interrupted" if number == signal.SIGINT else "terminated"
     left = "after the files were written" if ending.written else "nothing was written"
+    left = ending.partial or left
     with suppress(OSError, ValueError):  # after a hang-up nobody reads the message
         print(f"clmorph: {what}, {left}", file=sys.stderr, flush=True)
     return 128 + number
@@ -161,3 +165,9 @@ def note_written() -> None:
     """Record that the run's files have replaced their targets."""
     if _current is not None:
         _current.written = True
+
+
+def note_partial(text: str) -> None:
+    """Record what a run of many parts has done, for the last line if it is ended."""
+    if _current is not None:
+        _current.partial = text

@@ -29,7 +29,7 @@ from clmorph.pipeline.budget import (
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.memory import estimate
-from clmorph.pipeline.morph import ImagePair
+from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
 from clmorph.pipeline.prepare import as_images, as_options, fitted
 from clmorph.pipeline.presets import PresetName
@@ -120,7 +120,7 @@ def inspect(
     max_bytes = PruningOptions.checked("max_bytes", max_bytes)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
-    pair = ImagePair(fitted(images, chosen, weights, color_metric), chosen)
+    pair = ImagePair(fitted(images, chosen, weights, color_metric), chosen, shapes_of(images))
     whole = pair.measures(weights, color_metric)
     blocks = pair.blocks(*whole)
     source, target = blocks[0].coarse, blocks[1].coarse

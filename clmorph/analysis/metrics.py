@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -134,10 +135,12 @@ def path_divergence(
     for t in moments:
         check_number("times", float(t), 0.0, 1.0)
     result = []
+    # Frames have no landmarks and no features: pictures are compared.
+    plainly = replace(morph.target, warped=None, features=None)
     for number, t in enumerate(moments):
         frame = frame_measure(morph, t, weights=weights)
         other = (
-            WeightedPoints(morph.target.points, morph.target.weights)
+            WeightedPoints(plainly.points, plainly.weights)
             if to == "target"
             else particle_measure(morph, t, max_points=max_points)[0]
         )

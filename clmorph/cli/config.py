@@ -7,7 +7,6 @@ raise it. It refers to pictures by bare file names, which are searched beside th
 current folder.
 """
 
-import hashlib
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -22,7 +21,16 @@ from clmorph.cli.terminal import note
 from clmorph.errors import FileError, InputError
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
-from clmorph.pipeline.recipe import IMAGES, OUTPUT, OWN, PRESET, options_of, read_recipe, read_toml
+from clmorph.pipeline.recipe import (
+    IMAGES,
+    OUTPUT,
+    OWN,
+    PRESET,
+    options_of,
+    read_recipe,
+    read_toml,
+)
+from clmorph.pipeline.recipe import digest as digest
 
 Settings = dict[str, Any]
 
@@ -202,34 +210,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [_plain(part) for part in value]
     return str(value) if isinstance(value, Path) else value
-
-
-def pictures(images: Sequence[Path], folder: Path | None = None) -> list[dict[str, Any]]:
-    """Return the entries of a recipe about its pictures.
-
-    Parameters
-    ----------
-    images : sequence of Path
-    folder : Path, optional
-        The folder to which the images' folders are written as relative paths. These paths inform
-        people; `Named.images` uses only the file names. Without `folder` no folders are written,
-        which suits files that are shared.
-    """
-    return [
-        {"file": path.name, "sha256": digest(path)}
-        | ({} if folder is None else {"folder": _folder(path, folder)})
-        for path in images
-    ]
-
-
-def _folder(path: Path, start: Path) -> str:
-    try:
-        return os.path.relpath(path.parent, start)
-    except ValueError:  # on another drive
-        return str(path.parent.absolute())
-
-
-def digest(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -21,7 +21,8 @@ from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS, drafted
 SHELLS = ("bash", "zsh", "fish")
 #: Meanings of the exit codes; the help shows them.
 EXIT_CODES = """\
-Exit codes: 0 done; 1 no device is usable (devices) or one is out of tolerance (check);
+Exit codes: 0 done; 1 no device is usable (devices), one is out of tolerance (check), or a pair
+has failed (batch);
 2 a mistake in the command line, in a file or in the choice of device, reported in one line;
 130 interrupted, 143 terminated (129 at a hangup): either nothing was written or all files
 were, as the last line on standard error says.
@@ -268,6 +269,90 @@ def inspect(
         images, output, preset, options.given_options(given),
         max_pixels=MAX_PIXELS if max_pixels is None else max_pixels, device=device,
         backend=backend, as_json=as_json,
+    )  # fmt: skip
+
+
+@cli.command()
+@click.argument("jobs", metavar="[JOBS]", required=False)
+@click.option(
+    "-o", "--out", metavar="FOLDER", required=True, panel="File",
+    help="Folder of the outputs, the journal and the index; may be any that fsspec opens.",
+)  # fmt: skip
+@click.option(
+    "--all-pairs", metavar="FOLDER", panel="File",
+    help="Morph each picture of a folder into each later one, in the order of names.",
+)  # fmt: skip
+@click.option(
+    "--chain", metavar="FOLDER", panel="File",
+    help="Morph each picture of a folder into the next one.",
+)  # fmt: skip
+@click.option(
+    "--ending", metavar="TEXT", default=".gif", show_default=True, panel="File",
+    help="Ending of the outputs of --all-pairs and --chain.",
+)  # fmt: skip
+@click.option(
+    "--redo", is_flag=True, panel="File",
+    help="Make outputs again that were made with other options, pictures or devices.",
+)  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, panel="File", help="Print a summary for programs.")
+@click.option(
+    "--config", type=options.FileName(), panel="Settings",
+    help="Options of all pairs, from your own TOML or a recipe; a row's own options win.",
+)  # fmt: skip
+@click.option(
+    "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Settings",
+    help="Set of options of pairs that name none.  [default: auto, for each pair by itself]",
+)  # fmt: skip
+@click.option(
+    "--scheduler", metavar="ADDRESS", panel="Workers",
+    help="A running scheduler of Dask, such as tcp://host:8786, in place of local workers.",
+)  # fmt: skip
+@click.option(
+    "--workers", type=click.IntRange(1, 256), panel="Workers",
+    help="Number of local workers.  [default: one for each physical device]",
+)  # fmt: skip
+@click.option(
+    "--memory", metavar="SIZE", panel="Workers",
+    help="Memory of a local worker, such as 4GB; one that takes more is started again, and its "
+    "pair fails.  [default: equal shares]",
+)  # fmt: skip
+@options.max_pixels_option
+@options.device_options
+def batch(
+    jobs: str | None,
+    out: str,
+    all_pairs: str | None,
+    chain: str | None,
+    ending: str,
+    redo: bool,
+    as_json: bool,
+    config: Path | None,
+    preset: str | None,
+    scheduler: str | None,
+    workers: int | None,
+    memory: str | None,
+    max_pixels: int | None,
+    device: str | None,
+    backend: str | None,
+) -> int:
+    """Morph thousands of pairs on the workers of Dask (extra "dask").
+
+    \b
+    clmorph batch jobs.csv -o folder           columns source, target, output, and any option
+    clmorph batch jobs.json -o folder          a list of objects with these keys
+    clmorph batch --all-pairs pictures -o folder
+    clmorph batch --chain pictures -o folder --ending .webp
+
+    Started again, it does only what is missing. Exit code 1: some pairs have failed.
+    """  # noqa: D301
+    from clmorph.cli.batch import batch_request, run_batch
+
+    return run_batch(
+        batch_request(
+            jobs, out, all_pairs=all_pairs, chain=chain, ending=ending, config=config,
+            preset=preset, scheduler=scheduler, workers=workers, memory=memory, device=device,
+            backend=backend, max_pixels=max_pixels, redo=redo, as_json=as_json,
+        )
     )  # fmt: skip
 
 

@@ -38,10 +38,10 @@ from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
 from clmorph.pipeline.budget import default_memory
 from clmorph.pipeline.memory import estimate
-from clmorph.pipeline.morph import ImagePair
+from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import fitted, recognized
-from clmorph.pipeline.recipe import recipe
+from clmorph.pipeline.recipe import picture_entries, recipe
 from clmorph.pipeline.result import Morph
 from clmorph.transport.potentials import Potentials
 
@@ -91,6 +91,7 @@ class _Run:
     outputs: Sequence[Output]
     solved: list[Potentials] = field(default_factory=list)
     particles: list[int] = field(default_factory=list)
+    shapes: Sequence[tuple[int, int]] | None = None
 
     def __post_init__(self) -> None:
         self.motion = motion_of(self.options, held_frames(len(self.images), self.options.n_frames))
@@ -130,7 +131,9 @@ class _Run:
         """Compute the morphs of successive pictures, one at a time."""
         for number, pair in enumerate(itertools.pairwise(pictures)):
             mark = f" {number + 1}" if len(pictures) > 2 else ""
-            morph = ImagePair(pair, self.options).morph(operations, stages.marked(mark))
+            morph = ImagePair(pair, self.options, self.shapes).morph(
+                operations, stages.marked(mark)
+            )
             self.solved.append(morph.potentials)
             self.particles.append(len(morph.particles))
             yield morph
@@ -162,6 +165,11 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     if request.options_of is not None:
         preset = recognized(whole)
         run.options = request.options_of(preset)
+    if run.options.landmarks and len(whole) > 2:
+        raise InputError(
+            f"--landmark is for two pictures, but {len(whole)} are given: morph them two at a time"
+        )
+    run.shapes = shapes_of(whole)
     pictures = fitted(whole, run.options)
     operations = open_backend(device, backend)
     if request.capped:
@@ -178,11 +186,12 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:
         return recipe(
-            run.options, images=files.pictures(images, folder), device=operations.description
+            run.options, images=picture_entries(images, folder), device=operations.description
         )
 
     notes: list[Warning] = []
-    with Stages() as stages, warnings.catch_warnings():
+    with Stages(began) as stages, warnings.catch_warnings():
+        stages.count("preparation")
         # The last line reports convergence instead.
         warnings.simplefilter("ignore", ConvergenceWarning)
         for kind in (MemoryWarning, PruningWarning):

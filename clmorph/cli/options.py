@@ -23,6 +23,7 @@ from clmorph._shared.options import (
 from clmorph.errors import InputError
 from clmorph.frames.options import RenderOptions
 from clmorph.images.pixels import MAX_PIXELS
+from clmorph.measures.landmark_options import GuideOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.output.save import FORMATS
@@ -97,7 +98,12 @@ def given_options(given: Mapping[str, Any]) -> dict[str, Any]:
     known = specifications(MorphOptions)
     found: dict[str, Any] = {}
     for name, value in given.items():
-        if name in known and value is not None:
+        if name in known and known[name].kind.several and isinstance(value, tuple):
+            parts = [from_line(known[name], text) for text in value]
+            if parts:  # the last "none" drops what came before it
+                last = max((k + 1 for k, part in enumerate(parts) if part is None), default=0)
+                found[name] = sum(parts[last:], ()) or None
+        elif name in known and value is not None:
             found[name] = value if isinstance(value, bool) else from_line(known[name], value)
     return found
 
@@ -175,7 +181,10 @@ def _one(name: str, known: Option) -> Callable[[Command], Command]:
             help=known.help,
         )  # fmt: skip
     kind = Value(name, known)
-    return _option(known.panel, line, name, type=kind, metavar=kind.name, help=known.help + shown)
+    return _option(
+        known.panel, line, name, type=kind, metavar=kind.name, help=known.help + shown,
+        multiple=known.kind.several,
+    )  # fmt: skip
 
 
 def _plainly(value: Any) -> str:
@@ -189,6 +198,7 @@ morph_options = _together(
     _of(MorphOptions, "reach"),
     _of(SolverOptions, "epsilon", "rho"),
     _of(LiftOptions),
+    _of(GuideOptions),
     _of(SolverOptions, "tol", "max_iter"),
     _of(PlanOptions),
     _of(RenderOptions),
@@ -199,6 +209,7 @@ inspect_options = _together(
     _of(MorphOptions, "reach"),
     _of(SolverOptions, "epsilon", "rho"),
     _of(LiftOptions),
+    _of(GuideOptions),
     _of(SolverOptions, "tol", "max_iter"),
     _of(PlanOptions, "log_threshold"),
     _of(PlaybackOptions, "n_frames"),

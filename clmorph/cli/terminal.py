@@ -67,10 +67,16 @@ class Stages:
     Attributes
     ----------
     seconds : dict
-        Time from a stage's first call to its last.
+        Time of each stage. What passes before a call counts for the stage that calls, so the times
+        add up to the whole.
+
+    Parameters
+    ----------
+    began : float, optional
+        When the first stage began, by `time.perf_counter`; now if not given.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, began: float | None = None) -> None:
         self._bars = Progress(
             TextColumn("{task.description:12}", markup=False),
             BarColumn(),
@@ -84,7 +90,7 @@ class Stages:
             transient=True,
         )
         self._tasks: dict[str, TaskID] = {}
-        self._began: dict[str, float] = {}
+        self._counted_to = time.perf_counter() if began is None else began
         self.seconds: dict[str, float] = {}
 
     def __enter__(self) -> Self:
@@ -105,10 +111,14 @@ class Stages:
 
     def __call__(self, stage: str, share: float) -> None:
         """Show the share (0 to 1) of a stage that is done, and the share's note, if any."""
-        now = time.perf_counter()
+        self.count(stage)
         if stage not in self._tasks:
             self._tasks[stage] = self._bars.add_task(printable(stage), total=1.0, note="")
-            self._began[stage] = now
         note = getattr(share, "note", "")
         self._bars.update(self._tasks[stage], completed=share, note=note)
-        self.seconds[stage] = now - self._began[stage]
+
+    def count(self, stage: str) -> None:
+        """Count the time since the last call of any stage for this stage, which needs no bar."""
+        now = time.perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._counted_to
+        self._counted_to = now

@@ -16,6 +16,7 @@ What the images have above it is sampled where the motion halfway (`halfway`) sa
   deformation need nothing of the particles.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -170,8 +171,9 @@ class CarriedDetail:
         displacement = self._motion.at(t, coarse.positions())
         if coarse.shape != canvas.shape:
             displacement = sampled(displacement, coarse.places(positions), order=1)
-        a = self._bands[0].at(positions - t * displacement)
-        b = self._bands[1].at(positions + (1 - t) * displacement)
+        paths = positions - t * displacement, positions + (1 - t) * displacement
+        with ThreadPoolExecutor(2) as pool:  # SciPy samples without Python's lock
+            a, b = pool.map(Bands.at, self._bands, paths)
         floor = FLOOR * self._unit**2
         strong_a = (1 - t) * np.sqrt(a.variance + floor)
         strong_b = t * np.sqrt(b.variance + floor)

@@ -8,6 +8,7 @@ the images treats both alike (Liao et al., "Automating image morphing using stru
 on a halfway domain", ACM Transactions on Graphics 33(5), 2014).
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -196,7 +197,8 @@ def register(
     ]
     if min(grid.shape) >= FEWEST:
         images = _Images(small, grids, grid)
-        trials = [images.moved(displacement, rounds) for rounds in TRIALS]
+        with ThreadPoolExecutor(len(TRIALS)) as pool:
+            trials = list(pool.map(lambda rounds: images.moved(displacement, rounds), TRIALS))
         refined = images.moved(images.best(trials), (FINE,))
         displacement = images.trusted(displacement, refined)
     kept = grid.reduced(max(1, GRID_SIDE // STRIDE))

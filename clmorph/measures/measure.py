@@ -9,10 +9,13 @@ import numpy as np
 
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import shown
+from clmorph.backends.interface import MAX_DIMENSION
 from clmorph.errors import InputError
 from clmorph.images.color import square_root, to_space
 from clmorph.measures.options import LiftOptions
 
+#: Coordinates that may lie far outside [0, 1].
+FAR = ("positions", "warped", "features")
 #: Placement of pixels in the common frame: "true" keeps the aspect ratio, "unit" stretches each
 #: axis to [0, 1].
 
@@ -42,6 +45,11 @@ class Measure:
         (paper, 5). One for all pixels, or one for each pixel (of a source).
     alpha : (N,) array, optional
         Opacity of each pixel; None if all are opaque.
+    warped : (N, 2) array, optional
+        Positions that the cost compares in place of `positions`, at which pixels are drawn
+        (`clmorph.measures.landmarks`).
+    features : (N, K) array, optional
+        Further coordinates of the cost, in the unit of positions.
 
     Examples
     --------
@@ -63,6 +71,8 @@ class Measure:
     color_space: str = "srgb"
     color_metric: Array | None = None
     alpha: Array | None = None
+    warped: Array | None = None
+    features: Array | None = None
     #: A lifted image has no offsets, see `clmorph.measures.points.WeightedPoints`.
     offsets = None
 
@@ -74,10 +84,11 @@ class Measure:
 
     @cached_property
     def points(self) -> Array:
-        """(N, 5) lifted points X = (x, y, lambda r, lambda g, lambda b) (paper, 2.3, Eq. 1).
+        """(N, 5 + K) lifted points X = (x, y, lambda r, lambda g, lambda b) (paper, 2.3, Eq. 1).
 
         In another color space, the coordinates of that space replace r, g, b. With a metric
         M = L L^T they are multiplied by L (paper, 5), so that |X - Y|^2 includes the metric.
+        Features, if there are any, follow.
         """
         if self.has_metric_map:
             raise InputError(
@@ -87,7 +98,9 @@ class Measure:
         colors = self.coordinates
         if self.color_metric is not None:
             colors = colors @ square_root(self.color_metric)
-        return np.column_stack((self.positions, self.color_weight * colors))
+        places = self.positions if self.warped is None else self.warped
+        further = [] if self.features is None else [self.features]
+        return np.column_stack((places, self.color_weight * colors, *further))
 
     @cached_property
     def coordinates(self) -> Array:
@@ -143,18 +156,24 @@ def check_measure(name: str, measure: Measure) -> None:
         n = int(height) * int(width)
         if min(height, width) < 1:
             raise InputError(f"its shape is {height} x {width}")
-        for name in ("color_weight", "extent", "color_space"):
-            LiftOptions.checked(name, getattr(measure, name))
+        for option in ("color_weight", "extent", "color_space"):
+            LiftOptions.checked(option, getattr(measure, option))
     except (TypeError, ValueError) as error:
         reason = f": {error}" if isinstance(error, InputError) else ""
         raise InputError(f"{name} is no usable Measure{reason}; {remedy}") from None
     shapes = {"positions": (n, 2), "colors": (n, 3), "weights": (n,)}
     if measure.alpha is not None:
         shapes["alpha"] = (n,)
+    if measure.warped is not None:
+        shapes["warped"] = (n, 2)
+    if measure.features is not None:
+        given = measure.features if type(measure.features) is np.ndarray else np.empty(0)
+        count = given.shape[1] if given.ndim == 2 else 1
+        shapes["features"] = (n, min(max(1, count), MAX_DIMENSION - 5))
     for part, shape in shapes.items():
         array = getattr(measure, part)
         usable = type(array) is np.ndarray and array.dtype == np.float64 and array.shape == shape
-        low, high = (-1e6, 1e6) if part == "positions" else (-1e-6, 1 + 1e-6)
+        low, high = (-1e6, 1e6) if part in FAR else (-1e-6, 1 + 1e-6)
         # Comparisons with NaN are false, so NaN does not pass this check.
         if usable and part != "weights":
             usable = bool(array.min() >= low and array.max() <= high)

@@ -143,6 +143,8 @@ def group_pixels(measure: Measure, size: int | None) -> PixelBlocks:
     coarse = Measure(
         mean(measure.positions), np.clip(mean(measure.colors), 0.0, 1.0), mass, (height, width),
         measure.color_weight, measure.extent, measure.color_space, measure.color_metric,
+        warped=None if measure.warped is None else mean(measure.warped),
+        features=None if measure.features is None else mean(measure.features),
     )  # fmt: skip
     return PixelBlocks(measure, coarse, side)
 

@@ -3,6 +3,7 @@
 Written by ``tools/make_keywords.py`` from the option classes: change those.
 """
 
+from collections.abc import Sequence
 from typing import Literal, TypedDict
 
 
@@ -13,6 +14,7 @@ class MorphKeywords(TypedDict, total=False):
     color_space: Literal["srgb", "linear", "lab", "luv", "oklab"]
     mass: Literal["uniform", "luminance", "alpha", "foreground"]
     extent: Literal["true", "unit"]
+    landmarks: Sequence[tuple[tuple[float, float], tuple[float, float]]] | None
     blur: float | None
     reach: float | tuple[float | None, float | None] | None
     epsilon: float | None

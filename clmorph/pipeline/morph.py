@@ -16,6 +16,7 @@ from clmorph.errors import InputError
 from clmorph.frames.kernel_width import KernelWidth, effective_count
 from clmorph.frames.particles import particles
 from clmorph.images.detail import auto_sigma
+from clmorph.measures.landmarks import guided
 from clmorph.measures.lift_pair import lift_pair
 from clmorph.measures.measure import Measure
 from clmorph.measures.options import LiftOptions
@@ -112,7 +113,7 @@ def morph(
     """
     images = as_images((image_a, image_b))
     chosen = as_options(options, preset, given, images, draft=draft)
-    pair = ImagePair(fitted(images, chosen, weights, color_metric), chosen)
+    pair = ImagePair(fitted(images, chosen, weights, color_metric), chosen, shapes_of(images))
     return pair.morph(backend, check_progress(progress), weights, color_metric)
 
 
@@ -125,18 +126,25 @@ class ImagePair:
     images : (image_a, image_b)
         Images that `fitted` has returned.
     options : MorphOptions
+    shapes : pair of (height, width), optional
+        Shapes of the images as they were given, in whose pixels landmarks are; those of `images`
+        if missing.
     """
 
     images: Sequence[Picture]
     options: MorphOptions
+    shapes: Sequence[tuple[int, int]] | None = None
 
     def measures(self, weights: Any = None, color_metric: Any = None) -> tuple[Measure, Measure]:
         """Lift both images; the parameters are those of `morph`."""
         first, second = self.images
-        return lift_pair(
+        measures = lift_pair(
             (first, second), weights=weights, color_metric=color_metric,
             **self.options.of(LiftOptions),
         )  # fmt: skip
+        return guided(
+            *measures, self.options.landmarks or (), self.shapes or shapes_of(self.images)
+        )
 
     def blocks(self, source: Measure, target: Measure) -> tuple[PixelBlocks, PixelBlocks]:
         """Group pixels into blocks, between which the transport is solved."""
@@ -210,6 +218,11 @@ class ImagePair:
         )
         counts = _effective_counts(source, target, plan, options.unmatched)
         return KernelWidth(start, end, options.gamma or 0.0, *counts, options.splatting)
+
+
+def shapes_of(images: Sequence[Picture]) -> list[tuple[int, int]]:
+    """Return the height and the width of each image."""
+    return [(image.shape[0], image.shape[1]) for image in images]
 
 
 def _named_arrays(weights: Any, color_metric: Any) -> tuple[str, ...]:

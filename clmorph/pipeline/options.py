@@ -20,6 +20,7 @@ from clmorph._shared.options import (
 from clmorph._shared.validation import as_float, check_choice, check_flag, shown
 from clmorph.errors import InputError
 from clmorph.frames.options import BULGING, GAMMA, RenderOptions
+from clmorph.measures.landmark_options import GuideOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.pipeline.presets import AUTO, PRESETS, drafted
@@ -117,6 +118,7 @@ class MorphOptions(
     PlanOptions,
     BudgetOptions,
     SolverOptions,
+    GuideOptions,
     LiftOptions,
 ):
     """All options of `clmorph.morph`, by keywords; the preset sets options that are not given.

@@ -3,6 +3,8 @@
 Python and the command line use the same format, so each reads the recipes of the other.
 """
 
+import hashlib
+import os
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -174,3 +176,34 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
         if name.replace("-", "_") not in (IMAGES, *OWN)
     }  # fmt: skip
     return options_of(options, str(file))
+
+
+def picture_entries(images: Sequence[Path], folder: Path | None = None) -> list[dict[str, Any]]:
+    """Return the entries of a recipe about its pictures.
+
+    Parameters
+    ----------
+    images : sequence of Path
+    folder : Path, optional
+        The folder to which the images' folders are written as relative paths. These paths inform
+        people; the command line uses only the file names. Without `folder` no folders are written,
+        which suits files that are shared.
+    """
+    return [
+        {"file": path.name, "sha256": digest(path)}
+        | ({} if folder is None else {"folder": _folder(path, folder)})
+        for path in images
+    ]
+
+
+def _folder(path: Path, start: Path) -> str:
+    try:
+        return os.path.relpath(path.parent, start)
+    except ValueError:  # on another drive
+        return str(path.parent.absolute())
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

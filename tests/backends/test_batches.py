@@ -113,7 +113,9 @@ def test_one_launch_for_all_problems(device, rng, monkeypatch):
     device.softmin_batch(rows, columns, g, 0.01)
     launches, launch = [], Workspace.launch
     monkeypatch.setattr(
-        Workspace, "launch", lambda self, *given: (launches.append(1), launch(self, *given))
+        Workspace,
+        "launch",
+        lambda self, *given, **read: (launches.append(1), launch(self, *given, **read)),
     )
     for call in (
         lambda: device.softmin_batch(rows, columns, g, 0.01),

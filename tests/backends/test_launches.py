@@ -2,11 +2,15 @@
 
 import sys
 import threading
+import warnings
+from unittest import mock
 
 import numpy as np
 import pyopencl as cl
 import pytest
+from count_transfers import TransferCount
 
+import clmorph
 from clmorph import DeviceError
 from clmorph.backends.opencl.kernels import launches
 from clmorph.backends.opencl.kernels.launches import LAUNCH_PARTICLES, TARGET_SECONDS, LaunchBudget
@@ -98,6 +102,104 @@ def test_no_launch_sums_more_than_its_share(device, monkeypatch):
     _, whole = device.splat(splats, shape, 1.4, 6.3)
     assert np.allclose(cut, whole, rtol=1e-5)
     assert whole[20, 20] == pytest.approx(count, rel=1e-5)
+
+
+@pytest.mark.parametrize("bounded", [False, True])
+def test_a_softmin_is_one_launch_and_one_wait(device, rng, bounded):
+    clouds = [device.upload(rng.random((n, 3)), np.full(n, 1 / n)) for n in (130, 200)]
+    softmin = device.bounded_softmin if bounded else device.softmin
+    arguments = *clouds, rng.random(200), 0.01
+    softmin(*arguments)
+    set_arg, changed = cl.Kernel.set_arg, []
+
+    def setting(kernel, number, value):
+        changed.append(value)
+        set_arg(kernel, number, value)
+
+    with TransferCount() as count, mock.patch.object(cl.Kernel, "set_arg", setting):
+        softmin(*arguments)
+    assert (count.n_launches, count.n_waits) == (1, 1)
+    # Scalars are as before, so only buffers are set.
+    assert changed
+    assert not [value for value in changed if isinstance(value, np.generic)]
+    rows, columns = clouds
+    shares = device.plan_row_reductions._loop.column_shares(rows, columns)
+    assert count.n_bytes("read") == 4 * rows.stride * shares * (3 if bounded else 2)
+    planes = 2 if bounded else 1
+    levels = len(rows.centers) * len(columns.centers)
+    assert count.n_bytes("write") == 4 * planes * (columns.stride + levels)
+
+
+def test_an_iteration_waits_once_for_each_softmin(device, rng):
+    """No more launches, waits or transfers hide between the softmins of a solve."""
+    measures = [clmorph.WeightedPoints(rng.random((n, 3)), np.full(n, 1 / n)) for n in (60, 50)]
+
+    def solve(n_iter):
+        with TransferCount() as count:
+            found = clmorph.sinkhorn(
+                *measures, blur=0.02, reach=0.3, tol=1e-14, max_iter=n_iter, precision="float32",
+                verify=False, backend=device,
+            )  # fmt: skip
+        assert found.n_iter == n_iter
+        reads, writes = (count.n_bytes(kind) for kind in ("read", "write"))
+        return np.array([count.n_launches, count.n_waits, reads, writes])
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        shorter, longer = solve(5), solve(9)
+    launches, waits, reads, writes = (longer - shorter) / 4
+    tile = device.constants.tile
+    assert launches == waits == 2
+    shares = 64 if device.constants.width == 1 else 1
+    assert 0 < reads <= 2 * 8 * tile * shares
+    assert 0 < writes <= 2 * 4 * (tile + 1)
+
+
+def test_kernels_never_use_scalars_of_another_call(device, rng):
+    """Kernels store scalars; two threads change them in turn, as do sizes and epsilons."""
+    measures = [(rng.random((n, 3)), np.full(n, 1 / n)) for n in (70, 150, 200)]
+
+    def cases_of(operations):
+        clouds = [operations.upload(*measure) for measure in measures]
+        return [
+            (clouds[i], clouds[j], np.zeros(len(measures[j][0])), epsilon)
+            for i, j, epsilon in ((0, 1, 0.01), (1, 0, 0.01), (0, 2, 0.02), (2, 2, 0.3))
+        ]
+
+    numpy = clmorph.get_backend("numpy")
+    wanted = [numpy.softmin(*case) for case in cases_of(numpy)]
+    cases, wrong = cases_of(device), []
+
+    def run(order):
+        for case in order * 3:
+            if not np.allclose(device.softmin(*cases[case]), wanted[case], rtol=0, atol=1e-5):
+                wrong.append(case)
+
+    threads = [threading.Thread(target=run, args=(order,)) for order in ([0, 1, 2, 3], [3, 1, 0])]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_ctrl_c_leaves_no_scalar_that_is_not_known(device, rng):
+    """It comes right after a scalar was set; the next call has the scalars of the one before."""
+    rows, columns = (device.upload(rng.random((n, 3)), np.full(n, 1 / n)) for n in (70, 150))
+    wanted = device.softmin(rows, columns, np.zeros(150), 0.01)
+    set_arg = cl.Kernel.set_arg
+
+    def interrupted(kernel, number, value):
+        set_arg(kernel, number, value)
+        if isinstance(value, np.generic):
+            raise KeyboardInterrupt
+
+    with (
+        mock.patch.object(cl.Kernel, "set_arg", interrupted),
+        pytest.raises(KeyboardInterrupt),
+    ):
+        device.softmin(rows, columns, np.zeros(150), 0.3)
+    assert np.array_equal(device.softmin(rows, columns, np.zeros(150), 0.01), wanted)
 
 
 def test_threads_take_turns(device):

@@ -53,6 +53,7 @@ MODULES = {
     "quality": clmorph.analysis.metrics,
     "baseline": clmorph.analysis.channel_baseline,
     "reference": clmorph.reference,
+    "batch": clmorph.batch,
 }
 
 
@@ -123,6 +124,8 @@ def examples() -> dict[str, Any]:
         "reference": reference,
         "divergence": divergence,
         "inspection": clmorph.inspect(a, b, n_frames=2, backend="numpy"),
+        "grid": np.eye(3),
+        "path": clmorph.density_path(np.eye(3), np.eye(3)[:, ::-1], backend="numpy"),
         "plain": (np.ones(3), np.arange(6.0).reshape(3, 2)),
         "queue": _any_queue(),
     }
@@ -140,6 +143,7 @@ SOLVER = {"tol": 1e-3, "max_iter": 2000}
 WIDTHS = {"sigma_start": 1.2, "sigma_end": 0.5, "gamma": 0.5}
 LIFTING = {"extent": "true", "mass": "uniform", "weights": None, "color_space": "srgb",
            "color_metric": None, "color_weight": 2.0}  # fmt: skip
+GUIDES = {"landmarks": None}
 
 
 def cases() -> dict[str, dict[str, Any]]:
@@ -156,14 +160,14 @@ def cases() -> dict[str, dict[str, Any]]:
                 "lossless": False}  # fmt: skip
     of_morph = {"morph": some["morph"]}
     given: dict[str, dict[str, Any]] = {
-        "morph": images | STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | playback | {
+        "morph": images | STRENGTHS | SOLVER | WIDTHS | LIFTING | GUIDES | shared | playback | {
             "draft": False, "n_frames": 2, "splatting": "adaptive", "sigma": None,
             "endpoints": "exact",
             "detail": "particles",
             "unmatched": "fade", "path_space": "srgb", "barycentric": False, "sample": None,
             "seed": 0, "ease": "linear",
         },
-        "inspect": images | STRENGTHS | SOLVER | LIFTING | shared | {
+        "inspect": images | STRENGTHS | SOLVER | LIFTING | GUIDES | shared | {
             "n_frames": 2, "divergence": True, "max_bytes": 1e9,
         },
         "MorphOptions.replace": {"self": clmorph.MorphOptions()} | STRENGTHS | SOLVER,
@@ -178,9 +182,24 @@ def cases() -> dict[str, dict[str, Any]]:
             "gradient": True,
         },
         "gradient": planned,
+        "density": {"values": some["grid"]},
+        "density_path": SOLVER | {
+            "source": some["grid"], "target": some["grid"].T, "blur": 0.05, "reach": 0.3,
+            "backend": "numpy",
+        },
+        "DensityPath.at": {"self": some["path"], "t": 0.5},
         "sinkhorn_batch": STRENGTHS | SOLVER | {
             "sources": [some["source"], some["plain"]], "targets": [some["target"], some["plain"]],
             "backend": "numpy", "precision": "auto", "progress": Idle(),
+        },
+        # Without a client, which is checked last, so that every other value is.
+        "batch.morph": {
+            "pairs": [("a.png", "b.png", "out.gif")], "client": None, "backend": "numpy",
+            "preset": None,
+        },
+        "batch.divergence_matrix": STRENGTHS | SOLVER | {
+            "measures": [some["source"], some["target"]], "client": None, "backend": "numpy",
+            "precision": "auto", "block": 2,
         },
         "divergence_matrix": STRENGTHS | SOLVER | {
             "measures": [some["source"], some["target"]], "backend": "numpy", "precision": "auto",

@@ -14,6 +14,7 @@ import clmorph
 from clmorph import InputError, MorphOptions
 from clmorph._shared.options import Options, specifications
 from clmorph.frames.options import RenderOptions
+from clmorph.measures.landmark_options import GuideOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.pipeline.options import BudgetOptions
@@ -21,8 +22,8 @@ from clmorph.pipeline.presets import PRESETS
 from clmorph.transport.options import PlanOptions, SolverOptions
 
 STAGES = (
-    LiftOptions, SolverOptions, PlanOptions, RenderOptions, PlaybackOptions, FrameStyle,
-    BudgetOptions,
+    LiftOptions, GuideOptions, SolverOptions, PlanOptions, RenderOptions, PlaybackOptions,
+    FrameStyle, BudgetOptions,
 )  # fmt: skip
 ROOT = Path(__file__).parents[2]
 

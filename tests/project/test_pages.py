@@ -64,6 +64,7 @@ ELSEWHERE = {
     r"python tools/faults\.py .*": ("tests/project/test_tools_faults.py", "import faults"),
     r"python tools/soak\.py .*": ("tests/project/test_tools_faults.py", "import soak"),
     r"python tools/cross_check\.py .*": ("tests/project/test_cross_check.py", "import cross_check"),
+    r"clmorph batch .*": ("tests/batch/test_batch.py", '["batch", '),
     r"python tools/peer_suites\.py .*": ("tests/project/test_peer_suites.py", "peer_suites"),
 }
 PICTURES = {"a.png": "astronaut", "b.jpg": "coffee", "c.png": "chelsea", "d.jpg": "rocket"}
@@ -94,8 +95,16 @@ COMMANDS = [
     for line in text.splitlines()
     if line.strip()
 ]
-OURS = {page: [line for other, line in COMMANDS if other == page and line.startswith("clmorph ")]
-        for page in PAGES}  # fmt: skip
+#: Commands that start workers; tests of their own run them.
+BATCHES = "clmorph batch "
+OURS = {
+    page: [
+        line
+        for other, line in COMMANDS
+        if other == page and line.startswith("clmorph ") and not line.startswith(BATCHES)
+    ]
+    for page in PAGES
+}
 #: Words in code, without line breaks; blocks are left out.
 CODE = {
     page: re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
@@ -158,7 +167,7 @@ def test_there_is_nothing_that_is_not_run():
         named = re.search(r'pip install (?:-e )?"\.\[([\w,]+)\]"', line)
         if named:
             assert set(named[1].split(",")) <= set(extras), line
-        if line.startswith("clmorph "):
+        if line.startswith("clmorph ") and not line.startswith(BATCHES):
             continue
         if named and line == named[0]:
             continue  # an installation alone
@@ -376,19 +385,40 @@ def host_names(names):
 
 
 #: Names that blocks use and do not define, by their pages and headings.
+def density_names(names):
+    y, x = np.mgrid[:24, :24] / 23
+    first, second = (np.exp(-50 * ((x - at) ** 2 + (y - 0.5) ** 2)) for at in (0.3, 0.7))
+    total = second.sum() / first.sum()
+    return {"clmorph": clmorph, "histogram_a": first * total, "histogram_b": second}
+
+
 def door_names(_names):
     """Samples in the plane."""
     x = np.random.default_rng(0).random((2, 20, 2))
     return {"X_a": x[0], "X_b": x[1]}
 
 
+def batch_names(_names):
+    """A client, whose scheduler and worker are threads of this process."""
+    from distributed import Client
+
+    client = Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None)
+    OPEN.append(client)
+    rng = np.random.default_rng(0)
+    return {"client": client, "measures": [(rng.random(n), rng.random((n, 2))) for n in (3, 4)]}
+
+
 GIVEN = {
+    ("clmorph/frames/README.md", "Densities"): density_names,
+    ("clmorph/batch/README.md", "From Python"): batch_names,
     ("clmorph/adapters/README.md", "Doors of other libraries"): door_names,
     ("clmorph/backends/README.md", "In your own OpenCL program"): host_names,
     ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
     ("clmorph/transport/README.md", "The solver alone"): solver_names,
     ("clmorph/transport/README.md", "Many problems at once"): many_names,
 }
+#: Clients of Dask that a page has opened.
+OPEN = []
 #: Files that blocks leave.
 LEFT = {
     README: ("out.gif",),
@@ -423,5 +453,7 @@ def test_python(page, tmp_path, monkeypatch):
                 assert "<canvas" in shown_page or "<iframe" in shown_page
             exec(compile(ast.Module([statement], []), where, "exec"), names)
     assert seen == {heading for other, heading in GIVEN if other == page}
+    while OPEN:
+        OPEN.pop().close()
     for file in LEFT.get(page, ()):
         assert Path(file).stat().st_size > 1000

@@ -226,7 +226,9 @@ def test_the_number_of_launches_is_that_of_the_slowest(device, rng, monkeypatch)
     solve(pairs, 0.1, 0.5, backend=device)
     launches, launch = [], Workspace.launch
     monkeypatch.setattr(
-        Workspace, "launch", lambda self, *given: (launches.append(1), launch(self, *given))
+        Workspace,
+        "launch",
+        lambda self, *given, **read: (launches.append(1), launch(self, *given, **read)),
     )
     found = solve(pairs, 0.1, 0.5, backend=device)
     # Two softmins an iteration, two for all certificates, and those that were taken back.

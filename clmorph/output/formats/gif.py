@@ -27,8 +27,9 @@ COLORS = 255
 LEAST = 16
 #: The least opacity of a pixel that is drawn; pixels with less are transparent.
 OPAQUE = 128
-#: Number of pixels from which the palette is computed.
-SAMPLES = 250_000
+#: Largest number of pixels from which the palette is computed. With four times as many, colors are
+#: on average 0 to 3 % nearer to their entries, and the palette takes four to ten times as long.
+SAMPLES = 65_536
 #: The longest duration of a frame in hundredths of a second: the field has 16 bits.
 LONGEST = 65_000
 #: The longest side in pixels: the field has 16 bits.
@@ -106,7 +107,7 @@ def _palette(recording: Recording, framing: Framing) -> "Image":
     from PIL import Image
 
     pixels = sum(height * width for height, width, _ in recording.shapes)
-    step = max(1, pixels // SAMPLES)
+    step = -(-pixels // SAMPLES)
     # These are copies, because a view would keep its frame in memory.
     samples = [_colors(recording, framing, index)[::step].copy() for index in range(len(recording))]
     pool = np.concatenate(samples)

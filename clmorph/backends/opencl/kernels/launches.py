@@ -4,7 +4,7 @@ Ctrl-C live between them.
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,9 @@ TARGET_SECONDS = 0.08
 LAUNCH_PARTICLES = 1 << 20
 #: The largest number of bytes of released buffers that are kept for reuse.
 HELD_BYTES = 1 << 28
+
+#: Arrays, and the buffers that they are read from.
+Results = Sequence[tuple[NDArray[Any], cl.MemoryObject]]
 
 
 class LaunchBudget:
@@ -76,6 +79,8 @@ class Workspace:
 
     def __init__(self, context: cl.Context, queue: cl.CommandQueue) -> None:
         self.context, self.queue, self.device = context, queue, queue.device
+        #: The scalars that each kernel stores, as bytes, by the argument's number.
+        self._scalars: dict[cl.Kernel, dict[int, bytes]] = {}
         self._pool = MemoryPool(ImmediateAllocator(queue, cl.mem_flags.READ_WRITE))
 
     def buffer(self, values: NDArray[Any], dtype: Any = np.float32) -> cl.Buffer:
@@ -99,14 +104,47 @@ class Workspace:
         size: tuple[int, ...],
         group: tuple[int, ...] | None,
         *arguments: Any,
+        results: Results = (),
     ) -> None:
-        """Run a kernel and wait for it.
+        """Run a kernel, read its results, and wait once for all of this.
 
         Arguments are NumPy scalars and buffers. This function keeps references to the buffers until
         the launch has ended, because a kernel does not. Arguments are set one by one, because
         pyopencl's `set_args` generates code for each kernel, which takes more time than it saves.
+
+        Parameters
+        ----------
+        kernel : pyopencl.Kernel
+            Nothing else sets its arguments.
+        size, group : tuple of int
+            Global and local size.
+        *arguments : NumPy scalars and buffers
+        results : sequence of (array, buffer), optional
+            Contiguous arrays, and the buffers that they are read from after the launch. On a CPU a
+            wait takes longer than a short kernel.
         """
         check_cancelled()
+        known = self._scalars.setdefault(kernel, {})
         for number, argument in enumerate(arguments):
-            kernel.set_arg(number, argument)
-        cl.enqueue_nd_range_kernel(self.queue, kernel, size, group).wait()
+            if isinstance(argument, np.generic):
+                # pyopencl takes 5 microseconds to set a scalar, and a kernel stores the last one.
+                value = argument.tobytes()
+                if known.get(number) == value:
+                    continue
+                # Ctrl-C may come between any two of these steps: the kernel must not store another
+                # value than the one that is known.
+                known.pop(number, None)
+                kernel.set_arg(number, argument)
+                known[number] = value
+            else:
+                kernel.set_arg(number, argument)
+        ended = [cl.enqueue_nd_range_kernel(self.queue, kernel, size, group)]
+        try:
+            for values, buffer in results:
+                ended.append(
+                    cl.enqueue_copy(
+                        self.queue, values, buffer, is_blocking=False, wait_for=ended[:1]
+                    )
+                )
+        finally:
+            cl.wait_for_events(ended)

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 
 from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
@@ -136,9 +135,8 @@ class LogSumExp:
             loop.launch(
                 kernel, rows, columns, exponents, part, np.uint32(n_rows), *buffers,
                 shares=shares, precise=precise, pairs=pairs,
+                results=tuple(zip((found, planes), buffers, strict=True)),
             )  # fmt: skip
-            for values, buffer in zip((found, planes), buffers, strict=True):
-                cl.enqueue_copy(loop.work.queue, values, buffer)
             section = slice(part.start * tile, part.stop * tile)
             if shares == 1 and not bounded:
                 maxima[section], sums[section] = found[0], planes[0, 0]

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import LARGEST_SHARE, SENTINEL
@@ -142,7 +141,7 @@ class NearField:
         and one number for each pair.
         """
         (rows, columns, exponents, guess), loop, n = clouds, self._loop, len(clouds.rows)
-        _, tile_max, row_level, k = exponents
+        tile_max, row_level, k = exponents.tile_max, exponents.row_level, exponents.k
         kernel, tile = loop.kernel("near_field.cl", name, rows, listed=True), loop.constants.tile
         groups = tile // (loop.constants.group * loop.constants.width)
         for launch in loop.parts(kernel, rows, columns, pairs=pairs, within=part):
@@ -160,10 +159,9 @@ class NearField:
             out.append(np.empty((groups, len(levels)), np.float32))
             buffers = [loop.work.empty(values.nbytes) for values in out]
             loop.launch(
-                kernel, rows, columns, exponents, launch, offset_buffer, *buffers, pairs=pairs
-            )
-            for values, buffer in zip(out, buffers, strict=True):
-                cl.enqueue_copy(loop.work.queue, values, buffer)
+                kernel, rows, columns, exponents, launch, offset_buffer, *buffers, pairs=pairs,
+                results=tuple(zip(out, buffers, strict=True)),
+            )  # fmt: skip
             out[-1] = out[-1].max(axis=0)
             own = (launch.start - part.start) * tile
             first = int(pairs.starts[launch.start])

@@ -12,7 +12,7 @@ from clmorph.backends.opencl.build.programs import Programs
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split
-from clmorph.backends.opencl.kernels.launches import LaunchBudget, Workspace
+from clmorph.backends.opencl.kernels.launches import LaunchBudget, Results, Workspace
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64
 
@@ -21,6 +21,9 @@ LOG2_E = float(np.log2(np.e))
 #: The largest number of kept pairs that one launch writes (12 bytes each on the device): the first
 #: access to memory takes longer than writing the pairs.
 FILL_PAIRS = 1 << 22
+#: The largest number of levels between tiles that are kept from their maxima to the launch, in
+#: place of being formed again.
+KEPT_LEVELS = 1 << 18
 
 
 class Exponents(NamedTuple):
@@ -30,6 +33,7 @@ class Exponents(NamedTuple):
     tile_max: Float64  #: (column tiles,) the largest k g + log2 b of each tile
     row_level: Float64  #: (row tiles,) the level that the rows' exponents are measured from
     k: float  #: log2(e) / epsilon
+    levels: Float64 | None = None  #: (row tiles, column tiles), where few enough to be kept
 
 
 class RowLoop:
@@ -117,16 +121,19 @@ class RowLoop:
         within = within or range(len(row_level))
         each = len(tile_max) if pairs is None else -(-len(pairs.tiles) // len(within))
         step = max(1, (1 << 22) // max(1, each))
+        kept = None
         for first in range(within.start, within.stop, step):
             block = range(first, min(first + step, within.stop))
             section = slice(block.start, block.stop)
             if pairs is None:
                 levels = _levels(rows.centers[section], columns.centers, tile_max, k)
                 row_level[section] = levels.max(axis=1)
+                if levels.size <= KEPT_LEVELS and len(levels) == len(row_level):
+                    kept = levels
             else:
                 starts, _, levels = pairs.levels(block, tile_max, k)
                 row_level[section] = np.maximum.reduceat(levels, starts[:-1])
-        return Exponents(logits, tile_max, row_level, k)
+        return Exponents(logits, tile_max, row_level, k, kept)
 
     def row_offsets(self, rows: Cloud, exponents: Exponents) -> Float64:
         """Return the term missing in e_ij, the level of the row's tile less its own cost: (N,)."""
@@ -209,8 +216,9 @@ class RowLoop:
         shares: int | None = None,
         precise: bool = False,
         pairs: TilePairs | None = None,
+        results: Results = (),
     ) -> None:
-        """Run a kernel over some row tiles and wait for it.
+        """Run a kernel over some row tiles, read its results, and wait for both.
 
         Parameters
         ----------
@@ -227,14 +235,19 @@ class RowLoop:
             Whether the kernel was built with precise exponents.
         pairs : TilePairs, optional
             The pairs of tiles to visit, for a kernel that was built with lists.
+        results : sequence of (array, buffer), optional
+            See `Workspace.launch`.
         """
-        _, tile_max, row_level, k = exponents
+        _, tile_max, row_level, k, known = exponents
         section = slice(part.start, part.stop)
         n_rows = len(part) * self.constants.tile
         lists: tuple[Any, ...] = ()
         if pairs is None:
-            levels = _levels(rows.centers[section], columns.centers, tile_max, k)
-            levels -= row_level[section, None]
+            if known is None:
+                levels = _levels(rows.centers[section], columns.centers, tile_max, k)
+            else:
+                levels = known[section]
+            levels = levels - row_level[section, None]
             work = n_rows * columns.stride
         else:
             starts, listed, levels = pairs.levels(part, tile_max, k)
@@ -263,7 +276,7 @@ class RowLoop:
                     np.uint32(window * at_once), np.uint32(at_once), *split(np.asarray(k)),
                     rows.shifts_buffer, rows.centers_buffer, columns.shifts_buffer,
                     columns.centers_buffer, exponents.column_logits, levels_buffer, *lists,
-                    *arguments,
+                    *arguments, results=results if window + 1 == windows else (),
                 )  # fmt: skip
 
 

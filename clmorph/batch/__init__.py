@@ -1,0 +1,9 @@
+"""Many pairs on the workers of Dask's distributed scheduler (extra ``dask``).
+
+Dask is imported when a function is called, not with this module.
+"""
+
+from clmorph.batch.library import morph
+from clmorph.batch.matrix import divergence_matrix
+
+__all__ = ["divergence_matrix", "morph"]

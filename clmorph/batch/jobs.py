@@ -1,0 +1,300 @@
+"""The table of jobs: a CSV or JSON file, all pairs of a folder, or a chain through a folder."""
+
+import csv
+import io
+import itertools
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from clmorph._shared.options import from_line, outside_name, specifications, unknown_option
+from clmorph._shared.printable import printable
+from clmorph._shared.validation import shown
+from clmorph.batch.places import name_of, read_bytes, resolved
+from clmorph.errors import FileError, InputError
+from clmorph.output.formats.registry import by_ending, usual_endings
+from clmorph.pipeline.options import MorphOptions, preset_options
+from clmorph.pipeline.presets import AUTO, PRESETS
+from clmorph.pipeline.recipe import PRESET, options_of
+
+#: Columns that each job has.
+COLUMNS = ("source", "target", "output")
+#: Words of a CSV file for truth values.
+FLAGS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+#: Endings of pictures that are taken from a folder.
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".gif", ".bmp", ".tif", ".tiff", ".ppm")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One morph of a batch.
+
+    Attributes
+    ----------
+    where : str
+        The place of the job in its table, for messages.
+    source, target, output : str
+        Absolute paths, or such as fsspec opens.
+    options : dict
+        Options of the row, by their names in Python.
+    preset : str or None
+        The preset of the row or of the defaults; None if the pictures choose it.
+    defaults : dict
+        Options of the file of settings, by their names in Python.
+    own_preset : bool
+        Whether the row names the preset, which then wins over the defaults.
+    max_pixels : int
+    """
+
+    where: str
+    source: str
+    target: str
+    output: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    preset: str | None = None
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    own_preset: bool = False
+    max_pixels: int = 0
+
+    def settled(self, preset: str | None) -> MorphOptions:
+        """Return the options of the morph, as ``clmorph morph`` joins them."""
+        chosen = preset_options(preset)
+        layers = (self.defaults, chosen) if self.own_preset else (chosen, self.defaults)
+        return MorphOptions(**MorphOptions.layered((MorphOptions.layered(layers), self.options)))
+
+
+@dataclass(frozen=True)
+class Defaults:
+    """What holds for all jobs: the folder of outputs, and the file of settings."""
+
+    folder: str
+    options: Mapping[str, Any]
+    preset: str | None
+    max_pixels: int
+
+
+def read_jobs(place: str, defaults: Defaults) -> list[Job]:
+    """Return the jobs of a CSV or JSON file.
+
+    Parameters
+    ----------
+    place : str
+        The file. Pictures are relative to its folder, outputs to the folder of outputs.
+    defaults : Defaults
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read, or a row is wrong; the message names the line or the entry.
+    """
+    ending = name_of(place).rpartition(".")[2].lower()
+    if ending not in ("csv", "json"):
+        raise InputError(f"{place}: expected a table of jobs: .csv or .json")
+    try:
+        text = read_bytes(place).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise FileError(f"{place}: not UTF-8; save the table as UTF-8") from None
+    rows = list(_csv_rows(place, text) if ending == "csv" else _json_rows(place, text))
+    if not rows:
+        raise FileError(f"{place}: no jobs in it; expected rows of {', '.join(COLUMNS)}")
+    base = place.rpartition("/")[0] if "://" in place else str(Path(place).parent)
+    jobs = [_job(where, row, options, base, defaults) for where, row, options in rows]
+    return checked(jobs)
+
+
+def _csv_rows(place: str, text: str) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
+    reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+    try:
+        header = [name.strip() for name in reader.fieldnames or ()]
+        _check_columns(f"{place} line 1", header)
+        reader.fieldnames = header
+        for row in reader:
+            where = f"{place} line {reader.line_num}"
+            if None in row:
+                raise FileError(f"{where}: more values than the {len(header)} columns")
+            if None in row.values():
+                raise FileError(f"{where}: fewer values than the {len(header)} columns")
+            given = {name: value.strip() for name, value in row.items() if value.strip()}
+            if given:
+                yield where, given, _from_texts(where, given)
+    except csv.Error as error:
+        raise FileError(f"{place} line {reader.line_num}: not CSV ({error})") from None
+
+
+def _json_rows(place: str, text: str) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
+    try:
+        entries = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{place}: not JSON ({printable(error, 120)})") from None
+    if not isinstance(entries, list):
+        raise FileError(f'{place}: expected a list of jobs, as [{{"source": …}}, …]')
+    for number, entry in enumerate(entries, 1):
+        where = f"{place} entry {number}"
+        if not isinstance(entry, dict):
+            raise FileError(f"{where}: {shown(entry)}: expected an object with {_wanted()}")
+        for name in COLUMNS:
+            if name in entry and not isinstance(entry[name], str):
+                raise FileError(f"{where}: {name} = {shown(entry[name])}: expected a text")
+        others = {name: value for name, value in entry.items() if name not in COLUMNS}
+        _check_columns(where, list(entry))
+        try:
+            yield where, entry, options_of(others, where)
+        except InputError as error:
+            raise FileError(str(error)) from None
+
+
+def _wanted() -> str:
+    return f"{', '.join(COLUMNS)} and any option of clmorph morph"
+
+
+def _known() -> dict[str, str]:
+    """Return the options' names in Python, by their names outside."""
+    names = specifications(MorphOptions)
+    return {outside_name(name, each): name for name, each in names.items()}
+
+
+def _check_columns(where: str, names: list[str]) -> None:
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise FileError(f"{where}: no column {' and '.join(missing)}; expected {_wanted()}")
+    for number, name in enumerate(names):
+        plain = name.replace("-", "_")
+        if name in names[:number]:
+            raise FileError(f"{where}: two columns {shown(name)}")
+        if plain not in (*COLUMNS, PRESET, *_known()):
+            known = dict.fromkeys((*COLUMNS, PRESET, *_known()))
+            raise FileError(f"{where}: {unknown_option(name, known)}")
+
+
+def _from_texts(where: str, row: Mapping[str, str]) -> dict[str, Any]:
+    """Return the options of a row of CSV, by their names in Python."""
+    names, specified = _known(), specifications(MorphOptions)
+    found: dict[str, Any] = {}
+    for column, text in row.items():
+        plain = column.replace("-", "_")
+        if plain == PRESET:
+            found[PRESET] = text
+        elif plain in names:
+            each = specified[names[plain]]
+            try:
+                flag = not each.kind.metavar
+                if flag and text.lower() not in FLAGS:
+                    raise InputError(f"{shown(text)}: expected true or false")
+                found[names[plain]] = FLAGS[text.lower()] if flag else from_line(each, text)
+            except InputError as error:
+                raise FileError(f"{where}: {column}: {error}") from None
+    return found
+
+
+def _job(
+    where: str, row: Mapping[str, Any], options: dict[str, Any], base: str, defaults: Defaults
+) -> Job:
+    for name in COLUMNS:
+        if not row.get(name) or "\0" in row[name]:
+            raise FileError(f"{where}: no {name}; expected {_wanted()}")
+    preset = options.pop(PRESET, None)
+    if preset is not None and preset not in (AUTO, *PRESETS):
+        names = ", ".join(map(repr, (AUTO, *PRESETS)))
+        raise FileError(f"{where}: preset = {shown(preset)}: expected one of {names}")
+    source, target = (resolved(row[name], base) for name in COLUMNS[:2])
+    output = resolved(row["output"], defaults.folder)
+    return _made(where, source, target, output, options, preset, defaults)
+
+
+def _made(
+    where: str, source: str, target: str, output: str,
+    options: Mapping[str, Any], preset: str | None, defaults: Defaults,
+) -> Job:  # fmt: skip
+    own = preset is not None
+    preset = preset if own else defaults.preset
+    job = Job(
+        where, source, target, output, dict(options), None if preset == AUTO else preset,
+        dict(defaults.options), own, defaults.max_pixels,
+    )  # fmt: skip
+    try:
+        job.settled(job.preset)
+    except InputError as error:
+        raise FileError(f"{where}: {error}") from None
+    if by_ending(Path(name_of(output))) is None:
+        raise FileError(
+            f"{where}: {name_of(output)}: unknown ending; expected {', '.join(usual_endings())}"
+        )
+    return job
+
+
+def from_folder(folder: str, ending: str, chain: bool, defaults: Defaults) -> list[Job]:
+    """Return the jobs between the pictures of a folder, in the order of their names.
+
+    Parameters
+    ----------
+    folder : str
+    ending : str
+        The ending of outputs, such as ".gif".
+    chain : bool
+        Whether each picture becomes the next one only; else all pairs are taken, one way.
+    defaults : Defaults
+    """
+    try:
+        found = sorted(Path(folder).iterdir())
+    except OSError as error:
+        raise FileError(f"{folder}: expected a folder ({error.strerror})") from None
+    pictures = [path for path in found if path.suffix.lower() in PICTURES and path.is_file()]
+    if len(pictures) < 2:
+        raise InputError(f"{folder} holds {len(pictures)} pictures: expected two or more")
+    ambiguous = len({path.stem for path in pictures}) < len(pictures)
+    pairs: Callable[[Iterable[Path]], Iterable[tuple[Path, Path]]] = (
+        itertools.pairwise if chain else lambda them: itertools.combinations(them, 2)
+    )
+    jobs = []
+    for source, target in pairs(pictures):
+        names = [path.name if ambiguous else path.stem for path in (source, target)]
+        output = resolved(f"{names[0]}-{names[1]}{ending}", defaults.folder)
+        where = f"{source.name} and {target.name}"
+        first, second = (resolved(str(path)) for path in (source, target))
+        jobs.append(_made(where, first, second, output, {}, None, defaults))
+    return checked(jobs)
+
+
+def from_pairs(pairs: Iterable[Any], defaults: Defaults) -> list[Job]:
+    """Return the jobs of tuples (source, target, output).
+
+    Raises
+    ------
+    InputError
+        If an item is no such tuple.
+    """
+    jobs = []
+    try:
+        items = list(pairs)
+    except Exception:  # foreign types can raise any exception
+        raise InputError(f"pairs={shown(pairs)}: expected a list of paths {_TUPLE}") from None
+    for number, item in enumerate(items):
+        if not (
+            isinstance(item, tuple | list)
+            and len(item) == len(COLUMNS)
+            and all(isinstance(part, str | Path) and str(part) for part in item)
+        ):
+            raise InputError(f"pairs[{number}] = {shown(item)}: expected paths {_TUPLE}")
+        source, target, output = (resolved(str(part)) for part in item)
+        jobs.append(_made(f"pairs[{number}]", source, target, output, {}, None, defaults))
+    return checked(jobs)
+
+
+_TUPLE = f"({', '.join(COLUMNS)})"
+
+
+def checked(jobs: list[Job]) -> list[Job]:
+    """Return jobs, after a check that no output replaces another output or a picture."""
+    read = {place for job in jobs for place in (job.source, job.target)}
+    first: dict[str, str] = {}
+    for job in jobs:
+        if job.output in first:
+            raise FileError(
+                f"{job.where}: {name_of(job.output)} is the output of {first[job.output]}, too"
+            )
+        if job.output in read:
+            raise FileError(f"{job.where}: {name_of(job.output)} would replace a picture")
+        first[job.output] = job.where
+    return jobs

@@ -1,0 +1,94 @@
+"""Send jobs to workers, a few ahead of what they do, and collect the records."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from clmorph._shared.printable import reason_of
+from clmorph.batch.jobs import Job
+from clmorph.batch.task import record_of, run_job
+from clmorph.errors import DeviceError
+
+#: Jobs that wait at the scheduler for each thread of its workers, and at least.
+AHEAD, LEAST = 2, 8
+
+
+def run_jobs(client: Any, jobs: Sequence[tuple[Job, str]], device: str) -> Iterator[dict[str, Any]]:
+    """Yield the record of each job as it ends.
+
+    A worker that dies has its job done by another one. Dask gives a job up when several workers die
+    that had it, even if it was only waiting there. Such a job is done once more at the end, with
+    no other job beside it, and is recorded as failed if workers die again.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    jobs : sequence of (Job, identity)
+    device : str
+        What `clmorph.get_backend` takes on the workers.
+
+    Raises
+    ------
+    DeviceError
+        If the scheduler has gone.
+    """
+    from distributed import as_completed
+
+    waiting = iter(jobs)
+    suspects: list[tuple[Job, str]] = []
+    known: dict[Any, tuple[Job, str]] = {}
+    ended = as_completed()
+
+    def send(more: Iterator[tuple[Job, str]]) -> bool:
+        for job, key in more:
+            # One key a submission: results of an earlier run that Dask remembers are not wanted.
+            future = client.submit(run_job, job, key, device, pure=False)
+            known[future] = job, key
+            ended.add(future)
+            return True
+        return False
+
+    try:
+        while len(known) < _ahead(client) and send(waiting):
+            pass
+        for future in ended:
+            job, key = known.pop(future)
+            if _was_given_up(future):
+                suspects.append((job, key))
+            else:
+                yield _record(future, job, key)
+            while len(known) < _ahead(client) and send(waiting):
+                pass
+        alone = iter(suspects)
+        while send(alone):
+            for future in ended:
+                yield _record(future, *known.pop(future))
+    finally:
+        # A run that ends early takes its jobs back.
+        client.cancel(list(known))
+
+
+def _ahead(client: Any) -> int:
+    workers = client.scheduler_info(n_workers=-1)["workers"].values()
+    return max(LEAST, AHEAD * sum(worker["nthreads"] for worker in workers))
+
+
+def _was_given_up(future: Any) -> bool:
+    from distributed import KilledWorker
+
+    return future.status == "error" and isinstance(future.exception(), KilledWorker)
+
+
+def _record(future: Any, job: Job, key: str) -> dict[str, Any]:
+    if future.status == "finished":
+        return future.result()
+    if future.status != "error":
+        raise DeviceError(
+            "the scheduler has gone, or has dropped the jobs; start the same command again: only "
+            "what is missing is done"
+        )
+    error = future.exception()
+    if _was_given_up(future):
+        line = "the workers that tried it ended: out of memory, perhaps; use a smaller size"
+    else:
+        line = f"{type(error).__name__}: {reason_of(error)}"
+    return record_of(job, key, status="failed", line=line, seconds=None)

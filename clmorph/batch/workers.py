@@ -1,0 +1,133 @@
+"""A cluster on this machine, a worker for each device, and clients of running schedulers."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from clmorph._shared.printable import reason_of
+from clmorph.batch.extra import need_dask
+from clmorph.errors import InputError
+
+#: The address of all ports of a local cluster: no other machine reaches them.
+LOCAL = "127.0.0.1"
+#: Seconds in which a scheduler must answer.
+TIMEOUT = 10.0
+#: Workers that may die during one job before the job fails.
+DEATHS = 1
+
+
+def devices_of(device: str, workers: int | None) -> list[str]:
+    """Return the device of each local worker.
+
+    Parameters
+    ----------
+    device : str
+        What the user asked for. "auto" is every physical device, unless ``CLMORPH_DEVICE`` or
+        ``PYOPENCL_CTX`` names one, and NumPy if no device is usable.
+    workers : int, optional
+        The number of workers, which share the devices in turn; one for each device if not given.
+    """
+    named = any(os.environ.get(name) for name in ("CLMORPH_DEVICE", "PYOPENCL_CTX"))
+    if device not in ("auto", "opencl") or named:
+        found = [device]
+    else:
+        from clmorph.backends.opencl.devices.physical import physical_devices
+
+        found = [each.index for each in physical_devices()] or [device]
+    return [found[number % len(found)] for number in range(workers or len(found))]
+
+
+@contextmanager
+def quiet_dask() -> Iterator[None]:
+    """Keep Dask's own messages off the terminal: what matters is told in lines of ours."""
+    import dask
+
+    kept = os.environ.get("DASK_LOGGING__DISTRIBUTED")
+    os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"  # of the workers' processes
+    import logging
+
+    log = logging.getLogger("distributed")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        with dask.config.set({"distributed.scheduler.allowed-failures": DEATHS}):
+            yield
+    finally:
+        log.setLevel(level)
+        if kept is None:
+            os.environ.pop("DASK_LOGGING__DISTRIBUTED", None)
+        else:
+            os.environ["DASK_LOGGING__DISTRIBUTED"] = kept
+
+
+@contextmanager
+def local_client(devices: list[str], memory: str | None = None) -> Iterator[Any]:
+    """Yield the client of a new cluster on this machine, with a process for each device.
+
+    Parameters
+    ----------
+    devices : list of str
+        What ``auto`` means in each worker.
+    memory : str, optional
+        The memory of each worker, such as "2GB"; Dask restarts a worker that exceeds it. An equal
+        share of the machine's memory if not given.
+    """
+    need_dask()
+    from distributed import Client, Nanny, Scheduler, SpecCluster
+    from distributed.system import MEMORY_LIMIT
+
+    limit: Any = memory or MEMORY_LIMIT // len(devices)
+    workers = {
+        number: {
+            "cls": Nanny,
+            "options": {
+                "host": LOCAL, "nthreads": 1, "memory_limit": limit, "dashboard": False,
+                "preload": ["clmorph.batch.preload"],
+                "env": {} if device in ("auto", "opencl") else {"CLMORPH_DEVICE": device},
+            },
+        }
+        for number, device in enumerate(devices)
+    }  # fmt: skip
+    options = {"host": LOCAL, "port": 0, "dashboard": True, "dashboard_address": f"{LOCAL}:0"}
+    with quiet_dask():
+        try:
+            cluster = SpecCluster(
+                scheduler={"cls": Scheduler, "options": options}, workers=workers,
+                silence_logs=False, worker={"cls": Nanny},
+            )  # fmt: skip
+        except (OSError, RuntimeError, ValueError) as error:
+            raise InputError(f"no local workers could be started ({reason_of(error)})") from None
+        try:
+            with Client(cluster) as client:
+                yield client
+        finally:
+            with suppress(Exception):  # a worker that has died cannot be closed
+                cluster.close(timeout=TIMEOUT)
+
+
+@contextmanager
+def remote_client(address: str) -> Iterator[Any]:
+    """Yield the client of a running scheduler.
+
+    Raises
+    ------
+    InputError
+        If it does not answer.
+    """
+    need_dask()
+    from distributed import Client
+
+    with quiet_dask():
+        try:
+            client = Client(address, timeout=TIMEOUT)
+        except Exception as error:  # of many classes, by the kind of the address
+            raise InputError(
+                f"--scheduler {address}: no scheduler answers ({reason_of(error, 120)}); expected "
+                "an address such as tcp://host:8786"
+            ) from None
+        try:
+            yield client
+        finally:
+            with suppress(Exception):
+                client.close(timeout=TIMEOUT)

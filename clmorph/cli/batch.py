@@ -1,0 +1,243 @@
+"""The command ``clmorph batch``: many pairs on Dask's workers."""
+
+import json
+import time
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from clmorph._shared.printable import printable
+from clmorph._shared.signals import note_partial
+from clmorph._shared.staging import clear_leftovers
+from clmorph._shared.validation import check_max_pixels
+from clmorph.backends.select import get_backend
+from clmorph.batch.extra import need_dask
+from clmorph.batch.index import write_index
+from clmorph.batch.jobs import Defaults, Job, from_folder, read_jobs
+from clmorph.batch.journal import Journal
+from clmorph.batch.places import is_remote, name_of, resolved
+from clmorph.batch.run import run_jobs
+from clmorph.batch.workers import devices_of, local_client, remote_client
+from clmorph.cli.config import Found, read_settings
+from clmorph.cli.terminal import NOTES, RESULTS, note, say
+from clmorph.errors import InputError
+from clmorph.images.pixels import MAX_PIXELS
+from clmorph.output.formats.registry import by_ending, usual_endings
+
+#: Failed pairs that the summary lists; the page lists all.
+LISTED = 20
+#: Bytes below which a worker cannot even start.
+LEAST_MEMORY = 300e6
+
+
+@dataclass(frozen=True)
+class BatchRequest:
+    """The request of the command line.
+
+    Attributes
+    ----------
+    table, all_pairs, chain : str or None
+        Where the jobs come from; one of them is given.
+    ending : str
+        The ending of outputs of `all_pairs` and `chain`.
+    defaults : Defaults
+    scheduler : str or None
+        The address of a running scheduler.
+    workers : int or None
+        The number of local workers.
+    memory : str or None
+        The memory of a local worker.
+    device : str
+    redo : bool
+    as_json : bool
+    """
+
+    table: str | None
+    all_pairs: str | None
+    chain: str | None
+    ending: str
+    defaults: Defaults
+    scheduler: str | None
+    workers: int | None
+    memory: str | None
+    device: str
+    redo: bool
+    as_json: bool
+
+
+def batch_request(
+    table: str | None,
+    out: str,
+    *,
+    ending: str,
+    config: Path | None,
+    preset: str | None,
+    memory: str | None,
+    device: str | None,
+    backend: str | None,
+    max_pixels: int | None,
+    **more: Any,
+) -> BatchRequest:
+    """Return the request that the arguments of the command line mean.
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+    """
+    if not out or "\0" in out:
+        raise InputError("--out is empty: expected the name of a folder")
+    if device is not None and backend not in (None, "auto", "opencl"):
+        raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
+    if not ending.startswith(".") or by_ending(Path(f"a{ending}")) is None:
+        raise InputError(f"--ending {ending}: expected one of {', '.join(usual_endings())}")
+    need_dask()
+    if memory is not None:
+        from dask.utils import parse_bytes
+
+        try:
+            enough = parse_bytes(memory) >= LEAST_MEMORY
+        except ValueError:
+            enough = False
+        if not enough:
+            raise InputError(f"--memory {memory}: expected a size such as 4GB, 300MB or more")
+    found = None if config is None else read_settings(config)
+    if found is not None:
+        ignored = [name for name in ("output", "format", "recipe") if name in found.own]
+        if ignored:
+            note(f"{config}: batches do not use {', '.join(ignored)}")
+    most = max_pixels if max_pixels is not None else (found.own if found else {}).get("max_pixels")
+    defaults = Defaults(
+        resolved(out),
+        {} if found is None else found.options,
+        preset or (found.preset if found else None) or _left_to_nobody(found),
+        MAX_PIXELS if most is None else check_max_pixels(most),
+    )
+    return BatchRequest(
+        table, ending=ending, defaults=defaults, memory=memory,
+        device=device or backend or "auto", **more,
+    )  # fmt: skip
+
+
+def _left_to_nobody(found: Found | None) -> str | None:
+    """Return the preset under a recipe, which holds all options, so that none is chosen."""
+    return "photo" if found is not None and not found.named.own else None
+
+
+def run_batch(request: BatchRequest) -> int:
+    """Do all jobs that are not done yet; return 1 if any pair has failed, else 0."""
+    need_dask()
+    began = time.perf_counter()
+    jobs = _jobs(request)
+    folder = request.defaults.folder
+    with Journal(folder) as journal:
+        left = journal.missing(jobs, request.device, request.redo)
+        if len(left) < len(jobs):
+            say(f"{len(jobs) - len(left)} of {len(jobs)} pairs are done already")
+        try:
+            if left:
+                with _client(request, len(left)) as client:
+                    _work(client, left, journal, request.device)
+        finally:
+            # What workers left that were ended in the middle; those that still write hold a lock.
+            for place in {Path(job.output).parent for job, _ in left if not is_remote(job.output)}:
+                clear_leftovers(place)
+            records = [journal.records[job.output] for job in jobs if job.output in journal.records]
+            page = write_index(folder, records) if records else ""
+            n_done = sum(record["status"] == "done" for record in records)
+            note_partial(f"{n_done} of {len(jobs)} pairs are done: the same command does the rest")
+    failed = [record for record in records if record["status"] == "failed"]
+    seconds = time.perf_counter() - began
+    if request.as_json:
+        summary = {
+            "pairs": len(jobs), "done": len(jobs) - len(failed), "failed": len(failed),
+            "new": len(left), "seconds": round(seconds, 3), "index": page,
+            "results": [
+                {key: value for key, value in record.items() if key not in ("thumbnail", "key")}
+                for record in records
+            ],
+        }  # fmt: skip
+        click.echo(json.dumps(summary))
+    else:
+        _print_failed(failed)
+        click.echo(
+            f"{printable(page)}: {len(jobs) - len(failed)} of {len(jobs)} pairs done, "
+            f"{len(failed)} failed, in {seconds:.1f} s"
+        )
+    return 1 if failed else 0
+
+
+def _jobs(request: BatchRequest) -> list[Job]:
+    sources = [request.table, request.all_pairs, request.chain]
+    if sum(source is not None for source in sources) != 1:
+        raise InputError("expected a table of jobs, or --all-pairs FOLDER, or --chain FOLDER")
+    if request.scheduler is not None and (request.workers or request.memory):
+        raise InputError("--scheduler has workers of its own: leave out --workers and --memory")
+    if request.table is not None:
+        return read_jobs(resolved(request.table), request.defaults)
+    source = request.all_pairs or request.chain or ""
+    return from_folder(source, request.ending, request.chain is not None, request.defaults)
+
+
+def _client(request: BatchRequest, count: int) -> AbstractContextManager[Any]:
+    if request.scheduler is not None:
+        return remote_client(request.scheduler)
+    with NOTES.status("looking for OpenCL devices (the first time takes some seconds)"):
+        if request.device not in ("auto", "opencl"):
+            get_backend(request.device)  # a mistake is one error, and not one for each pair
+        devices = devices_of(request.device, request.workers)
+    return local_client(devices[:count], request.memory)
+
+
+def _work(client: Any, left: Sequence[tuple[Job, str]], journal: Journal, device: str) -> None:
+    """Do the jobs, and show how many are done and the time that is left."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    info = client.scheduler_info(n_workers=-1)
+    say(f"workers: {len(info['workers'])}; dashboard: {client.dashboard_link}")
+    if not info["workers"]:
+        note("the scheduler has no worker yet; the jobs wait for one")
+    bar = Progress(
+        TextColumn("pairs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[failed]}"),
+        console=NOTES, disable=not NOTES.is_terminal, transient=True,
+    )  # fmt: skip
+    failed = 0
+    with bar:
+        task = bar.add_task("", total=len(left), failed="")
+        for record in run_jobs(client, left, device):
+            journal.add(record)
+            if record["status"] == "failed":
+                failed += 1
+                note(f"{record['where']}: {record['line']}")
+            bar.update(task, advance=1, failed=f"{failed} failed" if failed else "")
+
+
+def _print_failed(failed: Sequence[dict[str, Any]]) -> None:
+    from rich.table import Table
+
+    if not failed:
+        return
+    table = Table(box=None, pad_edge=False)
+    for title in ("failed", "job", "why"):
+        table.add_column(title, overflow="fold")
+    for record in failed[:LISTED]:
+        table.add_row(
+            printable(name_of(record["output"])),
+            printable(Path(record["where"]).name),
+            record["line"],
+        )
+    RESULTS.print(table)
+    if len(failed) > LISTED:
+        click.echo(f"and {len(failed) - LISTED} more, see the page")

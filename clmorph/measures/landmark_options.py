@@ -1,0 +1,146 @@
+"""The option of landmarks: its values, and how a text or a CSV file is read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clmorph._shared.option_kinds import Kind
+from clmorph._shared.options import Options, option
+from clmorph._shared.printable import reason_of
+from clmorph._shared.validation import as_float, shown
+from clmorph.errors import InputError
+
+Point = tuple[float, float]
+#: Pairs of corresponding points, ((x, y), (x', y')), in pixels of the two images.
+Landmarks = Sequence[tuple[Point, Point]]
+#: Largest number of landmarks: the work of the spline grows with its third power.
+MAX_LANDMARKS = 256
+#: Largest length of a file of landmarks, in characters.
+MAX_FILE = 1 << 20
+_EXPECTED = "pairs of points in pixels, such as [((120, 80), (131, 92))]"
+_PLAINLY = "x,y:x',y' in pixels, such as 120,80:131,92, or the name of a CSV file"
+
+
+def check_landmarks(name: str, value: Any) -> tuple[tuple[Point, Point], ...]:
+    """Return landmarks as tuples of numbers.
+
+    Parameters
+    ----------
+    name : str
+        The name of the landmarks in error messages.
+    value : sequence of ((x, y), (x', y')), or array (n, 2, 2)
+
+    Raises
+    ------
+    InputError
+        If it is anything else, or has a number that is not finite.
+
+    Examples
+    --------
+    >>> check_landmarks("landmarks", [[[1, 2], [3, 4]]])
+    (((1.0, 2.0), (3.0, 4.0)),)
+    """
+    found = []
+    rows = _parts(value)
+    for k, row in enumerate(rows if rows is not None else [None]):
+        ends = [_parts(end) or [] for end in _parts(row) or []]
+        numbers = [[as_float(each) for each in end] for end in ends]
+        usable = len(numbers) == 2 and all(
+            len(end) == 2 and all(each is not None and abs(each) < 1e9 for each in end)
+            for end in numbers
+        )
+        if not usable:
+            which = "" if rows is None else f", entry {k + 1}"
+            raise InputError(f"{name}={shown(value)}{which}: expected {_EXPECTED}")
+        found.append((_point(numbers[0]), _point(numbers[1])))
+    if len(found) > MAX_LANDMARKS:
+        raise InputError(f"{name}: {len(found)} pairs; expected at most {MAX_LANDMARKS}")
+    return tuple(found)
+
+
+def _parts(value: Any) -> list[Any] | None:
+    """Return the entries of a list, a tuple or an array; None for anything else."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    return list(value) if isinstance(value, list | tuple) else None
+
+
+def _point(numbers: Any) -> Point:
+    return float(numbers[0]), float(numbers[1])
+
+
+def read_landmarks(text: str) -> tuple[tuple[Point, Point], ...]:
+    """Return landmarks from a text: one or more x,y:x',y', or the name of a CSV file.
+
+    A line of the file is ``x,y,x',y'``; empty lines, lines after ``#`` and a first line of names
+    are left out. Pairs in a text are separated by spaces or semicolons.
+
+    Raises
+    ------
+    ValueError
+        If the text is neither.
+    InputError
+        If the file cannot be read or has other lines.
+
+    Examples
+    --------
+    >>> read_landmarks("120,80:131,92")
+    (((120.0, 80.0), (131.0, 92.0)),)
+    """
+    try:
+        pairs = [
+            tuple(tuple(map(float, end.split(","))) for end in pair.split(":"))
+            for pair in text.replace(";", " ").split()
+        ]
+        return check_landmarks("landmarks", pairs or None)
+    except (ValueError, InputError):
+        if not text.lower().endswith((".csv", ".txt")):
+            raise ValueError(text) from None
+    try:
+        with Path(text).open(encoding="utf-8-sig") as stream:
+            lines = stream.read(MAX_FILE).splitlines()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{text}: landmarks cannot be read ({reason_of(error)})") from None
+    found = []
+    for k, line in enumerate(lines):
+        cells = [cell.strip() for cell in line.split("#")[0].replace(";", ",").split(",")]
+        numbers = [as_number(cell) for cell in cells]
+        if cells == [""] or (k == 0 and None in numbers):
+            continue
+        if len(numbers) != 4 or None in numbers:
+            raise InputError(f"{text}, line {k + 1}: {shown(line)}: expected x,y,x',y' in pixels")
+        found.append((numbers[:2], numbers[2:]))
+    return check_landmarks("landmarks", found)
+
+
+def as_number(text: str) -> float | None:
+    """Return the number that a text means, or None."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+_POINT_SCHEMA = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+_PAIR_SCHEMA = {"type": "array", "items": _POINT_SCHEMA, "minItems": 2, "maxItems": 2}
+#: The kind of landmarks among options.
+LANDMARKS = Kind(
+    check_landmarks, _PLAINLY, "x,y:x',y'|CSV", read_landmarks,
+    {"type": "array", "items": _PAIR_SCHEMA, "maxItems": MAX_LANDMARKS},
+    lambda value: isinstance(value, list), several=True,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, init=False)
+class GuideOptions(Options):
+    """Options that guide the transport."""
+
+    landmarks: Landmarks | None = option(
+        None, LANDMARKS,
+        "Points that correspond, each a point of A and its partner in B, in pixels of each picture "
+        "as it is given; repeatable. What is at one moves to the other.",
+        "Transport", unit="pixels", outside="landmark",
+    )  # fmt: skip

@@ -1,0 +1,386 @@
+"""Batches on a real scheduler with worker processes on loopback."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from programs import program
+
+import clmorph
+from clmorph.batch.index import index_page
+from clmorph.batch.journal import NAME
+from clmorph.batch.workers import devices_of, local_client
+from clmorph.cli.main import main
+
+pytestmark = pytest.mark.filterwarnings("default::ResourceWarning", "default::DeprecationWarning")
+
+#: Options of all morphs: some milliseconds each.
+OPTIONS = {"size": 12, "frames": 3, "max_particles": 500}
+N_PAIRS = 20
+
+
+@pytest.fixture(scope="module")
+def client():
+    with local_client(["numpy", "numpy"]) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    """Small pictures, one of them with a name of several scripts."""
+    folder = tmp_path_factory.mktemp("pictures")
+    rng = np.random.default_rng(0)
+    names = ["a", "b", "c", "d", "e f", "Bär 熊"]
+    for name in names:
+        pixels = rng.integers(0, 256, (4, 4, 3), np.uint8).repeat(3, 0).repeat(3, 1)
+        Image.fromarray(pixels).save(folder / f"{name}.png")
+    return [folder / f"{name}.png" for name in names]
+
+
+def table(path, pictures, count=N_PAIRS):
+    """Write a table of jobs: good pairs, the seventh with an option of its own, and bad ones."""
+    pairs = [(s, t) for s in pictures for t in pictures if s != t][:count]
+    (path.parent / "broken.png").write_bytes(b"no picture")
+    (path.parent / "file").write_bytes(b"")
+    bad = [
+        (path.parent / "gone.png", pictures[0], "gone.gif"),
+        (pictures[0], path.parent / "broken.png", "broken.gif"),
+        (pictures[0], pictures[1], path.parent / "file" / "below a file.gif"),
+    ]
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["source", "target", "output", *OPTIONS, "reverse"])
+        for number, (source, target) in enumerate(pairs):
+            output = f"sub/{source.stem} {target.stem}.gif"
+            rows.writerow([source, target, output, *OPTIONS.values(), "true" * (number == 6)])
+        for entry in bad:
+            rows.writerow([*entry, *OPTIONS.values(), ""])
+    return pairs
+
+
+@contextmanager
+def started(*arguments):
+    """Start ``clmorph batch`` in a process of its own."""
+    command = [sys.executable, "-m", "clmorph", "batch", *map(str, arguments)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def records(folder):
+    path = folder / NAME
+    lines = path.read_text("utf-8").splitlines() if path.exists() else []
+    return [json.loads(line) for line in lines if line.endswith("}")]
+
+
+def wait_for(count, folder, process):
+    end = time.monotonic() + 60
+    while len(records(folder)) < count and process.poll() is None:
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_nothing_is_lost(client, pictures, tmp_path, capsys):
+    """The client is killed, then a worker, then Ctrl-C; a last run does the rest."""
+    pairs = table(tmp_path / "jobs.csv", pictures)
+    out = tmp_path / "out"
+    address = client.scheduler.address
+    call = [tmp_path / "jobs.csv", "-o", out, "--backend", "numpy", "--scheduler", address]
+    with started(*call) as process:
+        wait_for(3, out, process)
+        process.kill()
+        process.communicate()
+    before = {each["output"] for each in records(out) if each["status"] == "done"}
+    assert 3 <= len(before) < N_PAIRS
+    with started(*call) as process:
+        wait_for(len(before) + 2, out, process)
+        pid = next(iter(client.run(os.getpid).values()))
+        os.kill(pid, signal.SIGKILL)
+        wait_for(len(before) + 4, out, process)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert f"of {N_PAIRS + 3} pairs are done: the same command does the rest" in errors
+    assert "Traceback" not in errors
+    assert main(["batch", *map(str, call), "--json"]) == 1
+    told = capsys.readouterr()
+    summary = json.loads(told.out)
+    assert (summary["done"], summary["failed"]) == (N_PAIRS, 3)
+    lines = {Path(each["output"]).name: each["line"] for each in summary["results"]}
+    assert "gone.png: " in lines["gone.gif"]
+    assert "broken.png is not an image" in lines["broken.gif"]
+    assert "no folder for it" in lines["below a file.gif"]
+    done = [each["output"] for each in records(out) if each["status"] == "done"]
+    assert len(done) == len(set(done)) == N_PAIRS  # none was done twice
+    assert not list(out.rglob(".clmorph-*"))
+    for number, (source, target) in enumerate(pairs):
+        single = tmp_path / "single.gif"
+        options = [f"--{name.replace('_', '-')}={value}" for name, value in OPTIONS.items()]
+        options += ["--reverse"] * (number == 6)
+        call_one = ["morph", str(source), str(target), "-o", str(single), "--backend", "numpy"]
+        assert main([*call_one, *options]) == 0
+        made = out / "sub" / f"{source.stem} {target.stem}.gif"
+        assert made.read_bytes() == single.read_bytes(), made
+    page = (out / "index.html").read_text("ascii")
+    assert page.count('<tr class="done">') == N_PAIRS
+    assert page.count('<tr class="failed">') == 3
+    capsys.readouterr()
+    # Other options must not mix with what is there.
+    (tmp_path / "other.toml").write_text("blur = 0.2\n")
+    other = [*map(str, call), "--config", str(tmp_path / "other.toml")]
+    assert main(["batch", *other]) == 2
+    assert f"{N_PAIRS} outputs were made with other options" in capsys.readouterr().err
+    # An output that is gone is made again, and no other one.
+    made.unlink()
+    assert main(["batch", *map(str, call), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["new"] == 4
+    assert made.read_bytes() == single.read_bytes()
+
+
+def test_a_worker_out_of_memory(pictures, tmp_path, capsys):
+    """A worker that takes too much is started again; its pair fails, the others are done."""
+    Image.new("RGB", (9000, 9000)).save(tmp_path / "huge.png")
+    jobs = [
+        {"source": str(pictures[0]), "target": str(pictures[1]), "output": "a.gif", **OPTIONS},
+        {"source": str(pictures[0]), "target": "huge.png", "output": "huge.gif", **OPTIONS},
+        {"source": str(pictures[1]), "target": str(pictures[2]), "output": "b.gif", **OPTIONS},
+    ]
+    (tmp_path / "jobs.json").write_text(json.dumps(jobs))
+    call = ["-o", str(tmp_path / "out"), "--backend", "numpy", "--workers", "1"]
+    call += ["--memory", "600MB", "--max-pixels", "100000000", "--json"]
+    assert main(["batch", str(tmp_path / "jobs.json"), *call]) == 1
+    told = capsys.readouterr()
+    summary = json.loads(told.out)
+    assert [each["status"] for each in summary["results"]] == ["done", "failed", "done"]
+    assert "out of memory" in summary["results"][1]["line"]
+    assert "dashboard: http://127.0.0.1:" in told.err
+
+
+def test_two_runs_do_not_share_a_folder(pictures, tmp_path, capsys):
+    from clmorph.batch.journal import Journal
+
+    with Journal(str(tmp_path / "out")):
+        call = ["batch", "--chain", str(pictures[0].parent), "-o", str(tmp_path / "out")]
+        assert main(call) == 2
+    assert "another clmorph batch writes to it" in capsys.readouterr().err
+
+
+def test_other_file_systems(client, pictures, tmp_path):
+    """Pictures and outputs through fsspec; "local" stands for any of its file systems."""
+    pair = f"local://{pictures[0]}", f"local://{pictures[1]}", f"local://{tmp_path}/new/out.gif"
+    options = {"n_frames": 3, "size": 12, "max_particles": 500}
+    direct = str(pictures[0]), str(pictures[1]), str(tmp_path / "direct.gif")
+    found = list(clmorph.batch.morph([pair, direct], client=client, backend="numpy", **options))
+    assert [each["status"] for each in found] == ["done", "done"], found
+    assert (tmp_path / "new" / "out.gif").read_bytes() == (tmp_path / "direct.gif").read_bytes()
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["out.gif"]
+    call = ["--chain", str(pictures[0].parent), "-o", f"local://{tmp_path}/far", "--backend"]
+    call += ["numpy", "--scheduler", client.scheduler.address]
+    config = tmp_path / "small.toml"
+    config.write_text("size = 12\nframes = 3\nmax_particles = 500\n")
+    assert main(["batch", *call, "--config", str(config)]) == 0
+    made = {path.name for path in (tmp_path / "far").iterdir()}
+    assert {NAME, "index.html", "a-b.gif"} <= made
+    assert len(made) == 7
+
+
+def test_divergence_matrix(client):
+    rng = np.random.default_rng(1)
+    measures = [(np.full(n, 1 / n), rng.random((n, 2))) for n in (5, 6, 7, 5, 6)]
+    measures.append(measures[1])
+    found = clmorph.batch.divergence_matrix(
+        measures, 0.1, 0.3, client=client, backend="numpy", block=4
+    )
+    expected = clmorph.divergence_matrix(measures, 0.1, 0.3, backend="numpy")
+    # Each solve ends at the same potentials, whatever is solved beside it, up to the tolerance.
+    assert np.all(found >= np.maximum(0, expected.low - 1e-12))
+    assert np.all(found <= expected.high + 1e-12)
+    assert np.array_equal(found, found.T)
+    assert np.all(np.diag(found) == 0)
+    assert found[1, 5] == 0
+    assert clmorph.batch.divergence_matrix([], 0.1, client=client).shape == (0, 0)
+    with pytest.raises(clmorph.InputError, match="measure 1"):
+        clmorph.batch.divergence_matrix([measures[0], ([1.0], [[0.0]])], 0.1, client=client)
+    with pytest.warns(clmorph.ConvergenceWarning, match="did not reach"):
+        clmorph.batch.divergence_matrix(
+            measures[:2], 0.01, client=client, backend="numpy", max_iter=1
+        )
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.csv", "", "line 1: no column source and target and output"),
+        ("a.csv", "source,target,output\n", "no jobs in it"),
+        ("a.csv", "source,target\na,b\n", "line 1: no column output"),
+        ("a.csv", "source,target,output,blurr\n", "line 1: unknown option 'blurr'; did you mean"),
+        ("a.csv", "source,target,output,blur,blur\n", "line 1: two columns 'blur'"),
+        ("a.csv", "source,target,output\na,b,c.gif,d\n", "line 2: more values than the 3"),
+        ("a.csv", "source,target,output\na,b\n", "line 2: fewer values than the 3"),
+        ("a.csv", "source,target,output\na,,c.gif\n", "line 2: no target"),
+        ("a.csv", "source,target,output,blur\n\na,b,c.gif,x\n", "line 3: blur: 'x': expected"),
+        ("a.csv", "source,target,output,blur\na,b,c.gif,-1\n", "line 2: "),
+        ("a.csv", "source,target,output,reverse\na,b,c.gif,x\n", "line 2: reverse: 'x': expected"),
+        ("a.csv", "source,target,output,preset\na,b,c.gif,x\n", "line 2: preset = 'x'"),
+        ("a.csv", "source,target,output\na,b,c.xyz\n", "line 2: c.xyz: unknown ending"),
+        ("a.csv", "source,target,output\na,b,c.gif\nd,e,./c.gif\n", "line 3: c.gif is the output"),
+        ("a.csv", "source,target,output\na,b,c.gif\nd,out/c.gif,e.gif\n", "replace a picture"),
+        ("a.csv", b"source,target,output\n\xff,b,c.gif\n", "not UTF-8"),
+        ("a.csv", 'source,target,output\n"a,b,c.gif\n', "not CSV"),
+        ("a.json", "[", "not JSON"),
+        ("a.json", "{}", "expected a list of jobs"),
+        ("a.json", "[]", "no jobs in it"),
+        ("a.json", "[3]", "entry 1: 3: expected an object"),
+        ("a.json", '[{"source": 1, "target": "b", "output": "c.gif"}]', "entry 1: source = 1"),
+        ("a.json", '[{"source": "a", "target": "b"}]', "entry 1: no column output"),
+        (
+            "a.json",
+            '[{"source": "a", "target": "b", "output": "c.gif", "frames": 2.5}]',
+            "entry 1: frames = 2.5: expected a whole number",
+        ),
+        ("a.txt", "", "expected a table of jobs: .csv or .json"),
+    ],
+)
+def test_tables_that_are_wrong(tmp_path, capsys, name, text, words):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    assert main(["batch", str(path), "-o", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert words in told
+    assert len(told.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "expected a table of jobs, or --all-pairs"),
+        (["gone.csv"], "gone.csv: cannot be read"),
+        (["a.csv", "--chain", "."], "expected a table of jobs, or"),
+        (["--chain", "nowhere"], "nowhere: expected a folder"),
+        (["--chain", "."], "holds 0 pictures"),
+        (["--chain", "PICTURES", "--device", "none such"], "matches 'none such'"),
+        (["--chain", "PICTURES", "-o", "nofs://x"], "nofs://x/clmorph-batch.jsonl: cannot be"),
+        (["--chain", ".", "--ending", ".xyz"], "--ending .xyz: expected one of"),
+        (["--chain", ".", "--memory", "much"], "--memory much: expected a size"),
+        (["--chain", ".", "--device", "a", "--backend", "numpy"], "contradict"),
+        (["--chain", ".", "--scheduler", "x", "--workers", "2"], "has workers of its own"),
+    ],
+)
+def test_arguments_that_are_wrong(tmp_path, monkeypatch, capsys, pictures, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    folder = str(pictures[0].parent)
+    arguments = [folder if word == "PICTURES" else word for word in arguments]
+    assert main(["batch", "-o", "out", *arguments]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_scheduler_that_does_not_answer(pictures, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("clmorph.batch.workers.TIMEOUT", 0.5)
+    call = ["batch", "--chain", str(pictures[0].parent), "-o", str(tmp_path), "--scheduler"]
+    assert main([*call, "tcp://127.0.0.1:9"]) == 2
+    told = capsys.readouterr().err
+    assert "no scheduler answers" in told
+    assert "Traceback" not in told
+
+
+def test_without_the_extra(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("clmorph.batch.extra.find_spec", lambda name: None)
+    assert main(["batch", "--chain", str(tmp_path), "-o", str(tmp_path)]) == 2
+    assert 'pip install "clmorph[dask]"' in capsys.readouterr().err
+
+
+def test_a_journal_with_half_a_line(tmp_path):
+    from clmorph.batch.journal import Journal
+
+    with Journal(str(tmp_path)) as journal:
+        journal.add({"output": "a", "status": "done", "key": "1"})
+    path = tmp_path / NAME
+    path.write_bytes(path.read_bytes() + b'{"output": "b", "sta')
+    with Journal(str(tmp_path)) as journal:
+        assert set(journal.records) == {"a"}
+        journal.add({"output": "c", "status": "done", "key": "2"})
+    with Journal(str(tmp_path)) as journal:
+        assert set(journal.records) == {"a", "c"}
+
+
+@pytest.mark.needs_device
+def test_drivers_of_one_processor_are_one_device(monkeypatch):
+    from clmorph.backends.opencl.devices.find import choose_device
+    from clmorph.backends.opencl.devices.physical import physical_devices
+
+    for name in ("CLMORPH_DEVICE", "PYOPENCL_CTX"):
+        monkeypatch.delenv(name, raising=False)
+    found = physical_devices()
+    assert found[0].index == choose_device("auto").index
+    assert sum(device.kind == "CPU" for device in found) <= 1
+    assert devices_of("auto", None) == [device.index for device in found]
+    assert len(devices_of("auto", 3)) == 3
+    monkeypatch.setenv("CLMORPH_DEVICE", "numpy")
+    assert devices_of("auto", 2) == ["auto", "auto"]
+
+
+def test_the_index_in_a_browser(tmp_path):
+    """A click on a heading sorts by numbers, and by falling ones at the second click."""
+    path = program("chromium")
+    from playwright.sync_api import sync_playwright
+
+    given = [
+        {"output": str(tmp_path / name), "status": "done", "seconds": seconds, "line": "<b>&"}
+        for name, seconds in (("x.gif", 9.5), ("<i>.gif", 10.25), ("y#1.gif", 0.5))
+    ]
+    given.append({"output": str(tmp_path / "z.gif"), "status": "failed", "line": "why"})
+    page_text = index_page(str(tmp_path), given)
+    (tmp_path / "index.html").write_text(page_text)
+    (tmp_path / "y#1.gif").write_bytes(b"GIF89a")
+    with sync_playwright() as driver:
+        flags = ["--no-sandbox", "--disable-gpu"]
+        browser = driver.chromium.launch(executable_path=path, args=flags)
+        page = browser.new_page()
+        troubles = []
+        page.on("console", lambda message: troubles.append(message.text))
+        page.goto((tmp_path / "index.html").as_uri())
+        first = page.locator("tbody tr td:first-child")
+        page.get_by_role("button", name="seconds").click()
+        assert first.all_inner_texts() == ["y#1.gif", "x.gif", "<i>.gif", "z.gif"]
+        page.get_by_role("button", name="seconds").click()
+        assert first.all_inner_texts() == ["<i>.gif", "x.gif", "y#1.gif", "z.gif"]
+        link = page.get_by_role("link", name="y#1.gif").evaluate("link => link.href")
+        assert link == (tmp_path / "y#1.gif").as_uri()
+        browser.close()
+    assert troubles == []
+
+
+def test_ctrl_c_of_a_terminal(pictures, tmp_path):
+    """The workers get it, too, and say nothing."""
+    table(tmp_path / "jobs.csv", pictures)
+    out = tmp_path / "out"
+    call = ["batch", str(tmp_path / "jobs.csv"), "-o", str(out), "--backend", "numpy"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "clmorph", *call], start_new_session=True, text=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        wait_for(2, out, process)
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130, errors
+    *_, last = errors.splitlines()
+    assert last.startswith("clmorph: interrupted, ")
+    assert "Traceback" not in errors
+    assert (out / "index.html").exists()
+    assert not list(out.rglob(".clmorph-*"))

@@ -1,0 +1,102 @@
+"""Draw a morph of two faces with and without landmarks: ``python tools/draw_landmarks.py out.png``.
+
+``--measure`` prints instead how many pixels landmarks miss their partners by, on random pictures.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+from skimage import data
+
+import clmorph
+
+TIMES = np.linspace(0.0, 1.0, 7)
+#: Left, top and side of the square that is taken of each photograph, and the side of the drawing.
+CUTS = {"astronaut": (165, 55, 120), "chelsea": (60, 0, 300)}
+SIDE = 160
+#: Corners of the eyes, nose, mouth and its corners, in pixels of the squares.
+FACES = {
+    "astronaut": [(29, 44), (45.7, 46.7), (74.3, 49), (93.3, 49.3), (61.7, 70), (58.3, 91),
+                  (39.3, 86), (78.3, 86.7)],
+    "chelsea": [(77, 105), (148, 136), (236, 152), (284, 114), (204.5, 243), (195.5, 268),
+                (132, 273), (245, 273)],
+}  # fmt: skip
+
+
+def face(name: str) -> np.ndarray:
+    """Return the square of a photograph with a face: (side, side, 3) bytes."""
+    left, top, side = CUTS[name]
+    return np.asarray(getattr(data, name)()[top : top + side, left : left + side])
+
+
+def draw(path: Path, device: str) -> None:
+    """Draw two rows of frames: without landmarks, and with them."""
+    faces = [face(name) for name in FACES]
+    rows = []
+    for landmarks in (None, list(zip(*FACES.values(), strict=True))):
+        morph = clmorph.morph(*faces, landmarks=landmarks, n_frames=3, backend=device)
+        frames = [
+            Image.fromarray(np.rint(255 * np.clip(morph.frame(t), 0, 1)).astype(np.uint8))
+            for t in TIMES
+        ]
+        rows.append(np.hstack([each.resize((SIDE, SIDE), Image.LANCZOS) for each in frames]))
+    Image.fromarray(np.vstack(rows)).save(path, optimize=True)
+
+
+def random_picture(rng: np.random.Generator, side: int) -> np.ndarray:
+    found = np.stack([gaussian_filter(rng.random((side, side)), 5) for _ in range(3)], -1)
+    return np.asarray((found - found.min()) / np.ptp(found))
+
+
+def random_landmarks(rng: np.random.Generator, side: int, count: int, most: float) -> list:
+    """Return landmarks at least 0.09 sides apart, moved smoothly by `most` pixels at most."""
+    places: list = []
+    while len(places) < count:
+        place = rng.uniform(0.08 * side, 0.92 * side, 2).round()
+        if all(np.hypot(*(place - other)) > 0.09 * side for other in places):
+            places.append(place)
+    fields = [
+        gaussian_filter(rng.standard_normal((side, side)), side / 6, mode="constant") for _ in "xy"
+    ]
+    moves = np.array([[field[int(y), int(x)] for field in fields] for x, y in places])
+    moves *= most / np.abs(moves).max()
+    return [(tuple(place), tuple(place + move)) for place, move in zip(places, moves, strict=True)]
+
+
+def measure(device: str) -> None:
+    """Print the misses of mean destinations, by number of landmarks, blur and reach."""
+    print("side  landmarks  blur   reach  largest miss  mean (pixels)")
+    for side, count in ((64, 8), (64, 30), (64, 60), (256, 8), (256, 30), (256, 60)):
+        rng = np.random.default_rng(1)
+        images = [random_picture(rng, side) for _ in "ab"]
+        landmarks = random_landmarks(rng, side, count, 0.05 * side)
+        for blur, reach in ((0.05, None), (0.05, 0.3), (0.02, None), (0.02, 0.3), (0.005, 0.3)):
+            morph = clmorph.morph(
+                *images, landmarks=landmarks, blur=blur, reach=reach, n_frames=2, preset="photo",
+                barycentric=True, backend=device,
+            )  # fmt: skip
+            ends = morph.plan.positions * (side - 1)
+            missed = [
+                np.hypot(*(ends[int(y) * side + int(x)] - partner)) for (x, y), partner in landmarks
+            ]
+            print(f"{side:4}  {count:9}  {blur:<5}  {reach!s:5}  {max(missed):12.2f}  "
+                  f"{np.mean(missed):.2f}", flush=True)  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("output", type=Path, nargs="?", default=Path("landmarks.png"))
+    parser.add_argument("--measure", action="store_true", help="print misses in place of a picture")
+    parser.add_argument("--device", default="auto")
+    options = parser.parse_args()
+    if options.measure:
+        measure(options.device)
+    else:
+        draw(options.output, options.device)
+
+
+if __name__ == "__main__":
+    main()
