@@ -15,6 +15,7 @@ from clmorph.analysis.timing import SAMPLED_PAIRS, fill_seconds, frame_seconds
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import PlanSizeError
+from clmorph.measures.landmark_options import GuideOptions
 from clmorph.measures.measure import Measure
 from clmorph.measures.options import LiftOptions
 from clmorph.measures.pixel_blocks import PixelBlocks
@@ -47,8 +48,8 @@ __all__ = ["Inspection", "Seconds", "inspect"]
 
 #: The options that affect the transport, and the time and memory of a morph by it.
 INSPECTED = (
-    *specifications(LiftOptions), *specifications(BudgetOptions), *specifications(SolverOptions),
-    "log_threshold", "n_frames",
+    *specifications(LiftOptions), *specifications(GuideOptions), *specifications(BudgetOptions),
+    *specifications(SolverOptions), "log_threshold", "n_frames",
 )  # fmt: skip
 
 

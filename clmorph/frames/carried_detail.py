@@ -8,8 +8,8 @@ What the images have above it is sampled where the motion halfway (`halfway`) sa
 
 - k is t where both details are equally strong; elsewhere the stronger one prevails, so that fewer
   outlines lie upon one another.
-- g lowers the local standard deviation of the mixture to that of both details mixed by t: without
-  it a detail that prevails would not fade.
+- g lowers the local standard deviation of the mixture to that of both details mixed by t, and
+  `CRISPNESS` of it: without g a detail that prevails would not fade.
 - To the particles is added what they lack of the lower band at either end; it is sampled as the
   detail is, and fades towards the middle with `endpoints.share`.
 - c is near 1 where both lower bands agree along the motion, so that a picture and its own smooth
@@ -38,6 +38,10 @@ BAND_SHARE, NARROWEST_BAND = 0.016, 1.5
 #: Difference of the lower bands at which c falls to 1/e, and variance of a detail that nobody sees.
 #: Both are in Oklab, where the difference from black to white is 2.2; other spaces have their own.
 AGREEMENT, FLOOR = 0.1, 1e-5
+#: The deviation to which g lowers a mixture, relative to that of both details mixed by t. Between
+#: unlike images the lower band is softer than those of the images; a detail a little stronger
+#: makes frames as sharp as the images are. At both ends, and where details agree, g is 1 anyway.
+CRISPNESS = 1.03
 
 
 def band_width(shape: tuple[int, int]) -> float:
@@ -181,7 +185,8 @@ class CarriedDetail:
         detail = (1 - k) * a.detail + k * b.detail
         together = _mean_around((a.detail * b.detail).sum(axis=-1)[..., None], self.kernel_width(t))
         found = (1 - k) ** 2 * a.variance + k**2 * b.variance + 2 * k * (1 - k) * together
-        gain = np.minimum(1.0, (strong_a + strong_b) / np.sqrt(np.maximum(found, 0.0) + floor))
+        wanted = CRISPNESS * (strong_a + strong_b)
+        gain = np.minimum(1.0, wanted / np.sqrt(np.maximum(found, 0.0) + floor))
         differ = ((a.low - b.low) ** 2).sum(axis=-1)[..., None]
         agree = np.exp(-differ / (AGREEMENT * self._unit) ** 2)
         shown = colors + share(t) * ((1 - t) * a.lacking + t * b.lacking)

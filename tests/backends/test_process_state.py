@@ -455,6 +455,8 @@ def test_pyopencl_ctx_names_a_runtime_from_pip(monkeypatch):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+# JAX, which another test may have imported into this process, warns of its own threads.
+@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
 def test_a_forked_child_is_told_and_can_use_numpy(device):
     picture = np.random.default_rng(0).random((4, 4, 3))
     cloud = device.upload(np.zeros((3, 5)), np.ones(3))

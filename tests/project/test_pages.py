@@ -64,7 +64,7 @@ ELSEWHERE = {
     r"python tools/faults\.py .*": ("tests/project/test_tools_faults.py", "import faults"),
     r"python tools/soak\.py .*": ("tests/project/test_tools_faults.py", "import soak"),
     r"python tools/cross_check\.py .*": ("tests/project/test_cross_check.py", "import cross_check"),
-    r"clmorph batch .*": ("tests/batch/test_batch.py", '["batch", '),
+    r"clmorph batch .*": ("tests/batch/test_dask_batches.py", '["batch", '),
     r"python tools/peer_suites\.py .*": ("tests/project/test_peer_suites.py", "peer_suites"),
 }
 PICTURES = {"a.png": "astronaut", "b.jpg": "coffee", "c.png": "chelsea", "d.jpg": "rocket"}
@@ -344,6 +344,11 @@ def pipeline_names(names):
     return {"a": a, "b": b, "M": np.diag([1.0, 2.0, 1.0]), "map_a": np.ones(a.shape[:2])}
 
 
+def landmark_names(names):
+    """Two pictures that the landmarks of the page are in."""
+    return dict(zip(("face_a", "face_b"), photographs(40), strict=True))
+
+
 def solver_names(names):
     """What the reader of the page about the solver has."""
     rng = np.random.default_rng(5)
@@ -414,6 +419,7 @@ GIVEN = {
     ("clmorph/adapters/README.md", "Doors of other libraries"): door_names,
     ("clmorph/backends/README.md", "In your own OpenCL program"): host_names,
     ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
+    ("clmorph/pipeline/README.md", "Landmarks"): landmark_names,
     ("clmorph/transport/README.md", "The solver alone"): solver_names,
     ("clmorph/transport/README.md", "Many problems at once"): many_names,
 }

@@ -1,11 +1,13 @@
 """Gradients in closed form, against central differences of dense solves in float64."""
 
+import warnings
+
 import numpy as np
 import pytest
 from plain import reference
 
 import clmorph
-from clmorph import InputError
+from clmorph import ConvergenceWarning, InputError
 
 REACHES = [0.4, 3.0, (0.3, 1.0), (0.5, None), None]
 #: Of the largest component.
@@ -74,7 +76,10 @@ def test_against_the_dense_plan(any_backend, rng, blur, reach):
     """Every component, at a blur so small that exponents need more than float32."""
     pair = problem(rng, reach is None, 60, 50, 3)
     (a, x), (_, y) = pair
-    solved = clmorph.sinkhorn(*pair, blur, reach, 1e-6, 20000, any_backend)
+    with warnings.catch_warnings():  # some devices round so much that 1e-6 is out of reach
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        solved = clmorph.sinkhorn(*pair, blur, reach, 1e-6, 20000, any_backend)
+    assert solved.status == "converged" or (solved.status == "precision" and solved.residual < 1e-5)
     got = clmorph.gradient(*pair, solved, backend=any_backend)
     exact = clmorph.sinkhorn(*pair, blur, reach, 1e-9, 20000, "numpy")
     plan = reference.transport_plan(*map(as_points, pair), exact)
