@@ -13,8 +13,12 @@ from clmorph.errors import InputError
 LOCAL = "127.0.0.1"
 #: Seconds in which a scheduler must answer.
 TIMEOUT = 10.0
-#: Workers that may die during one job before the job fails.
-DEATHS = 1
+#: What is set of Dask. One worker may die during a job before the job is given up. The statistical
+#: profiler is off: it keeps the call stacks of each second for an hour (0.3 MB a second).
+SETTINGS = {
+    "distributed.scheduler.allowed-failures": 1,
+    "distributed.worker.profile.enabled": False,
+}
 
 
 def devices_of(device: str, workers: int | None) -> list[str]:
@@ -42,19 +46,22 @@ def devices_of(device: str, workers: int | None) -> list[str]:
 def quiet_dask() -> Iterator[None]:
     """Keep Dask's own messages off the terminal: what matters is told in lines of ours."""
     import dask
+    import distributed  # noqa: F401 - sets levels of its own when it is imported
 
     kept = os.environ.get("DASK_LOGGING__DISTRIBUTED")
     os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"  # of the workers' processes
     import logging
 
-    log = logging.getLogger("distributed")
-    level = log.level
-    log.setLevel(logging.CRITICAL + 1)
+    logs = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(logging.CRITICAL + 1)
     try:
-        with dask.config.set({"distributed.scheduler.allowed-failures": DEATHS}):
+        with dask.config.set(SETTINGS):
             yield
     finally:
-        log.setLevel(level)
+        for log, level in zip(logs, levels, strict=True):
+            log.setLevel(level)
         if kept is None:
             os.environ.pop("DASK_LOGGING__DISTRIBUTED", None)
         else:
@@ -64,6 +71,9 @@ def quiet_dask() -> Iterator[None]:
 @contextmanager
 def local_client(devices: list[str], memory: str | None = None) -> Iterator[Any]:
     """Yield the client of a new cluster on this machine, with a process for each device.
+
+    Its processes know one another by a certificate that lives in their memory alone, so that no
+    other user of the machine can send them work.
 
     Parameters
     ----------
@@ -75,26 +85,32 @@ def local_client(devices: list[str], memory: str | None = None) -> Iterator[Any]
     """
     need_dask()
     from distributed import Client, Nanny, Scheduler, SpecCluster
+    from distributed.security import Security
     from distributed.system import MEMORY_LIMIT
 
+    security = Security.temporary()
     limit: Any = memory or MEMORY_LIMIT // len(devices)
     workers = {
         number: {
             "cls": Nanny,
             "options": {
-                "host": LOCAL, "nthreads": 1, "memory_limit": limit, "dashboard": False,
+                "host": LOCAL, "protocol": "tls", "security": security, "nthreads": 1,
+                "memory_limit": limit, "dashboard": False,
                 "preload": ["clmorph.batch.preload"],
                 "env": {} if device in ("auto", "opencl") else {"CLMORPH_DEVICE": device},
             },
         }
         for number, device in enumerate(devices)
     }  # fmt: skip
-    options = {"host": LOCAL, "port": 0, "dashboard": True, "dashboard_address": f"{LOCAL}:0"}
+    options = {
+        "host": LOCAL, "port": 0, "protocol": "tls", "security": security,
+        "dashboard": True, "dashboard_address": f"{LOCAL}:0",
+    }  # fmt: skip
     with quiet_dask():
         try:
             cluster = SpecCluster(
                 scheduler={"cls": Scheduler, "options": options}, workers=workers,
-                silence_logs=False, worker={"cls": Nanny},
+                silence_logs=False, worker={"cls": Nanny}, security=security,
             )  # fmt: skip
         except (OSError, RuntimeError, ValueError) as error:
             raise InputError(f"no local workers could be started ({reason_of(error)})") from None

@@ -4,7 +4,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
@@ -176,6 +175,8 @@ def uniform_density(mass: float, canvas: Canvas, sigma: float) -> NDArray[np.flo
 
     The (H, W) array falls towards the border, where kernels extend beyond the canvas.
     """
+    from scipy.special import ndtr  # few morphs need it, and it takes long to import
+
     along = []
     for side in canvas.shape:
         if sigma == 0:

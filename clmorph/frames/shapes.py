@@ -12,8 +12,7 @@ pixel, the part that is densest there, and the background where all parts togeth
 """
 
 from copy import copy
-from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,7 @@ from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.growth import take_after
 from clmorph.frames.particles import Particles
-from clmorph.frames.render import CUT, kernel_mean, kernel_sum
+from clmorph.frames.parts import Parts
 from clmorph.images.color import from_space, to_space
 from clmorph.images.flat_colors import Regions, flat_regions, foreground
 from clmorph.measures.measure import Measure
@@ -75,7 +74,7 @@ class Shapes:
         *,
         crisp: bool,
     ) -> None:
-        self._operations, self._crisp = operations, crisp
+        self._crisp = crisp
         self._space = particles.path_space
         self._sides = [_side(measure, crisp) for measure in measures]
         #: Whether frames have a fourth channel, and whether shapes are translucent somewhere.
@@ -90,26 +89,24 @@ class Shapes:
                 (1, [side.regions.alpha for side in self._sides]),
             )
         )
-        self._table = particles.table.copy()
-        self._table[: len(colors), 2:5] = colors
-        self._alphas = particles.table.copy()
-        self._alphas[:, 2:5] = 0.0
-        self._alphas[: len(alphas), 2] = alphas[:, 0]
-        known = len(self._table) - particles.n_grown
+        flat, opacity = particles.table.copy(), particles.table.copy()
+        flat[: len(colors), 2:5] = colors
+        opacity[:, 2:5] = 0.0
+        opacity[: len(alphas), 2] = alphas[:, 0]
+        known = len(flat) - particles.n_grown
         # Mean destinations between pixels have the mean opacity of the target.
         target = self._sides[1]
-        self._alphas[len(alphas) : known, 2] = target.regions.alpha[target.inside].mean()
-        self._links, self._weights = particles.links, particles.weights
-        for table in (self._table, self._alphas):
-            take_after(table[:, 2:5], self._links.astype(np.int64), known)
-        self._parts = self._divided(measures)
+        opacity[len(alphas) : known, 2] = target.regions.alpha[target.inside].mean()
+        links = particles.links.astype(np.int64)
+        for table in (flat, opacity):
+            take_after(table[:, 2:5], links, known)
+        self._parts = Parts(operations, particles, flat, self._divided(measures, particles))
+        self._opacities = Parts(operations, particles, opacity, [np.arange(len(links))])
 
     def on(self, operations: Operations) -> "Shapes":
         """Return the same parts for another device."""
         other = copy(self)
-        other._operations = operations
-        for name in ("_uploaded", "_uploaded_alphas"):
-            other.__dict__.pop(name, None)
+        other._parts, other._opacities = self._parts.on(operations), self._opacities.on(operations)
         return other
 
     def frame(self, t: float, canvas: Canvas) -> Array:
@@ -133,10 +130,12 @@ class Shapes:
         )
         return np.concatenate((mixed, total), axis=2)
 
-    def _divided(self, measures: tuple[Measure, Measure]) -> list[NDArray[np.int64]]:
+    def _divided(
+        self, measures: tuple[Measure, Measure], particles: Particles
+    ) -> list[NDArray[np.int64]]:
         """Return the particles of each part, by number; particles that rest have their own."""
         n, m = map(len, measures)
-        start, end = self._links.astype(np.int64).T
+        start, end = particles.links.astype(np.int64).T
         first, second = (side.regions.labels.ravel() + 1 for side in self._sides)
         # 0 stands for no region: mass that dies or is born, or that ends between pixels.
         source = np.where(start < n, np.append(first, 0)[np.minimum(start, n)], 0)
@@ -145,40 +144,19 @@ class Shapes:
         target = np.where(ends_in_pixel, second[np.clip(stop, 0, m - 1)], 0)
         keys = source * (second.max() + 1) + target
         least = SMALLEST * np.array([1 / side.inside.sum() for side in self._sides])
-        whole = self._weights.sum(axis=0)
+        whole = particles.weights.sum(axis=0)
         found = [np.flatnonzero(keys == key) for key in np.unique(keys)]
         large = [
             part for part in found
-            if np.any(self._weights[part].sum(axis=0) >= least * whole)
+            if np.any(particles.weights[part].sum(axis=0) >= least * whole)
         ]  # fmt: skip
         return large or found
-
-    def _upload(self, table: Array, part: NDArray[np.int64] | slice) -> Any:
-        return self._operations.upload_particles(table, self._links[part], self._weights[part])
-
-    @cached_property
-    def _uploaded(self) -> list[Any]:
-        return [self._upload(self._table, part) for part in self._parts]
-
-    @cached_property
-    def _uploaded_alphas(self) -> Any:
-        return self._upload(self._alphas, slice(None))
-
-    def _splat(self, part: Any, t: float, canvas: Canvas, sigma: float) -> tuple[Array, Array]:
-        """Return a part's mean color, and its density relative to an even spread of all mass."""
-        splats = self._operations.advect(part, t, canvas.scale, canvas.center)
-        numerator, denominator = self._operations.splat(splats, canvas.shape, sigma, CUT * sigma)
-        mean = kernel_mean(numerator, denominator)
-        start, end = self._weights.sum(axis=0)
-        even = ((1 - t) * start + t * end) * kernel_sum(sigma) / denominator.size
-        return mean, denominator / even
 
     def _mixed(self, t: float, canvas: Canvas, sigma: float) -> tuple[Array, Array]:
         """Return the density of all parts, and the color of the densest: (H, W), (H, W, 3)."""
         total, share = np.zeros(canvas.shape), np.zeros(canvas.shape)
         colors = np.zeros((*canvas.shape, 3))
-        for part in self._uploaded:
-            mean, density = self._splat(part, t, canvas, sigma)
+        for mean, density in self._parts.drawn(t, canvas, sigma):
             total += density
             if self._crisp:
                 prevails = density > share
@@ -194,7 +172,7 @@ class Shapes:
 
     def _opacity(self, t: float, canvas: Canvas, sigma: float) -> Array:
         """Return the mean opacity of the particles around each pixel: (H, W) array."""
-        mean, density = self._splat(self._uploaded_alphas, t, canvas, sigma)
+        ((mean, density),) = self._opacities.drawn(t, canvas, sigma)
         return np.clip(mean[..., 0][_nearest(density > 0)], 0.0, 1.0)
 
     def _ground(self, t: float) -> tuple[Array, float]:

@@ -18,7 +18,7 @@ from programs import program
 import clmorph
 from clmorph.batch.index import index_page
 from clmorph.batch.journal import NAME
-from clmorph.batch.workers import devices_of, local_client
+from clmorph.batch.workers import LOCAL, devices_of, local_client, quiet_dask
 from clmorph.cli.main import main
 
 pytestmark = pytest.mark.filterwarnings("default::ResourceWarning", "default::DeprecationWarning")
@@ -30,7 +30,16 @@ N_PAIRS = 20
 
 @pytest.fixture(scope="module")
 def client():
-    with local_client(["numpy", "numpy"]) as client:
+    """A cluster that another program has started."""
+    from distributed import Client, LocalCluster
+
+    with (
+        quiet_dask(),
+        LocalCluster(
+            n_workers=2, threads_per_worker=1, host=LOCAL, dashboard_address=f"{LOCAL}:0"
+        ) as cluster,
+        Client(cluster) as client,
+    ):
         yield client
 
 
@@ -196,6 +205,22 @@ def test_other_file_systems(client, pictures, tmp_path):
     assert len(made) == 7
 
 
+@pytest.mark.small
+def test_the_bytes_are_those_of_the_device(request, device, client, pictures, tmp_path, capsys):
+    paths = [str(pictures[0]), str(pictures[1])]
+    index = request.node.callspec.params["device"].index
+    made, single = tmp_path / "made.gif", tmp_path / "single.gif"
+    options = {"n_frames": 3, "size": 12, "max_particles": 500}
+    pair = [(*paths, str(made))]
+    (record,) = clmorph.batch.morph(pair, client=client, backend=index, **options)
+    assert record["status"] == "done", record
+    assert record["device"] == device.description
+    flags = [f"--{name.replace('_', '-')}={value}" for name, value in OPTIONS.items()]
+    assert main(["morph", *paths, "-o", str(single), "--device", index, *flags]) == 0
+    assert made.read_bytes() == single.read_bytes()
+    capsys.readouterr()
+
+
 def test_divergence_matrix(client):
     rng = np.random.default_rng(1)
     measures = [(np.full(n, 1 / n), rng.random((n, 2))) for n in (5, 6, 7, 5, 6)]
@@ -296,6 +321,40 @@ def test_a_scheduler_that_does_not_answer(pictures, tmp_path, monkeypatch, capsy
     assert "Traceback" not in told
 
 
+def test_a_scheduler_that_dies(pictures, tmp_path):
+    """The command ends with one line, and what was done counts."""
+    table(tmp_path / "jobs.csv", pictures)
+    out, told = tmp_path / "out", tmp_path / "told.json"
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = subprocess.Popen(
+        [*dask, "scheduler", "--host", LOCAL, "--port", "0", "--no-dashboard",
+         "--scheduler-file", str(told)],
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    processes = [scheduler]
+    try:
+        while not told.exists():
+            assert scheduler.poll() is None
+            time.sleep(0.05)
+        worker = [*dask, "worker", "--scheduler-file", str(told), "--nthreads", "1", "--no-nanny"]
+        worker += ["--no-dashboard", "--death-timeout", "1", "--local-directory", str(tmp_path)]
+        processes.append(subprocess.Popen(worker, stderr=subprocess.DEVNULL))
+        address = json.loads(told.read_text())["address"]
+        call = [tmp_path / "jobs.csv", "-o", out, "--backend", "numpy", "--scheduler", address]
+        with started(*call) as process:
+            wait_for(2, out, process)
+            scheduler.kill()
+            _, errors = process.communicate(timeout=60)
+        assert process.returncode == 2, errors
+        _, last = errors.splitlines()
+        assert last.startswith("clmorph: error: the scheduler has gone")
+        assert len(records(out)) >= 2
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
 def test_without_the_extra(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("clmorph.batch.extra.find_spec", lambda name: None)
     assert main(["batch", "--chain", str(tmp_path), "-o", str(tmp_path)]) == 2
@@ -314,6 +373,18 @@ def test_a_journal_with_half_a_line(tmp_path):
         journal.add({"output": "c", "status": "done", "key": "2"})
     with Journal(str(tmp_path)) as journal:
         assert set(journal.records) == {"a", "c"}
+
+
+def test_local_workers_take_work_from_their_command_alone():
+    from distributed import Client
+
+    with local_client(["numpy"]) as client:
+        assert client.submit(os.getpid).result() != os.getpid()
+        address = client.scheduler.address
+        assert address.startswith("tls://127.0.0.1:")
+        for way in (address, address.replace("tls", "tcp")):
+            with pytest.raises((OSError, TypeError)):
+                Client(way, timeout=1)
 
 
 @pytest.mark.needs_device

@@ -30,6 +30,8 @@ OPAQUE = 128
 #: Largest number of pixels from which the palette is computed. With four times as many, colors are
 #: on average 0 to 3 % nearer to their entries, and the palette takes four to ten times as long.
 SAMPLES = 65_536
+#: Colors that are compared with all entries of the palette at once.
+AT_ONCE = 16_384
 #: The longest duration of a frame in hundredths of a second: the field has 16 bits.
 LONGEST = 65_000
 #: The longest side in pixels: the field has 16 bits.
@@ -41,10 +43,10 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     """Write an animated GIF, with each pixel either opaque or transparent."""
     framing = recording.framing(style, SIDE)
     check_sides(framing.size, MOST, "GIF")
-    palette = _palette(recording, framing)
+    in_palette = _Palette(_palette(recording, framing), framing.nearest)
     shown = timed_frames(recording, 100)
     frames = (
-        (_in_palette(framing(recording.picture(index)), palette, framing.nearest), units)
+        (in_palette(framing(recording.picture(index))), units)
         for index, units in tracked(shown, report)
     )
     head: dict[str, Any] = {"comment": as_text(recording.parameters).encode()}
@@ -154,35 +156,50 @@ def _as_rgb(numbers: NDArray[np.uint32]) -> NDArray[np.uint8]:
     return np.stack([numbers >> 16, numbers >> 8, numbers], axis=-1).astype(np.uint8)
 
 
-def _in_palette(picture: "Image", palette: "Image", plain: bool) -> "Image":
-    """Return a picture in the palette's colors; pixel art is not dithered."""
-    from PIL import Image
+class _Palette:
+    """Pictures in the colors of a palette; pixel art is not dithered.
 
-    if plain:
-        colors = _nearest(picture, palette)
-    else:
-        dither = Image.Dither.FLOYDSTEINBERG
-        colors = picture.convert("RGB").quantize(palette=palette, dither=dither)
-    if picture.mode == "RGBA":
-        hidden = picture.getchannel("A").point(lambda alpha: 255 * (alpha < OPAQUE))
-        colors.paste(COLORS, mask=hidden)
-    return colors
+    Parameters
+    ----------
+    image : PIL.Image.Image
+        An image with the palette.
+    plain : bool
+        Whether pictures are pixel art.
+    """
 
+    def __init__(self, image: "Image", plain: bool) -> None:
+        self._image, self._plain = image, plain
+        self._entries = np.frombuffer(bytes(image.getpalette() or ()), np.uint8).reshape(-1, 3)
+        # The entry of each color, and whether it is known yet. Frames share most of their colors.
+        self._nearest = np.zeros(1 << 24 if plain else 0, np.uint8)
+        self._known = np.zeros(len(self._nearest), bool)
 
-def _nearest(picture: "Image", palette: "Image") -> "Image":
-    """Return a picture in the nearest colors, because Pillow's search rounds colors to six bits."""
-    from PIL import Image
-    from scipy.spatial import KDTree
+    def __call__(self, picture: "Image") -> "Image":
+        """Return a picture in the palette's colors."""
+        from PIL import Image
 
-    entries = np.frombuffer(bytes(palette.getpalette() or ()), np.uint8).reshape(-1, 3)
-    pixels = np.asarray(picture)[..., :3]
-    # One number a color is sorted many times as fast as its three channels.
-    found, places = np.unique(_as_numbers(pixels.reshape(-1, 3)), return_inverse=True)
-    _, nearest = KDTree(entries).query(_as_rgb(found))
-    indices = np.asarray(nearest, np.uint8)[places].reshape(pixels.shape[:2])
-    colors = Image.fromarray(indices, "L").convert("P")
-    colors.putpalette(entries.tobytes())
-    return colors
+        if self._plain:
+            colors = Image.fromarray(self._indices(np.asarray(picture)[..., :3]), "L").convert("P")
+            colors.putpalette(self._entries.tobytes())
+        else:
+            dither = Image.Dither.FLOYDSTEINBERG
+            colors = picture.convert("RGB").quantize(palette=self._image, dither=dither)
+        if picture.mode == "RGBA":
+            hidden = picture.getchannel("A").point(lambda alpha: 255 * (alpha < OPAQUE))
+            colors.paste(COLORS, mask=hidden)
+        return colors
+
+    def _indices(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the entries nearest to colors; Pillow's own search rounds colors to six bits."""
+        numbers = _as_numbers(pixels)
+        new = np.unique(numbers[~self._known[numbers]])
+        entries = self._entries.astype(np.float32)  # exact: squares stay below 2^24
+        for first in range(0, len(new), AT_ONCE):
+            some = new[first : first + AT_ONCE]
+            products = _as_rgb(some).astype(np.float32) @ entries.T
+            self._nearest[some] = np.argmin((entries**2).sum(axis=1) - 2 * products, axis=1)
+        self._known[new] = True
+        return self._nearest[numbers]
 
 
 FORMATS = (

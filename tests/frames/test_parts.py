@@ -1,0 +1,60 @@
+"""Groups of particles that are drawn together are as those drawn one by one."""
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph.frames import parts as module
+from clmorph.frames.canvas import canvas_at
+from clmorph.frames.parts import Parts
+
+
+@pytest.mark.small
+@pytest.mark.parametrize("sigma", [0.45, 1.3])
+def test_together_and_one_by_one(any_backend, monkeypatch, rng, sigma):
+    ends = rng.random((9, 12, 3)), rng.random((14, 10, 3))
+    particles = clmorph.morph(*ends, n_frames=2, preset="paper", backend="numpy").particles
+    shuffled = rng.permutation(len(particles.links))
+    groups = np.split(shuffled, [1, 5, 300, 301])
+    for t in (0.0, 0.3, 1.0):
+        canvas = canvas_at(t, *(end.shape[:2] for end in ends))
+        found = []
+        # All by themselves; all together; at most two in a splat.
+        for large, most in ((1, 2**22), (10**9, 2**22), (10**9, 2 * canvas.shape[1] * 25)):
+            monkeypatch.setattr(module, "LARGE", large)
+            monkeypatch.setattr(module, "LARGEST_SPLAT", most)
+            drawn = Parts(clmorph.get_backend(any_backend), particles, particles.table, groups)
+            found.append([np.dstack(each) for each in drawn.drawn(t, canvas, sigma)])
+            assert len(found[-1]) == len(groups)
+        for alone, *together in zip(*found, strict=True):
+            for other in together:
+                density = alone[..., 3]
+                np.testing.assert_allclose(other[..., 3], density, atol=1e-4 * density.max())
+                thick = density > 1e-3 * density.max()  # the color of nothing is arbitrary
+                np.testing.assert_allclose(other[thick][:, :3], alone[thick][:, :3], atol=1e-3)
+        total = sum(each[..., 3] for each in found[0])
+        assert total.mean() == pytest.approx(1.0, abs=0.35)  # relative to an even spread
+
+
+def test_nothing_leaks_into_the_next_group(any_backend, rng):
+    """A group at the lower border, far from a group that is drawn below it."""
+    particles = clmorph.morph(
+        rng.random((8, 8, 3)), rng.random((8, 8, 3)), n_frames=2, preset="paper", backend="numpy"
+    ).particles
+    links = particles.links[:, 0]
+    rows = particles.table[links, 1]
+    groups = [np.flatnonzero(rows == rows.max()), np.flatnonzero(rows == rows.min())]
+    groups.append(groups[0])
+    canvas = canvas_at(0.0, (8, 8), (8, 8))
+    first, second, third = (
+        density
+        for _, density in Parts(
+            clmorph.get_backend(any_backend), particles, particles.table, groups
+        ).drawn(0.0, canvas, 0.45)
+    )
+    assert np.argmax(first.sum(axis=1)) == np.argmax(third.sum(axis=1)) == 7
+    assert np.argmax(second.sum(axis=1)) == 0
+    assert not second[4:].any()
+    assert not first[:4].any()
+    assert not third[:4].any()
+    np.testing.assert_allclose(first, third, rtol=1e-4)
