@@ -102,6 +102,15 @@ from .pipeline.morph import (
 from .pipeline.options import (
     MorphOptions as MorphOptions,
 )
+from .pipeline.rearrange import (
+    rearrange as rearrange,
+)
+from .pipeline.rearrange_options import (
+    RearrangeOptions as RearrangeOptions,
+)
+from .pipeline.rearrangement import (
+    Rearrangement as Rearrangement,
+)
 from .pipeline.recipe import (
     load_options as load_options,
 )
@@ -188,6 +197,8 @@ __all__ = [
     "Potentials",
     "PotentialsBatch",
     "PruningWarning",
+    "RearrangeOptions",
+    "Rearrangement",
     "WeightedPoints",
     "barycentric_plan",
     "batch",
@@ -205,6 +216,7 @@ __all__ = [
     "morph",
     "particles",
     "read_image",
+    "rearrange",
     "reference",
     "sample_plan",
     "save",

@@ -2,102 +2,72 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
+from clmorph._shared.progress import StageProgress
 from clmorph._shared.typing import Array, ArrayLike
-from clmorph._shared.validation import check_integer, check_number
+from clmorph._shared.validation import check_progress, shown
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
-from clmorph.images.pixels import as_pixels, resized, split_alpha
+from clmorph.frames.kernel_width import KernelWidth
+from clmorph.frames.particles import particles
+from clmorph.images.pixels import fit, resized, split_alpha
 from clmorph.measures.lift import lift
 from clmorph.measures.measure import Measure
-from clmorph.measures.options import LiftOptions
-from clmorph.transport.assignment import Indices, assign, lower_bound
-from clmorph.transport.barycentric import barycentric_plan
-from clmorph.transport.potentials import Potentials
-from clmorph.transport.sinkhorn import sinkhorn
+from clmorph.measures.pixel_blocks import group_pixels
+from clmorph.output.playback import eased
+from clmorph.pipeline.documentation import documented
+from clmorph.pipeline.keywords import RearrangeKeywords
+from clmorph.pipeline.prepare import as_images
+from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.rearrangement import Rearrangement
+from clmorph.transport.assignment import Indices, assign
+from clmorph.transport.assignment_bound import lower_bound
+from clmorph.transport.block_potentials import transport_pixels
+from clmorph.transport.plan import Plan
 
 #: Length scale of the entropic plan from which the search begins, and its tolerance.
-BLUR, TOLERANCE = 0.015, 0.03
+BLUR, TOLERANCE = 0.015, 0.5
+#: Largest number of blocks along the longer side between which that plan is solved.
+SOLVE_SIZE = 256
+#: epsilon of the lower bound, in units of the plan's: the bound loses epsilon log N.
+SHARPER = 1 / 500
+#: Kernel width of `Rearrangement.sums`, in pixels.
+SIGMA = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class Rearrangement:
-    """The pixels of an image on their way to form another one.
-
-    Attributes
-    ----------
-    image : (H, W, 3) array
-        The image whose pixels move; floats in [0, 1].
-    assignment : (H * W,) array
-        The pixel, counted row by row, at which each pixel arrives. A permutation.
-    cost : float
-        Mean of |X_i - Y_s(i)|^2 / 2 over the pixels, in squared sides of the image.
-    lower_bound : float
-        No permutation has a lower cost.
-    times : (n_frames,) array
-        Times of the frames, from 0 to 1.
-    """
-
-    image: Array
-    assignment: Indices
-    cost: float
-    lower_bound: float
-    times: Array
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def frame(self, t: float) -> NDArray[np.float64]:
-        """Draw the pixels at time t of their straight ways: (H, W, 3) array.
-
-        The first and the last frame hold each pixel once. Between them, where several pixels meet
-        one of them is seen, and an empty place shows the pixel nearest to it.
-        """
-        t = check_number("t", t, 0.0, 1.0)
-        height, width, _ = self.image.shape
-        starts = np.indices((height, width)).reshape(2, -1)
-        ends = np.stack(np.divmod(self.assignment, width))
-        rows, columns = np.rint((1 - t) * starts + t * ends).astype(np.intp)
-        drawn = np.zeros((height, width, 3))
-        empty = np.ones((height, width), bool)
-        drawn[rows, columns] = self.image.reshape(-1, 3)
-        empty[rows, columns] = False
-        nearest = distance_transform_edt(empty, return_distances=False, return_indices=True)
-        return drawn[tuple(nearest)]
-
-
+@documented(RearrangeOptions)
 def rearrange(
-    a: ArrayLike,
-    b: ArrayLike,
+    image_a: ArrayLike,
+    image_b: ArrayLike,
+    options: RearrangeOptions | None = None,
     *,
-    n_frames: int = 30,
-    color_weight: float = LiftOptions.color_weight,
-    seconds: float = 10.0,
-    seed: int = 0,
     backend: Backend = "auto",
+    progress: StageProgress | None = None,
+    **given: Unpack[RearrangeKeywords],
 ) -> Rearrangement:
-    """Move the pixels of A, each with its own color, so that they form B.
+    """Move the pixels of image A, each with its own color, so that they form image B.
+
+    Balanced transport is rounded to a permutation, which local exchanges improve until its cost is
+    within `gap` of a proven lower bound, or does not fall any more.
 
     Parameters
     ----------
-    a, b : (H, W) or (H, W, 3) array_like
-        Opaque images, see `clmorph.images.pixels.as_pixels`. B is resized to A's height and width.
-    n_frames : int
-        Number of frames, at least 2.
-    color_weight : float
-        See `clmorph.lift`.
-    seconds : float
-        Time after which the search for a cheaper permutation ends; the solver's time comes before
-        it.
-    seed : int
-        Seed of the search.
+    image_a, image_b : arrays
+        See `clmorph.images.pixels.as_pixels`. A is reduced to `size`, and B is resized to the
+        height and width of A. Opacity is compared as a further channel, and colors are multiplied
+        by it.
+    options : RearrangeOptions, optional
+        All options at once; options given by name replace those of this object.
     backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
+    progress : callable, optional
+        A function that is called with a stage's name and the share of it that is done.
+    {options}
 
     Returns
     -------
@@ -106,45 +76,102 @@ def rearrange(
     Raises
     ------
     InputError
-        If an argument cannot be used, or an image is not opaque.
+        If an argument cannot be used.
+    DeviceError
+        If the device cannot be found or fails.
 
     Examples
     --------
     >>> import numpy as np
-    >>> a = np.array([[0.0, 0.2, 0.9, 1.0]])
-    >>> found = rearrange(a, a[:, ::-1], n_frames=3, color_weight=10.0, backend="numpy")
+    >>> import clmorph
+    >>> a = np.array([[0.0, 0.25, 0.75, 1.0]])
+    >>> found = clmorph.rearrange(a, a[:, ::-1], n_frames=3, color_weight=10.0, backend="numpy")
     >>> found.assignment.tolist()
     [3, 2, 1, 0]
-    >>> found.frame(1.0)[0, :, 0].tolist()
-    [1.0, 0.9, 0.2, 0.0]
+    >>> found.lower_bound <= found.cost <= 1.01 * found.lower_bound
+    True
     """
-    n_frames = check_integer("n_frames", n_frames, 2, 1 << 20)
-    seconds = check_number("seconds", seconds, 0.0, 1e6)
-    seed = check_integer("seed", seed, 0, (1 << 63) - 1)
-    image, other = (_opaque(name, each) for name, each in (("a", a), ("b", b)))
-    shape = (image.shape[0], image.shape[1])
-    source, target = lift(image, color_weight), lift(resized(other, shape), color_weight)
+    if options is not None and not isinstance(options, RearrangeOptions):
+        raise InputError(
+            f"options={shown(options)}: expected RearrangeOptions; give single options by name, "
+            "such as n_frames=30"
+        )
+    chosen = RearrangeOptions(**given) if options is None else options.replace(**given)
+    images = as_images((image_a, image_b))
+    return arranged(images, chosen, backend, check_progress(progress))
+
+
+def arranged(
+    images: Sequence[Array], options: RearrangeOptions, backend: Backend, report: StageProgress
+) -> Rearrangement:
+    """Rearrange image A to form B; the parameters are checked ones of `rearrange`."""
+    first = images[0] if options.size is None else fit(images[0], options.size)
+    # Frames are float32; rounded now, the last frame is exactly the picture that is drawn from it.
+    first = first.astype(np.float32).astype(np.float64)
+    shape = first.shape[:2]
+    second = np.clip(resized(images[1], (shape[0], shape[1])), 0.0, 1.0)
+    source, target = _compared((first, second), options)
     operations = get_backend(backend)
-    potentials = sinkhorn(source, target, BLUR, tol=TOLERANCE, backend=operations)
-    found = assign(
-        source.points, target.points, seconds=seconds, seed=seed,
-        destinations=_destinations(source, target, potentials, operations),
+    report("transport", 0.0)
+    blocks = group_pixels(source, SOLVE_SIZE), group_pixels(target, SOLVE_SIZE)
+    found = transport_pixels(
+        *blocks, BLUR, TOLERANCE, operations, lambda share: report("transport", share)
+    )
+    potentials = found.potentials
+    bound = lower_bound(
+        source.points, target.points, potentials.g, SHARPER * potentials.epsilon, operations,
+        potentials.f,
     )  # fmt: skip
-    bound = lower_bound(source.points, target.points, potentials.g)
-    return Rearrangement(image, *found, bound, np.linspace(0.0, 1.0, n_frames))
+    assignment, cost = assign(
+        source.points, target.points, destinations=found.destinations, g=potentials.g,
+        enough=(1 + options.gap) * bound, seed=options.seed,
+        report=lambda share: report("pixels", share),
+    )  # fmt: skip
+    begin, plan = _measure(first, options), _as_plan(assignment)
+    end = _moved(begin, assignment)
+    n = float(len(assignment))
+    return Rearrangement(
+        assignment, cost, bound, begin, end, potentials, plan,
+        particles(begin, end, plan, unmatched="drop"),
+        eased(np.linspace(0.0, 1.0, options.n_frames), options.ease),
+        KernelWidth(SIGMA, SIGMA, 0.0, n, n, "fixed"), operations, options,
+    )  # fmt: skip
 
 
-def _opaque(name: str, image: ArrayLike) -> Array:
-    """Return an image as (H, W, 3) floats."""
-    colors, alpha = split_alpha(as_pixels(image, name))
-    if alpha is not None:
-        raise InputError(f"{name} is not opaque: expected an image without transparent pixels")
-    return colors
+def _compared(
+    images: tuple[Array, Array], options: RearrangeOptions
+) -> tuple[Measure, Measure]:
+    """Return the images as measures of equal masses for the cost."""
+    colors, opacity = zip(*map(split_alpha, images), strict=True)
+    if all(alpha is None for alpha in opacity):
+        first, second = (lift(image, **options.of_lift()) for image in colors)
+        return first, second
+    found = []
+    for image, alpha in zip(colors, opacity, strict=True):
+        alpha = np.ones(image.shape[:2]) if alpha is None else alpha
+        measure = lift(image * alpha[..., None], **options.of_lift())
+        found.append(replace(measure, features=options.color_weight * alpha.reshape(-1, 1)))
+    return found[0], found[1]
 
 
-def _destinations(
-    source: Measure, target: Measure, potentials: Potentials, operations: Backend
-) -> Array:
-    """Return the means of the plan in the lifted space: (N, 5) array."""
-    means = barycentric_plan(source, target, potentials, backend=operations)
-    return np.column_stack([means.positions, source.color_weight * means.colors])
+def _measure(image: Array, options: RearrangeOptions) -> Measure:
+    """Return an image as a measure whose pixels have equal masses, whatever their opacity."""
+    colors, alpha = split_alpha(image)
+    measure = lift(colors, **options.of_lift())
+    return measure if alpha is None else replace(measure, alpha=alpha.ravel())
+
+
+def _moved(measure: Measure, assignment: Indices) -> Measure:
+    """Return the picture that the pixels form where they arrive."""
+    pixel = np.empty_like(assignment)
+    pixel[assignment] = np.arange(len(assignment))
+    alpha = None if measure.alpha is None else measure.alpha[pixel]
+    return replace(measure, colors=measure.colors[pixel], alpha=alpha)
+
+
+def _as_plan(assignment: Indices) -> Plan:
+    """Return a permutation as a transport plan."""
+    n = len(assignment)
+    masses = np.full(n, 1.0 / n)
+    pairs: Any = np.arange(n + 1), assignment.astype(np.int32)
+    return Plan(*pairs, masses, (n, n), masses, masses)

@@ -1,33 +1,37 @@
-"""A permutation that transports one cloud of equal masses to another, and a bound on its cost.
+"""A permutation that transports one cloud of equal masses to another one at a low cost.
 
-The cost of a permutation s is the mean of |X_i - Y_s(i)|^2 / 2. It begins with a binary space
-partition (Genest, Courty, Coeurjolly, "BSP-OT", 2025): both clouds are halved by the same random
-directions until one point is left in each part. Then pairs whose displacements are near one another
-are gathered in small blocks, and each block is assigned exactly.
+The cost of a permutation s is the mean of |X_i - Y_s(i)|^2 / 2. The search begins with a binary
+space partition (Genest, Courty, Coeurjolly, "BSP-OT", 2025): both clouds are halved by the same
+random directions until one point is left in each part. Then pairs that lie near one another are
+gathered in small blocks, and each block is assigned exactly, in rounds with new blocks.
 """
 
 from __future__ import annotations
 
-import time
+import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
+from clmorph._shared.progress import Report, Share
 from clmorph._shared.typing import Array
 
 Indices = NDArray[np.intp]
 
 #: Pairs of a block that is assigned exactly, and largest number of rounds.
-BLOCK, ROUNDS = 200, 200
+BLOCK, ROUNDS = 128, 200
 #: A round that lowers the cost by less than this share, several times in a row, ends the search.
 SMALLEST_GAIN, PATIENCE = 1e-5, 4
-#: Units in the last place by which rounding can raise a computed bound, for a coordinate.
-ROUNDING = 16
+#: Parts into which a level of the search for near pairs cuts each part.
+WAYS = 4
+#: Largest number of threads; SciPy's solver of a block releases the interpreter's lock.
+MAX_THREADS = 8
 
 
 class Assignment(NamedTuple):
@@ -42,8 +46,10 @@ def assign(
     target: Array,
     *,
     destinations: Array | None = None,
-    seconds: float = np.inf,
+    g: Array | None = None,
+    enough: float = 0.0,
     seed: int = 0,
+    report: Report = lambda share: None,
 ) -> Assignment:
     """Assign points to points so that half the mean squared distance is small.
 
@@ -53,10 +59,15 @@ def assign(
     destinations : (N, D) array, optional
         Where each source goes about, such as the means of an entropic plan; the partition then
         begins from there instead of from the sources.
-    seconds : float
-        Time after which no further round begins.
+    g : (N,) array, optional
+        Potentials of the targets, in cost units. The nearer they are to optimal ones, the less work
+        is the exact assignment of a block; they do not change its cost.
+    enough : float
+        The search ends at this cost.
     seed : int
-        Seed of the random directions. Only with unlimited `seconds` does it fix the result.
+        Seed of the random directions.
+    report : callable
+        Called with the share of the search that is done.
 
     Returns
     -------
@@ -70,81 +81,123 @@ def assign(
     >>> found.permutation.tolist(), found.cost
     ([1, 0], 0.125)
     """
+    n = len(source)
     rng = np.random.default_rng(seed)
-    ends = time.perf_counter() + seconds
-    permutation = _partitioned(source if destinations is None else destinations, target, rng)
-    cost = permutation_cost(source, target, permutation)
+    permutation = partitioned(source if destinations is None else destinations, target, rng)
+    # Points that are already in place keep it, as in images that are nearly the same.
+    permutation = merged(permutation, np.arange(n), source, target)
+    cost = first = permutation_cost(source, target, permutation)
+    # |X - Y|^2 / 2 is a term of the row, which changes no assignment, plus height_j - X . Y.
+    height = np.square(target).sum(axis=1) / 2 - (0.0 if g is None else g)
     idle = 0
-    for _ in range(ROUNDS):
-        if idle >= PATIENCE or cost == 0 or time.perf_counter() > ends:
-            break
-        _exchange(source, target, permutation, rng)
-        before, cost = cost, permutation_cost(source, target, permutation)
-        idle = idle + 1 if before - cost < SMALLEST_GAIN * before else 0
+    with ThreadPoolExecutor(min(MAX_THREADS, os.cpu_count() or 1)) as pool:
+        for number in range(ROUNDS):
+            if idle >= PATIENCE or cost <= enough:
+                break
+            report(_share(number, cost, first, enough))
+            blocks = _near_pairs(source, target, permutation, rng)
+            for rows, columns in pool.map(_Exchange(source, target, permutation, height), blocks):
+                permutation[rows] = columns
+            before, cost = cost, permutation_cost(source, target, permutation)
+            idle = idle + 1 if before - cost < SMALLEST_GAIN * before else 0
+    report(1.0)
     return Assignment(permutation, cost)
 
 
 def permutation_cost(source: Array, target: Array, permutation: Indices) -> float:
     """Return the mean of |X_i - Y_s(i)|^2 / 2 in float64."""
-    return float(np.square(source - target[permutation]).sum(axis=1).mean() / 2)
+    return float(_costs(source, target, permutation).mean())
 
 
-def lower_bound(source: Array, target: Array, g: Array) -> float:
-    """Return a number that the cost of no permutation is below, from any potentials g.
+def merged(first: Indices, second: Indices, source: Array, target: Array) -> Indices:
+    """Return a permutation that is at least as cheap as two others.
 
-    Weak duality: it is mean f + mean g with f_i = min_j (C_ij - g_j). The minimum is exact: with
-    s_j^2 / 2 = max(g) - g_j as a further coordinate of Y_j it is a search for nearest neighbors.
-    The bound is lowered by the rounding of float64.
+    A set of sources that both permutations send to the same targets can follow either of them
+    (BSP-OT, "merging"), so each smallest such set follows the cheaper one.
+
+    Parameters
+    ----------
+    first, second : (N,) arrays
+    source, target : (N, D) arrays
+    """
+    n = len(first)
+    owner = np.empty(n, np.intp)
+    owner[first] = np.arange(n)
+    links = coo_array((np.ones(n, np.int8), (np.arange(n), owner[second])), shape=(n, n))
+    _, cycle = connected_components(links, directed=False)
+    gains = _costs(source, target, first) - _costs(source, target, second)
+    return np.where(np.bincount(cycle, gains)[cycle] > 0, second, first)
+
+
+def partitioned(source: Array, target: Array, rng: np.random.Generator) -> Indices:
+    """Return the permutation of a binary space partition of both clouds.
 
     Parameters
     ----------
     source, target : (N, D) arrays
-    g : (N,) array
-        Potentials of the targets, in cost units.
+    rng : numpy.random.Generator
     """
-    top = g.max()
-    extra = np.sqrt(2 * (top - g))
-    tree = KDTree(np.column_stack([target, extra]))
-    distances, _ = tree.query(np.column_stack([source, np.zeros(len(source))]), workers=-1)
-    bound = np.square(distances).mean() / 2 - top + g.mean()
-    # Each term is a sum of D + 1 squares of differences of numbers of at most this size.
-    size = max(np.abs(source).max(), np.abs(target).max(), extra.max())
-    scale = (source.shape[1] + 1) * 4 * size**2 + 2 * np.abs(g).max()
-    return float(bound - ROUNDING * (source.shape[1] + 1) * np.finfo(float).eps * scale)
-
-
-def _partitioned(source: Array, target: Array, rng: np.random.Generator) -> Indices:
-    """Return the permutation of a binary space partition of both clouds."""
     n = len(source)
     rows, columns = np.arange(n), np.arange(n)
-    for part in _halvings(n, 1):
+    for part in _parts(n, 1, 2):
         across = rng.standard_normal(source.shape[1])
-        rows = rows[np.lexsort([source[rows] @ across, part])]
-        columns = columns[np.lexsort([target[columns] @ across, part])]
+        rows, columns = _sorted(rows, source, across, part), _sorted(columns, target, across, part)
     permutation = np.empty(n, np.intp)
     permutation[rows] = columns
     return permutation
 
 
-def _exchange(source: Array, target: Array, permutation: Indices, rng: np.random.Generator) -> None:
-    """Assign blocks of near pairs exactly, in place; the cost does not rise."""
+class _Exchange(NamedTuple):
+    """Assigns the sources of a block to the targets that they have now."""
+
+    source: Array
+    target: Array
+    permutation: Indices
+    height: Array
+
+    def __call__(self, rows: Indices) -> tuple[Indices, Indices]:
+        columns = self.permutation[rows]
+        cost = self.height[columns] - self.source[rows] @ self.target[columns].T
+        return rows, columns[linear_sum_assignment(cost)[1]]
+
+
+def _near_pairs(
+    source: Array, target: Array, permutation: Indices, rng: np.random.Generator
+) -> list[Indices]:
+    """Return the sources in blocks of near pairs."""
     n = len(source)
     # Pairs are near if their sources or their targets are; a random share weighs the two.
     share = rng.uniform()
     where = share * source + (1 - share) * target[permutation]
     order = np.arange(n)
-    for part in _halvings(n, BLOCK):
-        order = order[np.lexsort([where[order] @ rng.standard_normal(source.shape[1]), part])]
-    for rows in np.array_split(order, -(-n // BLOCK)):
-        columns = permutation[rows]
-        cost = cdist(source[rows], target[columns], "sqeuclidean")
-        _, chosen = linear_sum_assignment(cost)
-        permutation[rows] = columns[chosen]
+    for part in _parts(n, BLOCK, WAYS):
+        order = _sorted(order, where, rng.standard_normal(where.shape[1]), part)
+    return np.array_split(order, -(-n // BLOCK))
 
 
-def _halvings(n: int, smallest: int) -> Iterator[Indices]:
-    """Yield the part of each rank, for 1, 2, 4, ... nested parts above a size."""
+def _costs(source: Array, target: Array, permutation: Indices) -> Array:
+    return np.square(source - target[permutation]).sum(axis=1) / 2
+
+
+def _parts(n: int, smallest: int, ways: int) -> Iterator[Indices]:
+    """Yield the part of each rank for ever more nested parts, until they have a size."""
     n_parts = 1
     while n > n_parts * smallest:
         yield np.arange(n) * n_parts // n
-        n_parts *= 2
+        n_parts *= ways
+
+
+def _sorted(order: Indices, points: Array, across: Array, part: Indices) -> Indices:
+    """Return points sorted by their parts and, inside each part, along a direction."""
+    along = (points @ across)[order]
+    low, high = along.min(), along.max()
+    # One key for both, which NumPy sorts several times as fast as two.
+    return order[np.argsort(part + (along - low) * (0.999 / (high - low) if high > low else 0.0))]
+
+
+def _share(number: int, cost: float, first: float, enough: float) -> Share:
+    """Return the progress of the search, whose cost falls about geometrically to its end."""
+    done = number / ROUNDS
+    if enough > 0:
+        done = max(done, 1 - np.log(cost / enough) / np.log(max(first / enough, 1 + 1e-12)))
+    return Share(min(max(done, 0.0), 1.0), f"round {number + 1}")
