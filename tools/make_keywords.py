@@ -14,7 +14,6 @@ from typing import Any, get_args, get_origin
 
 from clmorph._shared.options import Options
 from clmorph.pipeline.documentation import annotation
-from clmorph._shared.options import Options
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 

@@ -174,9 +174,7 @@ def _of(
 ) -> Callable[[Command], Command]:
     """Return the decorator for all options of a class, or for the named ones."""
     known = specifications(options)
-    return _together(
-        *(_one(name, known[name], getattr(usual, name)) for name in names or known)
-    )
+    return _together(*(_one(name, known[name], getattr(usual, name)) for name in names or known))
 
 
 def _one(name: str, known: Option, default: Any) -> Callable[[Command], Command]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 
@@ -32,6 +32,8 @@ from clmorph.transport.plan import Plan
 
 #: Length scale of the entropic plan from which the search begins, and its tolerance.
 BLUR, TOLERANCE = 0.015, 0.5
+#: Above this color weight costs grow by its square, and so does epsilon; they would overflow.
+LARGE_WEIGHT = 4.0
 #: Largest number of blocks along the longer side between which that plan is solved.
 SOLVE_SIZE = 256
 #: epsilon of the lower bound, in units of the plan's: the bound loses epsilon log N.
@@ -105,17 +107,16 @@ def arranged(
     images: Sequence[Array], options: RearrangeOptions, backend: Backend, report: StageProgress
 ) -> Rearrangement:
     """Rearrange image A to form B; the parameters are checked ones of `rearrange`."""
-    first = images[0] if options.size is None else fit(images[0], options.size)
-    # Frames are float32; rounded now, the last frame is exactly the picture that is drawn from it.
-    first = first.astype(np.float32).astype(np.float64)
+    first = _rounded(images[0] if options.size is None else fit(images[0], options.size))
     shape = first.shape[:2]
-    second = np.clip(resized(images[1], (shape[0], shape[1])), 0.0, 1.0)
+    second = _rounded(np.clip(resized(images[1], (shape[0], shape[1])), 0.0, 1.0))
     source, target = _compared((first, second), options)
     operations = get_backend(backend)
     report("transport", 0.0)
     blocks = group_pixels(source, SOLVE_SIZE), group_pixels(target, SOLVE_SIZE)
+    blur = BLUR * max(1.0, options.color_weight / LARGE_WEIGHT)
     found = transport_pixels(
-        *blocks, BLUR, TOLERANCE, operations, lambda share: report("transport", share)
+        *blocks, blur, TOLERANCE, operations, lambda share: report("transport", share)
     )
     potentials = found.potentials
     bound = lower_bound(
@@ -138,9 +139,12 @@ def arranged(
     )  # fmt: skip
 
 
-def _compared(
-    images: tuple[Array, Array], options: RearrangeOptions
-) -> tuple[Measure, Measure]:
+def _rounded(image: Array) -> Array:
+    """Return an image rounded to float32, so that the last frame, which is float32, is exact."""
+    return image.astype(np.float32).astype(np.float64)
+
+
+def _compared(images: tuple[Array, Array], options: RearrangeOptions) -> tuple[Measure, Measure]:
     """Return the images as measures of equal masses for the cost."""
     colors, opacity = zip(*map(split_alpha, images), strict=True)
     if all(alpha is None for alpha in opacity):
@@ -173,5 +177,5 @@ def _as_plan(assignment: Indices) -> Plan:
     """Return a permutation as a transport plan."""
     n = len(assignment)
     masses = np.full(n, 1.0 / n)
-    pairs: Any = np.arange(n + 1), assignment.astype(np.int32)
-    return Plan(*pairs, masses, (n, n), masses, masses)
+    targets = assignment.astype(np.int32)
+    return Plan(np.arange(n + 1), targets, masses, (n, n), masses, masses)

@@ -41,7 +41,7 @@ class RearrangeOptions(FrameStyle, PlaybackOptions):
     color_space: ColorSpace = with_default(LiftOptions, "color_space", LiftOptions.color_space)
     extent: Extent = with_default(LiftOptions, "extent", LiftOptions.extent)
     gap: float = option(
-        0.01, number(0.0, 1e3),
+        0.005, number(0.0, 1e3),
         "Share of the lower bound by which the cost may exceed it; the search for a cheaper "
         "arrangement ends there.",
         "Transport", word="",

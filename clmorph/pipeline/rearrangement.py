@@ -105,7 +105,7 @@ class Rearrangement(FrameSequence):
     @property
     def pixelated(self) -> bool:
         """Whether image A is pixel art."""
-        return is_pixel_art(self._pixels)
+        return is_pixel_art(self._pixels.astype(float))
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t, which has the size of A.

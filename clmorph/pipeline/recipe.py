@@ -81,8 +81,7 @@ def options_of(
         If an option is unknown, or its value has the wrong kind.
     """
     known = {
-        outside_name(name, each): (name, each)
-        for name, each in specifications(options).items()
+        outside_name(name, each): (name, each) for name, each in specifications(options).items()
     }
     presets = (PRESET,) if options is MorphOptions else ()
     found: dict[str, Any] = {}

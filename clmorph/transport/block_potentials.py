@@ -59,9 +59,9 @@ def transport_pixels(
     epsilon = given.epsilon
 
     def extended(own: PixelBlocks, other: PixelBlocks, f: Array, g: Array) -> tuple[Softmin, Array]:
-        clouds = [operations.upload(m.points, m.weights) for m in (own.fine, other.coarse)]
+        rows, columns = (operations.upload(m.points, m.weights) for m in (own.fine, other.coarse))
         weights = own.fine.weights, other.coarse.weights
-        softmin = Softmin(operations, *clouds, weights, None if limit is None else limit)
+        softmin = Softmin(operations, rows, columns, weights, limit)
         softmin.guess = f[own.owners]
         return softmin, softmin(g, epsilon)
 

@@ -72,7 +72,10 @@ def public_functions() -> dict[str, Callable[..., Any]]:
         ]
         for name in names:
             value = getattr(module, name)
-            if value in (clmorph.MorphOptions, clmorph.RearrangeOptions):  # its other methods are for the stages
+            if value in (
+                clmorph.MorphOptions,
+                clmorph.RearrangeOptions,
+            ):  # its other methods are for the stages
                 found |= {f"{name}.{each}": getattr(value, each) for each in ("replace", "as_dict")}
             elif isinstance(value, type):
                 made_here = name != "NumPyOperations" and not issubclass(value, Exception)

@@ -107,9 +107,7 @@ def test_opaque_pixels_go_where_b_is_opaque():
     np.testing.assert_array_equal(last[..., 3], b[..., 3])
 
 
-@pytest.mark.parametrize(
-    "ending", [".gif", ".webp", ".apng", ".html", ".png", ".npz", ".tif", ""]
-)
+@pytest.mark.parametrize("ending", [".gif", ".webp", ".apng", ".html", ".png", ".npz", ".tif", ""])
 def test_formats_and_recipes(tmp_path, ending):
     a, b = _images(6, 6)
     found = clmorph.rearrange(a, b, n_frames=3, gap=0.5, backend="numpy")
@@ -129,7 +127,9 @@ def test_chain(tmp_path):
     first = clmorph.rearrange(a, b, n_frames=3, backend="numpy")
     second = clmorph.rearrange(first[-1], a, n_frames=3, backend="numpy")
     clmorph.save([first, second], tmp_path / "out.npz")
-    assert len(clmorph.load(tmp_path / "out.npz")) == 5
+    archive = clmorph.load(tmp_path / "out.npz")
+    assert len(archive.frames) == 5
+    np.testing.assert_array_equal(archive.frames[2], first[-1])
 
 
 def test_splats_of_the_pixels_cover_the_ends():
@@ -137,6 +137,13 @@ def test_splats_of_the_pixels_cover_the_ends():
     found = clmorph.rearrange(a, b, backend="numpy")
     assert found.sums(0.0).coverage.min() > 0.9
     assert found.sums(1.0).coverage.min() > 0.9
+
+
+@pytest.mark.parametrize("weight", [0.0, 1e-3, 30.0, 1e3])
+def test_extreme_color_weights(device, weight):
+    a, b = _images()
+    found = clmorph.rearrange(a, b, color_weight=weight, backend=device)
+    assert 0 <= found.lower_bound <= found.cost <= max(1e-15, 1.05 * found.lower_bound)
 
 
 def test_large_images_are_solved_between_blocks(monkeypatch, device):
@@ -200,5 +207,6 @@ def test_command(tmp_path, monkeypatch, capsys):
     ):
         assert main(["rearrange", *wrong]) == 2
         error = capsys.readouterr().err.strip().splitlines()[-1]
-        assert error.startswith("clmorph: error") and words in error
+        assert error.startswith("clmorph: error")
+        assert words in error
     assert not Path("x.gif").exists()
