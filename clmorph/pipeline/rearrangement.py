@@ -18,7 +18,7 @@ from clmorph.frames.canvas import Canvas
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
-from clmorph.frames.render import Sums, Widths
+from clmorph.frames.render import Sums, Widths, check_widths
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.detail import is_pixel_art
 from clmorph.measures.measure import Measure
@@ -175,7 +175,8 @@ class Rearrangement(FrameSequence):
         >>> clmorph.rearrange(a, a, backend="numpy").sums(0.5).coverage.shape
         (1, 4)
         """
-        return self._renderer.sums(check_number("t", t, 0.0, 1.0), widths)
+        t = check_number("t", t, 0.0, 1.0)
+        return self._renderer.sums(t, check_widths(widths))
 
     def save(self, path: str | PathLike[str], **options: Any) -> None:
         """Write the frames to a file whose ending selects the format.
