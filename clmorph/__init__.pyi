@@ -105,6 +105,15 @@ from .pipeline.morph import (
 from .pipeline.options import (
     MorphOptions as MorphOptions,
 )
+from .pipeline.rearrange import (
+    rearrange as rearrange,
+)
+from .pipeline.rearrange_options import (
+    RearrangeOptions as RearrangeOptions,
+)
+from .pipeline.rearrangement import (
+    Rearrangement as Rearrangement,
+)
 from .pipeline.recipe import (
     load_options as load_options,
 )
@@ -191,6 +200,8 @@ __all__ = [
     "Potentials",
     "PotentialsBatch",
     "PruningWarning",
+    "RearrangeOptions",
+    "Rearrangement",
     "WeightedPoints",
     "barycentric_plan",
     "batch",
@@ -209,6 +220,7 @@ __all__ = [
     "particles",
     "read_image",
     "read_labels",
+    "rearrange",
     "reference",
     "sample_plan",
     "save",

@@ -1,4 +1,4 @@
-"""Write `clmorph/pipeline/keywords.py`: the types of `clmorph.morph`'s options by name.
+"""Write `clmorph/pipeline/keywords.py`: the types of options by name.
 
 Type checkers cannot read them from the option classes. ``--check`` only says whether the file is
 what the classes say.
@@ -12,23 +12,28 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
+from clmorph._shared.options import Options
 from clmorph.pipeline.documentation import annotation
 from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.rearrange_options import RearrangeOptions
 
 FILE = Path(__file__).parents[1] / "clmorph" / "pipeline" / "keywords.py"
-HEAD = '''"""The types of `clmorph.morph`'s options by name, for type checkers.
+HEAD = '''"""The types of options by name, for type checkers.
 
 Written by ``tools/make_keywords.py`` from the option classes: change those.
 """
 
 from collections.abc import Sequence
 from typing import Literal, TypedDict
+'''
+CLASS = '''
 
-
-class MorphKeywords(TypedDict, total=False):
-    """Options of `clmorph.morph` by name."""
+class {name}Keywords(TypedDict, total=False):
+    """Options of `clmorph.{function}` by name."""
 
 '''
+#: The classes of options, by the functions that take them.
+CLASSES: dict[str, type[Options]] = {"morph": MorphOptions, "rearrange": RearrangeOptions}
 
 
 def name_of(kind: Any) -> str:
@@ -51,12 +56,15 @@ def quoted(text: str) -> str:
 
 def made() -> str:
     """Return the file's text."""
-    lines = [
-        f"    {each.name}: {name_of(each.type)}\n"
-        for each in fields(MorphOptions)
-        if "option" in each.metadata
-    ]
-    return HEAD + "".join(lines)
+    text = HEAD
+    for function, options in CLASSES.items():
+        text += CLASS.format(name=function.capitalize(), function=function)
+        text += "".join(
+            f"    {each.name}: {name_of(each.type)}\n"
+            for each in fields(options)
+            if "option" in each.metadata
+        )
+    return text
 
 
 def main() -> int:

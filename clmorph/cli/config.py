@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from clmorph._shared.options import Options
 from clmorph._shared.printable import reason_of
 from clmorph._shared.validation import shown
 from clmorph.cli.common import quiet_libraries
@@ -133,12 +134,14 @@ class Found:
     beside: Mapping[str, Named]
 
 
-def read_settings(path: Path) -> Found:
+def read_settings(path: Path, command: type[Options] = MorphOptions) -> Found:
     """Read settings from TOML, from a recipe (JSON), or from a file that clmorph has written.
 
     Parameters
     ----------
     path : Path
+    command : type
+        The class of the command's options.
 
     Raises
     ------
@@ -158,7 +161,7 @@ def read_settings(path: Path) -> Found:
             if name in users:
                 note(f"{path} names its own {name}, which a recipe does not choose: give -o")
         users = {}
-    options = options_of(by_name, str(path))
+    options = options_of(by_name, str(path), command)
     chosen = options.pop(PRESET, None)
     names = (AUTO, *PRESETS)
     if chosen is not None and (not isinstance(chosen, str) or chosen not in names):
@@ -166,7 +169,8 @@ def read_settings(path: Path) -> Found:
             f"{path}: preset = {shown(chosen)}: expected one of {', '.join(map(repr, names))}"
         )
     try:
-        MorphOptions(preset=None if chosen == AUTO else chosen, **options)
+        preset = {} if chosen in (None, AUTO) else {PRESET: chosen}
+        command(**preset, **options)
     except InputError as error:
         raise FileError(f"{path}: {error}") from None
     _check_own(path, users)

@@ -72,6 +72,7 @@ def cli() -> None:
     clmorph morph a.png b.jpg -o out.gif     your own two pictures
     clmorph morph a.png b.jpg -o out.html    a page to play with: scrub, zoom, look inside
     clmorph morph a.png b.jpg c.png d.jpg -o tour.mp4 --loop ping-pong
+    clmorph rearrange a.png b.jpg -o out.gif the pixels of one picture form the other one
     clmorph inspect a.png b.jpg              what would move, how far, how long it takes
     clmorph devices                          what it can run on
     """  # noqa: D301 (click wants the character itself)
@@ -239,6 +240,79 @@ def _options(
 def _counted(images: Sequence[Path]) -> str:
     """Return the number of given pictures as the beginning of a message."""
     return f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given"
+
+
+def _rearrange_settings(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
+    """Read a file of settings before any other option is processed."""
+    if path is None:
+        return None
+    from clmorph.pipeline.rearrange_options import RearrangeOptions
+
+    found = files.read_settings(path, RearrangeOptions)
+    context.default_map = found.own
+    return found
+
+
+@cli.command()
+@click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
+@options.file_options
+@click.option(
+    "--config", type=options.FileName(), is_eager=True, callback=_rearrange_settings,
+    panel="Settings",
+    help="Read options from your own TOML, or repeat a recipe: .json, or a file that this command "
+    "wrote; its pictures are sought beside it and in the current folder.",
+)  # fmt: skip
+@click.option(
+    "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
+)
+@options.rearrange_options
+@options.max_pixels_option
+@options.device_options
+def rearrange(
+    images: tuple[Path, ...],
+    output: tuple[Path, ...],
+    config: files.Found | None,
+    as_json: bool,
+    device: str | None,
+    backend: str | None,
+    format: str | None,
+    recipe: bool | None,
+    max_pixels: int | None,
+    **given: Any,
+) -> None:
+    """Move the pixels of picture A so that they form picture B, and on to C, D and so forth.
+
+    \b
+    clmorph rearrange a.png b.jpg -o out.gif                 every pixel of a.png is kept
+    clmorph rearrange a.png b.jpg -o out.mp4 --size 512      larger pictures
+    clmorph rearrange a.png b.jpg -o out.gif --color-weight 1  shorter ways, poorer likeness
+    """  # noqa: D301
+    from clmorph.cli.morph import announce_changes
+    from clmorph.cli.rearrange import Request, run_rearrange
+    from clmorph.pipeline.rearrange_options import RearrangeOptions
+
+    chosen = RearrangeOptions(**({} if config is None else config.options)).replace(
+        **options.given_options(given, RearrangeOptions)
+    )
+    if config is not None and not images:
+        named = config.named.images()
+        images = tuple(path for path, _ in named)
+        announce_changes(named)
+    if len(images) < 2:
+        raise InputError(
+            f"{_counted(images)}: expected two or more, as in clmorph rearrange a.png b.jpg -o "
+            "out.gif"
+        )
+    if not output:
+        raise InputError("no output given: expected -o with a name, such as -o out.gif")
+    run_rearrange(
+        Request(
+            images, output, chosen, format, bool(recipe),
+            MAX_PIXELS if max_pixels is None else max_pixels,
+            None if config is None else config.named.file,
+        ),
+        device=device, backend=backend, as_json=as_json,
+    )  # fmt: skip
 
 
 @cli.command(epilog=_PRESETS)

@@ -28,6 +28,7 @@ from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.output.save import FORMATS
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
+from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.transport.options import PlanOptions, SolverOptions
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -87,15 +88,19 @@ class Value(click.ParamType):
         return [CompletionItem(word) for word in words if word.startswith(incomplete)]
 
 
-def given_options(given: Mapping[str, Any]) -> dict[str, Any]:
+def given_options(
+    given: Mapping[str, Any], options: type[Options] = MorphOptions
+) -> dict[str, Any]:
     """Return options of the command line by their names in Python.
 
     Parameters
     ----------
     given : mapping
         The values from click, by the names of parameters; None for options that were not given.
+    options : type
+        The class of the command's options.
     """
-    known = specifications(MorphOptions)
+    known = specifications(options)
     found: dict[str, Any] = {}
     for name, value in given.items():
         if name in known and known[name].kind.several and isinstance(value, tuple):
@@ -112,8 +117,13 @@ def names_outside() -> dict[str, str]:
     """Return the name of each option on the command line, by its name in Python."""
     return {
         name: "--" + outside_name(name, known).replace("_", "-")
-        for name, known in specifications(MorphOptions).items()
+        for name, known in _all_options().items()
     }
+
+
+def _all_options() -> dict[str, Option]:
+    """Return the options of all commands, by their names in Python."""
+    return specifications(RearrangeOptions) | specifications(MorphOptions)
 
 
 def in_option_names(message: str, more: Mapping[str, str] | None = None) -> str:
@@ -127,7 +137,7 @@ def in_option_names(message: str, more: Mapping[str, str] | None = None) -> str:
     more : mapping, optional
         The names of further arguments on the command line, by their names in Python.
     """
-    known, names = specifications(MorphOptions), names_outside()
+    known, names = _all_options(), names_outside()
     first = re.match(r"(\w+)=", message)
     word = known[first[1]].word if first and first[1] in known else ""
     for end in (", or None for balanced transport", ", or None"):
@@ -159,18 +169,20 @@ def _option(panel: str, *names: str, **settings: Any) -> Callable[[Command], Com
     return click.option(*names, panel=panel, **settings)
 
 
-def _of(options: type[Options], *names: str) -> Callable[[Command], Command]:
+def _of(
+    options: type[Options], *names: str, usual: type[Options] = MorphOptions
+) -> Callable[[Command], Command]:
     """Return the decorator for all options of a class, or for the named ones."""
     known = specifications(options)
-    return _together(*(_one(name, known[name]) for name in names or known))
+    return _together(*(_one(name, known[name], getattr(usual, name)) for name in names or known))
 
 
-def _one(name: str, known: Option) -> Callable[[Command], Command]:
+def _one(name: str, known: Option, default: Any) -> Callable[[Command], Command]:
     """Return the decorator for one option of the command line."""
     line = names_outside()[name]
     is_flag = not known.kind.metavar
     # The default of `MorphOptions` can differ from that of the stage's own class.
-    usual = to_outside(known, getattr(MorphOptions, name))
+    usual = to_outside(known, default)
     number = not isinstance(usual, str)
     unit = f" {known.unit}" if known.unit and number else ""
     shown = "" if is_flag or usual == "none" else f"  [default: {_plainly(usual)}{unit}]"
@@ -214,6 +226,14 @@ inspect_options = _together(
     _of(PlanOptions, "log_threshold"),
     _of(PlaybackOptions, "n_frames"),
 )
+
+rearrange_options = _together(
+    _of(PlaybackOptions),
+    _of(
+        RearrangeOptions, "size", "color_weight", "color_space", "extent", "gap", "seed",
+        usual=RearrangeOptions,
+    ),
+)  # fmt: skip
 
 file_options = _together(
     _option(

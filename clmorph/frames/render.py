@@ -5,7 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.validation import check_number, shown
 from clmorph.backends.interface import Operations
+from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.filling import Filling
 
@@ -40,6 +42,22 @@ class Widths(NamedTuple):
     sigma: float
     local: bool = False
     closed: bool = False
+
+
+def check_widths(widths: Widths | None) -> Widths | None:
+    """Return widths after checking them.
+
+    Raises
+    ------
+    InputError
+        If they are no `Widths`, or the width cannot be used.
+    """
+    if widths is None:
+        return None
+    if not isinstance(widths, Widths):
+        raise InputError(f"widths={shown(widths)}: expected clmorph.frames.render.Widths, or None")
+    check_number("widths.sigma", widths.sigma, 0.0, 1e4)
+    return widths
 
 
 class Sums(NamedTuple):

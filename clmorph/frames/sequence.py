@@ -7,7 +7,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import shown
+from clmorph._shared.validation import check_integer, shown
 from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.kernel_width import KernelWidth
@@ -121,6 +121,7 @@ class FrameSequence(Sequence[Frame]):
         >>> [frame.shape for frame in morph.iter_frames()]
         [(6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3), (6, 6, 3)]
         """
+        first = check_integer("first", first, 0, len(self))
         return (self[index] for index in range(first, len(self)))
 
 

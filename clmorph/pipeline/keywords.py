@@ -1,4 +1,4 @@
-"""The types of `clmorph.morph`'s options by name, for type checkers.
+"""The types of options by name, for type checkers.
 
 Written by ``tools/make_keywords.py`` from the option classes: change those.
 """
@@ -50,3 +50,25 @@ class MorphKeywords(TypedDict, total=False):
     scaling: Literal["auto", "nearest", "smooth"]
     background: str | None
     lossless: bool
+
+
+class RearrangeKeywords(TypedDict, total=False):
+    """Options of `clmorph.rearrange` by name."""
+
+    n_frames: int
+    fps: float | None
+    duration: float | None
+    hold: float
+    ease: Literal["linear", "smooth", "in", "out"]
+    loop: Literal["loop", "ping-pong", "once"]
+    reverse: bool
+    canvas: str | tuple[int, int]
+    scaling: Literal["auto", "nearest", "smooth"]
+    background: str | None
+    lossless: bool
+    size: int | None
+    color_weight: float
+    color_space: Literal["srgb", "linear", "lab", "luv", "oklab"]
+    extent: Literal["true", "unit"]
+    gap: float
+    seed: int

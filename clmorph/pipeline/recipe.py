@@ -10,7 +10,13 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from clmorph._shared.options import from_outside, outside_name, specifications, unknown_option
+from clmorph._shared.options import (
+    Options,
+    from_outside,
+    outside_name,
+    specifications,
+    unknown_option,
+)
 from clmorph._shared.printable import reason_of
 from clmorph._shared.validation import is_path, shown
 from clmorph._shared.version import __version__
@@ -18,17 +24,20 @@ from clmorph.errors import InputError
 from clmorph.output.bounded import MAX_TEXT
 from clmorph.output.provenance import read_parameters
 from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.rearrange_options import RearrangeOptions
 
 #: Keys beside options in a file of settings.
 PRESET, IMAGES, OUTPUT = "preset", "images", "output"
 #: Keys of further files of both pictures.
 BESIDE = ("labels", "features")
+#: Key of the command that made a file, if it is not ``morph``; and the command's name.
+COMMAND, REARRANGE = "command", "rearrange"
 #: Keys that only the user decides, in the command line or in TOML; recipes do not contain them.
 OWN = (OUTPUT, "format", "recipe", "max_pixels")
 
 
 def recipe(
-    options: MorphOptions,
+    options: Options,
     *,
     images: Sequence[Mapping[str, Any]] = (),
     device: str = "",
@@ -39,7 +48,7 @@ def recipe(
 
     Parameters
     ----------
-    options : MorphOptions
+    options : MorphOptions or RearrangeOptions
     images : sequence of mappings
         The pictures: name and digest of each file, if they are files.
     device : str
@@ -51,6 +60,8 @@ def recipe(
         Files of both pictures by what they are (`BESIDE`): name and digest of each.
     """
     found: dict[str, Any] = {"clmorph": __version__, "options": options.outside()}
+    if isinstance(options, RearrangeOptions):
+        found[COMMAND] = REARRANGE
     found |= {IMAGES: [dict(image) for image in images]} if images else {}
     for name, entries in (beside or {}).items():
         found[name] = [dict(entry) for entry in entries]
@@ -58,7 +69,9 @@ def recipe(
     return found | ({"device": device} if device else {})
 
 
-def options_of(settings: Mapping[str, Any], where: str) -> dict[str, Any]:
+def options_of(
+    settings: Mapping[str, Any], where: str, options: type[Options] = MorphOptions
+) -> dict[str, Any]:
     """Return the options of a file by their names in Python, with the preset if it names one.
 
     Parameters
@@ -67,6 +80,8 @@ def options_of(settings: Mapping[str, Any], where: str) -> dict[str, Any]:
         Options by their names outside, with dashes or underscores.
     where : str
         The name of the file in error messages.
+    options : type
+        The class of the options; only those of a morph have presets.
 
     Raises
     ------
@@ -74,17 +89,18 @@ def options_of(settings: Mapping[str, Any], where: str) -> dict[str, Any]:
         If an option is unknown, or its value has the wrong kind.
     """
     known = {
-        outside_name(name, each): (name, each)
-        for name, each in specifications(MorphOptions).items()
+        outside_name(name, each): (name, each) for name, each in specifications(options).items()
     }
+    presets = (PRESET,) if options is MorphOptions else ()
     found: dict[str, Any] = {}
     for key, value in settings.items():
         outside = key.replace("-", "_")
-        if outside == PRESET:
+        if outside in presets:
             found[PRESET] = value
             continue
         if outside not in known:
-            names = [*known, PRESET, IMAGES, *BESIDE, *OWN]
+            beside = BESIDE if options is MorphOptions else ()
+            names = [*known, *presets, IMAGES, *beside, *OWN]
             raise InputError(f"{where}: {unknown_option(key, dict.fromkeys(names))}")
         name, each = known[outside]
         try:
@@ -147,7 +163,8 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Keyword arguments for ``clmorph.morph(a, b, **options)``.
+        Keyword arguments for ``clmorph.morph(a, b, **options)``, or for `clmorph.rearrange` if
+        the file was made by it.
 
     Raises
     ------
@@ -170,20 +187,22 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
         )
     file = Path(path)
     try:
-        found = file.exists()
+        exists = file.exists()
     except OSError as error:  # such as a name that is too long
         raise InputError(
             f"path={shown(path)}: expected the path of a file ({reason_of(error)})"
         ) from error
-    if not found:
+    if not exists:
         raise InputError(f"{file}: no such file")
     own = file.suffix.lower() == ".toml"
-    settings = read_toml(file) if own else read_recipe(file)["options"]
+    found = {} if own else read_recipe(file)
+    settings = read_toml(file) if own else found["options"]
     options = {
         name: value for name, value in settings.items()
         if name.replace("-", "_") not in (IMAGES, *BESIDE, *OWN)
     }  # fmt: skip
-    return options_of(options, str(file))
+    rearranged = found.get(COMMAND) == REARRANGE
+    return options_of(options, str(file), RearrangeOptions if rearranged else MorphOptions)
 
 
 def picture_entries(images: Sequence[Path], folder: Path | None = None) -> list[dict[str, Any]]:

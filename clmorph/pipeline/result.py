@@ -8,15 +8,14 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import check_integer, check_number, shown
+from clmorph._shared.validation import check_integer, check_number
 from clmorph.backends.arrays import pyopencl_needed
 from clmorph.backends.interface import Operations
-from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
-from clmorph.frames.render import Sums, Widths
+from clmorph.frames.render import Sums, Widths, check_widths
 from clmorph.frames.sequence import Frame, FrameSequence
 from clmorph.frames.spread import SpreadRenderer
 from clmorph.images.detail import is_pixel_art
@@ -342,13 +341,7 @@ class Morph(FrameSequence):
         ((6, 6, 3), (6, 6), (6, 6))
         """
         t = check_number("t", t, 0.0, 1.0)
-        if widths is not None and not isinstance(widths, Widths):
-            raise InputError(
-                f"widths={shown(widths)}: expected clmorph.frames.render.Widths, or None"
-            )
-        if widths is not None:
-            check_number("widths.sigma", widths.sigma, 0.0, 1e4)
-        return self._renderer.sums(t, widths)
+        return self._renderer.sums(t, check_widths(widths))
 
     @property
     def frames(self) -> list[NDArray[np.float32]]:

@@ -72,7 +72,10 @@ def public_functions() -> dict[str, Callable[..., Any]]:
         ]
         for name in names:
             value = getattr(module, name)
-            if value is clmorph.MorphOptions:  # its other methods are for the stages
+            if value in (
+                clmorph.MorphOptions,
+                clmorph.RearrangeOptions,
+            ):  # its other methods are for the stages
                 found |= {f"{name}.{each}": getattr(value, each) for each in ("replace", "as_dict")}
             elif isinstance(value, type):
                 made_here = name != "NumPyOperations" and not issubclass(value, Exception)
@@ -128,6 +131,7 @@ def examples() -> dict[str, Any]:
         "path": clmorph.density_path(np.eye(3), np.eye(3)[:, ::-1], backend="numpy"),
         "plain": (np.ones(3), np.arange(6.0).reshape(3, 2)),
         "queue": _any_queue(),
+        "rearranged": clmorph.rearrange(a, b, n_frames=2, backend="numpy"),
     }
 
 
@@ -170,6 +174,22 @@ def cases() -> dict[str, dict[str, Any]]:
         "inspect": images | STRENGTHS | SOLVER | LIFTING | GUIDES | shared | {
             "n_frames": 2, "divergence": True, "max_bytes": 1e9,
         },
+        "rearrange": images | {
+            "options": None, "backend": "numpy", "progress": Idle(), "n_frames": 2, "fps": 20.0,
+            "duration": None, "hold": 0.65, "ease": "linear", "loop": "loop", "reverse": False,
+            "canvas": "dynamic", "scaling": "auto", "background": None, "lossless": False,
+            "size": None, "color_weight": 2.0, "color_space": "srgb", "extent": "true",
+            "gap": 0.01, "seed": 0,
+        },
+        "RearrangeOptions.replace": {
+            "self": clmorph.RearrangeOptions(), "gap": 0.01, "color_weight": 2.0,
+        },
+        "RearrangeOptions.as_dict": {"self": clmorph.RearrangeOptions()},
+        "Rearrangement.frame": {"self": some["rearranged"], "t": 0.5},
+        "Rearrangement.canvas": {"self": some["rearranged"], "t": 0.5},
+        "Rearrangement.sums": {"self": some["rearranged"], "t": 0.5, "widths": None},
+        "Rearrangement.iter_frames": {"self": some["rearranged"], "first": 0},
+        "Rearrangement.save": {"self": some["rearranged"], "path": "out.png"},
         "MorphOptions.replace": {"self": clmorph.MorphOptions()} | STRENGTHS | SOLVER,
         "MorphOptions.as_dict": {"self": clmorph.MorphOptions()},
         "sinkhorn": measures | STRENGTHS | SOLVER | {

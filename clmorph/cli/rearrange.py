@@ -1,0 +1,151 @@
+"""The command ``clmorph rearrange``: the pixels of one picture move to form the next one."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from clmorph._shared.files import check_apart, check_place
+from clmorph._shared.printable import printable
+from clmorph._shared.typing import Array
+from clmorph.backends.interface import Operations
+from clmorph.cli.common import open_backend, read_picture
+from clmorph.cli.terminal import Stages
+from clmorph.errors import OutputError
+from clmorph.images.detail import is_pixel_art
+from clmorph.output.playback import held_frames, motion_of
+from clmorph.output.recording import recorded
+from clmorph.output.save import Output, write_all
+from clmorph.pipeline.rearrange import arranged
+from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.rearrangement import Rearrangement
+from clmorph.pipeline.recipe import picture_entries, recipe
+
+
+@dataclass(frozen=True)
+class Request:
+    """The request of the command line.
+
+    Attributes
+    ----------
+    images : sequence of Path
+        Two pictures, or more for a chain, in which the pixels of the first one move on.
+    outputs : sequence of Path
+    options : RearrangeOptions
+    format : str or None
+        The output format, in place of the format of the output's ending.
+    recipe : bool
+        Whether a recipe is written beside each output.
+    max_pixels : int
+        Largest number of pixels of a picture.
+    config : Path or None
+        The file of settings, which must not be overwritten.
+    """
+
+    images: Sequence[Path]
+    outputs: Sequence[Path]
+    options: RearrangeOptions
+    format: str | None
+    recipe: bool
+    max_pixels: int
+    config: Path | None
+
+
+def run_rearrange(
+    request: Request, *, device: str | None, backend: str | None, as_json: bool
+) -> None:
+    """Rearrange the pixels of the first picture into each next one, and write the output files.
+
+    Parameters
+    ----------
+    request : Request
+    device, backend : str, optional
+    as_json : bool
+        Whether the summary is printed as JSON for programs, instead of text for people.
+    """
+    began = time.perf_counter()
+    images, options = request.images, request.options
+    places = [Output(output, request.format) for output in request.outputs]
+    beside = [path.with_name(f"{path.name}.json") for path in request.outputs if request.recipe]
+    for path in beside:
+        if check_place(path).is_dir():
+            raise OutputError(f"{path} is a folder; choose another name for the output")
+    own = [request.config] if request.config else []
+    check_apart([*request.outputs, *beside], [*images, *own])
+    motion = motion_of(options, held_frames(len(images), options.n_frames))
+    for place in places:
+        place.check_motion(motion)
+    pictures = [read_picture(path, request.max_pixels) for path in images]
+    operations = open_backend(device, backend)
+
+    def metadata(folder: Path | None = None) -> dict[str, Any]:
+        entries = picture_entries(images, folder)
+        return recipe(options, images=entries, device=operations.description)
+
+    done: list[dict[str, float]] = []
+    with Stages(began) as stages:
+        stages.count("preparation")
+        with recorded(
+            _chain(pictures, options, operations, stages, done), motion,
+            n_morphs=len(pictures) - 1, reverse=options.reverse,
+            exact=any(place.format.exact for place in places),
+            keep=any(place.format.keep for place in places),
+            pixelated=is_pixel_art(pictures[0]), parameters=metadata(),
+            folder=places[0].folder, progress=stages,
+        ) as film:  # fmt: skip
+            texts = {
+                path: json.dumps(metadata(path.resolve().parent), indent=2) + "\n"
+                for path in beside
+            }
+            write_all(
+                places, film, options,
+                lambda place, share: stages(f"write {place.path.name}", share), texts,
+            )  # fmt: skip
+            summary = {
+                "outputs": [{"path": str(each.path), "format": each.name} for each in places],
+                "frames": len(film),
+                "duration": round(film.duration, 6),
+                "assignments": done,
+                "seconds": {name: round(value, 3) for name, value in stages.seconds.items()},
+                **film.parameters,
+            }
+    summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
+    click.echo(json.dumps(summary) if as_json else _last_line(places, summary))
+
+
+def _chain(
+    pictures: Sequence[Array],
+    options: RearrangeOptions,
+    operations: Operations,
+    stages: Stages,
+    done: list[dict[str, float]],
+) -> Iterator[Rearrangement]:
+    """Rearrange the pixels of the first picture into each next one, one at a time."""
+    pixels = pictures[0]
+    for number, picture in enumerate(pictures[1:], 1):
+        report = stages.marked(f" {number}" if len(pictures) > 2 else "")
+        found = arranged((pixels, picture), options, operations, report)
+        done.append({"cost": found.cost, "lower_bound": found.lower_bound})
+        pixels = found[-1].astype(float)
+        yield found
+
+
+def _last_line(places: Sequence[Output], summary: dict[str, Any]) -> str:
+    """Return the summary of the run for people."""
+    names = ", ".join(printable(place.path) for place in places)
+    worst = max(
+        (each["cost"] / each["lower_bound"] - 1 if each["lower_bound"] > 0 else float("inf"))
+        if each["cost"] > 0 else 0.0
+        for each in summary["assignments"]
+    )  # fmt: skip
+    proof = f"at most {worst:.2%} above the cheapest" if worst < float("inf") else "no bound"
+    return (
+        f"{names}: {summary['frames']} frames, made in {summary['seconds']['total']:.1f} s; "
+        f"the arrangement costs {proof}"
+    )

@@ -1,0 +1,181 @@
+"""Rearrange the pixels of one image so that they form another one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Unpack
+
+import numpy as np
+
+from clmorph._shared.progress import StageProgress
+from clmorph._shared.typing import Array, ArrayLike
+from clmorph._shared.validation import check_progress, shown
+from clmorph.backends.select import Backend, get_backend
+from clmorph.errors import InputError
+from clmorph.frames.kernel_width import KernelWidth
+from clmorph.frames.particles import particles
+from clmorph.images.pixels import fit, resized, split_alpha
+from clmorph.measures.lift import lift
+from clmorph.measures.measure import Measure
+from clmorph.measures.pixel_blocks import group_pixels
+from clmorph.output.playback import eased
+from clmorph.pipeline.documentation import documented
+from clmorph.pipeline.keywords import RearrangeKeywords
+from clmorph.pipeline.prepare import as_images
+from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.rearrangement import Rearrangement
+from clmorph.transport.assignment import Indices, assign
+from clmorph.transport.assignment_bound import lower_bound
+from clmorph.transport.block_potentials import transport_pixels
+from clmorph.transport.plan import Plan
+
+#: Length scale of the entropic plan from which the search begins, and its tolerance.
+BLUR, TOLERANCE = 0.015, 0.5
+#: Above this color weight costs grow by its square, and so does epsilon; they would overflow.
+LARGE_WEIGHT = 4.0
+#: Largest number of blocks along the longer side between which that plan is solved.
+SOLVE_SIZE = 256
+#: epsilon of the lower bound, in units of the plan's: the bound loses epsilon log N.
+SHARPER = 1 / 500
+#: Kernel width of `Rearrangement.sums`, in pixels.
+SIGMA = 0.5
+
+
+@documented(RearrangeOptions)
+def rearrange(
+    image_a: ArrayLike,
+    image_b: ArrayLike,
+    options: RearrangeOptions | None = None,
+    *,
+    backend: Backend = "auto",
+    progress: StageProgress | None = None,
+    **given: Unpack[RearrangeKeywords],
+) -> Rearrangement:
+    """Move the pixels of image A, each with its own color, so that they form image B.
+
+    Balanced transport is rounded to a permutation, which local exchanges improve until its cost is
+    within `gap` of a proven lower bound, or does not fall any more.
+
+    Parameters
+    ----------
+    image_a, image_b : arrays
+        See `clmorph.images.pixels.as_pixels`. A is reduced to `size`, and B is resized to the
+        height and width of A. Opacity is compared as a further channel, and colors are multiplied
+        by it.
+    options : RearrangeOptions, optional
+        All options at once; options given by name replace those of this object.
+    backend : str, object of pyopencl, or Operations
+        See `clmorph.get_backend`.
+    progress : callable, optional
+        A function that is called with a stage's name and the share of it that is done.
+    {options}
+
+    Returns
+    -------
+    Rearrangement
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+    DeviceError
+        If the device cannot be found or fails.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> a = np.array([[0.0, 0.25, 0.75, 1.0]])
+    >>> found = clmorph.rearrange(a, a[:, ::-1], n_frames=3, color_weight=10.0, backend="numpy")
+    >>> found.assignment.tolist()
+    [3, 2, 1, 0]
+    >>> found.lower_bound <= found.cost <= 1.01 * found.lower_bound
+    True
+    """
+    if options is not None and not isinstance(options, RearrangeOptions):
+        raise InputError(
+            f"options={shown(options)}: expected RearrangeOptions; give single options by name, "
+            "such as n_frames=30"
+        )
+    chosen = RearrangeOptions(**given) if options is None else options.replace(**given)
+    images = as_images((image_a, image_b))
+    return arranged(images, chosen, backend, check_progress(progress))
+
+
+def arranged(
+    images: Sequence[Array], options: RearrangeOptions, backend: Backend, report: StageProgress
+) -> Rearrangement:
+    """Rearrange image A to form B; the parameters are checked ones of `rearrange`."""
+    first = _rounded(images[0] if options.size is None else fit(images[0], options.size))
+    shape = first.shape[:2]
+    second = _rounded(np.clip(resized(images[1], (shape[0], shape[1])), 0.0, 1.0))
+    source, target = _compared((first, second), options)
+    operations = get_backend(backend)
+    report("transport", 0.0)
+    blocks = group_pixels(source, SOLVE_SIZE), group_pixels(target, SOLVE_SIZE)
+    blur = BLUR * max(1.0, options.color_weight / LARGE_WEIGHT)
+    found = transport_pixels(
+        *blocks, blur, TOLERANCE, operations, lambda share: report("transport", share)
+    )
+    potentials = found.potentials
+    bound = lower_bound(
+        source.points, target.points, potentials.g, SHARPER * potentials.epsilon, operations,
+        potentials.f,
+    )  # fmt: skip
+    assignment, cost = assign(
+        source.points, target.points, destinations=found.destinations, g=potentials.g,
+        enough=(1 + options.gap) * bound, seed=options.seed,
+        report=lambda share: report("pixels", share),
+    )  # fmt: skip
+    begin, plan = _measure(first, options), _as_plan(assignment)
+    end = _moved(begin, assignment)
+    n = float(len(assignment))
+    return Rearrangement(
+        assignment, cost, bound, begin, end, potentials, plan,
+        particles(begin, end, plan, unmatched="drop"),
+        eased(np.linspace(0.0, 1.0, options.n_frames), options.ease),
+        KernelWidth(SIGMA, SIGMA, 0.0, n, n, "fixed"), operations, options,
+    )  # fmt: skip
+
+
+def _rounded(image: Array) -> Array:
+    """Return an image rounded to float32, so that the last frame, which is float32, is exact."""
+    return image.astype(np.float32).astype(np.float64)
+
+
+def _compared(images: tuple[Array, Array], options: RearrangeOptions) -> tuple[Measure, Measure]:
+    """Return the images as measures of equal masses for the cost."""
+    colors, opacity = zip(*map(split_alpha, images), strict=True)
+    if all(alpha is None for alpha in opacity):
+        first, second = (lift(image, **options.of_lift()) for image in colors)
+        return first, second
+    found = []
+    for image, alpha in zip(colors, opacity, strict=True):
+        alpha = np.ones(image.shape[:2]) if alpha is None else alpha
+        measure = lift(image * alpha[..., None], **options.of_lift())
+        found.append(replace(measure, features=options.color_weight * alpha.reshape(-1, 1)))
+    return found[0], found[1]
+
+
+def _measure(image: Array, options: RearrangeOptions) -> Measure:
+    """Return an image as a measure whose pixels have equal masses, whatever their opacity."""
+    colors, alpha = split_alpha(image)
+    measure = lift(colors, **options.of_lift())
+    return measure if alpha is None else replace(measure, alpha=alpha.ravel())
+
+
+def _moved(measure: Measure, assignment: Indices) -> Measure:
+    """Return the picture that the pixels form where they arrive."""
+    pixel = np.empty_like(assignment)
+    pixel[assignment] = np.arange(len(assignment))
+    alpha = None if measure.alpha is None else measure.alpha[pixel]
+    return replace(measure, colors=measure.colors[pixel], alpha=alpha)
+
+
+def _as_plan(assignment: Indices) -> Plan:
+    """Return a permutation as a transport plan."""
+    n = len(assignment)
+    masses = np.full(n, 1.0 / n)
+    targets = assignment.astype(np.int32)
+    return Plan(np.arange(n + 1), targets, masses, (n, n), masses, masses)

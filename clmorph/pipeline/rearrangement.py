@@ -1,0 +1,237 @@
+"""The result `Rearrangement`: frames in which the pixels of one image move to form another one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from clmorph._shared.typing import Array
+from clmorph._shared.validation import check_number
+from clmorph.backends.interface import Operations
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.frame_renderer import FrameRenderer
+from clmorph.frames.kernel_width import KernelWidth
+from clmorph.frames.particles import Particles
+from clmorph.frames.render import Sums, Widths, check_widths
+from clmorph.frames.sequence import FrameSequence
+from clmorph.images.detail import is_pixel_art
+from clmorph.measures.measure import Measure
+from clmorph.output.html import repr_html
+from clmorph.output.save import save
+from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.recipe import recipe
+from clmorph.transport.assignment import Indices
+from clmorph.transport.plan import Plan
+from clmorph.transport.potentials import Potentials
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Rearrangement(FrameSequence):
+    """The pixels of image A on their way to form image B: a sequence of frames, drawn on demand.
+
+    ``len(found)`` is the number of frames and ``found[i]`` is the frame at ``times[i]``.
+
+    Attributes
+    ----------
+    assignment : (H * W,) array of int
+        The place at which each pixel of A arrives; pixels are counted row by row. A permutation.
+    cost : float
+        Mean over the pixels of half the squared distance between a pixel of A and the pixel of B
+        whose place it takes, in position and color (`clmorph.lift`); in squared sides of the image.
+    lower_bound : float
+        No permutation has a lower cost.
+    source, target : Measure
+        Image A, and the picture that its pixels form in the end.
+    potentials : Potentials
+        Entropic potentials of the pixels, from which the search began.
+    plan : Plan
+        The permutation as a plan.
+    particles : Particles
+        One for each pixel.
+    times : (n_frames,) array
+        The times of the frames, ascending from 0 to 1.
+    options : RearrangeOptions
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> a = np.array([[0.0, 0.25, 0.75, 1.0]])
+    >>> found = clmorph.rearrange(a, a[:, ::-1], n_frames=3, color_weight=10.0, backend="numpy")
+    >>> found.assignment.tolist()
+    [3, 2, 1, 0]
+    >>> found[-1][0, :, 0].tolist()
+    [1.0, 0.75, 0.25, 0.0]
+    """
+
+    assignment: Indices
+    cost: float
+    lower_bound: float
+    source: Measure
+    target: Measure
+    potentials: Potentials
+    plan: Plan
+    particles: Particles
+    times: Array
+    kernel_width: KernelWidth
+    operations: Operations = field(repr=False)
+    options: RearrangeOptions = field(repr=False)
+    endpoints: str = "exact"
+    unmatched: str = "drop"
+
+    def __repr__(self) -> str:
+        height, width = self.source.shape
+        return (
+            f"<Rearrangement of {width} x {height} pixels, {len(self)} frames, cost "
+            f"{self.cost:.4g}, at least {self.lower_bound:.4g}>"
+        )
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The recipe in the form of files, which `json.dumps` accepts."""
+        return recipe(self.options, device=self.operations.description)
+
+    @property
+    def detail(self) -> str:
+        """What draws the frames: "pixels"."""
+        return "pixels"
+
+    @property
+    def pixelated(self) -> bool:
+        """Whether image A is pixel art."""
+        return is_pixel_art(self._pixels.astype(float))
+
+    def canvas(self, t: float) -> Canvas:
+        """Return the canvas at time t, which has the size of A.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> a = np.array([[0.0, 0.25, 0.75, 1.0]])
+        >>> clmorph.rearrange(a, a, backend="numpy").canvas(0.5).shape
+        (1, 4)
+        """
+        return self._renderer.canvas(check_number("t", t, 0.0, 1.0))
+
+    def frame(self, t: float) -> NDArray[np.float32]:
+        """Draw the pixels at time t of their straight ways, each as a whole pixel.
+
+        The first and the last frame hold each pixel once. Between them one of several pixels that
+        meet is seen: the one with the longest way, which is the same in all frames. An empty place
+        shows the pixel nearest to it.
+
+        Parameters
+        ----------
+        t : float in [0, 1]
+
+        Returns
+        -------
+        (H, W, 3) float32 array
+            sRGB in [0, 1]; (H, W, 4), with opacity, if A or B has transparent pixels.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> a = np.array([[0.0, 0.25, 0.75, 1.0]])
+        >>> clmorph.rearrange(a, a, backend="numpy").frame(0.5)[0, :, 0].tolist()
+        [0.0, 0.25, 0.75, 1.0]
+        """
+        t = check_number("t", t, 0.0, 1.0)
+        height, width = self.source.shape
+        starts, ends, order = self._ways
+        rows, columns = np.rint((1 - t) * starts + t * ends).astype(np.intp)
+        frame = np.zeros(self._pixels.shape, np.float32)
+        empty = np.ones((height, width), bool)
+        # NumPy keeps the last of several values that are assigned to one place.
+        frame[rows, columns] = self._pixels.reshape(height * width, -1)[order]
+        empty[rows, columns] = False
+        if not empty.any():
+            return frame
+        nearest = distance_transform_edt(empty, return_distances=False, return_indices=True)
+        return frame[tuple(nearest)]
+
+    def sums(self, t: float, *, widths: Widths | None = None) -> Sums:
+        """Render colors, coverage and density of the pixels as splats at time t.
+
+        Parameters
+        ----------
+        t : float in [0, 1]
+        widths : Widths, optional
+            Kernel widths, in place of half a pixel.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> a = np.array([[0.0, 0.25, 0.75, 1.0]])
+        >>> clmorph.rearrange(a, a, backend="numpy").sums(0.5).coverage.shape
+        (1, 4)
+        """
+        t = check_number("t", t, 0.0, 1.0)
+        return self._renderer.sums(t, check_widths(widths))
+
+    def save(self, path: str | PathLike[str], **options: Any) -> None:
+        """Write the frames to a file whose ending selects the format.
+
+        Parameters
+        ----------
+        path : path
+            Path of the file, such as ``out.gif``, ``out.mp4`` or ``out.html``.
+        **options
+            See `clmorph.save`.
+
+        Raises
+        ------
+        InputError
+            If an option cannot be used.
+        OutputError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> import numpy as np
+        >>> import clmorph
+        >>> a = np.eye(4)
+        >>> found = clmorph.rearrange(a, a[::-1], n_frames=3, backend="numpy")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     found.save(Path(folder) / "out.gif")
+        ...     sorted(path.name for path in Path(folder).iterdir())
+        ['out.gif']
+        """
+        save(self, path, **options)
+
+    def _repr_html_(self) -> str:
+        """Show the frames in a notebook as an interactive page."""
+        return repr_html(self)
+
+    @cached_property
+    def _pixels(self) -> NDArray[np.float32]:
+        channels = [self.source.colors]
+        channels += [] if self.source.alpha is None else [self.source.alpha[:, None]]
+        return np.hstack(channels).reshape(*self.source.shape, -1).astype(np.float32)
+
+    @cached_property
+    def _ways(self) -> tuple[Array, Array, Indices]:
+        """Rows and columns where pixels start and end, (2, N) each, the longest way last."""
+        width = self.source.shape[1]
+        starts = np.stack(np.divmod(np.arange(len(self.assignment)), width)).astype(float)
+        ends = np.stack(np.divmod(self.assignment, width)).astype(float)
+        order = np.argsort(np.square(starts - ends).sum(axis=0), kind="stable")
+        return starts[:, order], ends[:, order], order
+
+    @cached_property
+    def _renderer(self) -> FrameRenderer:
+        return FrameRenderer(
+            self.source, self.target, self.plan, self.particles, self.kernel_width,
+            self.operations, self.endpoints, self.unmatched, "particles",
+        )  # fmt: skip

@@ -1,0 +1,73 @@
+"""Potentials and mean destinations of pixels, from a balanced solve between blocks of pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from clmorph._shared.progress import Report
+from clmorph._shared.typing import Array
+from clmorph.backends.interface import Operations
+from clmorph.measures.pixel_blocks import PixelBlocks
+from clmorph.transport._solver.checks import choose_truncation
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin
+from clmorph.transport.options import SolverOptions
+from clmorph.transport.potentials import Potentials
+from clmorph.transport.regularization import regularization
+from clmorph.transport.sinkhorn import solve
+
+
+class PixelTransport(NamedTuple):
+    """Balanced entropic transport between the pixels of two images."""
+
+    potentials: Potentials  #: (N,) and (M,) potentials of the pixels
+    destinations: Array  #: (N, D) mean destinations of the source's pixels, as lifted points
+
+
+def transport_pixels(
+    source: PixelBlocks,
+    target: PixelBlocks,
+    blur: float,
+    tol: float,
+    operations: Operations,
+    report: Report,
+) -> PixelTransport:
+    """Solve between blocks, and extend the potentials to the pixels by one softmin each.
+
+    Parameters
+    ----------
+    source, target : PixelBlocks
+        With equal masses in all.
+    blur, tol : float
+        As in `clmorph.sinkhorn`. There is no warning if `tol` is not reached.
+    operations : Operations
+    report : callable
+        Called with the share of the solve that is done.
+
+    Returns
+    -------
+    PixelTransport
+        The certificate of the potentials is that of the blocks.
+    """
+    pair = source.coarse, target.coarse
+    given = regularization(blur, None, None, None)
+    many = len(pair[0]) * len(pair[1]) >= MANY_PAIRS
+    limit = choose_truncation("auto", tol, many)
+    problem = Problem.between(operations, *pair, given.rho, limit)
+    found = solve(problem, pair, given, tol, SolverOptions.max_iter, "auto", report)
+    epsilon = given.epsilon
+
+    def extended(own: PixelBlocks, other: PixelBlocks, f: Array, g: Array) -> tuple[Softmin, Array]:
+        rows, columns = (operations.upload(m.points, m.weights) for m in (own.fine, other.coarse))
+        weights = own.fine.weights, other.coarse.weights
+        softmin = Softmin(operations, rows, columns, weights, limit)
+        softmin.guess = f[own.owners]
+        return softmin, softmin(g, epsilon)
+
+    to_rows, f = extended(source, target, found.f, found.g)
+    means, _ = operations.plan_moments(
+        to_rows.rows, to_rows.columns, found.g, f, epsilon, False, to_rows.near
+    )
+    _, g = extended(target, source, found.g, found.f)
+    return PixelTransport(replace(found, f=f, g=g), means)
