@@ -31,7 +31,7 @@ FAULTS = [
     Fault("plan_shares.cl", "plan_moments", "[0] += w;", "[0] += 0.99f * w;", "plan_moments"),
     Fault("plan_shares.cl", "sample_plan_rows", "before += of_tile;", "before += 0.9f * of_tile;",
           "sample_plan_rows"),
-    Fault("half_steps.cl", "prepare_rows", "n / TILE, planes", "n / TILE - 1, planes",
+    Fault("half_steps.cl", "prepare_rows", "n / TILE, planes, k,", "n / TILE, planes, 1.01 * k,",
           "start_iteration"),
     Fault("half_steps.cl", "row_step", "COLUMN_SHIFTED", "COLUMN_SOFTMIN", "start_iteration"),
     Fault("half_steps.cl", "column_step", "solve_normal(", "!solve_normal(", "start_iteration"),

@@ -47,8 +47,13 @@ class Variant:
         return macros
 
     def suits(self, constants: BuildConstants) -> bool:
-        """Return whether a device with these constants has what the file needs: float64."""
-        return self.file != "half_steps.cl" or constants.precise == 2
+        """Return whether a device with these constants has what the file needs.
+
+        Iterations on the device need float64 and long loops.
+        """
+        return self.file != "half_steps.cl" or (
+            constants.precise == 2 and not constants.longest_loop
+        )
 
     def __str__(self) -> str:
         words = [f"dimension {self.dimension}"] if self.dimension else []

@@ -158,9 +158,8 @@ class HalfSteps:
         loop, work = self._loop, self._loop.work
         tiles = len(rows.centers), len(columns.centers)
         if (
-            loop.constants.precise != 2
+            not Variant("half_steps.cl").suits(loop.constants)
             or tiles[0] * tiles[1] > KEPT_LEVELS
-            or loop.constants.longest_loop
             or not (
                 work.device.type & cl.device_type.CPU or max(len(rows), len(columns)) <= MOST_POINTS
             )
