@@ -44,7 +44,7 @@ class ResidentIteration(Protocol):
     decides which potential is the next.
     """
 
-    def set_potential(self, g: Float64, epsilon: float, precise: bool) -> bool:
+    def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
         """Set the potential at which the next iteration begins.
 
         Parameters
@@ -52,11 +52,6 @@ class ResidentIteration(Protocol):
         g : (M,) array, cost units
         epsilon, precise
             As in `Operations.softmin`.
-
-        Returns
-        -------
-        bool
-            Whether iterations are possible: not if a softmin takes too long for one launch.
         """
 
     def iterate(self, begun: bool, place: int, count: int, radius: float) -> IterationNumbers:

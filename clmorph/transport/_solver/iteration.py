@@ -22,7 +22,7 @@ from clmorph.transport._solver.state import (
     share_done,
     slack_of,
 )
-from clmorph.transport._solver.steps import HostSteps, Reached, Steps, new_steps
+from clmorph.transport._solver.steps import Reached, Steps, new_steps
 
 #: Factor between the blurs of the annealing.
 ANNEALING = 0.5
@@ -215,9 +215,7 @@ class Iteration:
         problem = self.problem
         self.rounding = rounding = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
         steps = steps or new_steps(problem)
-        if not steps.begin(g, epsilon, precise):
-            steps = HostSteps(problem)
-            steps.begin(g, epsilon, precise)
+        steps.begin(g, epsilon, precise)
         extrapolated = False
         floor = -np.inf  # the dual that the plain iteration had reached
         first, best, since_best = 0.0, np.inf, 0

@@ -42,11 +42,10 @@ class HostSteps:
     def __init__(self, problem: Problem) -> None:
         self._problem, self._memory = problem, Anderson()
 
-    def begin(self, g: Array, epsilon: float, precise: bool) -> bool:
+    def begin(self, g: Array, epsilon: float, precise: bool) -> None:
         """Set the potential g, (M,), at which the next iteration begins."""
         self._g, self._epsilon, self._precise = g, epsilon, precise
         self._fallback = g
-        return True
 
     def update_rows(self) -> None:
         """Update f and the shift of g."""
@@ -117,10 +116,10 @@ class DeviceSteps:
         self._radius, self._was_cut = TRUST_RADIUS, False
         self._begun, self._next = False, 0
 
-    def begin(self, g: Array, epsilon: float, precise: bool) -> bool:
-        """Set the potential g, (M,), or return False if the device cannot go on."""
+    def begin(self, g: Array, epsilon: float, precise: bool) -> None:
+        """Set the potential g, (M,), at which the next iteration begins."""
         self._precise, self._guessed = precise, False
-        return self._iteration.set_potential(g, epsilon, precise)
+        self._iteration.set_potential(g, epsilon, precise)
 
     def update_rows(self) -> None:
         """Run an iteration, as if its potential were good."""

@@ -24,12 +24,11 @@ from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
 from clmorph.backends.opencl.kernels.row_loop import KEPT_LEVELS, LOG2_E, RowLoop
 from clmorph.backends.records import Float64, IterationNumbers
 
-#: The largest number of points of a side on devices that are not the host's processor. A single
-#: work-group of a graphics card has a small share of its float64 arithmetic.
-MOST_POINTS = 2048
-
-#: The number of softmins that are tried until one takes one launch.
-TRIALS = 8
+#: The largest number of pairs of points on the host's processor, where a softmin of so many takes
+#: some tens of milliseconds in its one launch, and on other devices: a single work-group of a
+#: graphics card has a small share of its float64 arithmetic. Measured speeds decide nothing here,
+#: so that a problem is always solved in the same way.
+MOST_PAIRS, MOST_PAIRS_ELSEWHERE = 1 << 25, 1 << 22
 
 _START = COLUMN_SLOTS.index("START")
 _FIRST = {name: COLUMN_SLOTS.index(f"{name}_0") for name in ("IMAGE", "GUESS")}
@@ -76,9 +75,9 @@ class DeviceIteration:
     parity: int = 0
     prepared: int = -1
 
-    def set_potential(self, g: Float64, epsilon: float, precise: bool) -> bool:
+    def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
         """Set the potential at which the next iteration begins."""
-        return self.steps.set_potential(self, g, epsilon, precise)
+        self.steps.set_potential(self, g, epsilon, precise)
 
     def iterate(self, begun: bool, place: int, count: int, radius: float) -> IterationNumbers:
         """Run one iteration, with one wait."""
@@ -157,12 +156,12 @@ class HalfSteps:
         """Put the vectors of an iteration on the device, or return None."""
         loop, work = self._loop, self._loop.work
         tiles = len(rows.centers), len(columns.centers)
+        is_processor = work.device.type & cl.device_type.CPU
+        most = MOST_PAIRS if is_processor else MOST_PAIRS_ELSEWHERE
         if (
             not Variant("half_steps.cl").suits(loop.constants)
             or tiles[0] * tiles[1] > KEPT_LEVELS
-            or not (
-                work.device.type & cl.device_type.CPU or max(len(rows), len(columns)) <= MOST_POINTS
-            )
+            or rows.stride * columns.stride > most
         ):
             return None
         differences = rows.centers[:, None] - columns.centers
@@ -207,25 +206,13 @@ class HalfSteps:
 
     def _set_potential(
         self, iteration: DeviceIteration, g: Float64, epsilon: float, precise: bool
-    ) -> bool:
+    ) -> None:
         """Write the potential at which the next iteration begins; see `ResidentIteration`."""
         columns, work = iteration.columns, self._loop.work
         values = pad(np.asarray(g, float)[columns.order], columns.stride, 0.0)
         iteration.epsilon, iteration.precise = epsilon, precise
         iteration.at, iteration.prepared = _START, -1
         cl.enqueue_copy(work.queue, iteration.work["start"], values, is_blocking=True)
-        return self._fits(iteration)
-
-    def _fits(self, iteration: DeviceIteration) -> bool:
-        """Return whether a softmin takes one launch; softmins in parts show how long it takes."""
-        rows, columns = iteration.rows, iteration.columns
-        pairs = rows.stride * columns.stride
-        for _ in range(TRIALS):
-            if self._budget(iteration).pairs() >= pairs:
-                return True
-            zeros = np.zeros(len(columns))
-            self._log_sum_exp.of_sorted(rows, columns, zeros, iteration.epsilon, iteration.precise)
-        return self._budget(iteration).pairs() >= pairs
 
     def _budget(self, iteration: DeviceIteration) -> LaunchBudget:
         loop = self._loop
