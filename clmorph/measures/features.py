@@ -119,13 +119,14 @@ def with_features(
             f"{MAX_DIMENSION} in all and position and color take {OWN}; reduce them, by principal "
             "components for example"
         )
-    small = [
-        reduced_values(each, measure.shape).reshape(len(measure), -1)
-        for measure, each in zip(measures, features, strict=True)
-    ]
-    # Distances do not depend on the origin, but rounding does.
-    middle = 0.5 * (small[0].mean(axis=0) + small[1].mean(axis=0))
-    scaled = [weights * (each - middle) for each in small]
+    with np.errstate(over="ignore", invalid="ignore"):  # too large ones are refused below
+        small = [
+            reduced_values(each, measure.shape).reshape(len(measure), -1)
+            for measure, each in zip(measures, features, strict=True)
+        ]
+        # Distances do not depend on the origin, but rounding does.
+        middle = 0.5 * (small[0].mean(axis=0) + small[1].mean(axis=0))
+        scaled = [weights * (each - middle) for each in small]
     largest = max(float(np.abs(each).max()) for each in scaled)
     if not largest <= MAX_FEATURE:
         raise InputError(

@@ -101,18 +101,26 @@ def read_landmarks(text: str) -> tuple[tuple[Point, Point], ...]:
             raise ValueError(text) from None
     try:
         with Path(text).open(encoding="utf-8-sig") as stream:
-            lines = stream.read(MAX_FILE).splitlines()
+            content = stream.read(MAX_FILE + 1)
     except (OSError, ValueError) as error:
         raise InputError(f"{text}: landmarks cannot be read ({reason_of(error)})") from None
-    found = []
-    for k, line in enumerate(lines):
+    if len(content) > MAX_FILE:
+        raise InputError(f"{text}: larger than {MAX_FILE} characters: expected a line a landmark")
+    found: list[tuple[list[float | None], list[float | None]]] = []
+    titled = False
+    for k, line in enumerate(content.splitlines()):
         cells = [cell.strip() for cell in line.split("#")[0].replace(";", ",").split(",")]
         numbers = [as_number(cell) for cell in cells]
-        if cells == [""] or (k == 0 and None in numbers):
+        if cells == [""]:
+            continue
+        if not (found or titled or any(number is not None for number in numbers)):
+            titled = True  # the first line may name the columns
             continue
         if len(numbers) != 4 or None in numbers:
             raise InputError(f"{text}, line {k + 1}: {shown(line)}: expected x,y,x',y' in pixels")
         found.append((numbers[:2], numbers[2:]))
+    if not found:
+        raise InputError(f"{text}: no landmarks in it; expected lines x,y,x',y' in pixels")
     return check_landmarks("landmarks", found)
 
 

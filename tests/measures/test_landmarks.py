@@ -282,7 +282,7 @@ def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng):
     monkeypatch.chdir(tmp_path)
     for name in "abc":
         Image.fromarray(rng.integers(0, 255, (12, 14, 3), np.uint8)).save(f"{name}.png")
-    (tmp_path / "pairs.csv").write_text("x,y,to x,to y\n5,5,6,6  # the nose\n\n9;7;8;8\n")
+    (tmp_path / "pairs.csv").write_text("# faces\nx,y,to x,to y\n5,5,6,6  # the nose\n\n9;7;8;8\n")
     options = ["--frames", "3", "--backend", "numpy", "--preset", "photo"]
     written = {}
     for name, given in {
@@ -306,9 +306,15 @@ def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng):
     (tmp_path / "own.toml").write_text(capfd.readouterr().out)
     assert clmorph.load_options("own.toml")["landmarks"] == known
     (tmp_path / "bad.csv").write_text("1,2,3,4\n1,2,3\n")
+    (tmp_path / "typo.csv").write_text("1O,20,30,40\n5,6,7,8\n")
+    (tmp_path / "empty.csv").write_text("# nothing\nx,y,to x,to y\n\n")
+    (tmp_path / "huge.csv").write_text("1,2,3,4\n" * (1 << 18))
     for given, told in {
         "bad.csv": "bad.csv, line 2: '1,2,3': expected x,y,x',y' in pixels",
         "no.csv": "no.csv: landmarks cannot be read",
+        "typo.csv": "typo.csv, line 1: '1O,20,30,40': expected x,y,x',y' in pixels",
+        "empty.csv": "empty.csv: no landmarks in it",
+        "huge.csv": "huge.csv: larger than",
         "5,5": "expected x,y:x',y' in pixels",
         "5,5:inf,3": "expected x,y:x',y' in pixels",
         "5,5:99,3": "outside image_b",
