@@ -15,6 +15,7 @@ from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.kernel_files import KERNELS
 from clmorph.backends.verification.batches import check_softmin_batch
 from clmorph.backends.verification.clouds import CloudCase, splat_case
+from clmorph.backends.verification.iterations import check_iteration
 from clmorph.backends.verification.plans import check_plan_rows, check_stored
 from clmorph.backends.verification.reductions import (
     check_bounded_softmin,
@@ -142,6 +143,9 @@ def _checks(operations: Operations) -> Iterator[Check]:
         kernels = (*KERNELS["sliced_ellpack.cl"], *_PLAN, *_NEAR * listed)
         yield Check(kernels, partial(check_stored, case, listed))
     yield Check(("log_sum_exp",), partial(check_offsets, case))
+    for balanced in (0, 3):
+        kernels = (*KERNELS["half_steps.cl"], "log_sum_exp")
+        yield Check(kernels, partial(check_iteration, case, balanced))
     for kind in ((False, False), (True, False), (True, True)):
         yield Check(("log_sum_exp",), partial(check_softmin_batch, operations, exact, 5, *kind))
     # Of a few rows so many draws are compared that a single column's share shows.

@@ -55,7 +55,8 @@ def check_iteration(case: CloudCase, balanced: int) -> Iterator[Finding]:
         *case.ours, (case.rows[1], case.columns[1]), (inverse_rho[0], inverse_rho[1])
     )
     name = f"start_iteration{case.name}, balanced {balanced}"
-    assert iteration is not None
+    if iteration is None:  # the host iterates, in NumPy
+        return
     iteration.set_potential(case.g, epsilon, False)
     tolerances = [case.tolerance() * factor for factor in (PLAIN, UNDAMPED)]
     later = tolerances[balanced == 3]
