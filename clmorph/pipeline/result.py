@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from clmorph._shared.validation import check_integer, check_number
 from clmorph.backends.arrays import pyopencl_needed
 from clmorph.backends.interface import Operations
-from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
