@@ -11,5 +11,5 @@ __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 # Modules that were documented and have moved: their old names still work, with a warning.
 __path__.append(str(Path(__file__).parent / "_moved"))
 
-# Doors of other libraries: `import clmorph.torch`, and so on.
+# Interfaces of other libraries: `import clmorph.torch`, and so on.
 __path__.append(str(Path(__file__).parent / "adapters"))

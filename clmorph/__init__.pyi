@@ -69,6 +69,9 @@ from .frames.particles import (
 from .frames.particles import (
     particles as particles,
 )
+from .images.label_maps import (
+    read_labels as read_labels,
+)
 from .images.pixels import (
     fit as fit,
 )
@@ -216,6 +219,7 @@ __all__ = [
     "morph",
     "particles",
     "read_image",
+    "read_labels",
     "rearrange",
     "reference",
     "sample_plan",

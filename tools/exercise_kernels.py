@@ -24,7 +24,10 @@ from clmorph.backends.opencl.build import constants as build_constants
 from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants, lanes_constants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.kernels.launches import Workspace
+from clmorph.measures.points import WeightedPoints
 from clmorph.reference import NumPyOperations
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.steps import new_steps
 
 #: All kinds of devices, with float64 and without, and with loops of any length or short ones.
 BUILDS = {
@@ -33,6 +36,24 @@ BUILDS = {
     "lanes": lanes_constants(64),
     "vector-16-pairs": replace(cpu_constants(16), precise=1),
 }
+
+
+def iterated(operations: Operations, rho: tuple[float, float], precise: bool) -> list[np.ndarray]:
+    """Run a few steps of the solver, and take one back; on the device where it has float64."""
+    rng = np.random.default_rng(2)
+    measures = [WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in (130, 67)]
+    steps = new_steps(Problem.between(operations, *measures, rho))
+    steps.begin(np.zeros(67), 0.05, precise)
+    for extrapolate in (True, True, True):
+        steps.update_rows()
+        steps.update_columns()
+        steps.go_on(extrapolate)
+    steps.update_rows()
+    steps.take_back()
+    steps.update_rows()
+    residual = steps.update_columns()
+    found = steps.reached(residual)
+    return [found.f, found.g, found.t_columns, np.array([steps.row_dual[1], steps.column_dual])]
 
 
 def exercise(operations: Operations) -> list[np.ndarray]:
@@ -53,6 +74,8 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         operations.bounded_softmin(rows, columns, g, 0.01)[0],
         operations.bounded_softmin(columns, rows, f, 0.01)[0],
     ]
+    results += iterated(operations, (0.3, 0.5), precise=False)
+    results += iterated(operations, (np.inf, np.inf), precise=True)
     # Three problems, then the outer two.
     counts = np.array([60, 1, 69]), np.array([1, 40, 26])
     points = [rng.random((size, 5)) for size in (n, m)]

@@ -34,7 +34,7 @@ from peers import outcomes, sources
 TOOLS = Path(__file__).resolve().parent
 LIBRARIES = {"pot": "ot", "geomloss": "geomloss", "ott": "ott"}
 #: POT's tests that call `solve_sample`.
-DOOR_TESTS = (
+INTERFACE_TESTS = (
     "test_solve_sample", "test_solve_sample_lazy", "test_solve_sample_debias",
     "test_solve_sample_NotImplemented",
 )  # fmt: skip
@@ -106,10 +106,10 @@ def make_suites(library: str, cache: Path, work: Path, extra: Path | None) -> li
         # Both sides of each comparison are called by name: nothing is replaced.
         suites.append(("POT: problems of ours", "", "", cases, [cases / "pot_cases.py"]))
         suites += [
-            ("POT's tests of solve_sample, by our door", "pot_door", fixtures, root,
-             [root / "test" / f"test_solvers.py::{test}" for test in DOOR_TESTS]),
+            ("POT's tests of solve_sample, by our interface", "pot_interface", fixtures, root,
+             [root / "test" / f"test_solvers.py::{test}" for test in INTERFACE_TESTS]),
             ("POT: lazy and unbalanced, which it refuses", "", "", cases,
-             [cases / "pot_door_cases.py"]),
+             [cases / "pot_interface_cases.py"]),
         ]  # fmt: skip
     if library == "ott":
         # It puts the adapter in place itself, to have OTT's own answers as well.

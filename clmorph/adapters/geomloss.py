@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from clmorph.adapters import torch as door
+from clmorph.adapters import torch as losses
 from clmorph.backends.select import Backend
 from clmorph.errors import InputError
 
@@ -69,7 +69,7 @@ class SamplesLoss:
             value = given[name]
             if value is not only and not (isinstance(value, int | str) and value == only):
                 raise InputError(
-                    f"{name} is not {only!r}: this door knows that value alone; use GeomLoss for "
+                    f"{name} is not {only!r}: clmorph knows that value alone; use GeomLoss for "
                     "others"
                 )
         self.blur, self.reach, self.device = blur, reach, device
@@ -92,4 +92,4 @@ class SamplesLoss:
             a, x, b, y = tensors
         else:
             raise InputError(f"{len(tensors)} tensors: expected (x, y) or (a, x, b, y)")
-        return door.sinkhorn_divergence(a, x, b, y, self.blur, self.reach, backend=self.device)
+        return losses.sinkhorn_divergence(a, x, b, y, self.blur, self.reach, backend=self.device)

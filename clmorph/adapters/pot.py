@@ -24,7 +24,7 @@ __all__ = ["LazyPlan", "OTResult", "UnsupportedError", "solve_sample"]
 
 
 class UnsupportedError(InputError, NotImplementedError):
-    """A problem of POT that this door does not solve; POT raises NotImplementedError, too."""
+    """A problem of POT that this interface does not solve; POT raises NotImplementedError, too."""
 
 
 #: Residual at which the solver stops, in units of epsilon.

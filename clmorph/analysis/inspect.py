@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any, Unpack
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from clmorph._shared.options import specifications
@@ -18,7 +20,6 @@ from clmorph.errors import PlanSizeError
 from clmorph.measures.landmark_options import GuideOptions
 from clmorph.measures.measure import Measure
 from clmorph.measures.options import LiftOptions
-from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.budget import (
     check_ways,
@@ -29,6 +30,7 @@ from clmorph.pipeline.budget import (
 )
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords
+from clmorph.pipeline.maps import Maps
 from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
@@ -38,11 +40,11 @@ from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.displacement import Displacement, displacement_of, displacement_statistics
 from clmorph.transport.divergence import sinkhorn_divergence
 from clmorph.transport.options import MAX_DRAWS, PruningOptions, Reach, SolverOptions
-from clmorph.transport.plan import Plan
+from clmorph.transport.plan import BYTES_PER_PAIR, Plan
 from clmorph.transport.plan_building import transport_plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.refine_plan import refined
-from clmorph.transport.sinkhorn import sinkhorn
+from clmorph.transport.subproblems import Subproblem, joined
 
 __all__ = ["Inspection", "Seconds", "inspect"]
 
@@ -63,6 +65,8 @@ def inspect(
     backend: Backend = "auto",
     weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
     color_metric: ArrayLike | None = None,
+    labels: tuple[ArrayLike, ArrayLike] | None = None,
+    features: tuple[ArrayLike, ArrayLike] | None = None,
     divergence: bool = True,
     max_bytes: float = PruningOptions.max_bytes,
     progress: StageProgress | None = None,
@@ -72,10 +76,11 @@ def inspect(
 
     Parameters
     ----------
-    image_a, image_b, options, preset, backend, weights, color_metric
+    image_a, image_b, options, preset, backend, weights, color_metric, labels, features
         As in `clmorph.morph`.
     divergence : bool
-        Whether to compute the Sinkhorn divergence: two further, easier solves.
+        Whether to compute the Sinkhorn divergence: two further, easier solves. With labels there
+        is none.
     max_bytes : float
         The limit of the plan's memory in bytes, see `clmorph.transport_plan`. The pairs of a
         larger plan are counted, but the plan is not built.
@@ -121,9 +126,11 @@ def inspect(
     max_bytes = PruningOptions.checked("max_bytes", max_bytes)
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
-    pair = ImagePair(fitted(images, chosen, weights, color_metric), chosen, shapes_of(images))
-    whole = pair.measures(weights, color_metric)
+    maps = Maps(weights, color_metric, labels, features)
+    pair = ImagePair(fitted(images, chosen, maps), chosen, shapes_of(images), maps)
+    whole = pair.measures()
     blocks = pair.blocks(*whole)
+    parts = pair.parts(blocks)
     source, target = blocks[0].coarse, blocks[1].coarse
     tol, max_iter, log_threshold = chosen.tol, chosen.max_iter, chosen.log_threshold
     max_particles, max_memory, n_frames = chosen.max_particles, chosen.max_memory, chosen.n_frames
@@ -131,13 +138,12 @@ def inspect(
     check_ways(*blocks, operations, max_memory=max_memory, log_threshold=log_threshold)
     report("transport", 0.0)
     began = time.perf_counter()
-    potentials = sinkhorn(
-        source, target, backend=operations, progress=lambda share: report("transport", share),
-        **chosen.of(SolverOptions),
-    )  # fmt: skip
+    solved, potentials = pair.solve(
+        parts, (source.mass, target.mass), operations, lambda share: report("transport", share)
+    )
     transport_seconds = time.perf_counter() - began
 
-    found, why = None, _no_divergence(source, potentials, divergence)
+    found, why = None, _no_divergence(source, potentials, divergence, maps)
     if not why:
         report("divergence", 0.0)
         found = sinkhorn_divergence(
@@ -146,24 +152,26 @@ def inspect(
         )  # fmt: skip
 
     report("plan", 0.0)
-    plan, pairs, plan_seconds = _plan(
-        source, target, potentials, max_bytes, log_threshold, operations
-    )
+    plan, pairs_of, plan_seconds = _plan(parts, solved, max_bytes, log_threshold, operations)
+    pairs = sum(pairs_of)
     if plan is not None and log_threshold is not None:
         warn_if_much_is_dropped(plan, log_threshold, stacklevel=2)
     if plan is None:
-        moved = _streamed_displacement(source, target, potentials, operations)
-        plan_seconds += fill_seconds(source, target, potentials, pairs, operations)
+        moved = _streamed_displacement(source, target, parts, solved, operations)
+        for part, each, count in zip(parts, solved, pairs_of, strict=True):
+            plan_seconds += fill_seconds(*part.measures, each, count, operations)
     else:
         moved = displacement_statistics(source, target, plan)
     report("plan", 1.0)
 
     report("timing", 0.0)
     way = choose_way(
-        *blocks, potentials, operations, max_particles, max_memory, log_threshold, stacklevel=2
+        parts, solved, operations, max_particles, max_memory, log_threshold, stacklevel=2
     )
-    drawn, moving = _drawn(blocks, potentials, plan, pairs, way, operations)
-    frames = frame_seconds(*whole, potentials, drawn, moving, n_frames, operations, chosen.detail)
+    drawn, moving = _drawn(parts, solved, plan, pairs, way, operations)
+    frames = frame_seconds(
+        *whole, potentials, drawn, moving, n_frames, operations, chosen.detail, pair.labels(*whole)
+    )
     report("timing", 1.0)
     return Inspection(
         source=source,
@@ -189,55 +197,72 @@ def inspect(
 
 
 def _plan(
-    source: Measure,
-    target: Measure,
-    potentials: Potentials,
+    parts: Sequence[Subproblem],
+    solved: Sequence[Potentials],
     max_bytes: float,
     log_threshold: float | None,
     operations: Operations,
-) -> tuple[Plan | None, int, float]:
-    """Return the plan if it may be built, its number of pairs, and the seconds it took."""
+) -> tuple[Plan | None, list[int], float]:
+    """Return the plan between blocks if it may be built, its pairs in each part, and its seconds.
+
+    The plan is None if its pairs would take more than `max_bytes`.
+    """
     began = time.perf_counter()
-    plan: Plan | None = None
-    try:
-        plan = transport_plan(
-            source, target, potentials, log_threshold=log_threshold, max_bytes=max_bytes,
-            backend=operations,
-        )  # fmt: skip
-        pairs = len(plan)
-    except PlanSizeError as error:
-        pairs = error.pairs
-    return plan, pairs, time.perf_counter() - began
+    plans: list[Plan] = []
+    pairs: list[int] = []
+    for part, potentials in zip(parts, solved, strict=True):
+        try:
+            left = max(1.0, max_bytes - BYTES_PER_PAIR * sum(pairs))
+            plan = transport_plan(
+                *part.measures, potentials, log_threshold=log_threshold, max_bytes=left,
+                backend=operations,
+            )  # fmt: skip
+            plans.append(part.between_blocks(plan))
+            pairs.append(len(plan))
+        except PlanSizeError as error:
+            pairs.append(error.pairs)
+    seconds = time.perf_counter() - began
+    if len(plans) < len(parts):
+        return None, pairs, seconds
+    whole = joined(parts, plans)
+    assert isinstance(whole, Plan)
+    return whole, pairs, seconds
 
 
 def _drawn(
-    blocks: tuple[PixelBlocks, PixelBlocks],
-    potentials: Potentials,
+    parts: Sequence[Subproblem],
+    solved: Sequence[Potentials],
     plan: Plan | None,
     pairs: int,
     way: dict[str, Any],
     operations: Operations,
 ) -> tuple[Plan | Barycentric | None, int]:
     """Return the plan that a morph would draw, if it may be built, and its number of pairs."""
+    blocks = parts[0].blocks
     finest = finest_pixels(*blocks)
     if way:
-        made = make_plan(*blocks, potentials, operations, **way)
+        made = make_plan(parts, solved, operations, **way)
         return made, len(made)
     if plan is not None:
-        made = refined(plan, *blocks)
+        if parts[0].points is None or finest == 1:
+            made = refined(plan, *blocks)
+        else:
+            made = make_plan(parts, solved, operations, max_memory=np.inf)
         return made, len(made)
-    if finest == 1:
+    if finest == 1 and parts[0].points is None:
         return None, pairs
     # A sample takes the place of a plan that may not be built: pairs of pixels, as a morph draws.
     draws = max(1, min(MAX_DRAWS // finest, SAMPLED_PAIRS // len(blocks[0].fine)))
     way = {"sample": draws} if finest <= MAX_DRAWS else {"barycentric": True}
-    return make_plan(*blocks, potentials, operations, **way), pairs * finest
+    return make_plan(parts, solved, operations, **way), pairs * finest
 
 
-def _no_divergence(source: Measure, potentials: Potentials, wanted: bool) -> str:
+def _no_divergence(source: Measure, potentials: Potentials, wanted: bool, maps: Maps) -> str:
     """Return the reason why there is no divergence; empty if there is one."""
     if not wanted:
         return "not asked for"
+    if maps.labels is not None:
+        return "labels keep parts of the images apart"
     if isinstance(potentials.reach, tuple):
         return "reach differs between source and target"
     if source.has_metric_map:
@@ -251,15 +276,31 @@ def _one(reach: Reach) -> float | None:
 
 
 def _streamed_displacement(
-    source: Measure, target: Measure, potentials: Potentials, operations: Operations
+    source: Measure,
+    target: Measure,
+    parts: Sequence[Subproblem],
+    solved: Sequence[Potentials],
+    operations: Operations,
 ) -> Displacement:
     """Return the displacement by the whole plan, without building it."""
-    rows, columns = (
-        operations.upload(measure.points, measure.weights, measure.offsets)
-        for measure in as_pair(source, target)
+    moments, rows, columns = (
+        np.zeros((len(source), 2)),
+        np.zeros(len(source)),
+        np.zeros(len(target)),
     )
-    g, epsilon, precise = potentials.g, potentials.epsilon, potentials.precise
-    softmin = operations.softmin(rows, columns, g, epsilon, precise)
-    mean, _ = operations.plan_moments(rows, columns, g, softmin, epsilon, precise)
-    # Positions are the first two coordinates of lifted points, whatever the cost.
-    return displacement_of(source, target, mean[:, :2], potentials.row_mass, potentials.column_mass)
+    for part, potentials in zip(parts, solved, strict=True):
+        points = part.points or (np.arange(len(source)), np.arange(len(target)))
+        clouds = [
+            operations.upload(measure.points, measure.weights, measure.offsets)
+            for measure in as_pair(*part.measures)
+        ]
+        g, epsilon, precise = potentials.g, potentials.epsilon, potentials.precise
+        softmin = operations.softmin(clouds[0], clouds[1], g, epsilon, precise)
+        mean, _ = operations.plan_moments(clouds[0], clouds[1], g, softmin, epsilon, precise)
+        # Positions are the first two coordinates of lifted points, whatever the cost.
+        moments[points[0]] += mean[:, :2] * potentials.row_mass[:, None]
+        rows[points[0]] += potentials.row_mass
+        columns[points[1]] += potentials.column_mass
+    ends = source.positions.copy()
+    np.divide(moments, rows[:, None], out=ends, where=rows[:, None] > 0)
+    return displacement_of(source, target, ends, rows, columns)

@@ -1,11 +1,13 @@
 """Estimate the time of frames, and of a plan that was not built, from measurements on a sample."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from clmorph._shared.typing import IntArray
 from clmorph.backends.interface import Operations
 from clmorph.frames.carried_detail import band_width
 from clmorph.frames.frame_renderer import FrameRenderer
@@ -22,6 +24,8 @@ from clmorph.transport.plan import Plan
 from clmorph.transport.plan_sampling import sample_plan
 from clmorph.transport.potentials import Potentials
 
+#: Labels of the pixels of both images.
+Labels = tuple[IntArray, IntArray] | None
 #: The largest number of pairs that are drawn; the time of more pairs is extrapolated from this
 #: number and a quarter of it.
 SAMPLED_PAIRS = 1 << 20
@@ -39,6 +43,7 @@ def frame_seconds(
     n_frames: int,
     operations: Operations,
     detail: Detail = RenderOptions.detail,
+    labels: Labels = None,
 ) -> float:
     """Estimate how long a morph takes to make particles of a plan and to draw its frames.
 
@@ -57,6 +62,8 @@ def frame_seconds(
     n_frames : int
     operations : Operations
     detail : {"carried", "particles", "shapes", "pixels"}
+    labels : pair of integer arrays, optional
+        See `clmorph.frames.particles.Particles`.
 
     Returns
     -------
@@ -71,7 +78,7 @@ def frame_seconds(
         most = min(len(plan), SAMPLED_PAIRS)
         sizes = [most] if len(plan) == most == pairs else [max(1, most // 4), most]
         plans = [_thinned(plan, size) for size in sizes]
-    found = [_time(source, target, thin, operations, detail) for thin in plans]
+    found = [_time(source, target, thin, operations, detail, labels) for thin in plans]
     each, once = found[-1]
     if len(found) > 1 and len(plans[1]) > len(plans[0]):
         more = (pairs - len(plans[1])) / (len(plans[1]) - len(plans[0]))
@@ -124,6 +131,7 @@ def _time(
     plan: Plan | Barycentric,
     operations: Operations,
     detail: Detail,
+    labels: Labels,
 ) -> tuple[float, float]:
     """Return the seconds of one frame, and those of the preparation before the first frame."""
     start, end = (auto_sigma(image) for image in _images(source, target))
@@ -132,6 +140,7 @@ def _time(
 
     def renderer(detail: str) -> FrameRenderer:
         moving = particles(source, target, plan, path_space=RenderOptions.path_space)
+        moving = replace(moving, labels=labels)
         return FrameRenderer(
             source, target, plan, moving, width, operations, RenderOptions.endpoints,
             RenderOptions.unmatched, detail,

@@ -10,7 +10,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.backends.records import Bins, Float32, Float64, NearPairs, PlanRows, StoredPairs
+from clmorph.backends.records import (
+    Bins,
+    Float32,
+    Float64,
+    IterationNumbers,
+    NearPairs,
+    PlanRows,
+    StoredPairs,
+)
 
 #: The largest number of points of a cloud: kernels count columns in float32, which is exact up to
 #: this number.
@@ -20,8 +28,55 @@ MAX_BATCH = 1 << 18
 #: The largest dimension of points: a kernel keeps one register for each coordinate.
 MAX_DIMENSION = 11
 
+#: The number of iterates that an accelerated iteration stores, and the regularization of its
+#: least-squares problem, relative to the diagonal.
+MEMORY, RIDGE = 16, 1e-10
+
 #: The largest error of a splat's kernel, as a share of the kernel's peak.
 KERNEL_ERROR = 1e-6
+
+
+class ResidentIteration(Protocol):
+    """Sinkhorn's iteration between two clouds, whose vectors stay on the device.
+
+    An iteration is a half-step of f and one of g, each with its shift, and an extrapolation of g:
+    the formulas of `clmorph.transport._solver.half_steps`. The host reads a few numbers and
+    decides which potential is the next.
+    """
+
+    def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
+        """Set the potential at which the next iteration begins.
+
+        Parameters
+        ----------
+        g : (M,) array, cost units
+        epsilon, precise
+            As in `Operations.softmin`.
+        """
+
+    def iterate(self, begun: bool, place: int, count: int, radius: float) -> IterationNumbers:
+        """Run one iteration, with one wait.
+
+        Parameters
+        ----------
+        begun : bool
+            Whether an iterate is stored, with which this one makes a difference.
+        place : int
+            The place of the difference, in 0 <= place < 16.
+        count : int
+            The number of differences that are then stored, at most 16.
+        radius : float
+            Radius of the trust region, see `clmorph.transport._solver.anderson`.
+        """
+
+    def go_on(self, extrapolated: bool) -> None:
+        """Take the last iteration's extrapolation, or its image of g, as the next potential."""
+
+    def go_back(self) -> None:
+        """Drop the last iteration, and take the image of the one before as the next potential."""
+
+    def potentials(self) -> tuple[Float64, Float64, Float64]:
+        """Return f, the image of g, and T(f) after the last iteration: (N,), (M,), (M,) arrays."""
 
 
 class Operations(Protocol):
@@ -131,6 +186,24 @@ class Operations(Protocol):
         error : float
             A bound of the rounding error of the sums' logarithms, in nats; infinite where
             numbers are too large for a bound. It does not cover the pairs that `near` leaves out.
+        """
+
+    def start_iteration(
+        self,
+        rows: Any,
+        columns: Any,
+        weights: tuple[Float64, Float64],
+        inverse_rho: tuple[float, float],
+    ) -> ResidentIteration | None:
+        """Return an iteration whose vectors stay on the device; None where there is none.
+
+        Parameters
+        ----------
+        rows, columns : clouds of N and M points
+        weights : (N,) and (M,) arrays
+            Their masses.
+        inverse_rho : (float, float)
+            Inverses of the marginal penalties; 0 is balanced.
         """
 
     def upload_batch(

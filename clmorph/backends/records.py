@@ -47,6 +47,18 @@ class StoredPairs(NamedTuple):
     n_pairs: int  #: number of pairs
 
 
+class IterationNumbers(NamedTuple):
+    """What the host reads after an iteration on the device; see `Iteration`."""
+
+    mass: float  #: of the plan, after the half-step of f
+    row_dual: float  #: the dual then, without its constant
+    residual: float  #: after the softmin of f, units of epsilon
+    column_dual: float  #: the dual after the half-step of g, without its constant
+    extrapolated: bool  #: whether there is a guess for the next potential
+    cut: bool  #: whether the trust region has limited it
+    finite: bool  #: whether both softmins are finite
+
+
 def bin_grid(shape: tuple[int, int], margin: int, size: float) -> tuple[int, int]:
     """Return the number of bins along y and x for a canvas and its margin."""
     height, width = (int(-(-side // size)) + 2 * margin for side in shape)

@@ -32,4 +32,6 @@ def check_client(client: Any) -> Any:
 
     if not isinstance(client, Client):
         raise InputError(f"client={shown(client)}: expected a distributed.Client")
+    if client.status != "running":
+        raise InputError(f"client={shown(client)}: it is closed; expected one that is connected")
     return client

@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import math
 import os
 import re
 from collections.abc import Iterable, Mapping
@@ -13,10 +14,8 @@ from urllib.parse import quote
 
 from clmorph._shared.files import atomic_path
 from clmorph._shared.printable import MESSAGE, printable, size_text
-from clmorph.batch.places import is_remote, local_output, name_of, resolved
+from clmorph.batch.places import INDEX, is_remote, local_output, name_of, resolved
 
-#: The name of the page.
-NAME = "index.html"
 #: The columns with numbers: the key of a record, the heading, and the format.
 NUMBERS = (
     ("seconds", "seconds", "{:.1f}"),
@@ -42,7 +41,7 @@ def write_index(folder: str, records: Iterable[Mapping[str, Any]]) -> str:
     OutputError
         If it cannot be written.
     """
-    place = resolved(NAME, folder)
+    place = resolved(INDEX, folder)
     text = index_page(folder, list(records))
     with local_output(place) as path:
         if is_remote(place):
@@ -95,10 +94,12 @@ def _row(folder: str, record: Mapping[str, Any]) -> str:
     cells.append(f"<td>{_ascii(shown)}</td>")
     for key, _, form in NUMBERS:
         value = record.get(key)
-        if not isinstance(value, int | float):
+        if not isinstance(value, int | float) or not math.isfinite(value):
             cells.append('<td class="number" data-value=""></td>')
             continue
-        text = form.format(value) if form else size_text(value)
+        if form in ("", "{:d}"):
+            value = int(value)
+        text = form.format(value) if form else size_text(int(value))
         cells.append(f'<td class="number" data-value="{value!r}">{_ascii(text)}</td>')
     cells.append(f'<td class="device">{_ascii(str(record.get("device", "")))}</td>')
     cells.append(f'<td class="line">{_ascii(str(record.get("line", "")))}</td>')

@@ -4,7 +4,7 @@ import csv
 import io
 import itertools
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 from clmorph._shared.options import from_line, outside_name, specifications, unknown_option
 from clmorph._shared.printable import printable
 from clmorph._shared.validation import shown
-from clmorph.batch.places import name_of, read_bytes, resolved
+from clmorph.batch.places import INDEX, JOURNAL, identity_of, name_of, read_bytes, resolved
 from clmorph.errors import FileError, InputError
 from clmorph.output.formats.registry import by_ending, usual_endings
 from clmorph.pipeline.options import MorphOptions, preset_options
@@ -21,6 +21,12 @@ from clmorph.pipeline.recipe import PRESET, options_of
 
 #: Columns that each job has.
 COLUMNS = ("source", "target", "output")
+#: Columns of files beside the pictures, two of a kind or none.
+BESIDE = {
+    "labels": ("source_labels", "target_labels"),
+    "features": ("source_features", "target_features"),
+}
+_FILES = tuple(name for names in BESIDE.values() for name in names)
 #: Words of a CSV file for truth values.
 FLAGS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 #: Endings of pictures that are taken from a folder.
@@ -46,6 +52,8 @@ class Job:
     own_preset : bool
         Whether the row names the preset, which then wins over the defaults.
     max_pixels : int
+    beside : dict
+        Absolute paths of the label images and of the features of both pictures, by these words.
     """
 
     where: str
@@ -57,6 +65,12 @@ class Job:
     defaults: Mapping[str, Any] = field(default_factory=dict)
     own_preset: bool = False
     max_pixels: int = 0
+    beside: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def read(self) -> list[str]:
+        """The files that the job reads."""
+        return [self.source, self.target, *(place for two in self.beside.values() for place in two)]
 
     def settled(self, preset: str | None) -> MorphOptions:
         """Return the options of the morph, as ``clmorph morph`` joins them."""
@@ -99,9 +113,9 @@ def read_jobs(place: str, defaults: Defaults) -> list[Job]:
     rows = list(_csv_rows(place, text) if ending == "csv" else _json_rows(place, text))
     if not rows:
         raise FileError(f"{place}: no jobs in it; expected rows of {', '.join(COLUMNS)}")
-    base = place.rpartition("/")[0] if "://" in place else str(Path(place).parent)
+    base = _folder_of(place)
     jobs = [_job(where, row, options, base, defaults) for where, row, options in rows]
-    return checked(jobs)
+    return checked(jobs, defaults.folder)
 
 
 def _csv_rows(place: str, text: str) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
@@ -109,7 +123,7 @@ def _csv_rows(place: str, text: str) -> Iterator[tuple[str, dict[str, Any], dict
     try:
         header = [name.strip() for name in reader.fieldnames or ()]
         _check_columns(f"{place} line 1", header)
-        reader.fieldnames = header
+        reader.fieldnames = [_plain(name) for name in header]
         for row in reader:
             where = f"{place} line {reader.line_num}"
             if None in row:
@@ -118,7 +132,7 @@ def _csv_rows(place: str, text: str) -> Iterator[tuple[str, dict[str, Any], dict
                 raise FileError(f"{where}: fewer values than the {len(header)} columns")
             given = {name: value.strip() for name, value in row.items() if value.strip()}
             if given:
-                yield where, given, _from_texts(where, given)
+                yield where, given, _from_texts(where, given, _folder_of(place))
     except csv.Error as error:
         raise FileError(f"{place} line {reader.line_num}: not CSV ({error})") from None
 
@@ -134,11 +148,13 @@ def _json_rows(place: str, text: str) -> Iterator[tuple[str, dict[str, Any], dic
         where = f"{place} entry {number}"
         if not isinstance(entry, dict):
             raise FileError(f"{where}: {shown(entry)}: expected an object with {_wanted()}")
-        for name in COLUMNS:
+        _check_columns(where, list(entry))
+        entry = {_plain(name): value for name, value in entry.items()}
+        for name in (*COLUMNS, *_FILES):
             if name in entry and not isinstance(entry[name], str):
                 raise FileError(f"{where}: {name} = {shown(entry[name])}: expected a text")
-        others = {name: value for name, value in entry.items() if name not in COLUMNS}
-        _check_columns(where, list(entry))
+        texts = (*COLUMNS, *_FILES)
+        others = {name: value for name, value in entry.items() if name not in texts}
         try:
             yield where, entry, options_of(others, where)
         except InputError as error:
@@ -155,25 +171,35 @@ def _known() -> dict[str, str]:
     return {outside_name(name, each): name for name, each in names.items()}
 
 
+def _plain(name: str) -> str:
+    """Return the name of a column without dashes."""
+    return name.replace("-", "_")
+
+
+def _folder_of(place: str) -> str:
+    """Return the folder of a table."""
+    return place.rpartition("/")[0] if "://" in place else str(Path(place).parent)
+
+
 def _check_columns(where: str, names: list[str]) -> None:
-    missing = [name for name in COLUMNS if name not in names]
+    plains = [_plain(name) for name in names]
+    missing = [name for name in COLUMNS if name not in plains]
     if missing:
         raise FileError(f"{where}: no column {' and '.join(missing)}; expected {_wanted()}")
     for number, name in enumerate(names):
-        plain = name.replace("-", "_")
-        if name in names[:number]:
+        plain = plains[number]
+        if plain in plains[:number]:
             raise FileError(f"{where}: two columns {shown(name)}")
-        if plain not in (*COLUMNS, PRESET, *_known()):
-            known = dict.fromkeys((*COLUMNS, PRESET, *_known()))
+        if plain not in (*COLUMNS, *_FILES, PRESET, *_known()):
+            known = dict.fromkeys((*COLUMNS, *_FILES, PRESET, *_known()))
             raise FileError(f"{where}: {unknown_option(name, known)}")
 
 
-def _from_texts(where: str, row: Mapping[str, str]) -> dict[str, Any]:
-    """Return the options of a row of CSV, by their names in Python."""
+def _from_texts(where: str, row: Mapping[str, str], base: str) -> dict[str, Any]:
+    """Return the options of a row of CSV, by their names in Python; `base` is its folder."""
     names, specified = _known(), specifications(MorphOptions)
     found: dict[str, Any] = {}
-    for column, text in row.items():
-        plain = column.replace("-", "_")
+    for plain, text in row.items():
         if plain == PRESET:
             found[PRESET] = text
         elif plain in names:
@@ -182,9 +208,12 @@ def _from_texts(where: str, row: Mapping[str, str]) -> dict[str, Any]:
                 flag = not each.kind.metavar
                 if flag and text.lower() not in FLAGS:
                     raise InputError(f"{shown(text)}: expected true or false")
+                # A file of landmarks is relative to the table, as pictures are.
+                if plain == "landmark" and text.lower().endswith((".csv", ".txt")):
+                    text = resolved(text, base)
                 found[names[plain]] = FLAGS[text.lower()] if flag else from_line(each, text)
             except InputError as error:
-                raise FileError(f"{where}: {column}: {error}") from None
+                raise FileError(f"{where}: {plain}: {error}") from None
     return found
 
 
@@ -200,18 +229,26 @@ def _job(
         raise FileError(f"{where}: preset = {shown(preset)}: expected one of {names}")
     source, target = (resolved(row[name], base) for name in COLUMNS[:2])
     output = resolved(row["output"], defaults.folder)
-    return _made(where, source, target, output, options, preset, defaults)
+    beside: dict[str, tuple[str, str]] = {}
+    for kind, columns in BESIDE.items():
+        given = [row[name] for name in columns if row.get(name)]
+        if len(given) == 1 or any("\0" in each for each in given):
+            raise FileError(f"{where}: expected both {' and '.join(columns)}, or none of them")
+        if given:
+            beside[kind] = resolved(given[0], base), resolved(given[1], base)
+    return _made(where, source, target, output, options, preset, defaults, beside)
 
 
 def _made(
     where: str, source: str, target: str, output: str,
     options: Mapping[str, Any], preset: str | None, defaults: Defaults,
+    beside: Mapping[str, tuple[str, str]] | None = None,
 ) -> Job:  # fmt: skip
     own = preset is not None
     preset = preset if own else defaults.preset
     job = Job(
         where, source, target, output, dict(options), None if preset == AUTO else preset,
-        dict(defaults.options), own, defaults.max_pixels,
+        dict(defaults.options), own, defaults.max_pixels, dict(beside or {}),
     )  # fmt: skip
     try:
         job.settled(job.preset)
@@ -243,18 +280,29 @@ def from_folder(folder: str, ending: str, chain: bool, defaults: Defaults) -> li
     pictures = [path for path in found if path.suffix.lower() in PICTURES and path.is_file()]
     if len(pictures) < 2:
         raise InputError(f"{folder} holds {len(pictures)} pictures: expected two or more")
+    if ending.lower() in PICTURES and identity_of(folder) == identity_of(defaults.folder):
+        raise InputError(
+            f"{folder}: {ending} files would count as pictures when the same command goes on; "
+            "choose another folder of outputs"
+        )
     ambiguous = len({path.stem for path in pictures}) < len(pictures)
     pairs: Callable[[Iterable[Path]], Iterable[tuple[Path, Path]]] = (
         itertools.pairwise if chain else lambda them: itertools.combinations(them, 2)
     )
     jobs = []
-    for source, target in pairs(pictures):
-        names = [path.name if ambiguous else path.stem for path in (source, target)]
-        output = resolved(f"{names[0]}-{names[1]}{ending}", defaults.folder)
+    together = list(pairs(pictures))
+    names = [[path.name if ambiguous else path.stem for path in pair] for pair in together]
+    # Names with dashes of their own can make two pairs look the same.
+    apart = next(
+        (dashes for dashes in ("-", "--", "---")
+         if len({dashes.join(each) for each in names}) == len(names)), "-",
+    )  # fmt: skip
+    for (source, target), each in zip(together, names, strict=True):
+        output = resolved(f"{apart.join(each)}{ending}", defaults.folder)
         where = f"{source.name} and {target.name}"
         first, second = (resolved(str(path)) for path in (source, target))
         jobs.append(_made(where, first, second, output, {}, None, defaults))
-    return checked(jobs)
+    return checked(jobs, defaults.folder)
 
 
 def from_pairs(pairs: Iterable[Any], defaults: Defaults) -> list[Job]:
@@ -285,16 +333,28 @@ def from_pairs(pairs: Iterable[Any], defaults: Defaults) -> list[Job]:
 _TUPLE = f"({', '.join(COLUMNS)})"
 
 
-def checked(jobs: list[Job]) -> list[Job]:
-    """Return jobs, after a check that no output replaces another output or a picture."""
-    read = {place for job in jobs for place in (job.source, job.target)}
-    first: dict[str, str] = {}
+def checked(jobs: list[Job], folder: str | None = None) -> list[Job]:
+    """Return jobs, after a check that no output replaces another output or a picture.
+
+    Links are followed, and two names of one file are recognized.
+
+    Parameters
+    ----------
+    jobs : list of Job
+    folder : str, optional
+        The folder of outputs, whose index and journal no output may replace.
+    """
+    read = {identity_of(place) for job in jobs for place in job.read}
+    own = () if folder is None else (INDEX, JOURNAL)
+    reserved = {identity_of(resolved(name, folder or "")) for name in own}
+    first: dict[Hashable, str] = {}
     for job in jobs:
-        if job.output in first:
-            raise FileError(
-                f"{job.where}: {name_of(job.output)} is the output of {first[job.output]}, too"
-            )
-        if job.output in read:
-            raise FileError(f"{job.where}: {name_of(job.output)} would replace a picture")
-        first[job.output] = job.where
+        identity, name = identity_of(job.output), name_of(job.output)
+        if identity in first:
+            raise FileError(f"{job.where}: {name} is the output of {first[identity]}, too")
+        if identity in read:
+            raise FileError(f"{job.where}: {name} would replace a picture")
+        if identity in reserved:
+            raise FileError(f"{job.where}: {name} is a file of the batch itself; choose another")
+        first[identity] = job.where
     return jobs

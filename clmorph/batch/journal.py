@@ -15,11 +15,11 @@ from typing import Any, Self
 from clmorph._shared.printable import reason_of
 from clmorph._shared.version import __version__
 from clmorph.batch.jobs import Job
-from clmorph.batch.places import exists, is_remote, read_if_any, resolved, stamp
+from clmorph.batch.places import JOURNAL, exists, is_remote, read_if_any, resolved, stamp
 from clmorph.errors import InputError, OutputError
 
-#: The name of the journal.
-NAME = "clmorph-batch.jsonl"
+#: The states of a record, and its entries that are texts.
+STATUSES, TEXTS = ("done", "failed"), ("output", "source", "target", "where", "key")
 #: Seconds between two writes of a journal that cannot be appended to.
 INTERVAL = 10.0
 
@@ -27,11 +27,12 @@ INTERVAL = 10.0
 def identity(job: Job, device: str) -> str:
     """Return a digest of all that decides the bytes of a job's output.
 
-    Those are the options, the files of the pictures by size and time, the device as it was asked
+    Those are the options, the files that are read by size and time, the device as it was asked
     for, and the version of clmorph.
     """
+    beside = {kind: [[place, stamp(place)] for place in two] for kind, two in job.beside.items()}
     parts = [
-        job.source, job.target, stamp(job.source), stamp(job.target),
+        job.source, job.target, stamp(job.source), stamp(job.target), beside,
         job.settled(job.preset).outside(), job.preset, job.max_pixels, device, __version__,
     ]  # fmt: skip
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
@@ -57,7 +58,7 @@ class Journal:
     """
 
     def __init__(self, folder: str) -> None:
-        self.place, self.records = resolved(NAME, folder), dict[str, dict[str, Any]]()
+        self.place, self.records = resolved(JOURNAL, folder), dict[str, dict[str, Any]]()
         self._file: Any = None if is_remote(self.place) else self._opened(folder)
         self._written = time.monotonic()
         text = read_if_any(self.place)
@@ -65,7 +66,11 @@ class Journal:
             # The last line of a run that was killed can be incomplete.
             with suppress(ValueError, TypeError, KeyError):
                 record = json.loads(line)
-                self.records[str(record["output"])] = record
+                # The file can be edited by anybody.
+                if record["status"] in STATUSES and all(
+                    isinstance(record[name], str) for name in TEXTS
+                ):
+                    self.records[record["output"]] = record
         if self._file is None:
             self._rewrite()  # before the work, so that a place that cannot be written is known
         elif text and not text.endswith(b"\n"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import warnings
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -98,19 +99,18 @@ def divergence_matrix(
         return values
     starts = range(0, len(own), side)
     groups = [own[start : start + side] for start in starts]
-    sent = client.scatter(groups, broadcast=len(groups) > 1)
-    selves = [
-        client.submit(_solve_selves, group, start, solver, pure=False)
-        for group, start in zip(sent, starts, strict=True)
-    ]
-    tasks, places = [], []
-    for i, first in enumerate(starts):
-        for j, second in enumerate(starts[i:], i):
-            of_task = sent[i], sent[j], selves[i], selves[j], (first, second), solver
-            tasks.append(client.submit(_solve_block, *of_task, pure=False))
-            places.append((first, second))
-    missed = 0
+    selves, tasks, places, missed = [], [], [], 0
     try:
+        sent = client.scatter(groups, broadcast=len(groups) > 1)
+        selves += [
+            client.submit(_solve_selves, group, start, solver, pure=False)
+            for group, start in zip(sent, starts, strict=True)
+        ]
+        for i, first in enumerate(starts):
+            for j, second in enumerate(starts[i:], i):
+                of_task = sent[i], sent[j], selves[i], selves[j], (first, second), solver
+                tasks.append(client.submit(_solve_block, *of_task, pure=False))
+                places.append((first, second))
         for (first, second), (part, unsolved) in zip(places, client.gather(tasks), strict=True):
             rows, columns = part.shape
             values[first : first + rows, second : second + columns] = part
@@ -124,7 +124,8 @@ def divergence_matrix(
             "block if they lack memory"
         ) from None
     finally:
-        client.cancel([*tasks, *selves])
+        with suppress(Exception):  # the scheduler has gone
+            client.cancel([*tasks, *selves])
     if missed:
         warnings.warn(
             ConvergenceWarning(

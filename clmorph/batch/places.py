@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -10,6 +10,9 @@ from uuid import uuid4
 
 from clmorph._shared.printable import reason_of
 from clmorph.errors import FileError, OutputError
+
+#: The names of the index and of the journal in a folder of outputs.
+INDEX, JOURNAL = "index.html", "clmorph-batch.jsonl"
 
 
 def is_remote(place: str) -> bool:
@@ -26,6 +29,17 @@ def resolved(place: str, folder: str = "") -> str:
         return f"{folder.rstrip('/')}/{place}"
     # Links stay: a link's own name is that of the output.
     return os.path.abspath(Path(folder, place))  # noqa: PTH100
+
+
+def identity_of(place: str) -> Hashable:
+    """Return what two names of one file have in common."""
+    if is_remote(place):
+        return place
+    try:
+        known = Path(place).stat()
+    except OSError:
+        return str(Path(place).resolve())
+    return known.st_dev, known.st_ino
 
 
 def name_of(place: str) -> str:

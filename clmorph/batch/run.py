@@ -36,7 +36,7 @@ def run_jobs(client: Any, jobs: Sequence[tuple[Job, str]], device: str) -> Itera
     waiting = iter(jobs)
     suspects: list[tuple[Job, str]] = []
     known: dict[Any, tuple[Job, str]] = {}
-    ended = as_completed()
+    ended = as_completed(loop=client.loop)
 
     def send(more: Iterator[tuple[Job, str]]) -> bool:
         for job, key in more:

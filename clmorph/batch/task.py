@@ -32,6 +32,7 @@ from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import Output, write_all
 from clmorph.pipeline.budget import default_memory
+from clmorph.pipeline.maps import read_maps
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.prepare import fitted, recognized
 from clmorph.pipeline.recipe import picture_entries, recipe
@@ -90,6 +91,10 @@ def record_of(job: Job, key: str, **more: Any) -> dict[str, Any]:
 def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[str, Any]:
     with ExitStack() as stack:
         images = [stack.enter_context(local_copy(place)) for place in (job.source, job.target)]
+        beside = {
+            kind: [stack.enter_context(local_copy(place)) for place in two]
+            for kind, two in job.beside.items()
+        }
         path = stack.enter_context(local_output(job.output))
         place = Output(path)
         whole = [_picture(image, job.max_pixels) for image in images]
@@ -97,12 +102,16 @@ def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[s
         motion = motion_of(options, held_frames(2, options.n_frames))
         place.check_motion(motion)
         pictures = fitted(whole, options)
+        maps = read_maps(beside.get("labels", ()), beside.get("features", ()), job.max_pixels)
         operations = get_backend(device)
-        morph = ImagePair(pictures, options, shapes_of(whole)).morph(operations, _silent)
+        morph = ImagePair(pictures, options, shapes_of(whole), maps).morph(operations, _silent)
 
         def metadata() -> dict[str, Any]:
             entries = picture_entries(images)
-            return recipe(options, images=entries, device=operations.description)
+            return recipe(
+                options, images=entries, device=operations.description,
+                beside={kind: picture_entries(paths) for kind, paths in beside.items()},
+            )  # fmt: skip
 
         with recorded(
             [morph], motion, reverse=options.reverse, exact=place.format.exact,

@@ -19,7 +19,7 @@ from clmorph.batch.extra import need_dask
 from clmorph.batch.index import write_index
 from clmorph.batch.jobs import Defaults, Job, from_folder, read_jobs
 from clmorph.batch.journal import Journal
-from clmorph.batch.places import is_remote, name_of, resolved
+from clmorph.batch.places import exists, is_remote, name_of, resolved
 from clmorph.batch.run import run_jobs
 from clmorph.batch.workers import devices_of, local_client, remote_client
 from clmorph.cli.config import Found, read_settings
@@ -106,6 +106,11 @@ def batch_request(
         if not enough:
             raise InputError(f"--memory {memory}: expected a size such as 4GB, 300MB or more")
     found = None if config is None else read_settings(config)
+    for name in found.beside if found is not None else ():
+        raise InputError(
+            f"--config {config}: its {name} belong to one pair of pictures: name them in the "
+            f"table, in the columns source_{name} and target_{name}"
+        )
     if found is not None:
         ignored = [name for name in ("output", "format", "recipe") if name in found.own]
         if ignored:
@@ -128,6 +133,16 @@ def _left_to_nobody(found: Found | None) -> str | None:
     return "photo" if found is not None and not found.named.own else None
 
 
+def _shown(journal: Journal, records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the records of a run, and before them those of earlier ones that are still there."""
+    new = {record["output"] for record in records}
+    earlier = [
+        record for record in journal.records.values()
+        if record["output"] not in new and record["status"] == "done" and exists(record["output"])
+    ]  # fmt: skip
+    return [*earlier, *records]
+
+
 def run_batch(request: BatchRequest) -> int:
     """Do all jobs that are not done yet; return 1 if any pair has failed, else 0."""
     need_dask()
@@ -147,7 +162,7 @@ def run_batch(request: BatchRequest) -> int:
             for place in {Path(job.output).parent for job, _ in left if not is_remote(job.output)}:
                 clear_leftovers(place)
             records = [journal.records[job.output] for job in jobs if job.output in journal.records]
-            page = write_index(folder, records) if records else ""
+            page = write_index(folder, _shown(journal, records)) if records else ""
             n_done = sum(record["status"] == "done" for record in records)
             note_partial(f"{n_done} of {len(jobs)} pairs are done: the same command does the rest")
     failed = [record for record in records if record["status"] == "failed"]

@@ -4,7 +4,7 @@ import logging
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 from clmorph._shared.validation import check_max_pixels
 from clmorph.cli.terminal import NOTES, note, say
 from clmorph.errors import FileError, ImageWarning, InputError
+from clmorph.pipeline.maps import Maps, read_maps
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
 
@@ -134,3 +135,13 @@ def chosen_preset(preset: str, options: MorphOptions) -> str:
     ]
     other = f"; given otherwise: {', '.join(given)}" if given else " (--preset takes another)"
     return f"preset: {preset}, for what the pictures show{other}"
+
+
+def read_beside(labels: Sequence[Path], features: Sequence[Path], max_pixels: int) -> Maps:
+    """Read label images and features as `read_maps` does, and print warnings as notes."""
+    check_max_pixels(max_pixels)
+    with quiet_libraries() as found:
+        maps = read_maps(labels, features, max_pixels)
+    for remark in found:
+        note(remark.message)
+    return maps

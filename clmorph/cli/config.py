@@ -23,6 +23,7 @@ from clmorph.errors import FileError, InputError
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.pipeline.recipe import (
+    BESIDE,
     IMAGES,
     OUTPUT,
     OWN,
@@ -122,12 +123,15 @@ class Found:
         The pictures that it names.
     own : dict
         The settings in `OWN`, which only the user decides, for the command line's own options.
+    beside : dict
+        The label images and the features that it names, by these words.
     """
 
     options: Settings
     preset: str | None
     named: Named
     own: Settings
+    beside: Mapping[str, Named]
 
 
 def read_settings(path: Path, command: type[Options] = MorphOptions) -> Found:
@@ -149,7 +153,8 @@ def read_settings(path: Path, command: type[Options] = MorphOptions) -> Found:
     own = path.suffix.lower() == ".toml"
     found = read_toml(path) if own else _recipe(path)
     by_name = {key.replace("-", "_"): value for key, value in found.items()}
-    images = by_name.pop(IMAGES, [])
+    images = _entries(path, IMAGES, by_name.pop(IMAGES, []))
+    beside = {name: _entries(path, name, by_name.pop(name)) for name in BESIDE if name in by_name}
     users = {name: by_name.pop(name) for name in OWN if name in by_name}
     if not own:
         for name in (OUTPUT, "format"):  # no recipe that clmorph writes contains these
@@ -168,14 +173,21 @@ def read_settings(path: Path, command: type[Options] = MorphOptions) -> Found:
         command(**preset, **options)
     except InputError as error:
         raise FileError(f"{path}: {error}") from None
+    _check_own(path, users)
+    others = {name: Named(path, own, entries) for name, entries in beside.items()}
+    return Found(options, chosen, Named(path, own, images), users, others)
+
+
+def _entries(path: Path, name: str, value: Any) -> list[Any]:
+    """Return a checked list of file names, or of tables with one."""
     known = [
         isinstance(entry.get("file") if isinstance(entry, dict) else entry, str)
-        for entry in (images if isinstance(images, list) else [None])
+        for entry in (value if isinstance(value, list) else [None])
     ]
-    if not all(known):
-        raise InputError(f"{path}: {IMAGES}: expected a list of file names")
-    _check_own(path, users)
-    return Found(options, chosen, Named(path, own, images), users)
+    two = name == IMAGES or len(known) == 2
+    if not all(known) or not two:
+        raise InputError(f"{path}: {name}: expected a list of {'' if two else 'two '}file names")
+    return list(value)
 
 
 def _check_own(path: Path, users: Settings) -> None:
@@ -199,14 +211,18 @@ def _recipe(path: Path) -> Settings:
         found = read_recipe(path)
     for name in found.get("arrays", []) if isinstance(found.get("arrays"), list) else []:
         note(f"{path} was made with an array of {shown(name)}, which it does not hold")
-    return {**found["options"], IMAGES: found.get(IMAGES, [])}
+    more = {name: found[name] for name in BESIDE if name in found}
+    return {**found["options"], IMAGES: found.get(IMAGES, []), **more}
 
 
-def as_toml(settings: Settings, images: Sequence[Path]) -> str:
+def as_toml(
+    settings: Settings, images: Sequence[Path], beside: Mapping[str, Sequence[Path]] | None = None
+) -> str:
     """Return settings, by their names outside, as the text of a file that ``--config`` reads."""
     import tomli_w
 
-    named = {IMAGES: [str(path) for path in images]} if images else {}
+    files = {IMAGES: images, **(beside or {})}
+    named = {name: [str(path) for path in paths] for name, paths in files.items() if paths}
     return tomli_w.dumps(named | {name: _plain(settings[name]) for name in sorted(settings)})
 
 

@@ -13,7 +13,7 @@ from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
 from clmorph.analysis.figures import check_plotting, draw_inspection
 from clmorph.analysis.inspect import inspect
-from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_picture
+from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_beside, read_picture
 from clmorph.cli.terminal import Stages, say
 from clmorph.errors import ConvergenceWarning
 from clmorph.pipeline.options import MorphOptions
@@ -31,6 +31,8 @@ def run_inspect(
     device: str | None,
     backend: str | None,
     as_json: bool,
+    labels: Sequence[Path] = (),
+    features: Sequence[Path] = (),
 ) -> None:
     """Solve the transport between two pictures, print its statistics, and optionally draw it.
 
@@ -42,15 +44,16 @@ def run_inspect(
     preset : str, optional
     given : dict
         Options by their names in Python.
-    max_pixels, device, backend, as_json
+    max_pixels, device, backend, as_json, labels, features
         As for ``clmorph morph``.
     """
     auto = preset is None or preset == AUTO
     options = MorphOptions(preset=None if auto else preset, **given)
     if output is not None:
         check_plotting(output)
-        check_apart([output], images)
+        check_apart([output], [*images, *labels, *features])
     pictures = [read_picture(path, max_pixels) for path in images]
+    maps = read_beside(labels, features, max_pixels)
     operations = open_backend(device, backend)
     if auto:
         preset = recognized(as_images(pictures))
@@ -60,7 +63,10 @@ def run_inspect(
         # The printed statistics report convergence instead.
         warnings.simplefilter("ignore", ConvergenceWarning)
         warnings.showwarning = partial(note_warning, [])
-        found = inspect(pictures[0], pictures[1], options, backend=operations, progress=stages)
+        found = inspect(
+            pictures[0], pictures[1], options, backend=operations, labels=maps.labels,
+            features=maps.features, progress=stages,
+        )  # fmt: skip
         if output is not None:
             stages("picture", 0.0)
             draw_inspection(found, output)

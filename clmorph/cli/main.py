@@ -115,6 +115,7 @@ def _settings_callback(context: click.Context, parameter: click.Parameter, path:
     "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
 )
 @options.morph_options
+@options.map_options
 @options.max_pixels_option
 @options.device_options
 @click.pass_context
@@ -132,6 +133,8 @@ def morph(
     backend: str | None,
     format: str | None,
     recipe: bool | None,
+    labels: tuple[Path, ...] | None,
+    features: tuple[Path, ...] | None,
     max_pixels: int | None,
     **given: Any,
 ) -> None:
@@ -159,6 +162,13 @@ def morph(
         named = config.named.images()
         images = tuple(path for path, _ in named)
         announce_changes(named)
+    beside = {"labels": labels or (), "features": features or ()}
+    if config is not None:
+        for name, files_of in config.beside.items():
+            if not beside[name]:
+                named = files_of.images()
+                beside[name] = tuple(path for path, _ in named)
+                announce_changes(named)
     if context.get_parameter_source("output") is ParameterSource.COMMANDLINE and (
         context.get_parameter_source("format") is not ParameterSource.COMMANDLINE
     ):
@@ -178,7 +188,9 @@ def morph(
         own = {"format": format, "recipe": recipe, "max_pixels": most}
         settings = {name: value for name, value in own.items() if value is not None}
         # TOML is UTF-8, independent of the terminal's encoding.
-        click.echo(files.as_toml(chosen.outside() | settings, images).encode("utf-8"), nl=False)
+        click.echo(
+            files.as_toml(chosen.outside() | settings, images, beside).encode("utf-8"), nl=False
+        )
         return
     if len(images) < 2:
         raise InputError(
@@ -191,7 +203,7 @@ def morph(
     run_morph(
         Request(
             images, output, chosen, options_of if auto else None, format=format,
-            recipe=bool(recipe), max_pixels=most,
+            recipe=bool(recipe), max_pixels=most, **beside,
             config=None if config is None else config.named.file,
             capped=foreign and "max_memory" not in line,
         ),
@@ -317,6 +329,7 @@ def rearrange(
     help="Set of options for a kind of pictures; see below.  [default: auto]",
 )  # fmt: skip
 @options.inspect_options
+@options.map_options
 @options.max_pixels_option
 @options.device_options
 def inspect(
@@ -324,6 +337,8 @@ def inspect(
     output: Path | None,
     as_json: bool,
     preset: str | None,
+    labels: tuple[Path, ...] | None,
+    features: tuple[Path, ...] | None,
     max_pixels: int | None,
     device: str | None,
     backend: str | None,
@@ -342,7 +357,7 @@ def inspect(
     run_inspect(
         images, output, preset, options.given_options(given),
         max_pixels=MAX_PIXELS if max_pixels is None else max_pixels, device=device,
-        backend=backend, as_json=as_json,
+        backend=backend, as_json=as_json, labels=labels or (), features=features or (),
     )  # fmt: skip
 
 

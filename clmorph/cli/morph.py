@@ -19,7 +19,7 @@ from clmorph._shared.files import check_apart, check_place
 from clmorph._shared.printable import printable, size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
-from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_picture
+from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_beside, read_picture
 from clmorph.cli.terminal import Stages, note, say
 from clmorph.errors import (
     ConvergenceWarning,
@@ -37,6 +37,7 @@ from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
 from clmorph.pipeline.budget import default_memory
+from clmorph.pipeline.maps import NO_MAPS, Maps
 from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import MorphOptions
@@ -69,6 +70,8 @@ class Request:
     capped : bool
         Whether `max_memory` comes from a recipe, which may lower the device's limit but not raise
         it.
+    labels, features : sequence of Path
+        Files of both pictures, or none.
     """
 
     images: Sequence[Path]
@@ -80,6 +83,14 @@ class Request:
     max_pixels: int = MAX_PIXELS
     config: Path | None = None
     capped: bool = False
+    labels: Sequence[Path] = ()
+    features: Sequence[Path] = ()
+
+    @property
+    def beside(self) -> dict[str, Sequence[Path]]:
+        """Files beside the pictures, by what they are; those that are given."""
+        both = {"labels": self.labels, "features": self.features}
+        return {name: paths for name, paths in both.items() if paths}
 
 
 @dataclass
@@ -92,6 +103,7 @@ class _Run:
     solved: list[Potentials] = field(default_factory=list)
     particles: list[int] = field(default_factory=list)
     shapes: Sequence[tuple[int, int]] | None = None
+    maps: Maps = NO_MAPS
 
     def __post_init__(self) -> None:
         self.motion = motion_of(self.options, held_frames(len(self.images), self.options.n_frames))
@@ -131,7 +143,7 @@ class _Run:
         """Compute the morphs of successive pictures, one at a time."""
         for number, pair in enumerate(itertools.pairwise(pictures)):
             mark = f" {number + 1}" if len(pictures) > 2 else ""
-            morph = ImagePair(pair, self.options, self.shapes).morph(
+            morph = ImagePair(pair, self.options, self.shapes, self.maps).morph(
                 operations, stages.marked(mark)
             )
             self.solved.append(morph.potentials)
@@ -158,17 +170,22 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     for beside in recipes:
         if check_place(beside).is_dir():
             raise OutputError(f"{beside} is a folder; choose another name for the output")
-    check_apart([*outputs, *recipes], [*images, *([request.config] if request.config else [])])
+    read = [*images, *request.labels, *request.features]
+    check_apart([*outputs, *recipes], [*read, *([request.config] if request.config else [])])
     run = _Run(images, request.options, places)
     whole = [read_picture(path, request.max_pixels) for path in images]
     preset = None
     if request.options_of is not None:
         preset = recognized(whole)
         run.options = request.options_of(preset)
-    if run.options.landmarks and len(whole) > 2:
-        raise InputError(
-            f"--landmark is for two pictures, but {len(whole)} are given: morph them two at a time"
-        )
+    guides = ["landmark"] if run.options.landmarks else []
+    for name in [*guides, *request.beside]:
+        if len(whole) > 2:
+            raise InputError(
+                f"--{name} is for two pictures, but {len(whole)} are given: morph them two at a "
+                "time"
+            )
+    run.maps = read_beside(request.labels, request.features, request.max_pixels)
     run.shapes = shapes_of(whole)
     pictures = fitted(whole, run.options)
     operations = open_backend(device, backend)
@@ -186,8 +203,11 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:
         return recipe(
-            run.options, images=picture_entries(images, folder), device=operations.description
-        )
+            run.options, images=picture_entries(images, folder), device=operations.description,
+            beside={
+                name: picture_entries(paths, folder) for name, paths in request.beside.items()
+            },
+        )  # fmt: skip
 
     notes: list[Warning] = []
     with Stages(began) as stages, warnings.catch_warnings():

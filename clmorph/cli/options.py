@@ -265,6 +265,19 @@ device_options = _together(
     ),
 )  # fmt: skip
 
+map_options = _together(
+    _option(
+        "Transport", "--labels", type=FileName(), nargs=2, metavar="A B",
+        help="Label images of both pictures, of their sizes: gray levels, indices of a palette or "
+        "colors of PNG files, or .npy. Mass never changes its label.",
+    ),
+    _option(
+        "Transport", "--features", type=FileName(), nargs=2, metavar="A B",
+        help="Further coordinates of the cost for each pixel, such as depth: .npy or pictures. "
+        "--feature-weight scales them.",
+    ),
+)  # fmt: skip
+
 max_pixels_option = _option(
     "Transport", "--max-pixels", type=int,
     help=f"Refuse picture files with more pixels.  [default: {MAX_PIXELS}]",

@@ -32,9 +32,15 @@ class Canvas:
         x, y = width / self.shape[1], height / self.shape[0]
         return Canvas((height, width), (self.scale[0] * x, self.scale[1] * y))
 
-    def positions(self) -> NDArray[np.float64]:
-        """Return the positions (x, y) of all pixels in the common frame: (H, W, 2) array."""
-        y, x = np.mgrid[: self.shape[0], : self.shape[1]].astype(np.float64)
+    def positions(self, first: int = 0, stop: int | None = None) -> NDArray[np.float64]:
+        """Return the positions (x, y) of pixels in the common frame: (H, W, 2) array.
+
+        Parameters
+        ----------
+        first, stop : int
+            The first row, and the one after the last; all rows by default.
+        """
+        y, x = np.mgrid[first : self.shape[0] if stop is None else stop, : self.shape[1]]
         # Along a side of one pixel the scale may be 0.
         scale = np.maximum(self.scale, 1e-9)
         return np.stack((x - self.center[0], y - self.center[1]), axis=-1) / scale + 0.5

@@ -101,7 +101,9 @@ class DensityPath:
         ):
             # Rounding, or a residual, can leave slightly more than the mass in the pairs.
             total += share * _shared(canvas, place, grid.ravel()[there] - moved)
-        return np.maximum(total, 0.0).reshape(canvas.shape)
+        found = np.maximum(total, 0.0).reshape(canvas.shape)
+        # Cells that would be negative become empty, which must not add mass.
+        return found * (((1 - t) * self.source.sum() + t * self.target.sum()) / found.sum())
 
 
 def _shared(canvas: Any, positions: Array, mass: Array) -> Array:

@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas, canvas_at
-from clmorph.frames.carried_detail import CarriedDetail, band_width
+from clmorph.frames.carried_detail import (
+    MOST_LABELS,
+    CarriedDetail,
+    coarse_band_width,
+    coarse_canvas,
+    labels_to_carry,
+)
 from clmorph.frames.endpoints import (
     EndCorrection,
     Lacking,
@@ -80,8 +86,9 @@ class FrameRenderer:
     @property
     def detail(self) -> str:
         """What draws the fine detail of the frames, see `clmorph.frames.options.Detail`."""
-        opaque = all(measure.alpha is None for measure in self._measures)
-        return self._detail if opaque or self._detail != "carried" else "particles"
+        carries = all(measure.alpha is None for measure in self._measures)
+        carries = carries and len(labels_to_carry(self._particles)) <= MOST_LABELS
+        return self._detail if carries or self._detail != "carried" else "particles"
 
     def on(self, operations: Operations, like: "FrameRenderer | None" = None) -> "FrameRenderer":
         """Return a renderer of the same morph on another device.
@@ -117,7 +124,7 @@ class FrameRenderer:
             picture = np.clip(picture + self._correction.resting(t, canvas), 0.0, 1.0)
         return picture
 
-    def sums(self, t: float, widths: Widths | None = None) -> Sums:
+    def sums(self, t: float, widths: Widths | None = None, canvas: Canvas | None = None) -> Sums:
         """Render colors, coverage and density at time t, without the correction of the ends.
 
         Parameters
@@ -125,8 +132,10 @@ class FrameRenderer:
         t : float
         widths : Widths, optional
             Kernel widths in place of the morph's own.
+        canvas : Canvas, optional
+            A canvas in place of that at t.
         """
-        canvas = self.canvas(t)
+        canvas = canvas or self.canvas(t)
         widths = widths or self._kernel_width.widths(t, canvas)
         # Holes are not filled where the frame is invisible.
         fill = True if self._alpha_particles is None else self._opacity(t) > UNSEEN
@@ -172,7 +181,8 @@ class FrameRenderer:
         if self._shapes is not None:
             return self._shapes.frame(t, canvas)
         if carried is not None:
-            smooth = self.sums(t, Widths(carried.kernel_width(t)))
+            width = carried.kernel_width(t, canvas)
+            smooth = self.sums(t, Widths(width), coarse_canvas(canvas))
             colors = carried.frame(t, canvas, smooth.colors)
         else:
             colors = self.sums(t).colors
@@ -192,7 +202,7 @@ class FrameRenderer:
             return self._like._carried
         start, middle, end = (self.canvas(t) for t in (0.0, 0.5, 1.0))
         first, last = (
-            self.sums(t, Widths(band_width(canvas.shape))).colors
+            self.sums(t, Widths(coarse_band_width(canvas)), coarse_canvas(canvas)).colors
             for t, canvas in ((0.0, start), (1.0, end))
         )
         return CarriedDetail(self._measures, self._particles, (start, middle, end), (first, last))

@@ -38,6 +38,9 @@ class Particles:
         The color space in which colors change linearly, see `clmorph.images.color.to_space`.
     n_grown : int
         Number of the last rows of `table` that are other ends of mass that grows or shrinks.
+    labels : pair of integer arrays, (N,) and (M,), optional
+        Labels of the pixels of source and target, which no particle changes, so that detail is
+        carried for each of them by itself (`clmorph.frames.carried_detail`).
 
     Examples
     --------
@@ -58,6 +61,7 @@ class Particles:
     weights: NDArray[np.float64]
     path_space: str = "srgb"
     n_grown: int = 0
+    labels: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
 
     def __repr__(self) -> str:
         return f"<{len(self)} Particles>"

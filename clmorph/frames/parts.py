@@ -25,8 +25,9 @@ _Drawn = Iterator[tuple[Array, Array]]
 
 #: The number of particles from which a group is drawn by itself.
 LARGE = 2**12
-#: Pixels that one splat draws at most, if several groups share it.
-LARGEST_SPLAT = 2**22
+#: Pixels and rows that one splat draws at most, if several groups share it: positions are float32,
+#: and are exact to 2^-12 pixels in so many rows.
+LARGEST_SPLAT, MOST_ROWS = 2**22, 2**12
 
 
 class Parts:
@@ -111,7 +112,7 @@ class Parts:
             axis=1,
         )
         group_of = np.repeat(np.arange(len(self._small)), [len(group) for group in self._small])
-        at_once = max(1, LARGEST_SPLAT // (pitch * width))
+        at_once = max(1, min(LARGEST_SPLAT // width, MOST_ROWS) // pitch)
         for first in range(0, len(self._small), at_once):
             count = min(at_once, len(self._small) - first)
             kept = near & (group_of >= first) & (group_of < first + count)

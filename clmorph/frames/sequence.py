@@ -60,6 +60,14 @@ class FrameSequence(Sequence[Frame]):
     def parameters(self) -> Mapping[str, Any]:
         """The recipe, as values that `json.dumps` accepts."""
 
+    @property
+    def given_shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Shapes (height, width) of the images as they were given, in whose pixels landmarks are.
+
+        They are those of `source` and `target` if the images were not reduced.
+        """
+        return self.source.shape, self.target.shape
+
     @abstractmethod
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t."""

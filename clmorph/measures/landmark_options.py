@@ -10,7 +10,7 @@ import numpy as np
 from clmorph._shared.option_kinds import Kind
 from clmorph._shared.options import Options, option
 from clmorph._shared.printable import reason_of
-from clmorph._shared.validation import as_float, shown
+from clmorph._shared.validation import as_float, check_number, shown
 from clmorph.errors import InputError
 
 Point = tuple[float, float]
@@ -101,18 +101,26 @@ def read_landmarks(text: str) -> tuple[tuple[Point, Point], ...]:
             raise ValueError(text) from None
     try:
         with Path(text).open(encoding="utf-8-sig") as stream:
-            lines = stream.read(MAX_FILE).splitlines()
+            content = stream.read(MAX_FILE + 1)
     except (OSError, ValueError) as error:
         raise InputError(f"{text}: landmarks cannot be read ({reason_of(error)})") from None
-    found = []
-    for k, line in enumerate(lines):
+    if len(content) > MAX_FILE:
+        raise InputError(f"{text}: larger than {MAX_FILE} characters: expected a line a landmark")
+    found: list[tuple[list[float | None], list[float | None]]] = []
+    titled = False
+    for k, line in enumerate(content.splitlines()):
         cells = [cell.strip() for cell in line.split("#")[0].replace(";", ",").split(",")]
         numbers = [as_number(cell) for cell in cells]
-        if cells == [""] or (k == 0 and None in numbers):
+        if cells == [""]:
+            continue
+        if not (found or titled or any(number is not None for number in numbers)):
+            titled = True  # the first line may name the columns
             continue
         if len(numbers) != 4 or None in numbers:
             raise InputError(f"{text}, line {k + 1}: {shown(line)}: expected x,y,x',y' in pixels")
         found.append((numbers[:2], numbers[2:]))
+    if not found:
+        raise InputError(f"{text}: no landmarks in it; expected lines x,y,x',y' in pixels")
     return check_landmarks("landmarks", found)
 
 
@@ -133,6 +141,51 @@ LANDMARKS = Kind(
     lambda value: isinstance(value, list), several=True,
 )  # fmt: skip
 
+#: Largest weight of a feature, and largest number of features.
+MAX_WEIGHT, MAX_FEATURES = 1e6, 6
+
+
+def check_feature_weight(name: str, value: Any) -> float | tuple[float, ...]:
+    """Return the weight of features: one number of at least 0, or one for each.
+
+    Raises
+    ------
+    InputError
+        If it is anything else.
+
+    Examples
+    --------
+    >>> check_feature_weight("feature_weight", [1, 0.5])
+    (1.0, 0.5)
+    """
+    rows = _parts(value)
+    if rows is None:
+        return check_number(name, value, 0.0, MAX_WEIGHT)
+    if not 1 <= len(rows) <= MAX_FEATURES:
+        raise InputError(f"{name}={shown(value)}: expected one number, or up to {MAX_FEATURES}")
+    return tuple(check_number(name, each, 0.0, MAX_WEIGHT) for each in rows)
+
+
+def _read_weight(text: str) -> float | tuple[float, ...]:
+    numbers = [float(part) for part in text.split(",")]
+    return numbers[0] if len(numbers) == 1 else tuple(numbers)
+
+
+def _is_weight(value: Any) -> bool:
+    parts = value if isinstance(value, list) else [value]
+    return all(as_float(each) is not None for each in parts)
+
+
+_WEIGHT_SCHEMA = {"type": "number", "minimum": 0.0, "maximum": MAX_WEIGHT}
+#: The kind of the weights of features among options.
+FEATURE_WEIGHT = Kind(
+    check_feature_weight, "a number, or several joined by commas", "number|number,number,...",
+    _read_weight,
+    {"anyOf": [_WEIGHT_SCHEMA, {"type": "array", "items": _WEIGHT_SCHEMA, "minItems": 1,
+                                "maxItems": MAX_FEATURES}]},
+    _is_weight,
+)  # fmt: skip
+
 
 @dataclass(frozen=True, init=False)
 class GuideOptions(Options):
@@ -143,4 +196,10 @@ class GuideOptions(Options):
         "Points that correspond, each a point of A and its partner in B, in pixels of each picture "
         "as it is given; repeatable. What is at one moves to the other.",
         "Transport", unit="pixels", outside="landmark",
+    )  # fmt: skip
+    feature_weight: float | Sequence[float] = option(
+        1.0, FEATURE_WEIGHT,
+        "Image sides that a feature of 1 is worth in the cost; several values belong to one "
+        "feature each.",
+        "Transport", unit="image sides", word="",
     )  # fmt: skip

@@ -1,12 +1,15 @@
 """Choose the particles of a morph (all kept pairs, draws or means) within a limit of memory."""
 
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from clmorph.backends.interface import Operations
+from clmorph.backends.interface import MAX_DIMENSION, Operations
 from clmorph.errors import InputError, MemoryWarning, PruningWarning
+from clmorph.images.label_maps import label_text
+from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.measures.points import as_pair
 from clmorph.pipeline.memory import affordable, estimate
@@ -19,6 +22,7 @@ from clmorph.transport.plan_sampling import draw_pairs, n_draws, sample_plan
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.pruning import REMEDY, check_reachable
 from clmorph.transport.refine_plan import drawn, refined
+from clmorph.transport.subproblems import Subproblem, joined
 
 #: Share of a device's memory that a morph may take, unless the user sets a limit.
 MEMORY_SHARE = 0.5
@@ -33,9 +37,8 @@ def default_memory(operations: Operations) -> float | None:
 
 
 def make_plan(
-    source: PixelBlocks,
-    target: PixelBlocks,
-    potentials: Potentials,
+    parts: Sequence[Subproblem],
+    solved: Sequence[Potentials],
     operations: Operations,
     *,
     sample: int | None = None,
@@ -49,9 +52,10 @@ def make_plan(
 
     Parameters
     ----------
-    source, target : PixelBlocks
-    potentials : Potentials
-        The potentials between `source.coarse` and `target.coarse`.
+    parts : sequence of Subproblem
+        The problem between the blocks of both images, or those of its labels.
+    solved : sequence of Potentials
+        The potentials of each part.
     operations : Operations
     sample, barycentric, seed
         See `clmorph.morph`. Without `sample` and `barycentric` all pairs are kept, if they fit.
@@ -76,30 +80,59 @@ def make_plan(
     PruningWarning
         If `log_threshold` drops much of the plan's mass.
     """
-    measures = source.coarse, target.coarse
     if sample is None and not barycentric:
         way = choose_way(
-            source, target, potentials, operations, max_particles, max_memory, log_threshold,
-            stacklevel=4,
-        )  # fmt: skip
-        sample, barycentric = way.get("sample"), way.get("barycentric", False)
-    if barycentric:
-        means = barycentric_plan(*measures, potentials, backend=operations)
-        return refined(means, source, target)
-    if sample is None:
-        plan = transport_plan(
-            *measures, potentials, log_threshold=log_threshold, backend=operations
+            parts, solved, operations, max_particles, max_memory, log_threshold, stacklevel=4
         )
-        if log_threshold is not None:
-            warn_if_much_is_dropped(plan, log_threshold, stacklevel=4)
-        return refined(plan, source, target)
-    finest = finest_pixels(source, target)
+        sample, barycentric = way.get("sample"), way.get("barycentric", False)
+
+    def made(part: Subproblem, potentials: Potentials) -> Plan | Barycentric:
+        if barycentric:
+            means = barycentric_plan(*part.measures, potentials, backend=operations)
+            return refined(part.means_of_blocks(means), *part.blocks)
+        if sample is None:
+            return _pruned(part, potentials, operations, log_threshold)
+        return _sampled(part, potentials, operations, sample, seed)
+
+    whole = joined(
+        parts, [made(part, potentials) for part, potentials in zip(parts, solved, strict=True)]
+    )
+    if isinstance(whole, Plan) and sample is None and log_threshold is not None:
+        warn_if_much_is_dropped(whole, log_threshold, stacklevel=4)
+    return whole
+
+
+def _pruned(
+    part: Subproblem, potentials: Potentials, operations: Operations, log_threshold: float | None
+) -> Plan:
+    """Return all pairs of pixels of a part that are not too small."""
+    try:
+        plan = transport_plan(
+            *part.measures, potentials, log_threshold=log_threshold, backend=operations
+        )
+    except InputError as error:
+        if part.label is None:
+            raise
+        raise InputError(f"label {label_text(part.label)}: {error}") from None
+    made = refined(part.between_blocks(plan), *part.blocks)
+    assert isinstance(made, Plan)
+    return made
+
+
+def _sampled(
+    part: Subproblem, potentials: Potentials, operations: Operations, sample: int, seed: int
+) -> Plan:
+    """Return pairs of pixels that are drawn from a part."""
+    finest = finest_pixels(*part.blocks)
     if finest == 1:
-        return sample_plan(*measures, potentials, sample, seed=seed, backend=operations)
+        drawn_pairs = sample_plan(*part.measures, potentials, sample, seed=seed, backend=operations)
+        return part.between_blocks(drawn_pairs)
     # Each pixel of a block has draws of its own.
     by_row, by_column = (count * finest for count in n_draws(sample))
-    draws = draw_pairs(*measures, potentials, (by_row, by_column), seed=seed, backend=operations)
-    return drawn(draws, source, target)
+    draws = draw_pairs(
+        *part.measures, potentials, (by_row, by_column), seed=seed, backend=operations
+    )
+    return drawn(draws, *part.blocks, part.points)
 
 
 def warn_if_much_is_dropped(plan: Plan, log_threshold: float, stacklevel: int = 2) -> None:
@@ -187,15 +220,21 @@ def _kind(
     fine = source.fine, target.fine
     return (fine[0].shape, fine[1].shape), {
         "alpha": any(measure.alpha is not None for measure in fine),
-        "dimension": 11 if fine[0].has_metric_map else 5,
+        "dimension": dimension_of(fine[0]),
         "backend": operations,
     }
 
 
+def dimension_of(measure: Measure) -> int:
+    """Return the number of coordinates of the cost between an image and another one."""
+    if measure.has_metric_map:
+        return MAX_DIMENSION
+    return 5 + (0 if measure.features is None else measure.features.shape[1])
+
+
 def choose_way(
-    source: PixelBlocks,
-    target: PixelBlocks,
-    potentials: Potentials,
+    parts: Sequence[Subproblem],
+    solved: Sequence[Potentials],
     operations: Operations,
     max_particles: int | None,
     max_memory: float | None,
@@ -206,7 +245,7 @@ def choose_way(
 
     Parameters
     ----------
-    source, target, potentials, operations, max_particles, max_memory, log_threshold
+    parts, solved, operations, max_particles, max_memory, log_threshold
         As in `make_plan`.
     stacklevel : int
         Stack level of the warning, as in a call of `warnings.warn` by the caller.
@@ -221,16 +260,18 @@ def choose_way(
     MemoryWarning
         If not all pairs fit into `max_memory`.
     """
+    source, target = parts[0].blocks
     finest = finest_pixels(source, target)
-    most = len(source.coarse) * len(target.coarse) * finest
+    most = sum(part.pairs for part in parts) * finest
     limit = default_memory(operations) if max_memory is None else max_memory
     shapes, kind = _kind(source, target, operations)
     need = estimate(*shapes, most, **kind)
     few = max_particles is None or most <= max_particles
     if few and (limit is None or max(need.ram, need.device) <= limit):
         return {}  # even the dense plan fits
-    pairs = finest * predict_pairs(
-        source.coarse, target.coarse, potentials, log_threshold=log_threshold, backend=operations
+    pairs = finest * sum(
+        predict_pairs(*part.measures, each, log_threshold=log_threshold, backend=operations)
+        for part, each in zip(parts, solved, strict=True)
     )
     wanted: dict[str, Any] = {}
     particles = pairs

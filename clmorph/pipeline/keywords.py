@@ -15,6 +15,7 @@ class MorphKeywords(TypedDict, total=False):
     mass: Literal["uniform", "luminance", "alpha", "foreground"]
     extent: Literal["true", "unit"]
     landmarks: Sequence[tuple[tuple[float, float], tuple[float, float]]] | None
+    feature_weight: float | Sequence[float]
     blur: float | None
     reach: float | tuple[float | None, float | None] | None
     epsilon: float | None

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clmorph._shared.progress import StageProgress
+from clmorph._shared.typing import IntArray, Progress
 from clmorph._shared.validation import check_progress
+from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.frames.kernel_width import KernelWidth, effective_count
@@ -25,6 +27,7 @@ from clmorph.output.playback import eased
 from clmorph.pipeline.budget import check_ways, make_plan
 from clmorph.pipeline.documentation import documented
 from clmorph.pipeline.keywords import MorphKeywords
+from clmorph.pipeline.maps import NO_MAPS, Maps
 from clmorph.pipeline.optimal_width import optimal_curve
 from clmorph.pipeline.options import NO_DIVERGENCE, MorphOptions
 from clmorph.pipeline.prepare import Picture, as_images, as_options, fitted
@@ -33,7 +36,10 @@ from clmorph.pipeline.result import Morph
 from clmorph.transport.barycentric import Barycentric, destination_colors
 from clmorph.transport.options import SolverOptions
 from clmorph.transport.plan import Plan
-from clmorph.transport.sinkhorn import sinkhorn
+from clmorph.transport.potentials import Potentials
+from clmorph.transport.regularization import regularization
+from clmorph.transport.sinkhorn import sinkhorn, warn_unless_converged
+from clmorph.transport.subproblems import Subproblem, by_label, solve_parts
 
 
 @documented(MorphOptions)
@@ -47,6 +53,8 @@ def morph(
     backend: Backend = "auto",
     weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
     color_metric: ArrayLike | None = None,
+    labels: tuple[ArrayLike, ArrayLike] | None = None,
+    features: tuple[ArrayLike, ArrayLike] | None = None,
     progress: StageProgress | None = None,
     **given: Unpack[MorphKeywords],
 ) -> Morph:
@@ -74,6 +82,14 @@ def morph(
     color_metric : (3, 3), (H, W, 3, 3) or (H, W) array, optional
         Metric with which the cost compares colors, see `clmorph.lift`; a map has one entry for
         each pixel of image_a.
+    labels : (labels_a, labels_b), optional
+        Integer arrays (H, W) of the shapes of image_a and image_b as they are given. Mass never
+        changes its label, exactly; a label that only one image has does not move and fades as
+        unmatched mass does. See `clmorph.read_labels`.
+    features : (features_a, features_b), optional
+        Arrays (H, W) or (H, W, K) of the shapes of the images as they are given: further
+        coordinates of the cost, weighted by `feature_weight`, at most six beside position and
+        color (and landmarks).
     progress : callable, optional
         A function that is called with a stage's name and the share of it that is done.
     {options}
@@ -113,8 +129,9 @@ def morph(
     """
     images = as_images((image_a, image_b))
     chosen = as_options(options, preset, given, images, draft=draft)
-    pair = ImagePair(fitted(images, chosen, weights, color_metric), chosen, shapes_of(images))
-    return pair.morph(backend, check_progress(progress), weights, color_metric)
+    maps = Maps(weights, color_metric, labels, features)
+    pair = ImagePair(fitted(images, chosen, maps), chosen, shapes_of(images), maps)
+    return pair.morph(backend, check_progress(progress))
 
 
 @dataclass(frozen=True)
@@ -127,58 +144,113 @@ class ImagePair:
         Images that `fitted` has returned.
     options : MorphOptions
     shapes : pair of (height, width), optional
-        Shapes of the images as they were given, in whose pixels landmarks are; those of `images`
-        if missing.
+        Shapes of the images as they were given, in whose pixels landmarks are, and which labels
+        and features have; those of `images` if missing.
+    maps : Maps
+        Arrays beside the images.
     """
 
     images: Sequence[Picture]
     options: MorphOptions
     shapes: Sequence[tuple[int, int]] | None = None
+    maps: Maps = NO_MAPS
 
-    def measures(self, weights: Any = None, color_metric: Any = None) -> tuple[Measure, Measure]:
-        """Lift both images; the parameters are those of `morph`."""
+    @property
+    def given_shapes(self) -> Sequence[tuple[int, int]]:
+        """Shapes of the images as they were given."""
+        return self.shapes or shapes_of(self.images)
+
+    def measures(self) -> tuple[Measure, Measure]:
+        """Lift both images."""
         first, second = self.images
+        maps, options = self.maps, self.options
         measures = lift_pair(
-            (first, second), weights=weights, color_metric=color_metric,
-            **self.options.of(LiftOptions),
+            (first, second), weights=maps.weights, color_metric=maps.color_metric,
+            **options.of(LiftOptions),
         )  # fmt: skip
-        return guided(
-            *measures, self.options.landmarks or (), self.shapes or shapes_of(self.images)
-        )
+        measures = maps.added(measures, self.given_shapes, options.feature_weight)
+        return guided(*measures, options.landmarks or (), self.given_shapes)
 
     def blocks(self, source: Measure, target: Measure) -> tuple[PixelBlocks, PixelBlocks]:
         """Group pixels into blocks, between which the transport is solved."""
         most = self.options.solve_size
         return group_pixels(source, most), group_pixels(target, most)
 
-    def morph(
+    def parts(self, blocks: tuple[PixelBlocks, PixelBlocks]) -> list[Subproblem]:
+        """Return the problems that are solved by themselves: one, or one for each label."""
+        options = self.options
+        whole = blocks[0].fine, blocks[1].fine
+        labels = self.maps.labels_of(whole, self.given_shapes)
+        if labels is None:
+            return [Subproblem(*blocks)]
+        given = regularization(options.blur, options.reach, options.epsilon, options.rho)
+        return by_label(*whole, labels, options.solve_size, given)
+
+    def labels(self, source: Measure, target: Measure) -> tuple[IntArray, IntArray] | None:
+        """Return the labels of the pixels, (N,) and (M,); None if there are none."""
+        labels = self.maps.labels_of((source, target), self.given_shapes)
+        return None if labels is None else (labels[0].ravel(), labels[1].ravel())
+
+    def solve(
         self,
-        backend: Backend,
-        report: StageProgress,
-        weights: Any = None,
-        color_metric: Any = None,
-    ) -> Morph:
+        parts: Sequence[Subproblem],
+        masses: tuple[float, float],
+        operations: Operations,
+        report: Progress,
+    ) -> tuple[list[Potentials], Potentials]:
+        """Return the potentials of each part, and those of all together.
+
+        Parameters
+        ----------
+        parts : sequence of Subproblem
+            What `parts` has returned.
+        masses : (float, float)
+            Masses of both images.
+        operations : Operations
+        report : callable
+            Called with the share of the work that is done.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If the solver stops before `tol`.
+        """
+        options = self.options
+        if parts[0].points is None:
+            found = sinkhorn(
+                *parts[0].measures, backend=operations, progress=report,
+                **options.of(SolverOptions),
+            )  # fmt: skip
+            return [found], found
+        given = regularization(options.blur, options.reach, options.epsilon, options.rho)
+        solved, whole = solve_parts(
+            parts, masses, given, options.tol, options.max_iter, operations, report
+        )
+        warn_unless_converged(whole.status, whole.message)
+        return solved, whole
+
+    def morph(self, backend: Backend, report: StageProgress) -> Morph:
         """Solve the transport, make its particles, and choose the kernel widths."""
         options = self.options
-        source, target = self.measures(weights, color_metric)
+        source, target = self.measures()
         if options.sigma is not None and source.has_metric_map:
             raise InputError(NO_DIVERGENCE)
         if options.barycentric:
             destination_colors(source, target)  # raises an error if there can be none
         blocks = self.blocks(source, target)
+        parts = self.parts(blocks)
         operations = get_backend(backend)
         check_ways(
             *blocks, operations, sample=options.sample, barycentric=options.barycentric,
             max_memory=options.max_memory, log_threshold=options.log_threshold,
         )  # fmt: skip
         report("transport", 0.0)
-        potentials = sinkhorn(
-            blocks[0].coarse, blocks[1].coarse, backend=operations,
-            progress=lambda share: report("transport", share), **options.of(SolverOptions),
-        )  # fmt: skip
+        solved, potentials = self.solve(
+            parts, (source.mass, target.mass), operations, lambda share: report("transport", share)
+        )
         report("plan", 0.0)
         plan = make_plan(
-            *blocks, potentials, operations, sample=options.sample,
+            parts, solved, operations, sample=options.sample,
             barycentric=options.barycentric, seed=options.seed,
             max_particles=options.max_particles, max_memory=options.max_memory,
             log_threshold=options.log_threshold,
@@ -189,8 +261,12 @@ class ImagePair:
             target=target,
             potentials=potentials,
             plan=plan,
-            particles=particles(
-                source, target, plan, unmatched=options.unmatched, path_space=options.path_space
+            particles=replace(
+                particles(
+                    source, target, plan, unmatched=options.unmatched,
+                    path_space=options.path_space,
+                ),
+                labels=self.labels(source, target),
             ),
             times=eased(np.linspace(0.0, 1.0, options.n_frames), options.ease),
             kernel_width=self._kernel_width(source, target, plan),
@@ -198,7 +274,8 @@ class ImagePair:
             endpoints=options.endpoints,
             unmatched=options.unmatched,
             options=options,
-            arrays=_named_arrays(weights, color_metric),
+            arrays=self.maps.names,
+            shapes=(self.given_shapes[0], self.given_shapes[1]),
         )  # fmt: skip
         if options.sigma is None:
             return result
@@ -223,12 +300,6 @@ class ImagePair:
 def shapes_of(images: Sequence[Picture]) -> list[tuple[int, int]]:
     """Return the height and the width of each image."""
     return [(image.shape[0], image.shape[1]) for image in images]
-
-
-def _named_arrays(weights: Any, color_metric: Any) -> tuple[str, ...]:
-    """Return the names of the arrays that affect the result beside the options, for recipes."""
-    found = {"weights": weights, "color_metric": color_metric}
-    return tuple(name for name, value in found.items() if value is not None)
 
 
 def _effective_counts(

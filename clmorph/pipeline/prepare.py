@@ -13,6 +13,7 @@ from clmorph.backends.arrays import as_array
 from clmorph.errors import InputError
 from clmorph.images.kind import FEWEST_BLOCKS, kind_of
 from clmorph.images.pixels import as_pixels, block_size, fit
+from clmorph.pipeline.maps import NO_MAPS, Maps
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PresetName, preset_for
 
@@ -97,8 +98,7 @@ def as_options(
 def fitted(
     images: Sequence[Picture],
     options: MorphOptions,
-    weights: Any = None,
-    color_metric: Any = None,
+    beside: Maps = NO_MAPS,
 ) -> list[Picture]:
     """Return images downscaled to the size at which they are drawn.
 
@@ -107,14 +107,16 @@ def fitted(
     images : sequence of (H, W, C) arrays
         Images that `as_images` has returned.
     options : MorphOptions
-    weights, color_metric
-        As for `morph`. A map must have the shape of its image, so the image must not be reduced.
+    beside : Maps
+        A map of weights or metrics must have the shape of its image, so the image must not be
+        reduced. Labels and features are reduced with it.
 
     Raises
     ------
     InputError
         If an image with a map would be reduced.
     """
+    weights, color_metric = beside.weights, beside.color_metric
     maps = weights if isinstance(weights, tuple | list) else (None, None)
     metric = color_metric is not None and as_array(
         "color_metric", color_metric, "an array (3, 3), (H, W, 3, 3) or (H, W)"

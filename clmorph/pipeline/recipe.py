@@ -28,6 +28,8 @@ from clmorph.pipeline.rearrange_options import RearrangeOptions
 
 #: Keys beside options in a file of settings.
 PRESET, IMAGES, OUTPUT = "preset", "images", "output"
+#: Keys of further files of both pictures.
+BESIDE = ("labels", "features")
 #: Key of the command that made a file, if it is not ``morph``; and the command's name.
 COMMAND, REARRANGE = "command", "rearrange"
 #: Keys that only the user decides, in the command line or in TOML; recipes do not contain them.
@@ -40,6 +42,7 @@ def recipe(
     images: Sequence[Mapping[str, Any]] = (),
     device: str = "",
     arrays: Sequence[str] = (),
+    beside: Mapping[str, Sequence[Mapping[str, Any]]] | None = None,
 ) -> dict[str, Any]:
     """Return the recipe of a file, which suffices to make the file again.
 
@@ -51,12 +54,17 @@ def recipe(
     device : str
         A description of the device.
     arrays : sequence of str
-        Names of further input arrays ("weights", "color_metric"), which a recipe does not contain.
+        Names of further input arrays ("weights", "color_metric"; "labels" and "features" if they
+        are no files), which a recipe does not contain.
+    beside : mapping, optional
+        Files of both pictures by what they are (`BESIDE`): name and digest of each.
     """
     found: dict[str, Any] = {"clmorph": __version__, "options": options.outside()}
     if isinstance(options, RearrangeOptions):
         found[COMMAND] = REARRANGE
     found |= {IMAGES: [dict(image) for image in images]} if images else {}
+    for name, entries in (beside or {}).items():
+        found[name] = [dict(entry) for entry in entries]
     found |= {"arrays": list(arrays)} if arrays else {}
     return found | ({"device": device} if device else {})
 
@@ -91,7 +99,8 @@ def options_of(
             found[PRESET] = value
             continue
         if outside not in known:
-            names = [*known, *presets, IMAGES, *OWN]
+            beside = BESIDE if options is MorphOptions else ()
+            names = [*known, *presets, IMAGES, *beside, *OWN]
             raise InputError(f"{where}: {unknown_option(key, dict.fromkeys(names))}")
         name, each = known[outside]
         try:
@@ -127,8 +136,8 @@ def read_recipe(path: Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        The key ``options``, with names outside, and optionally ``images``, ``arrays`` and
-        ``device``.
+        The key ``options``, with names outside, and optionally ``images``, ``labels``,
+        ``features``, ``arrays`` and ``device``.
 
     Raises
     ------
@@ -190,7 +199,7 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
     settings = read_toml(file) if own else found["options"]
     options = {
         name: value for name, value in settings.items()
-        if name.replace("-", "_") not in (IMAGES, *OWN)
+        if name.replace("-", "_") not in (IMAGES, *BESIDE, *OWN)
     }  # fmt: skip
     rearranged = found.get(COMMAND) == REARRANGE
     return options_of(options, str(file), RearrangeOptions if rearranged else MorphOptions)

@@ -42,7 +42,9 @@ class Morph(FrameSequence):
     source, target : Measure
         The images, lifted to position and color.
     potentials : Potentials
-        The solution of the transport problem.
+        The solution of the transport problem. With labels it holds those of the problem of each
+        label, one after another, over the points that have mass
+        (`clmorph.transport.subproblems`).
     plan : Plan or Barycentric
     particles : Particles
     times : (n_frames,) array
@@ -58,7 +60,9 @@ class Morph(FrameSequence):
     options : MorphOptions
         The options of `clmorph.morph`.
     arrays : tuple of str
-        Names of the further input arrays: "weights", "color_metric".
+        Names of the further input arrays: "weights", "color_metric", "labels", "features".
+    shapes : pair of (height, width) or None
+        Shapes of the images as they were given; None if they are those of the measures.
 
     Examples
     --------
@@ -88,6 +92,7 @@ class Morph(FrameSequence):
     unmatched: str = "fade"
     options: MorphOptions = field(default_factory=MorphOptions, repr=False)
     arrays: tuple[str, ...] = ()
+    shapes: tuple[tuple[int, int], tuple[int, int]] | None = None
     _renderer: SpreadRenderer = field(init=False, repr=False, compare=False)
     #: Cache of rendered frames: it holds no frame or all frames.
     _kept: list[NDArray[np.float32]] = field(
@@ -110,6 +115,21 @@ class Morph(FrameSequence):
             f"<Morph of {w} x {h} into {width} x {height} pixels, {len(self.times)} frames, "
             f"{len(self.particles)} particles, {self.potentials.message}>"
         )
+
+    @property
+    def given_shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Shapes (height, width) of the images as they were given, in whose pixels landmarks are.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> image = np.eye(12)
+        >>> morph = clmorph.morph(image, image, size=6, n_frames=2, backend="numpy")
+        >>> morph.given_shapes, morph.source.shape
+        (((12, 12), (12, 12)), (6, 6))
+        """
+        return self.shapes or (self.source.shape, self.target.shape)
 
     @property
     def solved_sizes(self) -> tuple[int, int]:
@@ -181,7 +201,8 @@ class Morph(FrameSequence):
     def detail(self) -> str:
         """What draws the fine detail of the frames: "carried", "particles", "shapes" or "pixels".
 
-        It is the option `detail`, but "particles" where pictures have opacity and it is "carried".
+        It is the option `detail`, but "particles" where it is "carried" and pictures have opacity
+        or more than 16 labels.
         """
         return self._renderer.detail
 

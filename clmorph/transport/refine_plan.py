@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
-from clmorph._shared.typing import Array, IntArray
+from clmorph._shared.typing import AnyArray, Array, IntArray
 from clmorph.images.pixels import resized
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.transport.barycentric import Barycentric
@@ -92,7 +91,12 @@ def _pixels(
     return pairs, found[0][pairs], found[1][pairs]
 
 
-def drawn(draws: Draws, source: PixelBlocks, target: PixelBlocks) -> Plan:
+def drawn(
+    draws: Draws,
+    source: PixelBlocks,
+    target: PixelBlocks,
+    points: tuple[IntArray, IntArray] | None = None,
+) -> Plan:
     """Convert draws from a plan between blocks to pairs of pixels, each draw to one pair.
 
     The draws of a row are ordered along a Z-curve over the target's blocks. They are assigned in
@@ -104,8 +108,10 @@ def drawn(draws: Draws, source: PixelBlocks, target: PixelBlocks) -> Plan:
     Parameters
     ----------
     draws : Draws
-        Draws from a plan between `source.coarse` and `target.coarse`.
+        Draws from a plan between `source.coarse` and `target.coarse`, or some of their blocks.
     source, target : PixelBlocks
+    points : pair of integer arrays, optional
+        The blocks of source and target between which the plan is; all if missing.
 
     Returns
     -------
@@ -114,29 +120,42 @@ def drawn(draws: Draws, source: PixelBlocks, target: PixelBlocks) -> Plan:
         mass.
     """
     by_row, by_column = draws.masses()
-    own, other, mass = _to_pixels(draws.targets, by_row, source, target)
-    back, forth, arriving = _to_pixels(draws.sources, by_column, target, source)
+    sizes = len(source.coarse), len(target.coarse)
+    targets: AnyArray = draws.targets
+    sources: AnyArray = draws.sources
+    i, j = np.arange(sizes[0]), np.arange(sizes[1])
+    if points is not None:
+        i, j = points
+        targets, sources = j[targets], i[sources]
+    own, other, mass = _to_pixels(targets, i, by_row, source, target)
+    back, forth, arriving = _to_pixels(sources, j, by_column, target, source)
     rows, columns = np.concatenate((own, forth)), np.concatenate((other, back))
-    marginals = draws.row_mass, draws.column_mass
+    marginals = np.zeros(sizes[0]), np.zeros(sizes[1])
+    marginals[0][i], marginals[1][j] = draws.row_mass, draws.column_mass
     return _as_plan(rows, columns, np.concatenate((mass, arriving)), marginals, source, target)
 
 
 def _to_pixels(
-    drawn: NDArray[np.int32], masses: Array, own: PixelBlocks, other: PixelBlocks
+    drawn: AnyArray,
+    chosen: IntArray,
+    masses: Array,
+    own: PixelBlocks,
+    other: PixelBlocks,
 ) -> tuple[IntArray, IntArray, Array]:
     """Return pixel pairs of one side's draws: own pixels, other pixels, and masses of the pairs."""
     n, count = drawn.shape
     along = z_order(*np.divmod(np.arange(len(other.coarse)), other.coarse.shape[1]))
     order = np.argsort(along[drawn], axis=1, kind="stable")
     blocks, others = (
-        np.repeat(np.arange(n), count),
+        np.repeat(chosen, count),
         np.take_along_axis(drawn, order, axis=1).ravel(),
     )
     mass = np.take_along_axis(masses, order, axis=1).ravel()
     travels = np.flatnonzero(mass > 0)
     rank, finest = np.tile(np.arange(count), n)[travels], max(own.side, other.side)
     pixels, place = _in_turn(own, blocks[travels], rank, count, finest)
-    return pixels, _at_place(other, others[travels].astype(np.int64), place, finest), mass[travels]
+    there = _at_place(other, others[travels].astype(np.int64), place, finest)
+    return pixels, _with_mass(other)[there], mass[travels]
 
 
 def z_order(row: IntArray, column: IntArray) -> IntArray:
@@ -191,6 +210,29 @@ def _at_place(blocks: PixelBlocks, owner: IntArray, place: IntArray, finest: int
         inside = np.minimum(blocks.side, length - index * blocks.side)
         found.append(index * blocks.side + (offset * blocks.side // finest) % inside)
     return np.asarray(found[0] * blocks.fine.shape[1] + found[1])
+
+
+def _with_mass(blocks: PixelBlocks) -> IntArray:
+    """Return each pixel, or in place of one without mass the next one of its block that has some.
+
+    Blocks without mass keep their pixels.
+    """
+    count, massive = len(blocks.fine), blocks.fine.weights > 0
+    if massive.all():
+        return np.arange(count)
+    place = np.divmod(np.arange(count), blocks.fine.shape[1])
+    order = np.lexsort((z_order(*(axis % blocks.side for axis in place)), blocks.owners))
+    owners, there = blocks.owners[order], np.flatnonzero(massive[order])
+    following = np.searchsorted(there, np.arange(count))
+    found = np.arange(count)
+    # The next one along the curve, or the one before, if it is of the same block.
+    for near in (following, following - 1):
+        near = there[np.clip(near, 0, len(there) - 1)] if len(there) else np.arange(count)
+        wanted = ~massive[order[found]] & (owners[near] == owners)
+        found = np.where(wanted, near, found)
+    chosen = np.empty(count, np.int64)
+    chosen[order] = order[found]
+    return chosen
 
 
 def _as_plan(

@@ -1,4 +1,4 @@
-"""The doors of PyTorch, JAX and GeomLoss; tests of a library that is absent are skipped."""
+"""The interfaces of PyTorch, JAX and GeomLoss; tests of a library that is absent are skipped."""
 
 import subprocess
 import sys
@@ -20,7 +20,7 @@ def arrays(rng, n=5, m=6, balanced=False):
     return a, rng.random((n, 2)), b, rng.random((m, 2))
 
 
-def test_doors_import_no_library():
+def test_interfaces_import_no_library():
     code = (
         "import sys, clmorph, clmorph.torch, clmorph.jax, clmorph.pot, clmorph.geomloss;"
         "assert not {'torch', 'jax', 'ot', 'geomloss'} & set(sys.modules);"
@@ -61,7 +61,7 @@ def test_torch_batches(any_backend, rng):
         clmorph.torch.sinkhorn_divergence(*many, backend="numpy")
 
 
-def test_geomloss_door(rng):
+def test_geomloss_losses(rng):
     torch = pytest.importorskip("torch")
     a, x, b, y = (torch.tensor(each, requires_grad=True) for each in arrays(rng))
     loss = clmorph.geomloss.SamplesLoss(blur=0.3, reach=0.5, device="numpy")

@@ -1,4 +1,4 @@
-"""POT's door against POT itself, which is dense and in float64."""
+"""POT's interface against POT itself, which is dense and in float64."""
 
 import numpy as np
 import ot

@@ -192,8 +192,10 @@ def test_the_variants_are_of_every_file():
 @pytest.mark.parametrize("quirk", QUIRKS)
 @pytest.mark.parametrize("built", VARIANTS, ids=str)
 def test_every_variant_is_right_with_each_quirk(device, quirk, built):
-    quirks = find_quirks(device.device) | {quirk}
-    forced = OpenCLOperations(device.device, choose_constants(device.device, quirks), verify=False)
+    constants = choose_constants(device.device, find_quirks(device.device) | {quirk})
+    if not built.suits(constants):
+        pytest.skip("there the host iterates")
+    forced = OpenCLOperations(device.device, constants, verify=False)
     assert verification.first_failure(forced, built) == ""
 
 

@@ -17,7 +17,8 @@ from programs import program
 
 import clmorph
 from clmorph.batch.index import index_page
-from clmorph.batch.journal import NAME
+from clmorph.batch.jobs import Defaults, from_folder, read_jobs
+from clmorph.batch.places import JOURNAL as NAME
 from clmorph.batch.workers import LOCAL, devices_of, local_client, quiet_dask
 from clmorph.cli.main import main
 
@@ -186,6 +187,79 @@ def test_two_runs_do_not_share_a_folder(pictures, tmp_path, capsys):
     assert "another clmorph batch writes to it" in capsys.readouterr().err
 
 
+def test_links_are_followed(pictures, tmp_path, capsys):
+    """No output replaces a picture under another name."""
+    (tmp_path / "real").mkdir()
+    picture = tmp_path / "real" / "a.png"
+    picture.write_bytes(pictures[0].read_bytes())
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    (tmp_path / "jobs.csv").write_text(f"source,target,output\nreal/a.png,{pictures[1]},a.png\n")
+    call = ["batch", str(tmp_path / "jobs.csv"), "-o", str(tmp_path / "link")]
+    assert main([*call, "--backend", "numpy"]) == 2
+    assert "a.png would replace a picture" in capsys.readouterr().err
+    assert picture.read_bytes() == pictures[0].read_bytes()
+
+
+def test_pictures_and_outputs_in_one_folder(pictures, tmp_path, capsys):
+    """GIF files would count as pictures when the command goes on."""
+    folder = str(pictures[0].parent)
+    assert main(["batch", "--chain", folder, "-o", folder, "--backend", "numpy"]) == 2
+    assert "choose another folder of outputs" in capsys.readouterr().err
+
+
+def test_names_with_dashes(tmp_path):
+    for name in ("a", "a-b", "b-c", "c"):
+        (tmp_path / f"{name}.png").write_bytes(b"")
+    jobs = from_folder(str(tmp_path), ".gif", False, Defaults(str(tmp_path / "o"), {}, None, 100))
+    assert len({job.output for job in jobs}) == 6
+    assert Path(jobs[0].output).name == "a-b--a.gif"
+
+
+def test_a_table_in_another_folder(pictures, tmp_path):
+    """Landmarks are relative to the table, as pictures are."""
+    (tmp_path / "marks.csv").write_text("x, y, x', y'\n1,2,3,4\n")
+    (tmp_path / "t.csv").write_text("source,target,output,landmark\na,b,c.gif,marks.csv\n")
+    (job,) = read_jobs(str(tmp_path / "t.csv"), Defaults(str(tmp_path / "o"), {}, None, 100))
+    assert job.options["landmarks"] == (((1.0, 2.0), (3.0, 4.0)),)
+
+
+def test_an_index_of_earlier_runs_too_and_a_journal_edited_by_hand(client, pictures, tmp_path):
+    out = tmp_path / "out"
+    call = ["-o", str(out), "--backend", "numpy", "--scheduler", client.scheduler.address]
+    (tmp_path / "small.toml").write_text("size = 12\nframes = 3\nmax_particles = 500\n")
+    call += ["--config", str(tmp_path / "small.toml")]
+    for name in ("one", "two"):
+        lines = f"source,target,output\n{pictures[0]},{pictures[1]},{name}.gif\n"
+        (tmp_path / f"{name}.csv").write_text(lines)
+        assert main(["batch", str(tmp_path / f"{name}.csv"), *call]) == 0
+    page = (out / "index.html").read_text("ascii")
+    assert "one.gif" in page
+    assert "two.gif" in page
+    whole = records(out)
+    strange = [
+        {"output": str(out / "two.gif")}, {"output": str(out / "two.gif"), "status": "done"},
+        whole[0] | {"iterations": 3.5, "bytes": float("inf"), "frames": float("nan")},
+    ]  # fmt: skip
+    with (out / NAME).open("a") as stream:
+        stream.writelines(json.dumps(each) + "\n" for each in strange)
+    assert main(["batch", str(tmp_path / "two.csv"), *call]) == 0
+    page = (out / "index.html").read_text("ascii")
+    assert page.count('<tr class="done">') == 2
+    assert 'data-value="3"' in page
+
+
+def test_a_client_that_is_closed(client):
+    from distributed import Client
+
+    other = Client(client.scheduler.address)
+    other.close()
+    measures = [([1.0], [[0.0]]), ([1.0], [[1.0]])]
+    with pytest.raises(clmorph.InputError, match="closed"):
+        clmorph.batch.morph([("a.png", "b.png", "c.gif")], client=other)
+    with pytest.raises(clmorph.InputError, match="closed"):
+        clmorph.batch.divergence_matrix(measures, 0.1, client=other)
+
+
 def test_other_file_systems(client, pictures, tmp_path):
     """Pictures and outputs through fsspec; "local" stands for any of its file systems."""
     pair = f"local://{pictures[0]}", f"local://{pictures[1]}", f"local://{tmp_path}/new/out.gif"
@@ -203,6 +277,34 @@ def test_other_file_systems(client, pictures, tmp_path):
     made = {path.name for path in (tmp_path / "far").iterdir()}
     assert {NAME, "index.html", "a-b.gif"} <= made
     assert len(made) == 7
+
+
+def test_labels_and_features_of_a_table(client, pictures, tmp_path):
+    """The bytes are those of `clmorph morph` with the same files, whose change is noticed."""
+    rng = np.random.default_rng(2)
+    for name in ("one", "other"):
+        Image.fromarray(rng.integers(0, 2, (12, 12), np.uint8)).save(tmp_path / f"{name}.png")
+        np.save(tmp_path / f"{name}.npy", rng.random((12, 12)))
+    names = ("source", "target", "output", "source_labels", "target_labels", "source_features",
+             "target_features")  # fmt: skip
+    files = (*pictures[:2], "a.gif", "one.png", "other.png", "one.npy", "other.npy")
+    row = dict(zip(names, map(str, files), strict=True)) | {"frames": 3, "preset": "photo"}
+    (tmp_path / "jobs.json").write_text(json.dumps([row]))
+    call = ["batch", str(tmp_path / "jobs.json"), "-o", str(tmp_path / "out"), "--backend", "numpy"]
+    call += ["--scheduler", client.scheduler.address]
+    assert main(call) == 0
+    guides = ["--labels", *(str(tmp_path / f"{name}.png") for name in ("one", "other"))]
+    guides += ["--features", *(str(tmp_path / f"{name}.npy") for name in ("one", "other"))]
+    alone = ["-o", str(tmp_path / "b.gif"), "--frames", "3", "--backend", "numpy"]
+    alone += ["--preset", "photo"]
+    assert main(["morph", *map(str, pictures[:2]), *guides, *alone]) == 0
+    assert (tmp_path / "out" / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
+    np.save(tmp_path / "one.npy", rng.random((12, 12)) + 5)
+    os.utime(tmp_path / "one.npy", (1, 1))
+    assert main(call) == 2  # another file than the one that the output was made with
+    config = tmp_path / "own.toml"
+    config.write_text('labels = ["one.png", "other.png"]\n')
+    assert main([*call, "--redo", "--config", str(config)]) == 2
 
 
 @pytest.mark.small
@@ -252,6 +354,9 @@ def test_divergence_matrix(client):
         ("a.csv", "source,target\na,b\n", "line 1: no column output"),
         ("a.csv", "source,target,output,blurr\n", "line 1: unknown option 'blurr'; did you mean"),
         ("a.csv", "source,target,output,blur,blur\n", "line 1: two columns 'blur'"),
+        ("a.csv", "source,target,output,color-weight,color_weight\n", "two columns 'color_weight'"),
+        ("a.csv", "source,target,output,source-labels\na,b,c.gif,d\n", "expected both"),
+        ("a.csv", "source,target,output\na,b,index.html\n", "a file of the batch itself"),
         ("a.csv", "source,target,output\na,b,c.gif,d\n", "line 2: more values than the 3"),
         ("a.csv", "source,target,output\na,b\n", "line 2: fewer values than the 3"),
         ("a.csv", "source,target,output\na,,c.gif\n", "line 2: no target"),
@@ -274,6 +379,21 @@ def test_divergence_matrix(client):
             "a.json",
             '[{"source": "a", "target": "b", "output": "c.gif", "frames": 2.5}]',
             "entry 1: frames = 2.5: expected a whole number",
+        ),
+        (
+            "a.csv",
+            "source,target,output,source_labels\na,b,c.gif,d.png\n",
+            "line 2: expected both source_labels and target_labels, or none",
+        ),
+        (
+            "a.json",
+            '[{"source": "a", "target": "b", "output": "c.gif", "source_features": 3}]',
+            "entry 1: source_features = 3: expected a text",
+        ),
+        (
+            "a.csv",
+            "source,target,output,source_labels,target_labels\na,b,c.gif,d.png,out/c.gif\n",
+            "would replace a picture",
         ),
         ("a.txt", "", "expected a table of jobs: .csv or .json"),
     ],
@@ -364,13 +484,14 @@ def test_without_the_extra(monkeypatch, tmp_path, capsys):
 def test_a_journal_with_half_a_line(tmp_path):
     from clmorph.batch.journal import Journal
 
+    rest = {"source": "s", "target": "t", "where": "line 1"}
     with Journal(str(tmp_path)) as journal:
-        journal.add({"output": "a", "status": "done", "key": "1"})
+        journal.add({"output": "a", "status": "done", "key": "1", **rest})
     path = tmp_path / NAME
     path.write_bytes(path.read_bytes() + b'{"output": "b", "sta')
     with Journal(str(tmp_path)) as journal:
         assert set(journal.records) == {"a"}
-        journal.add({"output": "c", "status": "done", "key": "2"})
+        journal.add({"output": "c", "status": "done", "key": "2", **rest})
     with Journal(str(tmp_path)) as journal:
         assert set(journal.records) == {"a", "c"}
 

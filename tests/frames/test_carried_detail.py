@@ -12,6 +12,7 @@ from clmorph.frames import carried_detail, halfway
 from clmorph.frames.canvas import canvas_at
 from clmorph.frames.carried_detail import Bands, CarriedDetail, band_width
 from clmorph.frames.halfway import Halfway, register
+from clmorph.frames.resampling import enlarged
 from clmorph.images.pixels import fit
 from clmorph.pipeline.options import preset_options
 
@@ -99,21 +100,37 @@ class TestMotion:
 
 
 class TestBands:
-    def test_their_sum_is_the_image(self):
-        image = textured((40, 53))
-        canvas = canvas_at(0.0, (40, 53), (40, 53))
-        detail, low, lacking, variance = Bands.of(image, canvas).at(canvas.positions())
-        assert not lacking.any()
-        assert np.abs(detail + low - image).max() < 1e-5
-        assert np.all(variance >= 0)
-        assert np.abs(gaussian_filter(detail, (6, 6, 0))).max() < 0.05
+    @pytest.mark.parametrize("shape", [(40, 53), (300, 210), (1, 9), (400, 3)])
+    def test_their_sum_is_the_image(self, shape):
+        image = textured((max(shape), max(shape)))[: shape[0], : shape[1]]
+        canvas = canvas_at(0.0, shape, shape)
+        bands = Bands.of(image, canvas)
+        assert max(bands.coarse.shape) <= max(shape)
+        assert max(shape) < 150 or max(bands.coarse.shape) < 0.6 * max(shape)
+        smooth = bands.smooth_at(bands.coarse.positions())
+        detail = bands.detail_at(canvas.positions())
+        assert not smooth.lacking.any()
+        assert np.abs(detail + enlarged(smooth.low, shape) - image).max() < 1e-5
+        assert np.all(smooth.variance >= 0)
+        width = 4 * band_width(shape)
+        assert np.abs(gaussian_filter(detail, (width, width, 0))).max() < 0.05
 
     def test_a_flat_image_has_no_detail(self):
-        flat = np.full((20, 30, 3), 0.3)
-        canvas = canvas_at(0.0, (20, 30), (20, 30))
-        detail, low, *_ = Bands.of(flat, canvas).at(canvas.positions())
-        assert np.abs(detail).max() < 1e-6
-        assert np.abs(low - 0.3).max() < 1e-6
+        flat = np.full((200, 300, 3), 0.3)
+        canvas = canvas_at(0.0, (200, 300), (200, 300))
+        bands = Bands.of(flat, canvas)
+        assert np.abs(bands.detail_at(canvas.positions())).max() < 1e-6
+        assert np.abs(bands.smooth_at(bands.coarse.positions()).low - 0.3).max() < 1e-6
+
+    def test_a_coarser_grid_changes_nothing_that_is_seen(self, device, monkeypatch):
+        ends = [fit(picture(name), 200) for name in ("portrait", "cat")]
+        frames = []
+        for fineness in (carried_detail.FINENESS, 100.0):
+            monkeypatch.setattr(carried_detail, "FINENESS", fineness)
+            morph = clmorph.morph(*ends, n_frames=3, backend=device)
+            frames.append([morph.frame(t) for t in (0.3, 0.5)])
+        for coarse, fine in zip(*frames, strict=True):
+            assert psnr(coarse, fine) > 45.0
 
 
 @pytest.mark.parametrize(("name", "seed"), [("cat", 0), ("rocket", 1)])
@@ -295,8 +312,8 @@ def test_the_band_is_a_share_of_the_picture_but_never_below_a_pixel():
     canvases = tuple(canvas_at(t, (10, 80), (110, 8)) for t in (0.0, 0.5, 1.0))
     shown = np.zeros((10, 80, 3)), np.zeros((110, 8, 3))
     carried = CarriedDetail(ends, clmorph.particles(*ends, plan), canvases, shown)
-    assert carried.kernel_width(0.0) == band_width((10, 80))
-    assert carried.kernel_width(1.0) == band_width((110, 8))
+    assert carried.kernel_width(0.0, canvases[0]) == band_width((10, 80))
+    assert carried.kernel_width(1.0, canvases[2]) == band_width((110, 8))
 
 
 class TestOptions:
@@ -363,3 +380,56 @@ class TestOptions:
         ((name, _),) = given.items()
         with pytest.raises(InputError, match=rf"^detail='carried' and .*{name}=.* contradict.*$"):
             MorphOptions(detail="carried", **given)
+
+
+def discs(places, side=48):
+    """Two discs of the same stripes on a smooth ground, and their labels 1 and 2."""
+    y, x = np.mgrid[:side, :side]
+    image = np.stack([0.3 + 0.2 * y / side] * 3, axis=-1)
+    labels = np.zeros((side, side), int)
+    for label, (column, row) in enumerate(places, start=1):
+        inside = np.hypot(x - column, y - row) < 7
+        image[inside] = np.where((x + y)[inside] % 3 < 1, 0.9, 0.5)[:, None] * (1.0, 0.8, 0.5)
+        labels[inside] = label
+    return image, labels
+
+
+def test_detail_goes_with_its_label(device):
+    """Discs that change sides meet in the middle, with their stripes; without labels none does."""
+    (a, ours), (b, theirs) = (
+        discs(places) for places in (((10, 20), (37, 27)), ((37, 20), (10, 27)))
+    )
+    y, x = np.mgrid[:48, :48]
+    middle = np.hypot(x - 23.5, y - 23.5) < 12
+    shares = {}
+    for name, labels in (("with", (ours, theirs)), ("without", None)):
+        morph = clmorph.morph(
+            a, b, labels=labels, n_frames=2, preset="photo", reach=1.0, tol=1e-2, backend=device
+        )
+        assert morph.detail == "carried"
+        assert np.abs(morph.frame(0.0) - a).max() < 1e-5
+        assert np.abs(morph.frame(1.0) - b).max() < 1e-5
+        frame = morph.frame(0.5).astype(float)
+        fine = ((frame - gaussian_filter(frame, (2, 2, 0))) ** 2).sum(axis=-1)
+        shares[name] = fine[middle].sum() / fine.sum()
+    assert shares["with"] > 0.4, shares
+    assert shares["without"] < 0.3, shares
+
+
+def test_many_labels_are_drawn_by_particles(rng):
+    image = rng.random((18, 18, 3))
+    labels = np.add.outer(np.arange(18) // 4 * 5, np.arange(18) // 4)
+    morph = clmorph.morph(
+        image, image[::-1], labels=(labels, labels), n_frames=2, preset="photo", backend="numpy"
+    )
+    assert len(np.unique(labels)) > 16
+    assert morph.detail == "particles"
+    assert np.all(np.isfinite(morph.frame(0.5)))
+    few = tuple((labels > each).astype(int) for each in (7, 90))  # the second picture has one
+    morph = clmorph.morph(
+        image, image[::-1], labels=few, n_frames=2, preset="photo", backend="numpy"
+    )
+    assert morph.detail == "carried"
+    for t, end in ((0.0, image), (1.0, image[::-1])):
+        assert np.abs(morph.frame(t) - end).max() < 1e-5
+    assert np.all(np.isfinite(morph.frame(0.5)))

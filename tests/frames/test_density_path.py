@@ -1,10 +1,12 @@
 """Displacement interpolation of densities on grids."""
 
+import warnings
+
 import numpy as np
 import pytest
 
 import clmorph
-from clmorph import InputError
+from clmorph import ConvergenceWarning, InputError
 
 
 def gaussian(shape, center, widths):
@@ -64,6 +66,37 @@ def test_ends_and_masses(device, rng, reach):
     assert path.at(0.5).shape == (6, 7)
     same = clmorph.density_path(source, source[::-1], blur=0.05, reach=reach, backend=device)
     assert np.abs(same.at(1e-6) - source).max() < 1e-3 * source.max()  # nothing jumps at the ends
+
+
+@pytest.mark.parametrize("reach", [None, 0.2])
+def test_a_loose_tolerance_adds_no_mass(device, rng, reach):
+    """Rows of the plan may then exceed their cells' masses; no cell is negative for that."""
+    source, target = rng.random((2, 12, 12)) ** 4
+    target *= source.sum() / target.sum()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        path = clmorph.density_path(
+            source, target, blur=0.05, reach=reach, tol=0.3, max_iter=3, backend=device
+        )
+    for t in (0.01, 0.4, 0.99):
+        grid = path.at(t)
+        assert grid.min() >= 0
+        assert grid.sum() == pytest.approx((1 - t) * source.sum() + t * target.sum(), rel=1e-12)
+
+
+def test_the_entropic_term_is_that_of_two_gaussians(device):
+    """A blur as wide as the Gaussians: the middle is wider than without it, by a closed form."""
+    n, deviation, blur = 241, 0.06, 0.05
+    first, last = (gaussian((1, n), (c, 0.0), (deviation, 1.0)) for c in (0.35, 0.65))
+    path = clmorph.density_path(first, last, blur=blur, tol=1e-5, backend=device)
+    mean, found = moments(path.at(0.5))
+    epsilon, variance = blur**2, deviation**2
+    together = np.sqrt(variance**2 + epsilon**2 / 4) - epsilon / 2
+    # Division among neighboring cells adds at most a quarter of a cell's square.
+    want, cell = 0.5 * (variance + together), 1 / (n - 1)
+    assert mean[0] == pytest.approx(0.5, abs=1e-4)
+    assert want + 1e-6 < variance - 10 * cell**2  # the term is far larger than the grid's part
+    assert want - 1e-5 < found[0] ** 2 < want + cell**2 / 4 + 1e-5
 
 
 def test_mass_out_of_reach_fades_in_place():

@@ -36,6 +36,27 @@ def test_together_and_one_by_one(any_backend, monkeypatch, rng, sigma):
         assert total.mean() == pytest.approx(1.0, abs=0.35)  # relative to an even spread
 
 
+def test_many_groups_on_a_tall_canvas(any_backend, rng):
+    """Positions far down in the strip keep their precision."""
+    options = {"n_frames": 2, "preset": "paper", "size": None, "extent": "true"}
+    ends = rng.random((2, 250, 8, 3))
+    particles = clmorph.morph(*ends, **options, backend="numpy").particles
+    groups = np.array_split(np.arange(len(particles.links)), 200)
+    canvas = canvas_at(0.3, (250, 8), (250, 8))
+    backend = clmorph.get_backend(any_backend)
+
+    def densities(some):
+        drawn = Parts(backend, particles, particles.table, some).drawn(0.3, canvas, 0.7)
+        return [density for _, density in drawn]
+
+    together = densities(groups)
+    there = [number for number, density in enumerate(together) if density.max() > 0]
+    assert len(there) > 100
+    for number in there[-2:]:
+        (alone,) = densities(groups[number : number + 1])
+        assert np.abs(together[number] - alone).max() < 5e-4 * alone.max(), number
+
+
 def test_nothing_leaks_into_the_next_group(any_backend, rng):
     """A group at the lower border, far from a group that is drawn below it."""
     particles = clmorph.morph(

@@ -147,7 +147,7 @@ SOLVER = {"tol": 1e-3, "max_iter": 2000}
 WIDTHS = {"sigma_start": 1.2, "sigma_end": 0.5, "gamma": 0.5}
 LIFTING = {"extent": "true", "mass": "uniform", "weights": None, "color_space": "srgb",
            "color_metric": None, "color_weight": 2.0}  # fmt: skip
-GUIDES = {"landmarks": None}
+GUIDES = {"landmarks": None, "labels": None, "features": None, "feature_weight": 1.0}
 
 
 def cases() -> dict[str, dict[str, Any]]:
@@ -235,6 +235,7 @@ def cases() -> dict[str, dict[str, Any]]:
         "lift": {"image": some["a"], **LIFTING},
         "fit": {"image": some["a"], "size": 2},
         "read_image": {"path": "a.png", "max_pixels": 1000},
+        "read_labels": {"path": "a.png", "max_pixels": 1000},
         "load": {"path": "a.npz", "max_bytes": 1e9},
         "load_options": {"path": "a.npz"},
         "get_backend": {"backend": "numpy"},

@@ -15,18 +15,20 @@ from clmorph.pipeline.options import MorphOptions
 OPTIONS = MorphOptions(**PLAIN)
 STRENGTHS = {name: PLAIN[name] for name in ("blur", "reach")}
 
+#: Arguments of `morph` and `inspect` that are arrays.
+MAPS = ("weights", "color_metric", "labels", "features")
+
 
 def morph(image_a, image_b, *numbers, backend="auto", **given) -> Any:
     given |= dict(zip(("n_frames", "blur", "reach"), numbers, strict=False))
-    own = {name: given.pop(name) for name in ("weights", "color_metric", "progress")
-           if name in given}  # fmt: skip
+    own = {name: given.pop(name) for name in (*MAPS, "progress") if name in given}
     return clmorph.morph(image_a, image_b, OPTIONS.replace(**given), backend=backend, **own)
 
 
 def inspect(image_a, image_b, **given) -> Any:
     own = {
         name: given.pop(name)
-        for name in ("weights", "color_metric", "progress", "backend", "divergence", "max_bytes")
+        for name in (*MAPS, "progress", "backend", "divergence", "max_bytes")
         if name in given
     }
     return clmorph.inspect(image_a, image_b, OPTIONS.replace(**given), **own)

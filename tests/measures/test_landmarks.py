@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import plain
 import pytest
-from PIL import Image
+from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter
 
 import clmorph
@@ -110,6 +110,85 @@ def test_the_warp_is_exact_and_keeps_the_mass(rng):
         assert np.abs(measure.features[:, 0] - bump).max() < 1e-9
 
 
+def portrait(center, size, eyes, mouth, colors, tilt=0.0, side=48):
+    """Return a drawn portrait, eight landmarks, and the centers of its eyes and of its mouth."""
+    fine = 8
+    image = Image.new("RGB", (side * fine, side * fine), colors[2])
+    draw = ImageDraw.Draw(image)
+    turn = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
+
+    def at(x, y):  # in units of the head's size
+        return tuple(np.array(center) + size * turn @ (x, y))
+
+    def ellipse(x, y, wide, high, color):
+        turns = np.linspace(0.0, 2 * np.pi, 60)
+        corners = [at(x + wide * np.cos(each), y + high * np.sin(each)) for each in turns]
+        draw.polygon([tuple((np.array(corner) + 0.5) * fine) for corner in corners], fill=color)
+
+    ellipse(0, -0.15, 0.85, 1.0, colors[1])
+    ellipse(0, 0, 0.68, 0.9, colors[0])
+    for side_of in (-1, 1):
+        ellipse(side_of * eyes[0], eyes[1], 0.16, 0.1, (20, 40, 190))
+    ellipse(0, mouth[1], mouth[0], 0.1, (205, 10, 40))
+    corners = [(each * eyes[0] + more, eyes[1]) for each in (-1, 1) for more in (-0.16, 0.16)]
+    marks = [*corners, (0, 0.2), (-mouth[0], mouth[1]), (mouth[0], mouth[1]), (0, 0.9)]
+    parts = [at(-eyes[0], eyes[1]), at(*eyes), at(0, mouth[1])]
+    pixels = np.asarray(image.resize((side, side), Image.Resampling.BOX)) / 255.0
+    return pixels, [at(*mark) for mark in marks], np.array(parts)
+
+
+def strayed(frame, parts):
+    """Return the distances of eyes and mouth from their places, in pixels, and the share there.
+
+    Nothing but eyes is blue, and nothing but mouths is red.
+    """
+    red, green, blue = np.moveaxis(frame[..., :3].astype(float), -1, 0)
+    y, x = np.mgrid[: frame.shape[0], : frame.shape[1]]
+    away = [np.hypot(x - place[0], y - place[1]) for place in parts]
+    eyes = np.clip(blue - np.maximum(red, green) - 0.1, 0.0, None)
+    lips = np.clip(red - green - 0.35, 0.0, None)
+    left = away[0] < away[1]
+    found = []
+    for part, (mass, near) in enumerate(((eyes * left, 4.0), (eyes * ~left, 4.0), (lips, 8.0))):
+        center = np.array([(mass * x).sum(), (mass * y).sum()]) / mass.sum()
+        found.append(
+            (np.hypot(*(center - parts[part])), (mass * (away[part] < near)).sum() / mass.sum())
+        )
+    return np.array(found).T
+
+
+def test_a_portrait_keeps_eyes_and_mouth_at_every_time(any_backend):
+    """With eight landmarks, where detail is carried and where particles draw it."""
+    a, ours, places = portrait(
+        (20, 22), 19, (0.3, -0.15), (0.28, 0.5),
+        ((222, 190, 165), (60, 40, 25), (150, 170, 190)),
+    )  # fmt: skip
+    b, theirs, targets = portrait(
+        (27, 27), 16, (0.3, -0.05), (0.36, 0.45),
+        ((150, 110, 85), (25, 20, 20), (200, 190, 150)), tilt=0.18,
+    )  # fmt: skip
+    options = {"n_frames": 2, "solve_size": 24, "tol": 1e-2, "sample": 4, "backend": any_backend}
+    landmarks = list(zip(ours, theirs, strict=True))
+    worst = {}
+    for name, given in (("with", landmarks), ("without", None)):
+        for detail in ("carried", "particles"):
+            morph = clmorph.morph(
+                a, b, landmarks=given, preset="photo", detail=detail, **options
+            )  # fmt: skip
+            found = [
+                strayed(morph.frame(t), (1 - t) * places + t * targets)
+                for t in np.linspace(0.0, 1.0, 5)
+            ]
+            worst[name, detail] = (
+                max(each[0].max() for each in found),
+                min(each[1].min() for each in found),
+            )
+    for detail in ("carried", "particles"):
+        assert worst["with", detail][0] < 1.0
+        assert worst["with", detail][1] > 0.95
+        assert worst["without", detail][0] > 2.0
+
+
 def test_no_landmarks_change_nothing(rng):
     pair = clmorph.lift(rng.random((5, 5))), clmorph.lift(rng.random((5, 5)))
     assert guided(*pair, []) == pair
@@ -203,7 +282,7 @@ def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng):
     monkeypatch.chdir(tmp_path)
     for name in "abc":
         Image.fromarray(rng.integers(0, 255, (12, 14, 3), np.uint8)).save(f"{name}.png")
-    (tmp_path / "pairs.csv").write_text("x,y,to x,to y\n5,5,6,6  # the nose\n\n9;7;8;8\n")
+    (tmp_path / "pairs.csv").write_text("# faces\nx,y,to x,to y\n5,5,6,6  # the nose\n\n9;7;8;8\n")
     options = ["--frames", "3", "--backend", "numpy", "--preset", "photo"]
     written = {}
     for name, given in {
@@ -227,9 +306,15 @@ def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng):
     (tmp_path / "own.toml").write_text(capfd.readouterr().out)
     assert clmorph.load_options("own.toml")["landmarks"] == known
     (tmp_path / "bad.csv").write_text("1,2,3,4\n1,2,3\n")
+    (tmp_path / "typo.csv").write_text("1O,20,30,40\n5,6,7,8\n")
+    (tmp_path / "empty.csv").write_text("# nothing\nx,y,to x,to y\n\n")
+    (tmp_path / "huge.csv").write_text("1,2,3,4\n" * (1 << 18))
     for given, told in {
         "bad.csv": "bad.csv, line 2: '1,2,3': expected x,y,x',y' in pixels",
         "no.csv": "no.csv: landmarks cannot be read",
+        "typo.csv": "typo.csv, line 1: '1O,20,30,40': expected x,y,x',y' in pixels",
+        "empty.csv": "empty.csv: no landmarks in it",
+        "huge.csv": "huge.csv: larger than",
         "5,5": "expected x,y:x',y' in pixels",
         "5,5:inf,3": "expected x,y:x',y' in pixels",
         "5,5:99,3": "outside image_b",

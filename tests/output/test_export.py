@@ -20,6 +20,7 @@ from programs import program
 
 import clmorph
 from clmorph import InputError, OutputError
+from clmorph._shared.threads import MOST_THREADS
 from clmorph.images.pixels import to_bytes
 from clmorph.output.formats.sheet import Layout
 from clmorph.output.formats.video import CONTAINERS
@@ -714,7 +715,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, growing, monkeypatch, na
     "name", ["out.gif", "out.apng", "out.webp", "out.tif", "out.npz", "out.html", "frames"]
 )
 def test_frames_are_not_held(tmp_path, monkeypatch, name):
-    """They are rendered one by one, wait on disk, and are read again one by one."""
+    """They are rendered one by one, wait on disk, and are read again, a few ahead."""
     rng = np.random.default_rng(6)
     result = plain.morph(*rng.random((2, 8, 8, 3)), 20)
     alive, most = [0], []
@@ -735,7 +736,7 @@ def test_frames_are_not_held(tmp_path, monkeypatch, name):
     monkeypatch.setattr("clmorph.output.spool.IN_MEMORY", 1000)
     save(result, tmp_path / name, loop="ping-pong")
     assert len(most) >= 40
-    assert max(most) <= 3
+    assert max(most) <= 3 + MOST_THREADS
 
 
 #: Writes a film of smooth frames that move, made when they are read, and tells by how many MB

@@ -12,8 +12,10 @@ from plain import morph
 from programs import program
 
 from clmorph._shared.printable import printable
+from clmorph.errors import InputError
 from clmorph.images.pixels import to_bytes
-from clmorph.output.html import Curve, Field, Scene, page, repr_html, scene_of
+from clmorph.measures.landmark_options import check_landmarks, read_landmarks
+from clmorph.output.html import Curve, Field, Marks, Scene, page, repr_html, scene_of
 from clmorph.output.save import save
 
 FLAGS = [
@@ -765,3 +767,113 @@ def test_a_saved_chain_backwards(rng, show, tmp_path):
         until(opened, f"clmorph.index === {place}")
         large = np.kron(to_bytes(wanted), np.ones((2, 2, 1)))
         assert np.array_equal(pixels(opened)[..., :3], large)
+
+
+def clicked(opened, side, x, y, shape):
+    """Click a pixel of a picture (height, width) in the panel of landmarks."""
+    box = opened.locator(f"#marks-{side}").bounding_box()
+    opened.mouse.click(
+        box["x"] + (x + 0.5) / shape[1] * box["width"],
+        box["y"] + (y + 0.5) / shape[0] * box["height"],
+    )
+
+
+def test_landmarks_are_shown_set_moved_deleted_and_copied(rng, show):
+    shapes = ((60, 80), (90, 50))
+    frames = [*noise(rng, 2, (30, 40, 3)), *noise(rng, 1, (45, 25, 3))]
+    opened = show(scene_with(frames, marks=Marks([[(10, 20), (30, 40)]], shapes)))
+    opened.get_by_role("button", name="Landmarks").click()
+    assert opened.evaluate("clmorph.landmarks") == [[[10, 20], [30, 40]]]
+    until(opened, "document.getElementById('marks-a').width > 300")
+    # Both pictures have the mark, each where it belongs, and their own shape.
+    for side, (x, y), shape in (("a", (10, 20), shapes[0]), ("b", (30, 40), shapes[1])):
+        seen = pixels(opened, f"marks-{side}")
+        assert seen.shape[1] / seen.shape[0] == pytest.approx(shape[1] / shape[0], rel=0.02)
+        there = seen[
+            int((y + 0.5) / shape[0] * len(seen)), int((x + 0.5) / shape[1] * len(seen[0]))
+        ]
+        assert np.ptp(there[:3].astype(int)) > 60  # the color of the mark
+    clicked(opened, "a", 70, 50, shapes[0])
+    assert len(opened.evaluate("clmorph.landmarks")) == 1  # its partner is missing
+    assert "partner of landmark 2 in picture B" in opened.locator("#marks-status").inner_text()
+    clicked(opened, "b", 5, 80, shapes[1])
+    found = np.array(opened.evaluate("clmorph.landmarks"))
+    # A screen pixel is less than a third of a pixel here.
+    assert np.abs(found - [[(10, 20), (30, 40)], [(70, 50), (5, 80)]]).max() < 0.35
+    # What is copied is what the command line and Python take.
+    line, python = (opened.locator(f"#marks-{name}").input_value() for name in ("line", "python"))
+    assert line.count("--landmark ") == 2
+    assert read_landmarks(line.replace("--landmark ", "")) == check_landmarks("it", found.tolist())
+    assert eval(f"dict({python})") == {"landmarks": list(check_landmarks("it", found.tolist()))}
+    opened.locator("#copy-line").click()
+    until(opened, "document.getElementById('copy-line').textContent !== 'Copy'")
+    # A point is dragged, and stays inside its picture.
+    box = opened.locator("#marks-b").bounding_box()
+    at = [box["x"] + 5.5 / 50 * box["width"], box["y"] + 80.5 / 90 * box["height"]]
+    opened.mouse.move(*at)
+    opened.mouse.down()
+    opened.mouse.move(at[0] - 500, at[1])
+    opened.mouse.up()
+    assert opened.evaluate("clmorph.landmarks")[1][1] == [0, pytest.approx(80, abs=0.35)]
+    opened.get_by_role("button", name="Delete landmark 1").click()
+    assert len(opened.evaluate("clmorph.landmarks")) == 1
+    opened.locator("#marks-title").click()
+    opened.keyboard.press("Delete")
+    assert opened.evaluate("clmorph.landmarks") == []
+    assert opened.locator("#marks-python").input_value() == "landmarks=[]"
+    opened.keyboard.press("m")
+    assert not opened.locator("#marks").is_visible()
+
+
+def test_the_page_of_a_morph_knows_its_landmarks(rng, show, tmp_path):
+    a, b = rng.random((2, 24, 32, 3))
+    made = morph(a, b, n_frames=2, size=16, landmarks=[((9, 9), (11, 12))], backend="numpy")
+    for reverse in (False, True):
+        save(made, tmp_path / "a.html", reverse=reverse)
+        opened = show((tmp_path / "a.html").read_text(), f"{reverse}.html")
+        opened.keyboard.press("m")
+        assert opened.evaluate("clmorph.landmarks") == [[[9, 9], [11, 12]]]
+        until(opened, "document.getElementById('marks-a').width > 300")
+        first = pixels(opened, "marks-a")[2, 2, :3] / 255
+        assert np.abs(first - made.frame(0.0)[0, 0]).max() < 0.03
+        clicked(opened, "a", 31, 0, (24, 32))
+        clicked(opened, "b", 31, 0, (24, 32))
+        assert np.abs(np.array(opened.evaluate("clmorph.landmarks"))[1] - (31, 0)).max() < 0.2
+    # Framed pictures, and chains, have other pixels than the pictures.
+    save(made, tmp_path / "a.html", canvas="40x40")
+    framed = show((tmp_path / "a.html").read_text())
+    assert not framed.get_by_role("button", name="Landmarks").is_visible()
+    framed.keyboard.press("m")
+    assert not framed.locator("#marks").is_visible()
+    assert framed.evaluate("clmorph.landmarks") == []
+
+
+def test_landmarks_on_a_phone(rng, show):
+    shapes = ((40, 40), (40, 40))
+    scene = scene_with(noise(rng, 2, (40, 40, 3)), marks=Marks(np.zeros((0, 2, 2)), shapes))
+    opened = show(scene, **PHONE)
+    opened.locator("#show-marks").tap()
+    for side in "ab":
+        canvas = opened.locator(f"#marks-{side}")
+        canvas.scroll_into_view_if_needed()
+        box = canvas.bounding_box()
+        assert box["width"] > 200
+        opened.touchscreen.tap(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    found = np.array(opened.evaluate("clmorph.landmarks"))
+    assert np.abs(found - 19.5).max() < 0.2
+    assert opened.evaluate("document.documentElement.scrollWidth") <= 360
+
+
+@pytest.mark.parametrize(
+    ("pairs", "shapes"),
+    [
+        ([[(1, 2), (3, np.nan)]], ((4, 4), (4, 4))),
+        ([[1, 2, 3, 4]], ((4, 4), (4, 4))),
+        (np.zeros((257, 2, 2)), ((4, 4), (4, 4))),
+        ([], ((4, 0), (4, 4))),
+        ([], (4, 4)),
+    ],
+)
+def test_marks_that_cannot_be_used(pairs, shapes):
+    with pytest.raises(InputError, match="expected"):
+        Marks(pairs, shapes)

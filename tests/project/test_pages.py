@@ -352,6 +352,12 @@ def landmark_names(names):
     return dict(zip(("face_a", "face_b"), photographs(40), strict=True))
 
 
+def label_names(names):
+    """Two pictures of the shapes that the blocks about labels and features have."""
+    first, second = photographs(40)
+    return {"np": np, "first": first, "second": second}
+
+
 def solver_names(names):
     """What the reader of the page about the solver has."""
     rng = np.random.default_rng(5)
@@ -400,7 +406,7 @@ def density_names(names):
     return {"clmorph": clmorph, "histogram_a": first * total, "histogram_b": second}
 
 
-def door_names(_names):
+def interface_names(_names):
     """Samples in the plane."""
     x = np.random.default_rng(0).random((2, 20, 2))
     return {"X_a": x[0], "X_b": x[1]}
@@ -419,10 +425,11 @@ def batch_names(_names):
 GIVEN = {
     ("clmorph/frames/README.md", "Densities"): density_names,
     ("clmorph/batch/README.md", "From Python"): batch_names,
-    ("clmorph/adapters/README.md", "Doors of other libraries"): door_names,
+    ("clmorph/adapters/README.md", "Interfaces of other libraries"): interface_names,
     ("clmorph/backends/README.md", "In your own OpenCL program"): host_names,
     ("clmorph/pipeline/README.md", "What decides what moves, and how"): pipeline_names,
     ("clmorph/pipeline/README.md", "Landmarks"): landmark_names,
+    ("clmorph/pipeline/README.md", "Labels"): label_names,
     ("clmorph/transport/README.md", "The solver alone"): solver_names,
     ("clmorph/transport/README.md", "Many problems at once"): many_names,
 }

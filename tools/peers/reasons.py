@@ -26,7 +26,7 @@ OUTSIDE: dict[str, tuple[Reason, ...]] = {
         Reason(r"_emd|solve_sample_methods|solve_sample_bsp", "no entropy, or Gaussians"),
         Reason(
             r"sample_NotImplemented.*'reg': 1, 'unbalanced'",
-            "POT refuses what our door solves: see peers/pot_door_cases.py",
+            "POT refuses what clmorph solves: see peers/pot_interface_cases.py",
         ),
         Reason(r"mm_wrong_divergence", "an unknown divergence is another library's choice"),
     ),

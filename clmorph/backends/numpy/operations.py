@@ -66,6 +66,15 @@ class NumPyOperations:
             result[block] = -epsilon * (largest + np.log(total))
         return result
 
+    def start_iteration(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        weights: tuple[Float64, Float64],
+        inverse_rho: tuple[float, float],
+    ) -> None:
+        """Return None: all arithmetic is on the host."""
+
     def bounded_softmin(
         self,
         rows: Cloud,

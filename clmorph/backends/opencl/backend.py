@@ -15,6 +15,7 @@ from clmorph.backends.opencl.devices.quirks import shares_host_memory
 from clmorph.backends.opencl.devices.speed import probed_speed, record_key
 from clmorph.backends.opencl.kernels.batches import BatchLogSumExp
 from clmorph.backends.opencl.kernels.clouds import CloudStore
+from clmorph.backends.opencl.kernels.half_steps import HalfSteps
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
 from clmorph.backends.opencl.kernels.near_field import NearField
@@ -111,6 +112,7 @@ class OpenCLOperations:
         self.softmin = take_turns(log_sum_exp.softmin)
         self.bounded_softmin = take_turns(log_sum_exp.bounded_softmin)
         self.row_maxima = take_turns(log_sum_exp.row_maxima)
+        self.start_iteration = take_turns(HalfSteps(loop, log_sum_exp, take_turns).start_iteration)
         self.upload_batch = take_turns(batches.upload_batch)
         self.take_batch = take_turns(batches.take_batch)
         self.softmin_batch = take_turns(batches.softmin_batch)

@@ -48,6 +48,7 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
         else:
             # A tuned build is no reason to refuse the device; it is verified when it is used.
             constants = choose_constants(device)
+            variants = [variant for variant in variants if variant.suits(constants)]
         operations = OpenCLOperations(device, constants, verify=False)
         failures = []
         for variant in variants:

@@ -75,7 +75,8 @@ def _is_right(device: cl.Device, constants: BuildConstants, tell: Callable[[str]
     programs = OpenCLOperations(device, constants).programs
     try:
         for variant in usual_variants():
-            programs.verify(variant)
+            if variant.suits(constants):
+                programs.verify(variant)
     except ClmorphError as error:
         tell(f"  not used: {error}")
         return False

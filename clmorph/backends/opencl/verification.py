@@ -15,6 +15,7 @@ from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
 from clmorph.backends.opencl.kernels.splat import Splatting
 from clmorph.backends.verification.batches import check_softmin_batch
 from clmorph.backends.verification.clouds import LONG_ROW, few_rows, several_tiles, splat_case
+from clmorph.backends.verification.iterations import check_iteration
 from clmorph.backends.verification.plans import check_plan_rows, check_stored
 from clmorph.backends.verification.reductions import (
     check_bounded_softmin,
@@ -124,6 +125,11 @@ def _check_plan_shares(operations: Adjustable, variant: Variant) -> _Checks:
         yield from check_draws(case, variant.precise, variant.listed)
 
 
+def _check_half_steps(operations: Adjustable, variant: Variant) -> _Checks:
+    case = several_tiles(operations, NumPyOperations(), DIMENSION)
+    yield from check_iteration(case, variant.balanced)
+
+
 def _check_sliced_ellpack(operations: Adjustable, variant: Variant) -> _Checks:
     exact = NumPyOperations()
     yield from check_stored(several_tiles(operations, exact, DIMENSION))
@@ -155,6 +161,7 @@ _CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
     "near_field.cl": _check_near_field,
     "plan_rows.cl": _check_plan_rows,
     "plan_shares.cl": _check_plan_shares,
+    "half_steps.cl": _check_half_steps,
     "sliced_ellpack.cl": _check_sliced_ellpack,
     "particles.cl": _check_particles,
     "splat.cl": partial(_check_splat, method="gather"),

@@ -149,6 +149,15 @@ class SeveralDevices:
 
         return in_order(rows, self._team.over_parts(rows, of_part))
 
+    def start_iteration(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        weights: tuple[Float64, Float64],
+        inverse_rho: tuple[float, float],
+    ) -> None:
+        """Return None: the parts of a softmin meet on the host."""
+
     def bounded_softmin(
         self,
         rows: Cloud,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.progress import Report, tracked
+from clmorph._shared.threads import in_order
 from clmorph.output.formats.animation import SIDE, box_of, changed, pieces, timed_frames
 from clmorph.output.formats.format import Format
 from clmorph.output.formats.limits import check_sides, encoding
@@ -45,9 +46,11 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     check_sides(framing.size, MOST, "GIF")
     in_palette = _Palette(_palette(recording, framing), framing.nearest)
     shown = timed_frames(recording, 100)
+    # Frames are read from their file in this thread.
+    taken = ((recording.picture(index), units) for index, units in tracked(shown, report))
     frames = (
-        (in_palette(framing(recording.picture(index))), units)
-        for index, units in tracked(shown, report)
+        (picture, units)
+        for (_, units), picture in in_order(lambda each: in_palette(framing(each[0])), taken)
     )
     head: dict[str, Any] = {"comment": as_text(recording.parameters).encode()}
     if recording.motion.loop != "once":

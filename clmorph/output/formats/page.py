@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from clmorph._shared.progress import Report, Share
 from clmorph.output.formats.format import Format
-from clmorph.output.html import Curve, Field, Scene, read_parameters, write_page
-from clmorph.output.html.summary import arrow_field, known_parameters, morph_curves
+from clmorph.output.html import Curve, Field, Marks, Scene, read_parameters, write_page
+from clmorph.output.html.summary import arrow_field, known_parameters, marks_of, morph_curves
 from clmorph.output.options import FrameStyle
 from clmorph.output.recording import Recording
 
@@ -35,9 +35,17 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
         parameters=recording.parameters,
         facts=known_parameters(recording.morphs[0]) if len(recording.morphs) == 1 else {},
         extent=recording.morphs[0].source.extent,
+        marks=_marks(recording, style, backwards),
     )
     with file.open("w", encoding="ascii", newline="\n") as stream:
         write_page(scene, stream)
+
+
+def _marks(recording: Recording, style: FrameStyle, backwards: bool) -> Marks | None:
+    """Return the landmarks of a morph of two pictures, whose frames are not framed."""
+    if len(recording.morphs) != 1 or style.canvas != "dynamic":
+        return None
+    return marks_of(recording.morphs[0], backwards=backwards)
 
 
 class _Frames(Sequence[NDArray[np.uint8]]):

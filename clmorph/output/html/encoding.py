@@ -2,16 +2,25 @@
 
 import base64
 import io
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.threads import in_order
 from clmorph.errors import InputError, OutputError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+#: The formats of frames, as Pillow calls them.
+WEBP, PNG = "WEBP", "PNG"
 
 #: Options of lossless WebP. With this effort files are a quarter smaller than PNG, at about 0.4
 #: microseconds a pixel; the highest effort takes forty times as long and saves another 4 %.
 LOSSLESS: dict[str, Any] = {"lossless": True, "quality": 80, "method": 4}
+OPTIMAL: dict[str, Any] = {"optimize": True}
 #: Qualities that are tried in turn where frames without loss would take too many bytes.
 QUALITIES = (99, 95, 90, 80, 60)
 #: Bytes that a frame without loss may take, as a multiple of its share: the first frames are often
@@ -33,16 +42,19 @@ class Encoded(NamedTuple):
     size : (height, width)
     quality : int
         Quality of lossy WebP; 100 stands for no loss.
+    alpha : bool
+        Whether the frame has opacity.
     """
 
     text: str
     kind: str
     size: tuple[int, int]
     quality: int
+    alpha: bool
 
 
 class Encoder:
-    """Encodes frames one by one within a budget of bytes, without knowledge of later frames.
+    """Encodes frames within a budget of bytes, without knowledge of later frames.
 
     Each frame may take an equal share of the remaining bytes, or a quarter more if it is encoded
     without loss; unused bytes are left for the next frames. From the first frame that needs more,
@@ -59,7 +71,7 @@ class Encoder:
     def __init__(self, count: int, max_bytes: float) -> None:
         from PIL import features
 
-        self._frames_left = count
+        self._count = count
         self._bytes_left = max_bytes
         self._max_bytes = max_bytes
         self._webp = bool(features.check("webp"))
@@ -67,50 +79,63 @@ class Encoder:
         self.sizes: list[tuple[int, int]] = []
         self.qualities: list[int] = []
 
-    def encode(self, frame: NDArray[np.uint8]) -> Encoded:
-        """Return a frame as text.
+    def encode(self, frames: Iterable[NDArray[np.uint8]]) -> Iterator[Encoded]:
+        """Yield frames as texts. Some frames ahead are compressed in threads.
 
         Raises
         ------
         InputError
-            If the frame is not an (H, W, 3) or (H, W, 4) array of uint8.
+            If a frame is not an (H, W, 3) or (H, W, 4) array of uint8, or there are more than the
+            encoder was told.
         OutputError
-            If the frame needs more than its share of the bytes.
+            If a frame needs more than its share of the bytes.
         """
+        for picture, without_loss in in_order(self._first_try, self._checked(frames)):
+            yield self._within_share(picture, without_loss)
+
+    def _checked(self, frames: Iterable[NDArray[np.uint8]]) -> "Iterator[Image]":
         from PIL import Image
 
-        number = len(self.sizes)
-        if (
-            getattr(frame, "dtype", None) != np.uint8
-            or frame.ndim != 3
-            or frame.shape[2] not in (3, 4)
-            or 0 in frame.shape
-        ):
-            raise InputError(
-                f"frame {number} is {_kind(frame)}: expected (H, W, 3) or (H, W, 4) uint8"
-            )
-        if not self._frames_left:
-            raise InputError("there are more frames than times: expected one each")
-        size = (int(frame.shape[0]), int(frame.shape[1]))
-        picture = Image.fromarray(np.ascontiguousarray(frame))
-        webp = self._webp and max(size) <= WEBP_SIDE
-        share = self._bytes_left / self._frames_left
-        forms: list[tuple[int, str, dict[str, Any]]] = []
-        if min(self.qualities, default=100) == 100:
-            forms = [(100, "WEBP", LOSSLESS) if webp else (100, "PNG", {"optimize": True})]
-        if webp:
-            forms += [(quality, "WEBP", {"quality": quality}) for quality in QUALITIES]
-        for quality, form, options in forms:
-            file = io.BytesIO()
-            picture.save(file, form, **options)
-            text = base64.b64encode(file.getbuffer()).decode("ascii")
-            most = min(self._bytes_left, ADVANCE * share) if quality == 100 else share
+        for number, frame in enumerate(frames):
+            if (
+                getattr(frame, "dtype", None) != np.uint8
+                or frame.ndim != 3
+                or frame.shape[2] not in (3, 4)
+                or 0 in frame.shape
+            ):
+                raise InputError(
+                    f"frame {number} is {_kind(frame)}: expected (H, W, 3) or (H, W, 4) uint8"
+                )
+            if number == self._count:
+                raise InputError("there are more frames than times: expected one each")
+            yield Image.fromarray(np.ascontiguousarray(frame))
+
+    def _is_webp(self, picture: "Image") -> bool:
+        return self._webp and max(picture.size) <= WEBP_SIDE
+
+    def _first_try(self, picture: "Image") -> str | None:
+        """Return a frame without loss, unless an earlier one was encoded with loss."""
+        if min(self.qualities, default=100) < 100:
+            return None
+        return _text(picture, *((WEBP, LOSSLESS) if self._is_webp(picture) else (PNG, OPTIMAL)))
+
+    def _within_share(self, picture: "Image", without_loss: str | None) -> Encoded:
+        webp = self._is_webp(picture)
+        share = self._bytes_left / (self._count - len(self.sizes))
+        qualities: list[int] = [100] if min(self.qualities, default=100) == 100 else []
+        for quality in (*qualities, *(QUALITIES if webp else ())):
+            if quality == 100:
+                text, most = without_loss or "", min(self._bytes_left, ADVANCE * share)
+            else:
+                text, most = _text(picture, WEBP, {"quality": quality}), share
             if len(text) <= most:
-                self._frames_left -= 1
                 self._bytes_left -= len(text)
-                self.sizes.append(size)
+                self.sizes.append((picture.height, picture.width))
                 self.qualities.append(quality)
-                return Encoded(text, f"image/{form.lower()}", size, quality)
+                kind = WEBP if webp else PNG
+                return Encoded(
+                    text, f"image/{kind.lower()}", self.sizes[-1], quality, picture.mode == "RGBA"
+                )
         raise OutputError(
             f"the page would take more than {self._max_bytes / 1e6:.3g} MB: use fewer or smaller "
             "frames, or write a .gif or a folder of frames"
@@ -127,6 +152,13 @@ class Encoder:
             f"(WebP, quality {min(lossy)} or better), so that this page stays within "
             f"{self._max_bytes / 1e6:.3g} MB."
         )
+
+
+def _text(picture: "Image", form: str, options: dict[str, Any]) -> str:
+    """Return a frame, encoded, in Base64."""
+    file = io.BytesIO()
+    picture.save(file, form, **options)
+    return base64.b64encode(file.getbuffer()).decode("ascii")
 
 
 def _kind(frame: object) -> str:

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from clmorph._shared.printable import MESSAGE, printable, reason_of
 from clmorph._shared.validation import check_number
 from clmorph.errors import InputError
+from clmorph.measures.landmark_options import MAX_LANDMARKS
 from clmorph.output.bounded import MAX_HEAD, from_text
 from clmorph.output.html.encoding import Encoder
 from clmorph.output.html.geometry import frame_boxes
-from clmorph.output.html.scene import Scene, as_json
+from clmorph.output.html.scene import Marks, Scene, as_json
 
 #: The limit of the size of all frames in a page, in bytes of text; a phone still opens such a page.
 PAGE_BYTES = 100e6
@@ -34,6 +35,7 @@ SCRIPTS = (
     "stage.js",
     "arrows.js",
     "charts.js",
+    "marks.js",
     "viewer.js",
 )
 #: The text before the parameters. It occurs only once, because "<" is escaped in all other text.
@@ -105,9 +107,8 @@ def _frames(scene: Scene, max_bytes: float) -> Iterator[str]:
     """Yield each frame as a data block, and at last the data that the script needs about them."""
     encoder = Encoder(len(scene.times), max_bytes)
     alpha = False
-    for frame in scene.frames:
-        encoded = encoder.encode(frame)
-        alpha = alpha or frame.shape[2] == 4
+    for encoded in encoder.encode(scene.frames):
+        alpha = alpha or encoded.alpha
         yield f'<script type="{encoded.kind}" class="frame">{encoded.text}</script>\n'
     if len(encoder.sizes) < len(scene.times):
         raise InputError(
@@ -138,9 +139,20 @@ def _frames(scene: Scene, max_bytes: float) -> Iterator[str]:
             for field in scene.fields
         ],
         "notes": notes,
+        "marks": None if scene.marks is None else _marks(scene.marks),
     }
     text = as_json("scene", known)
     yield f'<script type="application/json" id="clmorph-scene">{text}</script>'
+
+
+def _marks(marks: Marks) -> dict[str, Any]:
+    """Return what the script needs about landmarks."""
+    return {
+        "pairs": _numbers(marks.pairs, 9),
+        "sizes": [[int(width), int(height)] for height, width in marks.shapes],
+        "backwards": bool(marks.backwards),
+        "most": MAX_LANDMARKS,
+    }
 
 
 def _numbers(values: NDArray[np.float64], digits: int = 5) -> Any:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import check_choice, check_number
+from clmorph._shared.validation import check_choice, check_number, shown
 from clmorph.errors import InputError
+from clmorph.measures.landmark_options import MAX_LANDMARKS
 from clmorph.measures.options import EXTENTS
 from clmorph.output.options import FPS, PlaybackOptions
 
@@ -91,6 +92,39 @@ class Field:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Marks:
+    """Landmarks of a morph, which the page shows on both pictures and lets its reader change.
+
+    Attributes
+    ----------
+    pairs : (n, 2, 2) array
+        A point of the first picture and its partner in the second, in pixels of the pictures as
+        they were given; n can be 0.
+    shapes : pair of (height, width)
+        Shapes of the pictures as they were given.
+    backwards : bool
+        Whether the first frame is the second picture.
+    """
+
+    pairs: NDArray[np.float64]
+    shapes: tuple[tuple[int, int], tuple[int, int]]
+    backwards: bool = False
+
+    def __post_init__(self) -> None:
+        pairs = _finite("the landmarks", self.pairs, "(n, 2, 2)")
+        pairs = pairs.reshape(0, 2, 2) if not pairs.size else pairs
+        if pairs.ndim != 3 or pairs.shape[1:] != (2, 2) or len(pairs) > MAX_LANDMARKS:
+            raise InputError(
+                f"the landmarks have shape {pairs.shape}: expected (n, 2, 2), n up to "
+                f"{MAX_LANDMARKS}"
+            )
+        object.__setattr__(self, "pairs", pairs)
+        sides = np.asarray(self.shapes)
+        if sides.shape != (2, 2) or sides.dtype.kind not in "iu" or sides.min() < 1:
+            raise InputError(f"shapes={shown(self.shapes)}: expected two of (height, width)")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Scene:
     """A morph with all data that its page shows.
 
@@ -121,6 +155,9 @@ class Scene:
         Position of the frames in the common frame, as the measures were lifted.
     notes : sequence of str
         Notes shown under the picture.
+    marks : Marks, optional
+        Landmarks of the morph of two pictures, whose first and last frame are these pictures; None
+        where the page offers none.
 
     Raises
     ------
@@ -141,6 +178,7 @@ class Scene:
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     extent: str = "true"
     notes: Sequence[str] = ()
+    marks: Marks | None = None
 
     def __post_init__(self) -> None:
         times = _finite("times", self.times, "(n,)")

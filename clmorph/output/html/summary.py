@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from clmorph.frames.options import BULGING
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.pixels import to_bytes
-from clmorph.output.html.scene import Curve, Field, Scene
+from clmorph.output.html.scene import Curve, Field, Marks, Scene
 from clmorph.output.options import FPS, PlaybackOptions
 from clmorph.transport.plan import Plan
 
@@ -105,7 +105,21 @@ def scene_of(
         parameters=known_parameters(morph) | dict(parameters or {}),
         extent=morph.source.extent,
         notes=notes,
+        marks=marks_of(morph),
     )
+
+
+def marks_of(morph: FrameSequence, *, backwards: bool = False) -> Marks:
+    """Return the landmarks of a morph, in pixels of its pictures as they were given.
+
+    Parameters
+    ----------
+    morph : Morph
+    backwards : bool
+        See `Marks`.
+    """
+    landmarks = getattr(morph.options, "landmarks", None) or ()
+    return Marks(np.array(landmarks, float), morph.given_shapes, backwards)
 
 
 class _EightBits(Sequence[NDArray[np.uint8]]):

@@ -24,6 +24,10 @@ const charts = makeCharts(scene.curves, times, $("charts"), (time) => {
   player.pause();
   seek(time);
 });
+const marks = scene.marks && makeMarks(scene.marks, {
+  canvases: [$("marks-a"), $("marks-b")], list: $("marks-list"), line: $("marks-line"),
+  python: $("marks-python"), status: $("marks-status"),
+}, (side) => frames.load((side === 1) !== scene.marks.backwards ? player.last : 0));
 let announced = 0;
 
 function fail(error) {
@@ -111,6 +115,23 @@ const reverse = () => player.set("direction", -player.state.direction);
 const nextLoop = () => player.set("loop", LOOPS[(LOOPS.indexOf(player.state.loop) + 1) % LOOPS.length]);
 const help = () => ($("help").open ? $("help").close() : $("help").showModal());
 
+function landmarks() {
+  if (!marks) return;
+  if ($("marks").open) {
+    $("marks").close();
+    return;
+  }
+  player.pause();
+  $("marks").showModal();
+  marks.open().catch(fail);
+}
+
+async function copy(id, button) {
+  const done = await copyText($(id));
+  $(button).textContent = done ? "Copied" : "Press Ctrl+C";
+  setTimeout(() => { $(button).textContent = "Copy"; }, 2000);
+}
+
 const KEYS = {
   " ": toggle,
   k: toggle,
@@ -131,6 +152,7 @@ const KEYS = {
   l: nextLoop,
   ",": () => changeSpeed(-1),
   ".": () => changeSpeed(1),
+  m: landmarks,
   s: saveFrame,
   "?": help,
 };
@@ -147,6 +169,11 @@ document.addEventListener("keydown", (event) => {
   if ((OWN_KEYS[event.target.tagName] || []).includes(name)) return;
   if (event.target.tagName === "SELECT" && /^[a-z]$/.test(name)) return;
   if ($("help").open && name !== "?") return;
+  if ($("marks").open) {
+    const field = event.target.tagName === "TEXTAREA";
+    if (["Delete", "Backspace"].includes(name) && !field) marks.remove();
+    if (name !== "m" || field) return;
+  }
   if (!KEYS[name]) return;
   event.preventDefault();
   KEYS[name]();
@@ -165,6 +192,11 @@ const ON_CLICK = {
   save: saveFrame,
   "show-help": help,
   "hide-help": help,
+  "show-marks": landmarks,
+  "hide-marks": landmarks,
+  "clear-marks": () => marks.clear(),
+  "copy-line": () => copy("marks-line", "copy-line"),
+  "copy-python": () => copy("marks-python", "copy-python"),
   first: KEYS.Home,
   final: KEYS.End,
 };
@@ -195,6 +227,7 @@ function begin() {
   $("scrub").max = player.last;
   for (const id of ["play", "back", "forward", "scrub", "reverse"]) $(id).disabled = player.last === 0;
   $("field").hidden = $("field-key").hidden = scene.fields.length === 0;
+  $("show-marks").hidden = $("marks-key").hidden = !marks;
   $("charts").hidden = scene.curves.length === 0;
   const [a, b] = [scene.sizes[0], scene.sizes[player.last]].map(([width, height]) => `${width} \u00d7 ${height}`);
   const seconds = times.length / scene.fps + 2 * scene.hold;
@@ -226,6 +259,7 @@ function autoplay() {
  *
  * ready: promise that the first frame is shown; times: morph time of each frame;
  * index, time, playing, direction, speed, loop, zoom, pixelated, field: the state, to be read;
+ * landmarks: the pairs of points that stand in the panel of landmarks, in pixels of both pictures;
  * seek(t), show(index): promises that the frame nearest to a time, or this one, is shown;
  * play(), pause(), and set(name, value) for "direction" (1, -1), "speed", "loop".
  */
@@ -241,6 +275,7 @@ window.clmorph = Object.freeze({
   get zoom() { return stage.zoom(); },
   get pixelated() { return stage.view.pixelated; },
   get field() { return arrows.state.visible; },
+  get landmarks() { return marks ? marks.pairs() : []; },
   seek,
   show: go,
   play: player.play,

@@ -12,17 +12,14 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
+from clmorph.backends.interface import MEMORY, RIDGE
 from clmorph.transport._solver.reductions import WHOLE, Reductions, Segments
 
-#: Number of stored iterates.
-MEMORY = 16
 #: Share of the remaining residual that is added, as in over-relaxation.
 MIXING = 1.5
 #: Initial radius of the trust region, in steps of the plain iteration; its growth factor after a
 #: good extrapolation that the radius had limited, and its factor after a bad extrapolation.
 TRUST_RADIUS, GROWTH, SHRINKAGE = 32.0, 4.0, 0.25
-#: Regularization of the least-squares problem, relative to its diagonal.
-RIDGE = 1e-10
 #: The least length of a step, which only keeps the quotient by it finite.
 TINY = float(np.finfo(float).tiny)
 
@@ -133,13 +130,10 @@ class Anderson:
         found = found & which
         if not np.any(found):
             return image, found
-        step = (MIXING - 1) * residual
-        step -= of.combined(coefficients, self._ahead[: coefficients.shape[-1]])
-        longest = self._trust_radius * _norm(of, residual, weights)
-        length = _norm(of, step, weights)
-        self._was_cut = found & (length > longest)
-        factor = found * np.minimum(1.0, longest / np.maximum(length, TINY))
-        return image + of.scaled(factor, step), found
+        correction = of.combined(coefficients, self._ahead[: coefficients.shape[-1]])
+        step, factor, cut = limited_step(of, residual, correction, weights, self._trust_radius)
+        self._was_cut = found & cut
+        return image + of.scaled(found * factor, step), found
 
     def _coefficients(self, residual: Array, weights: Array) -> tuple[Array, Any]:
         """Return the coefficients of the stored differences, and whether they are determined."""
@@ -161,7 +155,7 @@ class Anderson:
         place, self._next = self._next % MEMORY, self._next + 1
         if place == 0 and not self._residuals.size:
             self._ahead, self._residuals = (np.empty((MEMORY, len(of_image))) for _ in range(2))
-        self._ahead[place] = of_image + (MIXING - 1) * of_residual
+        self._ahead[place] = mixed(of_image, of_residual)
         self._residuals[place] = of_residual
         self._stored[..., place] = stored
         count = min(self._next, MEMORY)
@@ -170,5 +164,41 @@ class Anderson:
         self._products[..., place, :count] = self._products[..., :count, place] = row
 
 
-def _norm(of: Reductions, x: Array, weights: Array) -> Any:
+def mixed(of_image: Any, of_residual: Any) -> Any:
+    """Return the difference of two images, plus the mixed share of that of their residuals."""
+    return of_image + (MIXING - 1) * of_residual
+
+
+def limited_step(
+    of: Any, residual: Any, correction: Any, weights: Any, radius: Any
+) -> tuple[Any, Any, Any]:
+    """Return the step from an image, and the factor that keeps it in the trust region.
+
+    Parameters
+    ----------
+    of : Reductions
+    residual : (n,) array
+        The image less its iterate.
+    correction : (n,) array
+        The stored differences, combined by their coefficients.
+    weights : (n,) array
+        Weights of the inner product.
+    radius : float
+        Radius of the trust region, in steps of the plain iteration.
+
+    Returns
+    -------
+    step : (n,) array
+    factor : float
+        At most 1.
+    cut : bool
+        Whether it is less than 1.
+    """
+    step = (MIXING - 1) * residual - correction
+    longest = radius * _norm(of, residual, weights)
+    length = _norm(of, step, weights)
+    return step, np.minimum(1.0, longest / np.maximum(length, TINY)), length > longest
+
+
+def _norm(of: Any, x: Any, weights: Any) -> Any:
     return np.sqrt(of.inner(x * weights, x))

@@ -13,7 +13,8 @@ import numpy as np
 from clmorph._shared.typing import AnyArray, Array, BoolArray, IntArray
 from clmorph.transport._solver.anderson import Anderson
 from clmorph.transport._solver.batch import some
-from clmorph.transport._solver.iteration import SHORT, STALLED, without_drift
+from clmorph.transport._solver.half_steps import without_drift
+from clmorph.transport._solver.iteration import SHORT, STALLED
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.reductions import Segments
 from clmorph.transport._solver.state import ROUNDING_MARGIN, slack_of

@@ -43,6 +43,9 @@ class CorrectedProblem(Problem):
         self._own = weights
         self._corrections: tuple[Array | float, Array | float] = (0.0, 0.0)
 
+    def start_iteration(self) -> None:
+        """Return None: the device has no corrections."""
+
     def softmin_rows(self, g: Array, epsilon: float, precise: bool) -> Array:
         """T(g), corrected."""
         return super().softmin_rows(g, epsilon, precise) + self._corrections[0]

@@ -7,13 +7,12 @@ blur, and the limit is that of the plain iteration.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from clmorph._shared.progress import Share
 from clmorph._shared.typing import Array
-from clmorph.transport._solver.anderson import Anderson
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.state import (
     ROUNDING_MARGIN,
@@ -23,6 +22,7 @@ from clmorph.transport._solver.state import (
     share_done,
     slack_of,
 )
+from clmorph.transport._solver.steps import Reached, Steps, new_steps
 
 #: Factor between the blurs of the annealing.
 ANNEALING = 0.5
@@ -47,16 +47,6 @@ REPEATED = (0.8, 0.4)
 #: The iteration changes from float32 to better exponents at this many times the measured rounding
 #: of float32.
 LEAVING_MARGIN = 4.0
-
-
-class _Reached(NamedTuple):
-    """Potentials after the last half-step of a level; their residual is not measured yet."""
-
-    f: Array
-    g: Array
-    t_columns: Array
-    residual: float  # before that half-step
-    precise: bool
 
 
 class Iteration:
@@ -153,13 +143,13 @@ class Iteration:
         epsilon, limit = self._blur**2, self._max_iter
         self.precise = needs_more(self.problem, self.precision, epsilon, self.tol)
         operations = self.problem.operations
-        memory = Anderson()
+        steps = new_steps(self.problem)
         if self.precision == "auto" and operations.exponent_roundoff > operations.precise_roundoff:
             coarse_tol = self.tol
             if self.precise:
                 coarse_tol = max(self.tol, LEAVING_MARGIN * self._measured_rounding(g, epsilon))
             reached = self._iterate(
-                g, epsilon, coarse_tol, limit, precise=False, memory=memory, leave=True
+                g, epsilon, coarse_tol, limit, precise=False, steps=steps, leave=True
             )
             out = self.status == "max_iter" and reached.residual > coarse_tol
             if out or not self.precise:
@@ -171,7 +161,7 @@ class Iteration:
         else:
             precise = self.precise
         for share in (1.0, *REPEATED):
-            reached = self._iterate(g, epsilon, share * self.tol, limit, precise, memory)
+            reached = self._iterate(g, epsilon, share * self.tol, limit, precise, steps)
             converged = self.status == "converged"
             self._measure(reached, epsilon, precise)
             if self.status == "converged" or not converged or self.n_iter >= limit:
@@ -179,7 +169,7 @@ class Iteration:
             # The bound of the rounding lifted the residual above the tolerance: iterate further.
             g = reached.g
 
-    def _measure(self, reached: _Reached, epsilon: float, precise: bool) -> None:
+    def _measure(self, reached: Reached, epsilon: float, precise: bool) -> None:
         """Compute the softmins of the potentials that are returned, and their residual."""
         f, g, t_columns, _, was_precise = reached
         if self._certify:
@@ -213,9 +203,9 @@ class Iteration:
         tol: float,
         limit: int,
         precise: bool,
-        memory: Anderson | None = None,
+        steps: Steps | None = None,
         leave: bool = False,
-    ) -> _Reached:
+    ) -> Reached:
         """Iterate at one epsilon until the residual is `tol` or `limit` iterations are over.
 
         The iteration also ends where the residual no longer falls and rounding explains that. With
@@ -224,50 +214,39 @@ class Iteration:
         """
         problem = self.problem
         self.rounding = rounding = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
-        memory = memory or Anderson()
-        fallback: Array | None = None  # next potentials of the plain iteration
-        floor = -np.inf  # the dual that it had reached
+        steps = steps or new_steps(problem)
+        steps.begin(g, epsilon, precise)
+        extrapolated = False
+        floor = -np.inf  # the dual that the plain iteration had reached
         first, best, since_best = 0.0, np.inf, 0
         while True:
-            f, g_shifted, t_rows = problem.update_f(
-                g, problem.softmin_rows(g, epsilon, precise), epsilon
-            )
-            if fallback is not None:
-                mass = float(problem.row_mass(f, t_rows, epsilon).sum())
-                dual = problem.dual(f, g_shifted, mass, epsilon)
+            steps.update_rows()
+            if extrapolated:
+                mass, dual = steps.row_dual
                 slack = slack_of(problem, floor, rounding, mass, epsilon)
                 if not dual >= floor - slack:
-                    g, fallback = fallback, None
-                    memory.rejected()
+                    steps.take_back()
+                    extrapolated = False
                     continue
-                memory.accepted()
-            t_columns = problem.softmin_columns(f, epsilon, precise)
-            residual = problem.residual(f, g_shifted, t_rows, t_columns, epsilon)
-            image, f, t_columns = problem.update_g(f, t_columns, epsilon)
+                steps.accept()
+            residual = steps.update_columns()
             self.residuals.append(residual)
             first = first or residual
             since_best = 0 if residual < 0.9 * best else since_best + 1
             best = min(best, residual)
             self._report_share(self._done + self._level_share * share_done(first, best, tol))
             stalled = since_best >= STALLED and (leave or residual <= rounding)
-            ended = stalled or self.n_iter >= limit or problem.outside_trust_region(f, epsilon)
+            ended = stalled or self.n_iter >= limit or steps.outside_trust_region()
             if residual <= tol or ended:
                 self.status = "max_iter"
                 if residual <= tol:
                     self.status = "converged"
                 elif stalled:
                     self.status = "precision"
-                return _Reached(f, image, t_columns, residual, precise)
-            column_mass = problem.column_mass(image, t_columns, epsilon)
-            floor = problem.dual(f, image, float(column_mass.sum()), epsilon)
+                return steps.reached(residual)
+            floor = steps.column_dual
             # An extrapolation can cost one softmin more, which the limit must allow.
-            fallback = None
-            if self.n_iter + 1 < limit and self._max_iter >= SHORT:
-                guess, extrapolated = memory.extrapolate(g, image, column_mass)
-                if extrapolated:
-                    g, fallback = without_drift(problem, guess, image, column_mass), image
-            if fallback is None:
-                g = image
+            extrapolated = steps.go_on(self.n_iter + 1 < limit and self._max_iter >= SHORT)
 
 
 def annealing(problem: Problem, blur: float, largest_cost: float, max_iter: int) -> list[float]:
@@ -297,20 +276,3 @@ def annealing(problem: Problem, blur: float, largest_cost: float, max_iter: int)
 def top_blur(largest_cost: Any) -> Any:
     """Return the blur below which the annealing begins, by the largest cost."""
     return TOP * np.sqrt(2 * largest_cost)
-
-
-def without_drift(problem: Problem, guess: Array, image: Array, column_mass: Array) -> Array:
-    """Return extrapolated potentials without the constant that they have added to the image.
-
-    Balanced potentials are unique only up to a constant. Nothing bounds an extrapolation along it,
-    and at a large constant float64 loses the other digits.
-
-    Parameters
-    ----------
-    problem : Problem
-    guess, image, column_mass : (M,) arrays
-    """
-    if any(problem.inverse_rho):
-        return guess
-    of = problem.of_columns
-    return guess - of.spread(of.inner(column_mass, guess - image) / of.sum(column_mass))

@@ -5,7 +5,7 @@ from typing import Any, Self
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph.backends.interface import Operations
+from clmorph.backends.interface import Operations, ResidentIteration
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.reductions import (
     WHOLE,
@@ -61,9 +61,12 @@ class Problem:
         #: Bounds of |C_ij - C_kj| over rows i, k, and of |C_ij - C_il| over columns j, l.
         self.oscillations: tuple[Any, Any] = largest_cost, largest_cost
         #: 1 / rho, 0 if balanced: with it one infinite rho is harmless.
-        self.inverse_rho = tuple(0.0 if np.isinf(value) else 1.0 / value for value in rho)
+        source, target = (0.0 if np.isinf(value) else 1.0 / value for value in rho)
+        self.inverse_rho = source, target
         self.masses = self.of_rows.sum(self.a), self.of_columns.sum(self.b)
         self.n_softmin = 0
+        self._resident: ResidentIteration | None = None
+        self._asked = False
 
     @classmethod
     def between(
@@ -201,6 +204,15 @@ class Problem:
         excess = log_sum_exp(self.reductions[1 - side], logarithms[1 - side] - old * old_rate)
         excess = excess - log_sum_exp(self.reductions[side], logarithms[side] - softmin * new_rate)
         return excess / (new_rate + old_rate)
+
+    def start_iteration(self) -> ResidentIteration | None:
+        """Return an iteration on the device, if all pairs are summed and the backend has it."""
+        if self.truncation is None and not self._asked:
+            self._resident = self.operations.start_iteration(
+                self.rows, self.columns, (self.a, self.b), self.inverse_rho
+            )
+            self._asked = True
+        return self._resident
 
     def bounded_softmins(self, f: Array, g: Array, epsilon: float) -> tuple[Array, Array]:
         """Return T(g) and T(f); `left_out` and `roundoff` of both softmins bound their errors."""

@@ -1,8 +1,7 @@
 """Shared parts of the solvers `Iteration` and `Multiscale`: state, precision, progress."""
 
+import math
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from clmorph._shared.typing import Array
 from clmorph.transport._solver.problem import Problem
@@ -66,7 +65,7 @@ def share_done(first: float, residual: float, tol: float) -> float:
     """
     if residual <= tol or first <= tol:
         return 1.0
-    return float(np.clip(np.log(first / residual) / np.log(first / tol), 0.0, 1.0))
+    return min(1.0, max(0.0, math.log(first / residual) / math.log(first / tol)))
 
 
 def needs_more(problem: Problem, precision: str, epsilon: float, tol: float) -> Any:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyopencl as cl
 
+from clmorph.backends.opencl.build import half_step_slots
 from clmorph.backends.opencl.devices.quirks import LONGEST_LOOP, find_quirks
 from clmorph.backends.width_levels import WIDTH_LEVELS
 
@@ -138,6 +139,25 @@ class BuildConstants:
             "SENTINEL": SENTINEL,
             "WIDTH": self.width,
             "WIDTH_LEVELS": WIDTH_LEVELS.count,
+        }
+
+    def half_step_macros(self, balanced: int) -> dict[str, int | float]:
+        """Return the macros of ``half_steps.cl``.
+
+        Parameters
+        ----------
+        balanced : int
+            1 if the source is balanced, plus 2 if the target is.
+        """
+        return {
+            "BALANCED": balanced,
+            "GROUP": self.group,
+            # Vectors of float64 have as many bytes as those of float32, but not more than 8 lanes.
+            "LANES": max(1, min(8, self.width // 2)),
+            "SENTINEL": SENTINEL,
+            "TILE": self.tile,
+            "WIDTH": self.width,
+            **half_step_slots.macros(),
         }
 
     def gauss_transform_macros(self) -> dict[str, int | float]:

@@ -109,7 +109,8 @@ class Programs:
         if variant in usual:
             together += [
                 other for other in usual
-                if other != variant and verdicts.load_program_verdict(self._key(other)) is None
+                if other != variant and other.suits(self._constants)
+                and verdicts.load_program_verdict(self._key(other)) is None
             ]  # fmt: skip
         result = trial.run_probe(index, request=make_request(self._constants, together))
         found = verdicts.load_program_verdict(key)

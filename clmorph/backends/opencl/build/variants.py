@@ -18,6 +18,8 @@ class Variant:
         Dimension of the points, for the files that include the row loop; 0 for others.
     precise, listed, bounded : bool
         See `BuildConstants.row_macros`.
+    balanced : int
+        See `BuildConstants.half_step_macros`.
     """
 
     file: str
@@ -25,6 +27,7 @@ class Variant:
     precise: bool = False
     listed: bool = False
     bounded: bool = False
+    balanced: int = 0
 
     def macros(self, constants: BuildConstants) -> dict[str, int | float]:
         """Return the macros of the program for these build constants."""
@@ -34,6 +37,8 @@ class Variant:
             "splat.cl": constants.splat_macros,
             "gauss_transform.cl": constants.gauss_transform_macros,
         }
+        if self.file == "half_steps.cl":
+            return constants.half_step_macros(self.balanced)
         if self.file in of_files:
             return of_files[self.file]()
         macros = constants.row_macros(self.dimension, self.precise, self.listed, self.bounded)
@@ -41,9 +46,19 @@ class Variant:
             macros |= constants.near_field_macros()
         return macros
 
+    def suits(self, constants: BuildConstants) -> bool:
+        """Return whether a device with these constants has what the file needs.
+
+        Iterations on the device need float64 and long loops.
+        """
+        return self.file != "half_steps.cl" or (
+            constants.precise == 2 and not constants.longest_loop
+        )
+
     def __str__(self) -> str:
         words = [f"dimension {self.dimension}"] if self.dimension else []
         words += [name for name in ("precise", "listed", "bounded") if getattr(self, name)]
+        words += [f"balanced {self.balanced}"] if self.balanced else []
         return f"{self.file} ({', '.join(words)})" if words else self.file
 
 
@@ -58,6 +73,7 @@ def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
     return (
         Variant("log_sum_exp.cl", dimension),
         Variant("log_sum_exp.cl", dimension, precise=True, bounded=True),
+        Variant("half_steps.cl"),
         Variant("plan_rows.cl", dimension),
         Variant("plan_shares.cl", dimension),
         Variant("particles.cl"),

@@ -155,7 +155,7 @@ class RowLoop:
         at_once = loop_limits.column_tiles(self.constants, columns.centers.shape[1])
         return max(1, -(-most // at_once))
 
-    def _budget(self, kernel: cl.Kernel) -> LaunchBudget:
+    def budget(self, kernel: cl.Kernel) -> LaunchBudget:
         """Return the budget of launches of this kernel, because kernels differ in time per pair."""
         return self._budgets.setdefault(kernel.int_ptr, LaunchBudget())
 
@@ -191,7 +191,7 @@ class RowLoop:
         if counts is not None:
             kept = counts.reshape(n_tiles, -1).sum(axis=1, dtype=np.int64).cumsum()
         while first < end:
-            budget = self._budget(kernel).pairs() * windows
+            budget = self.budget(kernel).pairs() * windows
             if pairs is None:
                 stop = first + max(1, int(budget // (tile * columns.stride)))
             else:
@@ -267,7 +267,7 @@ class RowLoop:
             at_once = loop_limits.column_tiles(self.constants, columns.centers.shape[1])
         levels_buffer = self.work.buffer(planes)
         for window in range(windows):
-            with self._budget(kernel).measure(work // windows):
+            with self.budget(kernel).measure(work // windows):
                 self.work.launch(
                     kernel, (n_rows // self.constants.width, shares or 1),
                     (self.constants.group, 1),

@@ -30,7 +30,7 @@ class Result:
 
 
 def solve_sample(*arguments: Any, **options: Any) -> Any:
-    """Answer by the door, where the problem is entropic and has no other method."""
+    """Answer by clmorph, where the problem is entropic and has no other method."""
     given = dict(zip(NAMES, arguments, strict=False)) | options
     for name in ("method", "debias", "scaler"):
         if given.pop(name, None):

@@ -1,0 +1,35 @@
+"""Where vectors and numbers of ``cl_kernels/half_steps.cl`` stand in its buffers."""
+
+from clmorph.backends.interface import MEMORY, RIDGE
+
+#: Vectors that a loop keeps for a later one.
+SCRATCH = 4
+_SCRATCH = tuple(f"SCRATCH_{number}" for number in range(SCRATCH))
+#: What the host writes for each cloud, before the others.
+GIVEN = ("WEIGHTS", "LOG_WEIGHTS", "OWN_COSTS", "OFFSETS", "LOG2_WEIGHTS")
+#: Vectors of the rows, in their order in the buffer.
+ROW_SLOTS = (*GIVEN, "F", "SHIFTED", "SOFTMIN", *_SCRATCH)
+#: Vectors of the columns. Those with two numbers belong to this iterate and to the one before.
+COLUMN_SLOTS = (
+    *GIVEN, "START", "SHIFTED", "SOFTMIN", "MASS", *_SCRATCH,
+    "IMAGE_0", "IMAGE_1", "RESIDUAL_0", "RESIDUAL_1", "GUESS_0", "GUESS_1",
+    "AHEAD", "DIFFERENCES",
+)  # fmt: skip
+#: Numbers that the host reads after each iteration.
+NUMBERS = (
+    "MASS", "ROW_DUAL", "ROW_FINITE", "RESIDUAL_SIZE", "COLUMN_DUAL", "COLUMN_FINITE", "FOUND",
+    "CUT",
+)  # fmt: skip
+
+
+def macros() -> dict[str, int | float]:
+    """Return the macros that name these places."""
+    places = {"ROW": ROW_SLOTS, "COLUMN": COLUMN_SLOTS, "NUMBER": NUMBERS}
+    named: dict[str, int | float] = {
+        f"{kind}_{name}": place
+        for kind, names in places.items()
+        for place, name in enumerate(names)
+    }
+    # The differences follow those of the images.
+    named["COLUMN_DIFFERENCES"] = COLUMN_SLOTS.index("AHEAD") + MEMORY
+    return named | {"MEMORY": MEMORY, "RIDGE_PPT": round(1e12 * RIDGE)}

@@ -1,0 +1,184 @@
+"""Features: further coordinates of the cost, such as depth or what a network sees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clmorph._shared.printable import reason_of
+from clmorph._shared.typing import Array
+from clmorph._shared.validation import is_path
+from clmorph.backends.arrays import as_floats
+from clmorph.backends.interface import MAX_DIMENSION
+from clmorph.errors import FileError, InputError
+from clmorph.images.label_maps import read_npy, reduced_values
+from clmorph.images.pixels import MAX_PIXELS, read_image
+from clmorph.measures.measure import Measure
+
+#: Coordinates that position and color take.
+OWN = 5
+#: Largest feature times its weight.
+MAX_FEATURE = 1e6
+_EXPECTED = "numbers (H, W) or (H, W, K), one or K for each pixel"
+
+
+def as_features(name: str, value: Any, shape: tuple[int, int]) -> Array:
+    """Return features of an image as an (H, W, K) array of float64.
+
+    Parameters
+    ----------
+    name : str
+        The name of the features in error messages.
+    value : (H, W) or (H, W, K) array
+    shape : (height, width)
+        The shape of the picture as it is given.
+
+    Raises
+    ------
+    InputError
+        If it is no such array, or has NaN or infinity.
+    """
+    if is_path(value):
+        raise InputError(f"{name} is a path: expected an array {_EXPECTED}; read the file first")
+    array = as_floats(name, value, _EXPECTED)
+    given = array.shape
+    if array.ndim == 2:
+        array = array[..., None]
+    if array.ndim != 3 or array.shape[:2] != shape or not array.shape[2]:
+        raise InputError(
+            f"{name} have shape {given}: expected {shape}, the shape of their picture as it is "
+            "given, or K such maps along a third axis"
+        )
+    if not np.all(np.isfinite(array)):
+        raise InputError(f"{name}: NaN or infinity in it; expected finite numbers")
+    return array
+
+
+def with_features(
+    measures: tuple[Measure, Measure],
+    features: Sequence[Array],
+    weight: float | Sequence[float] = 1.0,
+) -> tuple[Measure, Measure]:
+    """Return measures whose cost compares features, too.
+
+    The cost of a pair grows by |w (F_i - G_j)|^2 / 2, as it does by positions and colors.
+
+    Parameters
+    ----------
+    measures : (source, target)
+        Lifted images.
+    features : (F, G)
+        (H, W, K) arrays of the size of their images, or larger ones, which are reduced by their
+        mean in each pixel.
+    weight : float or K of them
+        Image sides that a feature of 1 is worth.
+
+    Returns
+    -------
+    source, target : Measure
+
+    Raises
+    ------
+    InputError
+        If the numbers of coordinates differ, or are too many for the cost.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> flat = clmorph.lift(np.ones((2, 2)))
+    >>> depth = np.array([[[0.0], [1.0]], [[0.0], [1.0]]])
+    >>> source, target = with_features((flat, flat), (depth, depth), 0.5)
+    >>> source.points[:, 5].tolist()
+    [-0.25, 0.25, -0.25, 0.25]
+    """
+    if any(measure.has_metric_map for measure in measures):
+        raise InputError(
+            "features and a color_metric of each pixel exclude one another: give one metric for "
+            "all pixels, or no features"
+        )
+    counts = [each.shape[2] for each in features]
+    if counts[0] != counts[1]:
+        raise InputError(
+            f"features of image_a have {counts[0]} coordinates, those of image_b {counts[1]}: "
+            "expected the same"
+        )
+    weights = np.asarray(weight, float)
+    if weights.ndim and len(weights) != counts[0]:
+        raise InputError(
+            f"feature_weight has {len(weights)} numbers, but there are {counts[0]} features: "
+            "expected one for all, or one for each"
+        )
+    room = MAX_DIMENSION - OWN
+    if counts[0] > room:
+        raise InputError(
+            f"features have {counts[0]} coordinates: expected at most {room}, as the cost has "
+            f"{MAX_DIMENSION} in all and position and color take {OWN}; reduce them, by principal "
+            "components for example"
+        )
+    with np.errstate(over="ignore", invalid="ignore"):  # too large ones are refused below
+        small = [
+            reduced_values(each, measure.shape).reshape(len(measure), -1)
+            for measure, each in zip(measures, features, strict=True)
+        ]
+        # Distances do not depend on the origin, but rounding does.
+        middle = 0.5 * (small[0].mean(axis=0) + small[1].mean(axis=0))
+        scaled = [weights * (each - middle) for each in small]
+    largest = max(float(np.abs(each).max()) for each in scaled)
+    if not largest <= MAX_FEATURE:
+        raise InputError(
+            f"features are up to {largest:.3g} with their weight: expected at most "
+            f"{MAX_FEATURE:g}; scale them, or lower feature_weight"
+        )
+    source, target = (
+        replace(
+            measure,
+            features=each if measure.features is None
+            else np.column_stack((measure.features, each)),
+        )
+        for measure, each in zip(measures, scaled, strict=True)
+    )  # fmt: skip
+    return source, target
+
+
+def read_features(path: Path, *, max_pixels: int = MAX_PIXELS) -> Array:
+    """Read features from a ``.npy``, or from a picture, such as one of depth.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.npy`` (H, W) or (H, W, K) of numbers, or a picture: a gray one is one feature from 0
+        (black) to 1, and one in color is three.
+    max_pixels : int
+        Largest number of pixels.
+
+    Returns
+    -------
+    (H, W, K) array
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read, or is a picture that is partly transparent.
+    """
+    if path.suffix.lower() != ".npy":
+        pixels = read_image(path, max_pixels=max_pixels)
+        if pixels.shape[2] == 4:
+            raise FileError(
+                f"{path} is transparent in parts, which have no features: save it without opacity"
+            )
+        gray = np.array_equal(pixels[..., :1] + np.zeros(3), pixels)
+        return pixels[..., :1] if gray else pixels
+    try:
+        found = read_npy(path, max_pixels)
+    except InputError:
+        raise
+    except Exception as error:  # damaged files raise exceptions of any class
+        raise FileError(f"{path}: features cannot be read ({reason_of(error)})") from None
+    try:
+        return as_features(str(path), found, found.shape[:2])
+    except InputError as error:
+        raise FileError(str(error)) from None

@@ -1,0 +1,139 @@
+"""Arrays that belong to images beside their pixels: masses, metrics, labels, features."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from clmorph._shared.typing import Array, IntArray
+from clmorph._shared.validation import is_path
+from clmorph.errors import InputError
+from clmorph.images.label_maps import as_labels, read_labels, reduced_labels
+from clmorph.measures.features import as_features, read_features, with_features
+from clmorph.measures.measure import Measure
+
+Shape = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """Arrays beside two images, as `clmorph.morph` takes them; None where there are none.
+
+    Attributes
+    ----------
+    weights, color_metric, labels, features
+        See `clmorph.morph`.
+    """
+
+    weights: Any = None
+    color_metric: Any = None
+    labels: Any = None
+    features: Any = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the arrays that are given."""
+        return tuple(each.name for each in fields(self) if getattr(self, each.name) is not None)
+
+    def checked_labels(self, shapes: Sequence[Shape]) -> tuple[IntArray, IntArray] | None:
+        """Return the labels of the pictures as they are given, (H, W) each.
+
+        Parameters
+        ----------
+        shapes : pair of (height, width)
+            Shapes of the pictures as they are given.
+
+        Raises
+        ------
+        InputError
+            If they cannot be used.
+        """
+        if self.labels is None:
+            return None
+        pair = _pair("labels", self.labels, "label images (H, W) of integers")
+        first, second = (
+            as_labels(f"labels of image_{letter}", each, shape)
+            for letter, each, shape in zip("ab", pair, shapes, strict=True)
+        )
+        return first, second
+
+    def checked_features(self, shapes: Sequence[Shape]) -> tuple[Array, Array] | None:
+        """Return the features of the pictures as they are given, (H, W, K) each.
+
+        Parameters and errors are those of `checked_labels`.
+        """
+        if self.features is None:
+            return None
+        pair = _pair("features", self.features, "arrays (H, W) or (H, W, K)")
+        first, second = (
+            as_features(f"features of image_{letter}", each, shape)
+            for letter, each, shape in zip("ab", pair, shapes, strict=True)
+        )
+        return first, second
+
+    def labels_of(
+        self, measures: tuple[Measure, Measure], shapes: Sequence[Shape]
+    ) -> tuple[IntArray, IntArray] | None:
+        """Return the labels of the pixels of two measures; None if there are none.
+
+        Raises
+        ------
+        InputError
+            If they cannot be used.
+        """
+        whole = self.checked_labels(shapes)
+        if whole is None:
+            return None
+        first, second = (
+            reduced_labels(each, measure.shape)
+            for each, measure in zip(whole, measures, strict=True)
+        )
+        return first, second
+
+    def added(
+        self, measures: tuple[Measure, Measure], shapes: Sequence[Shape], weight: Any
+    ) -> tuple[Measure, Measure]:
+        """Return measures with the features, if there are any.
+
+        Raises
+        ------
+        InputError
+            If they cannot be used.
+        """
+        whole = self.checked_features(shapes)
+        return measures if whole is None else with_features(measures, whole, weight)
+
+
+#: No arrays.
+NO_MAPS = Maps()
+
+
+def read_maps(labels: Sequence[Path], features: Sequence[Path], max_pixels: int) -> Maps:
+    """Read the label images and the features of two pictures, where they are given.
+
+    Parameters
+    ----------
+    labels, features : sequences of Path
+        Two files each, or none.
+    max_pixels : int
+        Largest number of pixels of a file.
+
+    Raises
+    ------
+    FileError
+        If a file cannot be read.
+    """
+    return Maps(
+        labels=tuple(read_labels(path, max_pixels=max_pixels) for path in labels) or None,
+        features=tuple(read_features(path, max_pixels=max_pixels) for path in features) or None,
+    )
+
+
+def _pair(name: str, value: Any, expected: str) -> Sequence[Any]:
+    """Return both members of a pair."""
+    usable = isinstance(value, tuple | list) and len(value) == 2
+    if not usable or is_path(value) or any(each is None for each in value):
+        raise InputError(f"{name}: expected a pair of {expected}, one for each image")
+    return value

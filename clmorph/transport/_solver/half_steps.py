@@ -1,0 +1,75 @@
+"""The arithmetic between two softmins of an iteration, over vectors of any kind.
+
+`Problem` and these functions use only operators, NumPy's functions of each entry, and the
+reductions of `_solver.reductions`. NumPy's arrays have them. So have the symbols by which
+``tools/make_half_steps.py`` writes the kernels of ``cl_kernels/half_steps.cl``, with which a device
+does the same arithmetic without the host. So each formula stands once.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from clmorph.transport._solver.problem import Problem
+
+
+class RowStep(NamedTuple):
+    """Potentials after the half-step of f, with T(g) at the shifted g, and the dual there."""
+
+    f: Any
+    g: Any
+    t_rows: Any
+    mass: Any  #: of the plan
+    dual: Any
+
+
+class ColumnStep(NamedTuple):
+    """Potentials after the half-step of g, with T(f), and what belongs to them.
+
+    The residual is that before the half-step.
+    """
+
+    f: Any
+    image: Any
+    t_columns: Any
+    residual: Any
+    mass: Any  #: of each column of the plan, (M,)
+    dual: Any
+
+
+def row_step(problem: Problem, g: Any, softmin: Any, epsilon: Any) -> RowStep:
+    """Maximize the dual over f and a shift of g, given T(g) (paper, 3.1)."""
+    f, g_shifted, t_rows = problem.update_f(g, softmin, epsilon)
+    mass = problem.of_rows.sum(problem.row_mass(f, t_rows, epsilon))
+    return RowStep(f, g_shifted, t_rows, mass, problem.dual(f, g_shifted, mass, epsilon))
+
+
+def column_step(problem: Problem, before: RowStep, softmin: Any, epsilon: Any) -> ColumnStep:
+    """Maximize the dual over g and a shift of f, given T(f) (paper, 3.1)."""
+    residual = problem.residual(before.f, before.g, before.t_rows, softmin, epsilon)
+    image, f, t_columns = problem.update_g(before.f, softmin, epsilon)
+    mass = problem.column_mass(image, t_columns, epsilon)
+    dual = problem.dual(f, image, problem.of_columns.sum(mass), epsilon)
+    return ColumnStep(f, image, t_columns, residual, mass, dual)
+
+
+def without_drift(problem: Problem, guess: Any, image: Any, column_mass: Any) -> Any:
+    """Return extrapolated potentials without the constant that they have added to the image.
+
+    Balanced potentials are unique only up to a constant. Nothing bounds an extrapolation along it,
+    and at a large constant float64 loses the other digits.
+
+    Parameters
+    ----------
+    problem : Problem
+    guess, image, column_mass : (M,) arrays
+    """
+    if any(problem.inverse_rho):
+        return guess
+    of = problem.of_columns
+    return guess - of.spread(of.inner(column_mass, guess - image) / of.sum(column_mass))
+
+
+def new_difference(begun: Any, now: Any, before: Any) -> Any:
+    """Return how a vector has changed since the last iterate; 0 if none is stored."""
+    return np.where(begun, now - before, 0.0)

@@ -1,0 +1,371 @@
+"""Parts of a transport problem between two images that are solved side by side: one a label.
+
+Mass keeps its label because the pairs of different labels are in no problem at all. Together the
+parts are the problem whose cost between different labels is infinite, so the sums of their values
+are the values of that problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from clmorph._shared.typing import Array, IntArray, Progress
+from clmorph.backends.interface import Operations
+from clmorph.errors import InputError
+from clmorph.images.label_maps import MAX_LABELS, label_text
+from clmorph.measures.measure import Measure
+from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
+from clmorph.measures.points import as_pair
+from clmorph.transport._solver.checks import MASS_TOLERANCE, check_problem, choose_truncation
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.softmin import MANY_PAIRS
+from clmorph.transport.barycentric import Barycentric
+from clmorph.transport.certificate import Certificate
+from clmorph.transport.plan import Plan
+from clmorph.transport.potentials import Potentials
+from clmorph.transport.regularization import Regularization
+from clmorph.transport.sinkhorn import solve
+
+
+@dataclass(frozen=True, eq=False)
+class Subproblem:
+    """A transport problem between blocks of pixels of two images: that of one label, or of all.
+
+    Attributes
+    ----------
+    source, target : PixelBlocks
+        The pixels, of which those of other labels have no mass, in blocks.
+    label : int or None
+        None stands for all pixels.
+    points : (IntArray, IntArray) or None
+        Blocks of the source and of the target that have mass, between which the problem is solved;
+        None stands for all blocks.
+    """
+
+    source: PixelBlocks
+    target: PixelBlocks
+    label: int | None = None
+    points: tuple[IntArray, IntArray] | None = None
+
+    @property
+    def blocks(self) -> tuple[PixelBlocks, PixelBlocks]:
+        """Both sides."""
+        return self.source, self.target
+
+    @cached_property
+    def measures(self) -> tuple[Measure, Measure]:
+        """The measures between which the problem is solved."""
+        whole = self.source.coarse, self.target.coarse
+        if self.points is None:
+            return whole
+        source, target = (
+            _chosen(measure, chosen) for measure, chosen in zip(whole, self.points, strict=True)
+        )
+        return source, target
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs of points."""
+        return len(self.measures[0]) * len(self.measures[1])
+
+    def between_blocks(self, plan: Plan) -> Plan:
+        """Return a plan between `measures` as one between all blocks."""
+        if self.points is None:
+            return plan
+        shape = len(self.source.coarse), len(self.target.coarse)
+        counts = np.zeros(shape[0], np.int64)
+        counts[self.points[0]] = np.diff(plan.indptr)  # the chosen blocks are in ascending order
+        return Plan(
+            np.concatenate(([0], np.cumsum(counts))),
+            self.points[1][plan.indices].astype(np.int32), plan.mass, shape,
+            *(
+                _scattered(values, chosen, count)
+                for values, chosen, count in zip(plan.marginals, self.points, shape, strict=True)
+            ),
+        )  # fmt: skip
+
+    def means_of_blocks(self, plan: Barycentric) -> Barycentric:
+        """Return mean destinations of `measures` as those of all blocks.
+
+        A block of other labels moves as the nearest block of this one does, so that an
+        interpolation between blocks sees this label alone.
+        """
+        if self.points is None:
+            return plan
+        from scipy.ndimage import distance_transform_edt
+
+        coarse, chosen = self.source.coarse, self.points[0]
+        index = np.full(len(coarse), -1)
+        index[chosen] = np.arange(len(chosen))
+        row, column = distance_transform_edt(
+            (index < 0).reshape(coarse.shape), return_distances=False, return_indices=True
+        )
+        nearest = index[(row * coarse.shape[1] + column).ravel()]
+        moved = plan.positions - coarse.positions[chosen]
+        return Barycentric(
+            coarse.positions + moved[nearest], plan.colors[nearest], plan.covariance[nearest],
+            _scattered(plan.row_mass, chosen, len(coarse)),
+            _scattered(plan.column_mass, self.points[1], len(self.target.coarse)),
+        )  # fmt: skip
+
+
+def _chosen(measure: Measure, chosen: IntArray) -> Measure:
+    """Return some points of a measure as a measure, whose shape is that of a single row."""
+
+    def some(values: Array | None) -> Array | None:
+        return None if values is None else values[chosen]
+
+    metric = measure.color_metric
+    return replace(
+        measure, positions=measure.positions[chosen], colors=measure.colors[chosen],
+        weights=measure.weights[chosen], shape=(1, len(chosen)),
+        color_metric=some(metric) if measure.has_metric_map else metric,
+        alpha=some(measure.alpha), warped=some(measure.warped), features=some(measure.features),
+    )  # fmt: skip
+
+
+def _scattered(values: Array, chosen: IntArray, count: int) -> Array:
+    found = np.zeros(count)
+    found[chosen] = values
+    return found
+
+
+def by_label(
+    source: Measure,
+    target: Measure,
+    labels: tuple[IntArray, IntArray],
+    solve_size: int | None,
+    given: Regularization,
+) -> list[Subproblem]:
+    """Divide the problem between two images into those of the labels that both have.
+
+    A block of pixels of several labels becomes a point of each of them, with the mass and the mean
+    of the pixels of that label, so that labels stay apart exactly whatever the size of the blocks.
+
+    Parameters
+    ----------
+    source, target : Measure
+        Lifted images.
+    labels : pair of integer arrays
+        The labels of their pixels, (H, W) each.
+    solve_size : int or None
+        See `clmorph.measures.pixel_blocks.group_pixels`.
+    given : Regularization
+
+    Returns
+    -------
+    list of Subproblem
+        In ascending order of labels. Labels that only one image has mass of are left out: their
+        mass does not move.
+
+    Raises
+    ------
+    InputError
+        If there are too many labels, no label has mass in both images, or the masses of a label
+        are such that a balanced side is impossible.
+    """
+    names, sizes = zip(
+        *(_masses(measure, each) for measure, each in zip((source, target), labels, strict=True)),
+        strict=True,
+    )
+    count = len(np.union1d(*names))
+    if count > MAX_LABELS:
+        raise InputError(f"labels: {count} different ones: expected at most {MAX_LABELS}")
+    masses = [dict(zip(*both, strict=True)) for both in zip(names, sizes, strict=True)]
+    common = sorted(set(masses[0]) & set(masses[1]))
+    if not common:
+        shown = " and ".join(_some(each) for each in names)
+        raise InputError(
+            f"labels: no label has mass in both images ({shown}), so nothing would move: give "
+            "what belongs together the same label"
+        )
+    _check_balance(masses, given)
+    parts = []
+    for label in common:
+        blocks = [
+            group_pixels(
+                replace(measure, weights=np.where(each.ravel() == label, measure.weights, 0.0)),
+                solve_size,
+            )
+            for measure, each in zip((source, target), labels, strict=True)
+        ]
+        points = tuple(np.flatnonzero(each.coarse.weights > 0) for each in blocks)
+        parts.append(Subproblem(blocks[0], blocks[1], label, (points[0], points[1])))
+    return parts
+
+
+def _masses(measure: Measure, labels: IntArray) -> tuple[list[int], list[float]]:
+    """Return the labels that have mass in an image, and their masses."""
+    names, index = np.unique(labels.ravel(), return_inverse=True)
+    masses = np.bincount(index, measure.weights, len(names))
+    there = masses > 0
+    return names[there].tolist(), masses[there].tolist()
+
+
+def _some(names: list[int]) -> str:
+    shown = ", ".join(map(label_text, names[:4]))
+    return shown + (", …" if len(names) > 4 else "")
+
+
+def _check_balance(masses: list[dict[int, float]], given: Regularization) -> None:
+    """Refuse labels whose mass cannot all move, on sides that are balanced."""
+    balanced = [bool(np.isinf(rho)) for rho in given.rho]
+    for label in sorted(set(masses[0]) | set(masses[1])):
+        one, other = (each.get(label, 0.0) for each in masses)
+        lost = any(
+            fixed and own > 0 == partner
+            for fixed, own, partner in zip(balanced, (one, other), (other, one), strict=True)
+        )
+        if lost or (all(balanced) and abs(one - other) > MASS_TOLERANCE * max(one, other)):
+            raise InputError(
+                f"labels: label {label_text(label)} has mass {one:.6g} in image_a and {other:.6g} "
+                "in image_b, but balanced transport needs the same: give a reach, or weights with "
+                "equal masses of each label"
+            )
+
+
+def solve_parts(
+    parts: Sequence[Subproblem],
+    masses: tuple[float, float],
+    given: Regularization,
+    tol: float,
+    max_iter: int,
+    operations: Operations,
+    report: Progress,
+) -> tuple[list[Potentials], Potentials]:
+    """Solve the problems of labels one after another.
+
+    Parameters
+    ----------
+    parts : sequence of Subproblem
+    masses : (float, float)
+        Masses of both images, of labels without a partner as well.
+    given : Regularization
+    tol, max_iter : float, int
+        See `clmorph.sinkhorn`.
+    operations : Operations
+    report : callable
+        Called with the share of the work that is done.
+
+    Returns
+    -------
+    list of Potentials
+        Those of each part.
+    Potentials
+        All of them together, part after part, with the certificate of the problem whose cost
+        between different labels is infinite.
+    """
+    found: list[Potentials] = []
+    total, done = sum(part.pairs for part in parts), 0
+    for part in parts:
+        pair = as_pair(*part.measures)
+        check_problem(*pair, given, operations, "auto")
+        limit = choose_truncation("auto", tol, part.pairs >= MANY_PAIRS)
+        problem = Problem.between(operations, *pair, given.rho, limit)
+
+        def share(own: float, before: int = done, pairs: int = part.pairs) -> None:
+            report((before + own * pairs) / total)
+
+        found.append(solve(problem, pair, given, tol, max_iter, "auto", share))
+        done += part.pairs
+    return found, _together(parts, found, masses, given)
+
+
+def _together(
+    parts: Sequence[Subproblem],
+    solved: Sequence[Potentials],
+    masses: tuple[float, float],
+    given: Regularization,
+) -> Potentials:
+    """Return the potentials of all parts as one."""
+    worst = max(range(len(solved)), key=lambda k: (not solved[k].converged, solved[k].residual))
+    n_iter = max(each.n_iter for each in solved)
+    first = solved[worst]
+    if first.converged:
+        message = (
+            f"{len(parts)} label{'s' * (len(parts) > 1)} converged in at most {n_iter} iterations "
+            "each (residual "
+            f"{first.residual:.1e} epsilon)"
+        )
+    else:
+        message = f"label {label_text(parts[worst].label or 0)}: {first.message}"
+    truncations = [each.truncation for each in solved if each.truncation is not None]
+    pairs = [part.pairs for part in parts]
+    return Potentials(
+        np.concatenate([each.f for each in solved]), np.concatenate([each.g for each in solved]),
+        given.blur, given.reach, first.status, message, n_iter, first.residual,
+        max((each.residuals for each in solved), key=len),
+        _joint_certificate([each.certificate for each in solved], masses, given),
+        any(each.precise for each in solved), max(truncations, default=None),
+        max(each.truncation_error for each in solved),
+        float(np.average([each.visited for each in solved], weights=pairs)),
+    )  # fmt: skip
+
+
+def _joint_certificate(
+    parts: Sequence[Certificate], masses: tuple[float, float], given: Regularization
+) -> Certificate:
+    """Add up certificates; pairs of other labels and mass without a partner are constants."""
+    constant = given.epsilon * (
+        masses[0] * masses[1] - sum(each.masses[0] * each.masses[1] for each in parts)
+    )
+    for side in (0, 1):
+        alone = masses[side] - sum(each.masses[side] for each in parts)
+        if np.isfinite(given.rho[side]):
+            constant += given.rho[side] * max(alone, 0.0)
+    primal, dual, gap, error, transported = (
+        sum(getattr(each, name) for each in parts)
+        for name in ("primal", "dual", "gap", "marginal_error", "transported_mass")
+    )
+    return Certificate(
+        primal + constant, dual + constant, gap, error,
+        np.concatenate([each.row_mass for each in parts]),
+        np.concatenate([each.column_mass for each in parts]),
+        transported, masses,
+    )  # fmt: skip
+
+
+def joined(parts: Sequence[Subproblem], plans: Sequence[Plan | Barycentric]) -> Plan | Barycentric:
+    """Return plans of parts, between the same pixels or blocks of both images, as one plan."""
+    if parts[0].points is None:
+        return plans[0]
+    means = [plan for plan in plans if isinstance(plan, Barycentric)]
+    if means:
+        return _joined_means(parts, means)
+    from scipy.sparse import coo_array
+
+    sparse = [plan for plan in plans if isinstance(plan, Plan)]
+    shape = sparse[0].shape
+    rows, columns, mass = (
+        np.concatenate(each)
+        for each in zip(*((plan.rows, plan.indices, plan.mass) for plan in sparse), strict=True)
+    )
+    matrix = coo_array((mass, (rows, columns)), shape=shape).tocsr()  # adds up repeated pairs
+    matrix.sort_indices()
+    return Plan(
+        matrix.indptr.astype(np.int64), matrix.indices.astype(np.int32),
+        np.asarray(matrix.data, float), shape, *_sums(sparse),
+    )  # fmt: skip
+
+
+def _sums(plans: Sequence[Plan] | Sequence[Barycentric]) -> list[Array]:
+    return [
+        np.sum([plan.marginals[side] for plan in plans], axis=0) for side in (0, 1)
+    ]  # fmt: skip
+
+
+def _joined_means(parts: Sequence[Subproblem], plans: Sequence[Barycentric]) -> Barycentric:
+    """Give each point the mean destination of its own label, and let others rest."""
+    first = parts[0].source
+    measure = first.fine if len(plans[0]) == len(first.fine) else first.coarse
+    positions, colors = measure.positions.copy(), measure.colors.copy()
+    covariance = np.zeros_like(plans[0].covariance)
+    for plan in plans:
+        own = plan.row_mass > 0
+        positions[own], colors[own] = plan.positions[own], plan.colors[own]
+        covariance[own] = plan.covariance[own]
+    return Barycentric(positions, colors, covariance, *_sums(plans))

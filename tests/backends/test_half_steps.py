@@ -1,0 +1,132 @@
+"""Iterations whose vectors stay on the device agree with their definitions and with NumPy's."""
+
+import functools
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.opencl.kernels import half_steps
+from clmorph.backends.verification.clouds import few_rows, several_tiles
+from clmorph.backends.verification.iterations import check_iteration
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.steps import DeviceSteps, HostSteps, new_steps
+
+ROOT = Path(__file__).parents[2]
+RHO = [(0.3, 0.5), (np.inf, 0.5), (0.3, np.inf), (np.inf, np.inf)]
+
+
+def resident(device):
+    """Skip where the host does the arithmetic: without float64, or with limited loops."""
+    if not device.has_float64 or device.constants.longest_loop:
+        pytest.skip("its iterations are the host's")
+
+
+def test_the_kernels_are_those_of_the_formulas():
+    """And the check can fail: see `make_half_steps.py`."""
+    tool = ROOT / "tools" / "make_half_steps.py"
+    done = subprocess.run([sys.executable, tool, "--check"], check=False, cwd=ROOT)
+    assert done.returncode == 0
+
+
+@pytest.mark.parametrize("balanced", range(4))
+def test_iterations_are_what_their_definitions_say(device, balanced):
+    resident(device)
+    for make in (several_tiles, functools.partial(few_rows, columns=700)):
+        case = make(device, NumPyOperations(), 3)
+        for finding in check_iteration(case, balanced):
+            assert finding.passed, str(finding)
+
+
+@pytest.mark.parametrize("rho", RHO, ids=str)
+def test_solves_agree_with_numpy(device, rng, rho):
+    """With more iterates than are stored, masses of 0, offsets, and an unequal number of points."""
+    resident(device)
+    found = []
+    points = [rng.random((n, 3)) for n in (150, 70)]
+    masses = [rng.random(n) for n in (150, 70)]
+    for mass in masses:
+        mass[::5] = 0
+        mass /= mass.sum()
+    offsets = [0.1 * rng.random(n) for n in (150, 70)]
+    for backend in (device, clmorph.get_backend("numpy")):
+        measures = [
+            clmorph.WeightedPoints(*each) for each in zip(points, masses, offsets, strict=True)
+        ]
+        reach = tuple(None if np.isinf(each) else each**0.5 for each in rho)
+        found.append(clmorph.sinkhorn(*measures, blur=0.05, reach=reach, tol=1e-6, backend=backend))
+    ours, theirs = found
+    assert ours.converged
+    assert len(ours.residuals) > 18
+    assert ours.n_iter <= 1.2 * theirs.n_iter + 3
+    shift = 0.0 if np.isfinite(rho).any() else (ours.f - theirs.f)[1]
+    for one, other, sign in ((ours.f, theirs.f, -1), (ours.g, theirs.g, 1)):
+        assert np.abs(one + sign * shift - other).max() <= 1e-3 * 0.05**2
+
+
+def steps_of(device, rng, sizes=(40, 30)):
+    measures = [clmorph.WeightedPoints(rng.random((n, 2)), np.full(n, 1 / n)) for n in sizes]
+    return new_steps(Problem.between(device, *measures, (0.3, 0.5)))
+
+
+def test_one_iteration_of_two_at_a_time(device, rng):
+    """Two iterations on a device, one step each in turn, are as each alone."""
+    resident(device)
+    alone, both = [], []
+    for sizes in ((40, 30), (130, 64)):
+        own = steps_of(device, np.random.default_rng(sizes), sizes)
+        own.begin(np.zeros(sizes[1]), 0.01, False)
+        both.append(own)
+        other = steps_of(device, np.random.default_rng(sizes), sizes)
+        other.begin(np.zeros(sizes[1]), 0.01, False)
+        alone.append([advance(other) for _ in range(5)])
+    for number in range(5):
+        assert [advance(own) for own in both] == [values[number] for values in alone]
+
+
+def advance(steps):
+    steps.update_rows()
+    residual = steps.update_columns()
+    steps.go_on(True)
+    return residual, steps.row_dual, steps.column_dual
+
+
+def test_threads_iterate_in_turn(device, rng):
+    resident(device)
+    measures = [clmorph.WeightedPoints(rng.random((n, 3)), np.full(n, 1 / n)) for n in (60, 50)]
+    solve = functools.partial(clmorph.sinkhorn, *measures, blur=0.1, reach=0.5, backend=device)
+    wanted, wrong = solve(), []
+
+    def run():
+        for _ in range(5):
+            if not np.array_equal(solve().g, wanted.g):
+                wrong.append(1)
+
+    threads = [threading.Thread(target=run) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_where_the_device_does_not_iterate_the_host_does(device, rng, monkeypatch):
+    """Many tiles, and softmins that could take too long for one launch."""
+    resident(device)
+    assert isinstance(steps_of(device, rng), DeviceSteps)
+    measures = [clmorph.WeightedPoints(rng.random((n, 3)), np.full(n, 1 / n)) for n in (60, 50)]
+    solve = functools.partial(clmorph.sinkhorn, *measures, blur=0.1, reach=0.5, backend=device)
+    wanted = solve()
+    with monkeypatch.context() as patch:
+        for name in ("MOST_PAIRS", "MOST_PAIRS_ELSEWHERE"):
+            patch.setattr(half_steps, name, 0)
+        assert isinstance(steps_of(device, rng), HostSteps)
+        found = solve()
+    assert np.abs(found.g - wanted.g).max() <= 1e-3 * 0.1**2
+    monkeypatch.setattr(half_steps, "KEPT_LEVELS", 0)
+    assert isinstance(steps_of(device, rng), HostSteps)

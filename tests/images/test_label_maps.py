@@ -1,0 +1,92 @@
+"""Label images from files: gray levels, indices of a palette, colors, and what is refused."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import clmorph
+from clmorph import InputError
+from clmorph.images.label_maps import COLORED, label_text, owners, reduced_values
+
+LABELS = np.array([[0, 1, 2], [200, 1, 255]])
+
+
+def test_the_same_labels_from_every_kind_of_file(tmp_path):
+    gray = Image.fromarray(LABELS.astype(np.uint8))
+    palette = Image.fromarray(LABELS.astype(np.uint8), "P")
+    palette.putpalette(np.random.default_rng(0).integers(0, 255, 768, np.uint8).tobytes())
+    files = {
+        "gray.png": gray, "palette.png": palette, "color.png": gray.convert("RGB"),
+        "opaque.png": gray.convert("RGBA"), "level.tif": gray, "lossless.bmp": gray,
+        "deep.png": Image.fromarray(LABELS.astype(np.uint16)),
+    }  # fmt: skip
+    for name, picture in files.items():
+        picture.save(tmp_path / name)
+        found = clmorph.read_labels(tmp_path / name)
+        assert found.dtype == np.int64
+        assert np.array_equal(found, LABELS), name
+    for kind in (np.uint8, np.int64, ">i4", bool):
+        np.save(tmp_path / "a.npy", LABELS.astype(kind))
+        assert np.array_equal(clmorph.read_labels(tmp_path / "a.npy"), LABELS.astype(kind))
+    Image.fromarray(LABELS == 1).save(tmp_path / "mask.png")
+    assert clmorph.read_labels(tmp_path / "mask.png").tolist() == (LABELS == 1).tolist()
+    deep = Image.fromarray(np.array([[0, 40000]], np.uint16))
+    deep.save(tmp_path / "deep.png")
+    assert clmorph.read_labels(tmp_path / "deep.png").tolist() == [[0, 40000]]
+
+
+def test_a_color_is_a_label(tmp_path):
+    colors = np.array([[[255, 128, 0], [0, 0, 0], [9, 9, 9]]], np.uint8)
+    Image.fromarray(colors).save(tmp_path / "a.png")
+    found = clmorph.read_labels(tmp_path / "a.png")
+    assert found.tolist() == [[COLORED + 0xFF8000, 0, 9]]
+    assert label_text(int(found[0, 0])) == "#ff8000"
+
+
+@pytest.mark.parametrize(
+    ("write", "told"),
+    [
+        (lambda file: file.with_suffix(".npy"), "labels cannot be read"),
+        (lambda file: file, "labels cannot be read"),
+        (lambda file: file.write_bytes(b"nothing"), "is not an image"),
+        (lambda file: Image.new("RGBA", (2, 2), (1, 2, 3, 4)).save(file), "transparent in parts"),
+        (
+            lambda file: Image.fromarray(np.arange(3 * 400, dtype=np.uint16).reshape(4, 300)).save(
+                file
+            ),
+            "has 1200 different labels: expected at most 256",
+        ),
+        (lambda file: Image.new("L", (2000, 2000)).save(file), "expected at most 1000000"),
+        (lambda file: np.save(file.with_suffix(".npy"), np.ones((2, 2))), "float64 of shape"),
+        (lambda file: np.save(file.with_suffix(".npy"), np.ones((2, 2, 2), int)), "array of shape"),
+        (lambda file: np.save(file.with_suffix(".npy"), np.array([[{}]])), "objects of Python"),
+        (lambda file: np.save(file.with_suffix(".npy"), np.ones((0, 2), int)), "of shape"),
+        (
+            lambda file: file.with_suffix(".npy").write_bytes(
+                b"\x93NUMPY\x01\x00v\x00{'descr': '<i8', 'fortran_order': False, "
+                b"'shape': (1000, 999), }".ljust(128)
+            ),
+            "shorter than its header says",
+        ),
+    ],
+)
+def test_label_files_that_cannot_be_used(tmp_path, write, told):
+    file = tmp_path / "a.png"
+    write(file)
+    file = next(tmp_path.iterdir(), file)
+    with pytest.raises(InputError, match=told) as caught:
+        clmorph.read_labels(file, max_pixels=1_000_000)
+    assert "\n" not in str(caught.value)
+
+
+def test_pixels_and_their_owners():
+    assert owners((4, 6), (2, 3)).tolist() == [[0, 0, 1, 1, 2, 2]] * 2 + [[3, 3, 4, 4, 5, 5]] * 2
+    assert owners((3, 1), (3, 1)).tolist() == [[0], [1], [2]]
+    for side in range(1, 60):
+        for small in range(1, side + 1):
+            counts = np.bincount(owners((side, 1), (small, 1)).ravel(), minlength=small)
+            assert counts.min() >= side // small
+            assert len(counts) == small
+    values = np.arange(24.0).reshape(4, 6, 1)
+    assert reduced_values(values, (2, 3)).ravel().tolist() == [3.5, 5.5, 7.5, 15.5, 17.5, 19.5]
+    assert reduced_values(values, (4, 6)) is values

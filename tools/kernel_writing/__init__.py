@@ -1,0 +1,1 @@
+"""What `make_half_steps.py` writes kernels with."""
