@@ -131,9 +131,9 @@ def ways(monkeypatch):
     choose = planning.choose_way
 
     @functools.wraps(choose)
-    def spy(source, target, *arguments, **options):
-        way = choose(source, target, *arguments, **options)
-        found.append((planning.finest_pixels(source, target), way))
+    def spy(parts, *arguments, **options):
+        way = choose(parts, *arguments, **options)
+        found.append((planning.finest_pixels(*parts[0].blocks), way))
         return way
 
     for module in (planning, inspection):
