@@ -30,8 +30,9 @@ Indices = NDArray[np.intp]
 FIRST_BLOCKS, BLOCK = (32, 32, 64, 64), 128
 #: Largest number of rounds.
 ROUNDS = 200
-#: A round that lowers the cost by less than this share, several times in a row, ends the search.
-SMALLEST_GAIN, PATIENCE = 1e-5, 4
+#: A round that lowers the cost by less than the first share of it, or by less than the second share
+#: of what it is above the cost that is enough, is idle; several in a row end the search.
+SMALLEST_GAIN, SLOWEST_GAIN, PATIENCE = 1e-5, 0.04, 3
 #: Parts into which a level of the search for near pairs cuts each part.
 WAYS = 4
 #: Largest number of threads; SciPy's solver of a block releases the interpreter's lock.
@@ -104,7 +105,8 @@ def assign(
             for rows, columns in pool.map(_Exchange(source, target, permutation, height), blocks):
                 permutation[rows] = columns
             before, cost = cost, permutation_cost(source, target, permutation)
-            idle = idle + 1 if before - cost < SMALLEST_GAIN * before else 0
+            gain = max(SMALLEST_GAIN * before, SLOWEST_GAIN * (before - enough) if enough else 0.0)
+            idle = idle + 1 if before - cost < gain else 0
     report(1.0)
     return Assignment(permutation, cost)
 
