@@ -12,7 +12,7 @@ from typing import Any
 from clmorph._shared.options import from_line, outside_name, specifications, unknown_option
 from clmorph._shared.printable import printable
 from clmorph._shared.validation import shown
-from clmorph.batch.places import INDEX, JOURNAL, identity_of, name_of, read_bytes, resolved
+from clmorph.batch.places import INDEX, JOURNAL, file_identity, name_of, read_bytes, resolved
 from clmorph.errors import FileError, InputError
 from clmorph.output.formats.registry import by_ending, usual_endings
 from clmorph.pipeline.options import MorphOptions, preset_options
@@ -280,7 +280,7 @@ def from_folder(folder: str, ending: str, chain: bool, defaults: Defaults) -> li
     pictures = [path for path in found if path.suffix.lower() in PICTURES and path.is_file()]
     if len(pictures) < 2:
         raise InputError(f"{folder} holds {len(pictures)} pictures: expected two or more")
-    if ending.lower() in PICTURES and identity_of(folder) == identity_of(defaults.folder):
+    if ending.lower() in PICTURES and file_identity(folder) == file_identity(defaults.folder):
         raise InputError(
             f"{folder}: {ending} files would count as pictures when the same command goes on; "
             "choose another folder of outputs"
@@ -344,12 +344,12 @@ def checked(jobs: list[Job], folder: str | None = None) -> list[Job]:
     folder : str, optional
         The folder of outputs, whose index and journal no output may replace.
     """
-    read = {identity_of(place) for job in jobs for place in job.read}
+    read = {file_identity(place) for job in jobs for place in job.read}
     own = () if folder is None else (INDEX, JOURNAL)
-    reserved = {identity_of(resolved(name, folder or "")) for name in own}
+    reserved = {file_identity(resolved(name, folder or "")) for name in own}
     first: dict[Hashable, str] = {}
     for job in jobs:
-        identity, name = identity_of(job.output), name_of(job.output)
+        identity, name = file_identity(job.output), name_of(job.output)
         if identity in first:
             raise FileError(f"{job.where}: {name} is the output of {first[identity]}, too")
         if identity in read:

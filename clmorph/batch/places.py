@@ -31,7 +31,7 @@ def resolved(place: str, folder: str = "") -> str:
     return os.path.abspath(Path(folder, place))  # noqa: PTH100
 
 
-def identity_of(place: str) -> Hashable:
+def file_identity(place: str) -> Hashable:
     """Return what two names of one file have in common."""
     if is_remote(place):
         return place

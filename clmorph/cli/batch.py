@@ -133,7 +133,7 @@ def _left_to_nobody(found: Found | None) -> str | None:
     return "photo" if found is not None and not found.named.own else None
 
 
-def _shown(journal: Journal, records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _with_earlier(journal: Journal, records: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the records of a run, and before them those of earlier ones that are still there."""
     new = {record["output"] for record in records}
     earlier = [
@@ -162,7 +162,7 @@ def run_batch(request: BatchRequest) -> int:
             for place in {Path(job.output).parent for job, _ in left if not is_remote(job.output)}:
                 clear_leftovers(place)
             records = [journal.records[job.output] for job in jobs if job.output in journal.records]
-            page = write_index(folder, _shown(journal, records)) if records else ""
+            page = write_index(folder, _with_earlier(journal, records)) if records else ""
             n_done = sum(record["status"] == "done" for record in records)
             note_partial(f"{n_done} of {len(jobs)} pairs are done: the same command does the rest")
     failed = [record for record in records if record["status"] == "failed"]

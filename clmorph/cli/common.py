@@ -9,9 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from clmorph._shared.files import check_place
 from clmorph._shared.validation import check_max_pixels
 from clmorph.cli.terminal import NOTES, note, say
-from clmorph.errors import FileError, ImageWarning, InputError
+from clmorph.errors import FileError, ImageWarning, InputError, OutputError
 from clmorph.pipeline.maps import Maps, read_maps
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
@@ -135,6 +136,24 @@ def chosen_preset(preset: str, options: MorphOptions) -> str:
     ]
     other = f"; given otherwise: {', '.join(given)}" if given else " (--preset takes another)"
     return f"preset: {preset}, for what the pictures show{other}"
+
+
+def recipe_places(outputs: Sequence[Path]) -> list[Path]:
+    """Return the paths of the recipes beside outputs.
+
+    Raises
+    ------
+    OutputError
+        If there is a folder at one of them.
+    """
+    found = []
+    for output in outputs:
+        # Paths without a name, such as ``.``, are resolved.
+        named = output if output.name not in ("", "..") else output.resolve()
+        found.append(named.with_name(f"{named.name}.json") if named.name else named / ".json")
+        if check_place(found[-1]).is_dir():
+            raise OutputError(f"{found[-1]} is a folder; choose another name for the output")
+    return found
 
 
 def read_beside(labels: Sequence[Path], features: Sequence[Path], max_pixels: int) -> Maps:

@@ -15,18 +15,24 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.files import check_apart, check_place
+from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable, size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
-from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_beside, read_picture
+from clmorph.cli.common import (
+    chosen_preset,
+    note_warning,
+    open_backend,
+    read_beside,
+    read_picture,
+    recipe_places,
+)
 from clmorph.cli.terminal import Stages, note, say
 from clmorph.errors import (
     ConvergenceWarning,
     FileError,
     InputError,
     MemoryWarning,
-    OutputError,
     PruningWarning,
 )
 from clmorph.images.detail import is_pixel_art
@@ -166,10 +172,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     if request.format is not None and len(outputs) > 1:
         raise InputError("--format is for one output: leave it out, or write one at a time")
     places = [Output(output, request.format) for output in outputs]
-    recipes = [_beside(output) for output in outputs if request.recipe]
-    for beside in recipes:
-        if check_place(beside).is_dir():
-            raise OutputError(f"{beside} is a folder; choose another name for the output")
+    recipes = recipe_places(outputs) if request.recipe else []
     read = [*images, *request.labels, *request.features]
     check_apart([*outputs, *recipes], [*read, *([request.config] if request.config else [])])
     run = _Run(images, request.options, places)
@@ -265,12 +268,6 @@ def _cap_memory(run: _Run, operations: Operations) -> None:
         limit_there = size_text(run.options.max_memory or 0.0)
         run.options = run.options.replace(max_memory=None)
         note(f"the recipe's limit of {limit_there} is above the device's own, {size_text(limit)}")
-
-
-def _beside(output: Path) -> Path:
-    """Return the path of an output's recipe; paths without a name, such as ``.``, are resolved."""
-    named = output if output.name not in ("", "..") else output.resolve()
-    return named.with_name(f"{named.name}.json") if named.name else named / ".json"
 
 
 def _summary(run: _Run, film: Recording, stages: Stages, notes: list[Warning]) -> dict[str, Any]:

@@ -11,13 +11,12 @@ from typing import Any
 
 import click
 
-from clmorph._shared.files import check_apart, check_place
+from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
-from clmorph.cli.common import open_backend, read_picture
+from clmorph.cli.common import open_backend, read_picture, recipe_places
 from clmorph.cli.terminal import Stages
-from clmorph.errors import OutputError
 from clmorph.images.detail import is_pixel_art
 from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import recorded
@@ -72,10 +71,7 @@ def run_rearrange(
     began = time.perf_counter()
     images, options = request.images, request.options
     places = [Output(output, request.format) for output in request.outputs]
-    beside = [path.with_name(f"{path.name}.json") for path in request.outputs if request.recipe]
-    for path in beside:
-        if check_place(path).is_dir():
-            raise OutputError(f"{path} is a folder; choose another name for the output")
+    beside = recipe_places(request.outputs) if request.recipe else []
     own = [request.config] if request.config else []
     check_apart([*request.outputs, *beside], [*images, *own])
     motion = motion_of(options, held_frames(len(images), options.n_frames))

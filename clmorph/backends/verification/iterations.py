@@ -39,11 +39,17 @@ class _Step(NamedTuple):
 def check_iteration(case: CloudCase, balanced: int) -> Iterator[Finding]:
     """Compare iterations with their definitions, extrapolated and taken back.
 
+    Nothing is compared where the host iterates, whose arithmetic is NumPy's.
+
     Parameters
     ----------
     case : CloudCase
     balanced : int
         1 if the source is balanced, plus 2 if the target is.
+
+    Yields
+    ------
+    Finding
     """
     epsilon = case.epsilon
     rho = [
@@ -55,7 +61,7 @@ def check_iteration(case: CloudCase, balanced: int) -> Iterator[Finding]:
         *case.ours, (case.rows[1], case.columns[1]), (inverse_rho[0], inverse_rho[1])
     )
     name = f"start_iteration{case.name}, balanced {balanced}"
-    if iteration is None:  # the host iterates, in NumPy
+    if iteration is None:
         return
     iteration.set_potential(case.g, epsilon, False)
     tolerances = [case.tolerance() * factor for factor in (PLAIN, UNDAMPED)]
