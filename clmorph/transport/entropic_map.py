@@ -94,7 +94,7 @@ def entropic_map(
             rounding = rounding_error(
                 operations, len(target), 0.5 * distance**2 / epsilon, precise=False
             )
-            options = epsilon, precise or rounding > ROUNDING
+            options = epsilon, bool(precise or rounding > ROUNDING)
             found = operations.softmin(rows, columns, potential, *options)
             if not np.all(np.isfinite(found)):
                 raise InputError(

@@ -62,10 +62,13 @@ def test_far_points_are_as_exact(any_backend, rng, distance, blur):
     directions = rng.normal(size=(8, 3))
     directions /= np.abs(directions).max(axis=1, keepdims=True)
     points = np.concatenate([source.points, distance * directions])
+    refused = ""
     try:
         got = solved.map(points, backend=any_backend)
     except InputError as error:
-        assert "use backend='numpy'" in str(error)
+        refused = str(error)
+    if refused:
+        assert "use backend='numpy'" in refused
         assert distance / solved.epsilon > 1e9
         assert not isinstance(any_backend, NumPyOperations)
         return
