@@ -30,7 +30,7 @@ class RecolorOptions(Options):
 
     strength: float = option(
         1.0, number(0.0, 1.0),
-        "Share of the way that colors go: 0 keeps the picture, 1 takes all of the other's colors.",
+        "Share of the way that colors go: 0 keeps the picture, 1 is all of it.",
         "Color", word="",
     )  # fmt: skip
     color_space: ColorSpace = option(

@@ -39,7 +39,7 @@ def direct(points, target, g, epsilon):
     return shares @ target.points
 
 
-@pytest.mark.parametrize("dimension", [1, 3, 5, 11])
+@pytest.mark.parametrize("dimension", [1, 3, 5])
 @pytest.mark.parametrize("reach", [None, 0.5, (0.3, None)])
 def test_any_points_against_the_formula(any_backend, rng, dimension, reach):
     source, target = measures(rng, dimension, offsets=dimension == 3)
@@ -109,27 +109,27 @@ def test_gaussians_have_their_closed_form(any_backend, s, t):
 
 
 def test_debiased_map_of_equal_measures_is_the_identity(any_backend, rng):
-    source, _ = measures(rng, 4)
+    source, _ = measures(rng, 3)
     own = clmorph.sinkhorn(source, source, 0.2, 0.7, backend=any_backend)
-    points = rng.random((50, 4))
+    points = rng.random((50, 3))
     np.testing.assert_array_equal(own.map(points, own=own, backend=any_backend), points)
 
 
 def test_many_points_are_mapped_in_parts(monkeypatch, rng):
-    source, target = measures(rng, 2)
+    source, target = measures(rng, 11)
     solved = clmorph.sinkhorn(source, target, 0.1, backend="numpy")
-    points = np.concatenate([rng.random((20, 2)), 1e3 * rng.random((20, 2))])
+    points = np.concatenate([rng.random((20, 11)), 1e3 * rng.random((20, 11))])
     want = solved.map(points, backend="numpy")
     monkeypatch.setattr(entropic_map, "CHUNK", 7)
     np.testing.assert_allclose(solved.map(points, backend="numpy"), want, rtol=0, atol=1e-12)
 
 
 def test_small_cases(any_backend):
-    one = np.ones(1), np.array([[2.0, 3.0]])
+    one = np.ones(1), np.array([[2.0, 3.0, 4.0]])
     solved = clmorph.sinkhorn(one, one, backend=any_backend)
-    assert solved.map(np.empty((0, 2)), backend=any_backend).shape == (0, 2)
-    got = solved.map([[5.0, -1e6]], backend=any_backend)
-    np.testing.assert_array_equal(got, [[2.0, 3.0]])
+    assert solved.map(np.empty((0, 3)), backend=any_backend).shape == (0, 3)
+    got = solved.map([[5.0, -1e6, 0.0]], backend=any_backend)
+    np.testing.assert_array_equal(got, [[2.0, 3.0, 4.0]])
 
 
 def test_target_can_be_given(rng):
