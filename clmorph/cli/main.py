@@ -73,7 +73,7 @@ def cli() -> None:
     clmorph morph a.png b.jpg -o out.html    a page to play with: scrub, zoom, look inside
     clmorph morph a.png b.jpg c.png d.jpg -o tour.mp4 --loop ping-pong
     clmorph rearrange a.png b.jpg -o out.gif the pixels of one picture form the other one
-    clmorph recolor a.jpg like.jpg -o out.png  the colors of one picture for another one
+    clmorph recolor a.png b.jpg -o out.png   picture A with the colors of B
     clmorph inspect a.png b.jpg              what would move, how far, how long it takes
     clmorph devices                          what it can run on
     """  # noqa: D301 (click wants the character itself)
@@ -361,10 +361,10 @@ def recolor(
     """Give PHOTO the colors of LIKE; every pixel stays in its place.
 
     \b
-    clmorph recolor photo.jpg like.jpg -o out.png
-    clmorph recolor photo.jpg like.jpg -o out.png --strength 0.6     part of the way
-    clmorph recolor photo.jpg like.jpg -o out.png --reach 0.3        rare colors stay
-    clmorph recolor photo.jpg like.jpg -o out.png --mask sky.png --feather 8
+    clmorph recolor a.jpg b.jpg -o out.png                    A with the colors of B
+    clmorph recolor a.jpg b.jpg -o out.png --strength 0.6     part of the way
+    clmorph recolor a.jpg b.jpg -o out.png --reach 0.3        rare colors stay
+    clmorph recolor a.jpg b.jpg -o out.tif --mask sky.png     only where it is white
     """  # noqa: D301
     from clmorph.cli.morph import announce_changes
     from clmorph.cli.recolor import Request, run_recolor

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Unpack
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from clmorph._shared.progress import Share, StageProgress
@@ -27,6 +29,8 @@ from clmorph.pipeline.recolor_options import RecolorOptions
 SAMPLES = 1 << 19
 #: Pixels that are recolored at once.
 CHUNK = 1 << 16
+#: Levels of a channel of 8 bits.
+LEVELS = 256
 
 
 @documented(RecolorOptions)
@@ -168,20 +172,54 @@ def _distribution(colors: Array, masses: Array, space: str) -> WeightedPoints:
 def _apply(
     pixels: Array, change: ColorMap, amounts: Array, space: str, report: StageProgress
 ) -> None:
-    """Recolor pixels in place, by the share `amounts`, a part at a time."""
-    height, width = amounts.shape
-    flat, shares = pixels.reshape(height * width, -1), amounts.ravel()
+    """Recolor pixels in place, by the shares `amounts`."""
+    flat, shares = pixels.reshape(amounts.size, -1), amounts.ravel()
+    chosen = np.flatnonzero(shares > 0)
+    shares = shares[chosen]
+    codes = _codes(flat, chosen) if np.all(shares == shares[0]) else None
+    if codes is None:
+        flat[chosen, :3] = _moved(flat[chosen, :3], shares, change, space, report)
+        return
+    # Pictures of 8 bits have many more pixels than colors.
+    known = np.zeros(LEVELS**3, bool)
+    known[codes] = True
+    distinct = np.flatnonzero(known)
+    colors = np.stack(np.unravel_index(distinct, (LEVELS,) * 3), axis=1) / (LEVELS - 1.0)
+    found = _moved(colors, shares[: len(distinct)], change, space, report)
+    places = np.zeros(LEVELS**3, np.int32)
+    places[distinct] = np.arange(len(distinct))
+    for part in _parts(len(chosen)):
+        flat[chosen[part], :3] = found[places[codes[part]]]
 
-    def part(start: int) -> Array:
-        some = slice(start, start + CHUNK)
-        chosen = np.flatnonzero(shares[some] > 0)
-        colors = flat[some][chosen, :3]
-        coordinates = to_space(colors, space)
-        moved = coordinates + shares[some][chosen, None] * change.steps(coordinates)
-        result = flat[some, :3].copy()
-        result[chosen] = into_gamut(moved, space)
-        return result
 
-    for start, result in in_order(part, range(0, len(flat), CHUNK)):
-        flat[start : start + CHUNK, :3] = result
-        report("pixels", Share(min(1.0, (start + CHUNK) / len(flat))))
+def _parts(count: int) -> Iterator[slice]:
+    """Return the parts of `count` pixels that are worked on at once."""
+    return (slice(start, start + CHUNK) for start in range(0, count, CHUNK))
+
+
+def _codes(flat: Array, chosen: NDArray[np.intp]) -> NDArray[np.int32] | None:
+    """Return one number for each color of 8 bits a channel; None if not all are such colors."""
+    codes = np.empty(len(chosen), np.int32)
+    for part in _parts(len(chosen)):
+        colors = flat[chosen[part], :3]
+        levels = np.rint((LEVELS - 1.0) * colors).astype(np.int32)
+        if not np.array_equal(levels / (LEVELS - 1.0), colors):
+            return None
+        codes[part] = (levels[:, 0] * LEVELS + levels[:, 1]) * LEVELS + levels[:, 2]
+    return codes
+
+
+def _moved(
+    colors: Array, shares: Array, change: ColorMap, space: str, report: StageProgress
+) -> Array:
+    """Return colors (N, 3) after shares (N,) of their steps, computed a part at a time."""
+
+    def moved(part: slice) -> Array:
+        coordinates = to_space(colors[part], space)
+        return into_gamut(coordinates + shares[part, None] * change.steps(coordinates), space)
+
+    found = np.empty_like(colors)
+    for part, result in in_order(moved, _parts(len(colors))):
+        found[part] = result
+        report("pixels", Share(min(1.0, part.stop / len(colors))))
+    return found

@@ -173,6 +173,20 @@ def test_gray_pictures_and_pictures_of_16_bits():
     assert np.ptp(clmorph.recolor(b, gray, backend="numpy"), axis=2).max() < 0.5 * np.ptp(b)
 
 
+def test_pictures_of_8_bits_are_recolored_color_by_color():
+    a, b = np.rint(255 * scene(16)).astype(np.uint8), scene(17)
+    found = clmorph.recolor(a, b, backend="numpy")
+    # With a fractional mask or other numbers every pixel is computed by itself.
+    slightly = np.clip(a / 255 + 1e-12, 0, 1)
+    by_pixels = clmorph.recolor(slightly, b, backend="numpy")
+    np.testing.assert_allclose(found, by_pixels, rtol=0, atol=1e-9)
+    some = np.random.default_rng(0).random(a.shape[:2]) > 0.3
+    masked = clmorph.recolor(a, b, mask=some, backend="numpy")
+    np.testing.assert_array_equal(masked[~some], a[~some] / 255)
+    want = clmorph.recolor(slightly, b, mask=some, backend="numpy")
+    np.testing.assert_allclose(masked, want, rtol=0, atol=1e-9)
+
+
 def test_large_pictures_are_sampled_and_recolored_in_parts(monkeypatch):
     a, b = scene(14, 40), scene(15, 40)
     want = clmorph.recolor(a, b, backend="numpy")
