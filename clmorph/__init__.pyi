@@ -138,6 +138,9 @@ from .transport.divergence import (
 from .transport.divergence import (
     sinkhorn_divergence as sinkhorn_divergence,
 )
+from .transport.divergence_batch import (
+    sinkhorn_divergence_batch as sinkhorn_divergence_batch,
+)
 from .transport.divergence_matrix import (
     DivergenceMatrix as DivergenceMatrix,
 )
@@ -227,5 +230,6 @@ __all__ = [
     "sinkhorn",
     "sinkhorn_batch",
     "sinkhorn_divergence",
+    "sinkhorn_divergence_batch",
     "transport_plan",
 ]
