@@ -8,6 +8,7 @@ from plain import reference
 
 import clmorph
 from clmorph import ConvergenceWarning, InputError
+from clmorph.transport._solver.plan_softmin import FEW_NEAR
 
 REACHES = [0.4, 3.0, (0.3, 1.0), (0.5, None), None]
 #: Of the largest component.
@@ -194,6 +195,20 @@ def test_a_batch_names_the_pair_that_is_wrong(rng):
     with pytest.raises(InputError, match=r"^problem 1: "):
         clmorph.sinkhorn_divergence_batch(*zip(good, bad, strict=True), 0.2, 0.5, backend="numpy")
     with pytest.warns(ConvergenceWarning, match="problem 0"):
-        clmorph.sinkhorn_divergence_batch(
-            [good[0]], [good[1]], 0.01, 0.5, 1e-6, 1, backend="numpy"
-        )
+        clmorph.sinkhorn_divergence_batch([good[0]], [good[1]], 0.01, 0.5, 1e-6, 1, backend="numpy")
+
+
+@pytest.mark.parametrize(("blur", "length"), [(0.02, 12.0), (0.3, 1.0)])
+def test_truncated_sums(any_backend, rng, blur, length):
+    """With few near pairs, and with so many that all pairs are summed."""
+    (a, x), (b, y) = problem(rng, False, 700, 900)
+    pair = (a, x * [length, 1.0]), (b, y * [length, 1.0])
+    options = {"tol": 1e-5, "max_iter": 5000, "backend": any_backend, "multiscale": False}
+    near = clmorph.sinkhorn(*pair, blur, 0.2, **options, truncation=1e-7)
+    assert (near.visited <= FEW_NEAR) == (length > 1)
+    got = clmorph.gradient(*pair, near, backend=any_backend)
+    exact = clmorph.sinkhorn(*pair, blur, 0.2, **options, truncation=None)
+    want = clmorph.gradient(*pair, exact, backend=any_backend)
+    for name in NAMES:
+        limit = TOLERANCE * np.abs(getattr(want, name)).max()
+        np.testing.assert_allclose(getattr(got, name), getattr(want, name), rtol=0, atol=limit)
