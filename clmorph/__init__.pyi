@@ -147,6 +147,9 @@ from .transport.divergence import (
 from .transport.divergence import (
     sinkhorn_divergence as sinkhorn_divergence,
 )
+from .transport.divergence_batch import (
+    sinkhorn_divergence_batch as sinkhorn_divergence_batch,
+)
 from .transport.divergence_matrix import (
     DivergenceMatrix as DivergenceMatrix,
 )
@@ -238,6 +241,7 @@ __all__ = [
     "sinkhorn",
     "sinkhorn_batch",
     "sinkhorn_divergence",
+    "sinkhorn_divergence_batch",
     "transport_plan",
     "write_image",
 ]

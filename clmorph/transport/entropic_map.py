@@ -31,8 +31,8 @@ from clmorph.measures.points import (
     as_measures,
 )
 
-#: Points that are mapped at once: each has a covariance of 11 x 11 numbers at most.
-CHUNK = 1 << 16
+#: Points that are mapped at once.
+CHUNK = 1 << 18
 #: Nats of rounding in an exponent above which exponents are formed in more than float32.
 ROUNDING = 1e-4
 
@@ -95,13 +95,12 @@ def entropic_map(
                 operations, len(target), 0.5 * distance**2 / epsilon, precise=False
             )
             options = epsilon, bool(precise or rounding > ROUNDING)
-            found = operations.softmin(rows, columns, potential, *options)
-            if not np.all(np.isfinite(found)):
+            found, mean = operations.barycentric_projection(rows, columns, potential, *options)
+            if not (np.all(np.isfinite(found)) and np.all(np.isfinite(mean))):
                 raise InputError(
                     "points are too far from the target for this blur on this device: leave "
                     "them out, or use backend='numpy'"
                 )
-            mean, _ = operations.plan_moments(rows, columns, potential, found, *options)
             # A mean of the target's points lies among them, which rounding does not know.
             means[part] = np.clip(middle + mean / scale, low, high)
             softmins[part] = found + 0.5 * (1.0 - scale**-2) * squares[part]

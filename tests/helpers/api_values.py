@@ -224,6 +224,10 @@ def cases() -> dict[str, dict[str, Any]]:
             "sources": [some["source"], some["plain"]], "targets": [some["target"], some["plain"]],
             "backend": "numpy", "precision": "auto", "progress": Idle(),
         },
+        "sinkhorn_divergence_batch": STRENGTHS | SOLVER | {
+            "sources": [some["source"], some["plain"]], "targets": [some["target"], some["plain"]],
+            "backend": "numpy", "precision": "auto", "progress": Idle(), "gradient": True,
+        },
         # Without a client, which is checked last, so that every other value is.
         "batch.morph": {
             "pairs": [("a.png", "b.png", "out.gif")], "client": None, "backend": "numpy",
