@@ -38,7 +38,7 @@ def into_gamut(coordinates: Array, space: str) -> Array:
     >>> into_gamut(np.array([[0.2, 0.5, 0.9]]), "srgb").tolist()
     [[0.2, 0.5, 0.9]]
     >>> into_gamut(np.array([[1.4, 0.6, 0.2]]), "srgb").round(3).tolist()  # clipped: 1, 0.6, 0.2
-    [[1.0, 0.668, 0.451]]
+    [[1.0, 0.686, 0.528]]
     """
     colors = from_space(coordinates, space)
     # A color that was clipped has a channel at a bound.
