@@ -208,7 +208,7 @@ class Potentials:
         >>> potentials.map([0.0, 0.6], own=own, backend="numpy").round(3).ravel().tolist()
         [2.0, 2.6]
         """
-        known = self._map_target(target, "target")
+        known = self._measure(1, "target") if target is None else as_measure("target", target)
         check_potentials("potentials", self, (len(self.f), len(known)))
         places = as_places(points, known)
         operations = get_backend(backend)
@@ -222,20 +222,20 @@ class Potentials:
                 f"own has blur={own.blur:g} and reach={shown(own.reach)}: expected those of the "
                 f"potentials, {self.blur:g} and {shown(self.reach)}"
             )
-        source = self.measures[0] if self.measures is not None else own._map_target(None, "own")
+        source = own._measure(1, "own")
+        check_potentials("own", own, (n, len(source)))
+        places = as_places(places, source)
         stay = entropic_map(places, source, own.g, own.epsilon, operations, own.precise).means
         return places + (mapped - stay)
 
-    def _map_target(self, target: Any, name: str) -> AnyMeasure:
-        """Return the measure to which `g` belongs."""
-        if target is not None:
-            return as_measure("target", target)
-        if self.measures is None:
+    def _measure(self, side: int, name: str) -> AnyMeasure:
+        """Return the source (0) or the target (1), which the argument `name` needs."""
+        if not isinstance(self.measures, tuple) or len(self.measures) != 2:
             raise InputError(
-                f"{name}: these potentials do not hold their measures; expected the argument "
-                "target, or potentials as clmorph.sinkhorn returns them"
+                f"{name}: these potentials do not hold their measures; expected potentials as "
+                "clmorph.sinkhorn returns them, or the measure as the argument target"
             )
-        return self.measures[1]
+        return as_measure(name, self.measures[side])
 
     def to_device(self, queue: Any, dtype: Any = None) -> DevicePotentials:
         """Return f and g as new arrays in the memory of a device, for kernels of a host program.

@@ -185,3 +185,24 @@ def test_unknown_measures_are_named(rng):
     solved = clmorph.sinkhorn(source, target, backend="numpy")
     with pytest.raises(InputError, match="do not hold their measures"):
         solved.map(target, backend="numpy")
+
+
+def test_damaged_measures_are_named(rng):
+    pair = measures(rng, 2)
+    solved = clmorph.sinkhorn(*pair, 0.1, backend="numpy")
+    own = clmorph.sinkhorn(pair[0], pair[0], 0.1, backend="numpy")
+    points = np.zeros((1, 2))
+    for damaged, words in (
+        ("x", "do not hold"),
+        (pair[:1], "do not hold"),
+        (pair[::-1], "expected 30 and 30"),
+        (("x", "x"), "target is a str"),
+        (measures(rng, 3), "expected .K, 3."),
+    ):
+        with pytest.raises(InputError, match=words):
+            replace(solved, measures=damaged if damaged == "x" else tuple(damaged)).map(
+                points, backend="numpy"
+            )
+    for damaged in ("x", tuple(pair), tuple(measures(rng, 3, m=30))):
+        with pytest.raises(InputError, match=r"own|points have shape"):
+            solved.map(points, own=replace(own, measures=damaged), backend="numpy")
