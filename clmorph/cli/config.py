@@ -24,6 +24,8 @@ from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.pipeline.recipe import (
     BESIDE,
+    COMMAND,
+    COMMANDS,
     IMAGES,
     OUTPUT,
     OWN,
@@ -213,6 +215,11 @@ def _check_own(path: Path, users: Settings) -> None:
 def _recipe(path: Path, command: type[Options]) -> Settings:
     with quiet_libraries():  # notes of clmorph are printed later
         found = read_recipe(path)
+    made_by = found.get(COMMAND)
+    if isinstance(made_by, str) and COMMANDS.get(made_by, command) is not command:
+        raise InputError(
+            f"{path} was made by clmorph {made_by}: repeat it by clmorph {made_by} --config {path}"
+        )
     for name in found.get("arrays", []) if isinstance(found.get("arrays"), list) else []:
         note(f"{path} was made with an array of {shown(name)}, which it does not hold")
     more = {name: found[name] for name in BESIDE[command] if name in found}

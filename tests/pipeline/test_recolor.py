@@ -287,8 +287,11 @@ def test_command(tmp_path, monkeypatch, capsys):
         ([*both, "-o", "x.png", "--mask", "small.png"], "small.png has 24 x 5 pixels"),
         ([*both, "-o", "x.png", "--mask", "none.png"], "none.png"),
         (["photo.png", "none.png", "-o", "x.png"], "none.png"),
+        (["--config", "out.png", "-o", "like.png"], "like.png"),
+        (["--config", "out.png", "-o", "x.png", "--morph"], "made by clmorph recolor"),
     ):
-        assert main(["recolor", *wrong, *plain]) == 2
+        command = "morph" if "--morph" in wrong else "recolor"
+        assert main([command, *(word for word in wrong if word != "--morph"), *plain]) == 2
         error = capsys.readouterr().err.strip().splitlines()[-1]
         assert error.startswith("clmorph: error")
         assert words in error
