@@ -2,7 +2,8 @@
 
 Each row shows a photograph, the one whose colors it takes, what two usual methods make of it (mean
 and standard deviation of each channel of CIELAB: Reinhard et al. 2001; histograms of each channel),
-and `clmorph.recolor`. ``--time`` measures a picture of a megapixel in its place.
+and `clmorph.recolor`. ``--compare`` prints how far the colors of each are from those that they
+should be, and ``--time`` what a picture of a megapixel takes.
 """
 
 import argparse
@@ -15,6 +16,7 @@ from PIL import Image
 from skimage import color, data, exposure
 
 import clmorph
+from clmorph.images.color import to_space
 
 #: Photographs and those whose colors they take.
 PAIRS = (("astronaut", "coffee"), ("coffee", "rocket"), ("rocket", "chelsea"))
@@ -26,6 +28,8 @@ CUTS = {
     "chelsea": (75, 0, 300),
 }
 DRAWN = 176
+#: Blur of the distances between colors, and the share of pixels whose colors are compared.
+BLUR, EVERY = 0.05, 5
 #: Side of the picture that is measured, in pixels.
 SIDE = 1024
 
@@ -52,10 +56,40 @@ def draw(path: Path, device: str) -> None:
     rows = []
     for names in PAIRS:
         image, like = map(square, names)
-        matched = exposure.match_histograms(image, like, channel_axis=2)
-        found = clmorph.recolor(image, like, backend=device)
-        rows.append(np.hstack([image, like, by_moments(image, like), matched, found]))
+        made = by_methods(image, like, device)
+        rows.append(np.hstack([image, like, *list(made.values())[1:4]]))
     clmorph.write_image(path, np.vstack(rows))
+
+
+def by_methods(image: np.ndarray, like: np.ndarray, device: str) -> dict[str, np.ndarray]:
+    """Return the picture itself, and with the colors of another one by each method."""
+    return {
+        "as it is": image,
+        "mean and deviation": by_moments(image, like),
+        "histograms": exposure.match_histograms(image, like, channel_axis=2),
+        "recolor": clmorph.recolor(image, like, backend=device),
+        "recolor, balanced": clmorph.recolor(image, like, reach=None, backend=device),
+    }
+
+
+def compare(device: str) -> None:
+    """Print sqrt(2 S) between the colors in Oklab, S being the Sinkhorn divergence."""
+
+    def colors(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        points = to_space(image.reshape(-1, 3)[::EVERY], "oklab")
+        return np.full(len(points), 1 / len(points)), points
+
+    for number, names in enumerate(PAIRS):
+        image, like = map(square, names)
+        made = by_methods(image, like, device)
+        if number == 0:
+            print(f"| colors | {' | '.join(made)} |\n|---|{'---|' * len(made)}")
+        found = [
+            clmorph.sinkhorn_divergence(colors(each), colors(like), BLUR, tol=1e-2, backend=device)
+            for each in made.values()
+        ]
+        values = " | ".join(f"{np.sqrt(2 * each.value):.3f}" for each in found)
+        print(f"| {names[0]} as {names[1]} | {values} |")
 
 
 def measure(device: str) -> None:
@@ -87,10 +121,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("output", type=Path, nargs="?")
     parser.add_argument("--device", default="auto")
+    parser.add_argument("--compare", action="store_true")
     parser.add_argument("--time", action="store_true")
     given = parser.parse_args()
     if given.output is not None:
         draw(given.output, given.device)
+    if given.compare:
+        compare(given.device)
     if given.time:
         measure(given.device)
 
