@@ -96,6 +96,9 @@ from .output.formats.archive import (
 from .output.formats.archive import (
     load as load,
 )
+from .output.picture import (
+    write_image as write_image,
+)
 from .output.save import (
     save as save,
 )
@@ -116,6 +119,12 @@ from .pipeline.rearrangement import (
 )
 from .pipeline.recipe import (
     load_options as load_options,
+)
+from .pipeline.recolor import (
+    recolor as recolor,
+)
+from .pipeline.recolor_options import (
+    RecolorOptions as RecolorOptions,
 )
 from .pipeline.result import (
     Morph as Morph,
@@ -205,6 +214,7 @@ __all__ = [
     "PruningWarning",
     "RearrangeOptions",
     "Rearrangement",
+    "RecolorOptions",
     "WeightedPoints",
     "barycentric_plan",
     "batch",
@@ -224,6 +234,7 @@ __all__ = [
     "read_image",
     "read_labels",
     "rearrange",
+    "recolor",
     "reference",
     "sample_plan",
     "save",
@@ -232,4 +243,5 @@ __all__ = [
     "sinkhorn_divergence",
     "sinkhorn_divergence_batch",
     "transport_plan",
+    "write_image",
 ]
