@@ -366,8 +366,8 @@ def solver_names(names):
     source, target = map(clmorph.lift, photographs(10))
     other = clmorph.sinkhorn_divergence(target, target, blur=0.05, reach=0.3)
     return {
-        **{"a": rng.random(90), "x": rng.random((90, 3))},
-        **{"b": rng.random(70), "y": rng.random((70, 3))},
+        **{"a": rng.dirichlet(np.ones(90)), "x": rng.random((90, 3))},
+        **{"b": rng.dirichlet(np.ones(70)), "y": rng.random((70, 3))},
         **{"source": source, "target": target, "other": other},
     }
 
