@@ -99,6 +99,12 @@ from .output.formats.archive import (
 from .output.save import (
     save as save,
 )
+from .pipeline.mixing.mix import (
+    mix as mix,
+)
+from .pipeline.mixing.mixes import (
+    Mixes as Mixes,
+)
 from .pipeline.morph import (
     morph as morph,
 )
@@ -191,6 +197,7 @@ __all__ = [
     "Inspection",
     "Measure",
     "MemoryWarning",
+    "Mixes",
     "Morph",
     "MorphOptions",
     "OutputError",
@@ -216,6 +223,7 @@ __all__ = [
     "lift",
     "load",
     "load_options",
+    "mix",
     "morph",
     "particles",
     "read_image",
