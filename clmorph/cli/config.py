@@ -24,7 +24,9 @@ from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.pipeline.recipe import (
     BESIDE,
+    COMMAND,
     IMAGES,
+    MIX,
     OUTPUT,
     OWN,
     PRESET,
@@ -209,6 +211,11 @@ def _check_own(path: Path, users: Settings) -> None:
 def _recipe(path: Path) -> Settings:
     with quiet_libraries():  # notes of clmorph are printed later
         found = read_recipe(path)
+    if found.get(COMMAND) == MIX:
+        raise InputError(
+            f"{path} was made by clmorph mix, which has no --config; clmorph.load_options reads "
+            "its options"
+        )
     for name in found.get("arrays", []) if isinstance(found.get("arrays"), list) else []:
         note(f"{path} was made with an array of {shown(name)}, which it does not hold")
     more = {name: found[name] for name in BESIDE if name in found}

@@ -30,8 +30,8 @@ from clmorph.pipeline.rearrange_options import RearrangeOptions
 PRESET, IMAGES, OUTPUT = "preset", "images", "output"
 #: Keys of further files of both pictures.
 BESIDE = ("labels", "features")
-#: Key of the command that made a file, if it is not ``morph``; and the command's name.
-COMMAND, REARRANGE = "command", "rearrange"
+#: Key of the command that made a file, if it is not ``morph``; and the commands' names.
+COMMAND, REARRANGE, MIX = "command", "rearrange", "mix"
 #: Keys that only the user decides, in the command line or in TOML; recipes do not contain them.
 OWN = (OUTPUT, "format", "recipe", "max_pixels")
 
@@ -43,6 +43,7 @@ def recipe(
     device: str = "",
     arrays: Sequence[str] = (),
     beside: Mapping[str, Sequence[Mapping[str, Any]]] | None = None,
+    mixes: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the recipe of a file, which suffices to make the file again.
 
@@ -58,10 +59,14 @@ def recipe(
         are no files), which a recipe does not contain.
     beside : mapping, optional
         Files of both pictures by what they are (`BESIDE`): name and digest of each.
+    mixes : mapping, optional
+        What of mixes is shown: their weights, or the stops of a path.
     """
     found: dict[str, Any] = {"clmorph": __version__, "options": options.outside()}
     if isinstance(options, RearrangeOptions):
         found[COMMAND] = REARRANGE
+    if mixes is not None:
+        found |= {COMMAND: MIX, **mixes}
     found |= {IMAGES: [dict(image) for image in images]} if images else {}
     for name, entries in (beside or {}).items():
         found[name] = [dict(entry) for entry in entries]

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Unpack
 
+import numpy as np
+
 from clmorph._shared.progress import StageProgress
 from clmorph._shared.typing import ArrayLike
-from clmorph._shared.validation import check_progress
+from clmorph._shared.validation import check_progress, shown
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.pipeline.documentation import documented
@@ -104,8 +106,9 @@ def check_images(images: Any) -> list[Picture]:
     InputError
         If their number or one of them cannot be used.
     """
-    if isinstance(images, str | bytes) or not hasattr(images, "__len__"):
-        raise InputError("images: expected a sequence of two or more images")
+    known = isinstance(images, list | tuple)
+    if not known and not (isinstance(images, np.ndarray) and images.ndim == 4):
+        raise InputError(f"images={shown(images)}: expected a list of two or more images")
     if not 2 <= len(images) <= MOST_IMAGES:
         raise InputError(
             f"images: {len(images)} given; expected 2 to {MOST_IMAGES}, because each pair of them "

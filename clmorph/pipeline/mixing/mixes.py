@@ -6,13 +6,15 @@ import itertools
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import overload
+from os import PathLike
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.progress import StageProgress
 from clmorph._shared.typing import Array, ArrayLike
+from clmorph._shared.validation import check_integer
 from clmorph.backends.interface import Operations
 from clmorph.frames.mixes.particles import MixedParticles
 from clmorph.frames.mixes.renderer import MixRenderer
@@ -20,10 +22,13 @@ from clmorph.images.detail import is_pixel_art
 from clmorph.output.framing import Framing
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import eased
+from clmorph.output.save import Output
 from clmorph.pipeline.mixing.weights import Layout, check_mix_weights, path_weights
+from clmorph.pipeline.mixing.writing import check_outputs, write_film, write_sheet
 from clmorph.pipeline.morph import ImagePair
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import Picture
+from clmorph.pipeline.recipe import recipe
 from clmorph.pipeline.result import Morph
 from clmorph.transport.plan import Plan
 
@@ -162,6 +167,8 @@ class Mixes(Sequence[Frame]):
         >>> clmorph.mix(images, [1, 1], backend="numpy").morph(0, 1).frame(0.5).shape
         (6, 6, 3)
         """
+        first = check_integer("first", first, 0, len(self.images) - 1)
+        second = check_integer("second", second, 0, len(self.images) - 1)
         if (first, second) not in self._morphs:
             pair = ImagePair(
                 [self.images[first], self.images[second]], self.options,
@@ -194,6 +201,8 @@ class Mixes(Sequence[Frame]):
         >>> clmorph.mix(images, grid=4, backend="numpy").sheet().shape
         (6, 32, 3)
         """
+        if background is not None:
+            background = FrameStyle.checked("background", background)
         return sheet_of(self.drawn(), self.layout, self.pixelated, background, self.clear)
 
     def drawn(self) -> list[Frame]:
@@ -235,9 +244,62 @@ class Mixes(Sequence[Frame]):
         """
         weights = path_weights(stops, len(self.images))
         times = eased(np.linspace(0.0, 1.0, self.options.n_frames), self.options.ease)
-        return [
-            Leg(self, one, other, times) for one, other in itertools.pairwise(weights)
-        ]
+        return [Leg(self, one, other, times) for one, other in itertools.pairwise(weights)]
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The recipe of the pictures, as values that `json.dumps` accepts."""
+        return self._recipe(None)
+
+    def save(
+        self, path: str | PathLike[str], stops: str | Sequence[ArrayLike] | None = None
+    ) -> None:
+        """Write the sheet of all pictures, or the film of a path through mixes.
+
+        Parameters
+        ----------
+        path : path
+            Path of a PNG file; with `stops` of any film that `clmorph.save` writes.
+        stops : str or sequence of weights, optional
+            The stops of a path, see `path`. Between two stops there are `n_frames` frames.
+
+        Raises
+        ------
+        InputError
+            If an option or a stop cannot be used.
+        OutputError
+            If the file cannot be written, or cannot hold mixes.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> import numpy as np
+        >>> import clmorph
+        >>> mixes = clmorph.mix(np.zeros((2, 6, 6, 3)), n_frames=4, backend="numpy")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     mixes.save(Path(folder) / "row.png")
+        ...     mixes.save(Path(folder) / "film.gif", "aba")
+        ...     sorted(path.name for path in Path(folder).iterdir())
+        ['film.gif', 'row.png']
+        """
+        outputs = [Output(path)]
+        legs = [] if stops is None else self.path(stops)
+        check_outputs(outputs, len(legs) + 1 if legs else 0, self.options)
+        metadata = self._recipe(legs)
+        if legs:
+            write_film(
+                outputs, legs, self.options, self.pixelated, metadata, progress=self.progress
+            )
+        else:
+            write_sheet(outputs, self.sheet(self.options.background), metadata)
+
+    def _recipe(self, legs: Sequence[Leg] | None) -> dict[str, Any]:
+        """Return the recipe of the pictures, or of a film."""
+        shown = {"weights": self.weights.tolist()}
+        if legs:
+            shown = {"stops": [legs[0].start.tolist(), *(leg.end.tolist() for leg in legs)]}
+        return recipe(self.options, device=self.operations.description, mixes=shown)
 
     def _drawn(self, weights: Array) -> Frame:
         shown = np.flatnonzero(weights).tolist()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from clmorph._shared.typing import Array, ArrayLike
+from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_integer, shown
 from clmorph.backends.arrays import as_floats
 from clmorph.errors import InputError
@@ -49,13 +48,14 @@ def check_mix_weights(weights: Any, n_images: int) -> Array:
     found = np.atleast_2d(as_floats("weights", weights, "a weight for each image"))
     if found.ndim != 2 or found.shape[1] != n_images or not len(found):
         raise InputError(
-            f"weights have shape {np.shape(weights)}: expected {n_images} weights, one for each "
+            f"weights have shape {found.shape}: expected {n_images} weights, one for each "
             f"image, or an array (n, {n_images}) for n mixes"
         )
     largest = found.max(axis=1, keepdims=True)
-    if found.min() < 0 or largest.min() <= 0:
+    if not np.all(np.isfinite(found)) or found.min() < 0 or largest.min() <= 0:
         raise InputError(
-            "weights: expected numbers of at least 0, not all 0 in a mix; 0 leaves an image out"
+            "weights: expected finite numbers of at least 0, not all 0 in a mix; 0 leaves an image "
+            "out"
         )
     found = found / largest  # the sum of large numbers would overflow
     return np.asarray(found / found.sum(axis=1, keepdims=True))
@@ -126,7 +126,7 @@ def grid_layout(n_images: int, grid: Any = None) -> Layout:
     return Layout(weights, np.stack((along + 0.5 * (n - 1 - down), down), axis=1), (n, n))
 
 
-def path_weights(path: str | Sequence[ArrayLike], n_images: int) -> Array:
+def path_weights(path: Any, n_images: int) -> Array:
     """Return the weights at the stops of a path through mixes: (n, K) array.
 
     Parameters
