@@ -126,6 +126,12 @@ from .pipeline.recipe import (
 from .pipeline.result import (
     Morph as Morph,
 )
+from .transport.barycenters.barycenter import (
+    barycenter as barycenter,
+)
+from .transport.barycenters.result import (
+    Barycenter as Barycenter,
+)
 from .transport.barycentric import (
     Barycentric as Barycentric,
 )
@@ -181,6 +187,7 @@ from .transport.sinkhorn_batch import (
 __all__ = [
     "__version__",
     "Archive",
+    "Barycenter",
     "Barycentric",
     "ClmorphError",
     "ClmorphWarning",
@@ -210,6 +217,7 @@ __all__ = [
     "RearrangeOptions",
     "Rearrangement",
     "WeightedPoints",
+    "barycenter",
     "barycentric_plan",
     "batch",
     "density",

@@ -216,6 +216,11 @@ def cases() -> dict[str, dict[str, Any]]:
             "gradient": True,
         },
         "gradient": planned,
+        "barycenter": STRENGTHS | {
+            "measures": [some["source"], some["target"]], "weights": [1.0, 2.0], "support": 3,
+            "tol": 0.1, "max_iter": 3, "backend": "numpy", "fixed": False, "debias": True,
+            "seed": 0, "progress": Idle(),
+        },
         "density": {"values": some["grid"]},
         "density_path": SOLVER | {
             "source": some["grid"], "target": some["grid"].T, "blur": 0.05, "reach": 0.3,
