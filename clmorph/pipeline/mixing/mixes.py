@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
@@ -18,11 +18,13 @@ from clmorph._shared.validation import check_integer
 from clmorph.backends.interface import Operations
 from clmorph.frames.mixes.particles import MixedParticles
 from clmorph.frames.mixes.renderer import MixRenderer
+from clmorph.frames.sequence import Frame
 from clmorph.images.detail import is_pixel_art
-from clmorph.output.framing import Framing
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import eased
 from clmorph.output.save import Output
+from clmorph.pipeline.mixing.leg import Leg
+from clmorph.pipeline.mixing.sheet import sheet_of
 from clmorph.pipeline.mixing.weights import Layout, check_mix_weights, path_weights
 from clmorph.pipeline.mixing.writing import check_outputs, write_film, write_sheet
 from clmorph.pipeline.morph import ImagePair
@@ -32,10 +34,16 @@ from clmorph.pipeline.recipe import recipe
 from clmorph.pipeline.result import Morph
 from clmorph.transport.plan import Plan
 
-Frame = NDArray[np.float32]
-
 #: Largest number of particles of each pixel.
 DRAWS = 8
+
+
+class _Solved:
+    """Morphs that are kept: between images, and the one between two mixes that was used last."""
+
+    def __init__(self) -> None:
+        self.morphs: dict[tuple[int, int], Morph] = {}
+        self.last: dict[bytes, Morph] = {}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -78,9 +86,7 @@ class Mixes(Sequence[Frame]):
     operations: Operations = field(repr=False)
     shapes: list[tuple[int, int]]
     progress: StageProgress = field(repr=False)
-    _morphs: dict[tuple[int, int], Morph] = field(init=False, default_factory=dict)
-    #: The morph between two mixes that was used last, by their weights.
-    _last: dict[bytes, Morph] = field(init=False, default_factory=dict)
+    _solved: _Solved = field(init=False, default_factory=_Solved, repr=False)
 
     def __repr__(self) -> str:
         return f"<Mixes of {len(self.images)} images, {len(self)} pictures>"
@@ -169,16 +175,16 @@ class Mixes(Sequence[Frame]):
         """
         first = check_integer("first", first, 0, len(self.images) - 1)
         second = check_integer("second", second, 0, len(self.images) - 1)
-        if (first, second) not in self._morphs:
+        if (first, second) not in self._solved.morphs:
             pair = ImagePair(
                 [self.images[first], self.images[second]], self.options,
                 [self.shapes[first], self.shapes[second]],
             )  # fmt: skip
             name = f" {first + 1}-{second + 1}" if len(self.images) > 2 else ""
-            self._morphs[first, second] = pair.morph(
+            self._solved.morphs[first, second] = pair.morph(
                 self.operations, lambda stage, share: self.progress(stage + name, share)
             )
-        return self._morphs[first, second]
+        return self._solved.morphs[first, second]
 
     def sheet(self, background: str | None = None) -> NDArray[np.uint8]:
         """Return all pictures side by side, those of a grid at their places.
@@ -244,7 +250,7 @@ class Mixes(Sequence[Frame]):
         """
         weights = path_weights(stops, len(self.images))
         times = eased(np.linspace(0.0, 1.0, self.options.n_frames), self.options.ease)
-        return [Leg(self, one, other, times) for one, other in itertools.pairwise(weights)]
+        return [Leg(self.frame, one, other, times) for one, other in itertools.pairwise(weights)]
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -352,84 +358,10 @@ class Mixes(Sequence[Frame]):
     def _step(self, weights: Array) -> Array:
         """Draw a mix as the frame of a morph between the mixes of both halves of the images."""
         first, second, key = self._halves(weights)
-        if key not in self._last:
+        if key not in self._solved.last:
             ends = [self._drawn(each).astype(np.float64) for each in (first, second)]
             found = ImagePair(ends, self.options).morph(self.operations, self.progress)
-            self._last.clear()
-            self._last[key] = found
+            self._solved.last.clear()
+            self._solved.last[key] = found
         share = float(weights[second > 0].sum())
-        return self._last[key].frame(share).astype(np.float64)
-
-
-@dataclass(frozen=True)
-class Leg:
-    """The frames of a path from one mix to another one.
-
-    Attributes
-    ----------
-    mixes : Mixes
-    start, end : (K,) arrays
-        Weights at both ends.
-    times : (n,) array
-        Times of the frames, from 0 to 1; weights change linearly with time.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import clmorph
-    >>> images = np.zeros((3, 6, 6, 3))
-    >>> mixes = clmorph.mix(images, [1, 1, 1], n_frames=3, backend="numpy")
-    >>> leg = mixes.path("ab")[0]
-    >>> len(leg), next(leg.iter_frames()).shape
-    (3, (6, 6, 3))
-    """
-
-    mixes: Mixes
-    start: Array
-    end: Array
-    times: Array
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def iter_frames(self, first: int = 0) -> Generator[Frame, None, None]:
-        """Draw the frames one by one.
-
-        Parameters
-        ----------
-        first : int
-            Number of the first frame.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import clmorph
-        >>> images = np.zeros((2, 6, 6, 3))
-        >>> leg = clmorph.mix(images, [1, 1], n_frames=3, backend="numpy").path("ab")[0]
-        >>> [frame.shape for frame in leg.iter_frames()]
-        [(6, 6, 3), (6, 6, 3), (6, 6, 3)]
-        """
-        return (self.mixes.frame((1 - t) * self.start + t * self.end) for t in self.times[first:])
-
-
-def sheet_of(
-    pictures: Sequence[Frame],
-    layout: Layout,
-    pixelated: bool,
-    background: str | None,
-    clear: bool,
-) -> NDArray[np.uint8]:
-    """Return pictures at their places on a sheet; see `Mixes.sheet`."""
-    from PIL import Image
-
-    style = FrameStyle(background=background or (None if clear else "white"))
-    framing = Framing(style, [picture.shape for picture in pictures], pixelated)
-    width, height = framing.size
-    columns, rows = layout.size
-    mode = "RGBA" if framing.clear else "RGB"
-    ground = background or ((0, 0, 0, 0) if framing.clear else "white")
-    sheet = Image.new(mode, (columns * width, rows * height), ground)
-    for picture, (left, top) in zip(pictures, layout.places.tolist(), strict=True):
-        framed = framing(np.rint(255 * picture).astype(np.uint8))
-        sheet.paste(framed, (round(left * width), round(top * height)))
-    return np.asarray(sheet)
+        return self._solved.last[key].frame(share).astype(np.float64)
