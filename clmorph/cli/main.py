@@ -330,7 +330,7 @@ def rearrange(
 @click.option(
     "--path", metavar="LETTERS", panel="Mixes",
     help="A film in place of a picture: the stops of a path through the mixes, a for the first "
-    "picture, b for the second one, and * for the even mix of all, such as ab*dca.",
+    "picture, b for the second one, and + for the even mix of all, such as ab+dca.",
 )  # fmt: skip
 @options.file_options
 @click.option(

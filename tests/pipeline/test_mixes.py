@@ -191,7 +191,7 @@ class TestWeights:
             grid_layout(count, grid)
 
     def test_paths(self):
-        assert path_weights("ab*", 3).tolist() == [[1, 0, 0], [0, 1, 0], [1 / 3] * 3]
+        assert path_weights("ab+", 3).tolist() == [[1, 0, 0], [0, 1, 0], [1 / 3] * 3]
         assert path_weights([[1, 1], [0, 2]], 2).tolist() == [[0.5, 0.5], [0, 1]]
         for bad in ("a", "abz", "", "a b", [[1, 1]]):
             with pytest.raises(InputError):
@@ -263,7 +263,7 @@ class TestCommand:
         from clmorph.cli.main import main
 
         out = tmp_path / "film.apng"
-        given = ["mix", *files[:3], "--path", "ab*", "--frames", "3", "-o", str(out), "--recipe"]
+        given = ["mix", *files[:3], "--path", "ab+", "--frames", "3", "-o", str(out), "--recipe"]
         assert main([*given, "--backend", "numpy"]) == 0
         with Image.open(out) as film:
             assert film.n_frames == 5

@@ -227,7 +227,7 @@ class Mixes(Sequence[Frame]):
         Parameters
         ----------
         stops : str or sequence of weights
-            Letters of images, a for the first one, and "*" for the even mix of all, such as
+            Letters of images, a for the first one, and "+" for the even mix of all, such as
             "abdca"; or the weights at each stop.
 
         Returns
@@ -245,7 +245,7 @@ class Mixes(Sequence[Frame]):
         >>> import clmorph
         >>> images = np.zeros((3, 6, 6, 3))
         >>> mixes = clmorph.mix(images, [1, 1, 1], n_frames=3, backend="numpy")
-        >>> [len(leg) for leg in mixes.path("ab*")]
+        >>> [len(leg) for leg in mixes.path("ab+")]
         [3, 3]
         """
         weights = path_weights(stops, len(self.images))

@@ -14,7 +14,7 @@ from clmorph.errors import InputError
 #: Number of mixes along a side, unless the user says it, and the largest number.
 USUAL, MOST = 5, 64
 #: Letter of the even mix of all images in a path; images are a, b, c and so forth.
-EVEN = "*"
+EVEN = "+"
 #: Largest number of images: each pair of them is solved.
 MOST_IMAGES = 8
 
@@ -132,7 +132,7 @@ def path_weights(path: Any, n_images: int) -> Array:
     Parameters
     ----------
     path : str or sequence of weights
-        Letters of images, a for the first one, and "*" for the even mix of all, such as "abdca";
+        Letters of images, a for the first one, and "+" for the even mix of all, such as "abdca";
         or the weights at each stop.
     n_images : int
 
@@ -148,7 +148,7 @@ def path_weights(path: Any, n_images: int) -> Array:
         if len(path) < 2 or any(letter not in letters for letter in path.lower()):
             raise InputError(
                 f"path={shown(path)}: expected two or more letters from a to {last}, one for each "
-                "stop, or * for the even mix of all images, such as ab*a"
+                "stop, or + for the even mix of all images, such as ab+a"
             )
         return corners[[letters[letter] for letter in path.lower()]]
     stops = check_mix_weights(path, n_images)

@@ -39,7 +39,7 @@ class Barycenter(WeightedPoints):
     >>> measures = [(np.ones(1), np.array([[x]])) for x in (0.0, 1.0)]
     >>> found = clmorph.barycenter(measures, [0.25, 0.75], backend="numpy")
     >>> found
-    <Barycenter of 1 points in 1D, mass 1, converged in 2 iterations>
+    <Barycenter of 1 points in 1D, mass 1, converged in 1 iteration>
     >>> found.points.round(6).tolist()
     [[0.75]]
     """
@@ -53,7 +53,7 @@ class Barycenter(WeightedPoints):
         state = "converged" if self.converged else "not converged"
         return (
             f"<Barycenter of {len(self)} points in {self.points.shape[1]}D, mass {self.mass:g}, "
-            f"{state} in {self.n_iter} iterations>"
+            f"{state} in {self.n_iter} iteration{'s' * (self.n_iter != 1)}>"
         )
 
     @property
