@@ -1,5 +1,5 @@
-// The loop over the column tiles of every row, which log_sum_exp.cl, near_field.cl, plan_rows.cl
-// and plan_shares.cl share. It streams over the columns of the log-kernel
+// The loop over the column tiles of every row, which log_sum_exp.cl, barycentric_projection.cl,
+// near_field.cl, plan_rows.cl and plan_shares.cl share. It streams over the columns of the log-kernel
 //
 //     e_ij = log2(e) * [ (g_j - C_ij) / epsilon + log b_j ] - (a constant of row i),
 //     C_ij = |X_i - Y_j|^2 / 2  (paper, Eq. 1, with the factor 1/2),

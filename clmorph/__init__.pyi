@@ -96,6 +96,9 @@ from .output.formats.archive import (
 from .output.formats.archive import (
     load as load,
 )
+from .output.picture import (
+    write_image as write_image,
+)
 from .output.save import (
     save as save,
 )
@@ -123,6 +126,12 @@ from .pipeline.rearrangement import (
 from .pipeline.recipe import (
     load_options as load_options,
 )
+from .pipeline.recolor import (
+    recolor as recolor,
+)
+from .pipeline.recolor_options import (
+    RecolorOptions as RecolorOptions,
+)
 from .pipeline.result import (
     Morph as Morph,
 )
@@ -149,6 +158,9 @@ from .transport.divergence import (
 )
 from .transport.divergence import (
     sinkhorn_divergence as sinkhorn_divergence,
+)
+from .transport.divergence_batch import (
+    sinkhorn_divergence_batch as sinkhorn_divergence_batch,
 )
 from .transport.divergence_matrix import (
     DivergenceMatrix as DivergenceMatrix,
@@ -216,6 +228,7 @@ __all__ = [
     "PruningWarning",
     "RearrangeOptions",
     "Rearrangement",
+    "RecolorOptions",
     "WeightedPoints",
     "barycenter",
     "barycentric_plan",
@@ -237,11 +250,14 @@ __all__ = [
     "read_image",
     "read_labels",
     "rearrange",
+    "recolor",
     "reference",
     "sample_plan",
     "save",
     "sinkhorn",
     "sinkhorn_batch",
     "sinkhorn_divergence",
+    "sinkhorn_divergence_batch",
     "transport_plan",
+    "write_image",
 ]

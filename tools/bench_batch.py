@@ -12,7 +12,8 @@ peer, clmorph is timed at the loosest tolerance that is at least as exact: first
 certificates, which are made when they are asked for and which the others do not have, then with
 them. POT has a batch solver for balanced problems alone (`--reach inf`); its method "log_sinkhorn"
 took 60 times as long as "sinkhorn" and is left out. `--python` is an interpreter that has the other
-libraries, if this one has not.
+libraries, if this one has not; `--older` is one that has an earlier version of clmorph, whose loop
+is timed beside the others.
 """
 
 import argparse
@@ -161,7 +162,7 @@ def contestant(name: str, tol: float, reach):
     kind, _, which = name.partition(" ")
     if kind == "clmorph":
         return clmorph_batch(which, tol, reach)
-    if kind == "loop":
+    if kind in ("loop", "older"):
         return clmorph_loop(which, tol, reach)
     return ott(reach) if kind == "ott" else pot(which)
 
@@ -219,7 +220,7 @@ def line(*cells) -> str:
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 
-def compare(n: int, reach, devices: list[str], python: str, rounds: int) -> None:
+def compare(n: int, reach, devices: list[str], python: str, rounds: int, older: str | None) -> None:
     """Print the table of one size."""
     count = COUNTS.get(n, max(4, 16384 // n))
     with tempfile.TemporaryDirectory() as folder:
@@ -231,11 +232,13 @@ def compare(n: int, reach, devices: list[str], python: str, rounds: int) -> None
         peers = ["ott", *(["pot sinkhorn"] if reach is None else [])]
         ours = [(f"clmorph {device}", tol) for device in devices for tol in TOLERANCES]
         entries = [(peer, 0.0) for peer in peers] + ours
-        entries += [(f"loop {device}", 1e-3) for device in devices]
+        loops = ["loop", *(["older"] if older else [])]
+        entries += [(f"{kind} {device}", 1e-3) for device in devices for kind in loops]
+        interpreters = {"clmorph": sys.executable, "loop": sys.executable, "older": older}
         runs: dict = {entry: [] for entry in entries}
         for _ in range(rounds):
             for name, tol in entries:
-                own = sys.executable if name.split()[0] in ("clmorph", "loop") else python
+                own = interpreters.get(name.split()[0]) or python
                 runs[name, tol].append(in_own_process(name, tol, reach, file, own, truth))
     found = {entry: best(each) for entry, each in runs.items()}
     what = "balanced" if reach is None else f"reach {reach:g}"
@@ -257,17 +260,18 @@ def compare(n: int, reach, devices: list[str], python: str, rounds: int) -> None
                 times = (fit[0]["seconds"][kind] for kind in ("batch", "certified"))
                 cells[-1] = ", ".join(f"{1e3 * own:.3g} ({seconds / own:.1f}×)" for own in times)
         print(line(title, f"{1e3 * seconds:.3g}", f"{theirs['error']:.1e}", *cells))
-    for device in devices:
-        loop, batch = found[f"loop {device}", 1e-3], found[f"clmorph {device}", 1e-3]
+    for kind, device in [(kind, device) for device in devices for kind in loops]:
+        loop, batch = found[f"{kind} {device}", 1e-3], found[f"clmorph {device}", 1e-3]
         if "failed" in loop or "failed" in batch:
             print(line(device, loop.get("failed", "") + batch.get("failed", ""), ""))
             continue
         alone, own = loop["seconds"]["loop"], batch["seconds"]
         cells = [""] * len(devices)
         cells[devices.index(device)] = ", ".join(
-            f"{1e3 * own[kind]:.3g} ({alone / own[kind]:.1f}×)" for kind in ("batch", "certified")
+            f"{1e3 * own[way]:.3g} ({alone / own[way]:.1f}×)" for way in ("batch", "certified")
         )
-        name = f"loop over clmorph.sinkhorn, {device}, tol 10⁻³"
+        version = "clmorph" if kind == "loop" else "the older clmorph"
+        name = f"loop over {version}.sinkhorn, {device}, tol 10⁻³"
         print(line(name, f"{1e3 * alone:.3g}", f"{batch['error']:.1e}", *cells))
     sys.stdout.flush()
 
@@ -278,6 +282,7 @@ def main() -> None:
     parser.add_argument("--devices", nargs="+", help="parts of names; all usable ones if not given")
     parser.add_argument("--reach", type=float, nargs="+", default=[REACH, np.inf])
     parser.add_argument("--python", default=sys.executable)
+    parser.add_argument("--older", help="an interpreter with an earlier version of clmorph")
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--measure", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -293,7 +298,7 @@ def main() -> None:
     for n in options.points:
         for reach in options.reach:
             own = reach if np.isfinite(reach) else None
-            compare(n, own, devices, options.python, options.rounds)
+            compare(n, own, devices, options.python, options.rounds, options.older)
 
 
 if __name__ == "__main__":

@@ -13,10 +13,10 @@ import clmorph
 
 #: Left, top and side of the square that is taken of each photograph.
 CUTS = {
-    "astronaut": (85, 0, 340),
+    "retina": (0, 0, 1411),
+    "coffee": (180, 20, 330),
+    "astronaut": (150, 10, 150),
     "chelsea": (75, 0, 300),
-    "coffee": (100, 0, 400),
-    "rocket": (150, 0, 400),
 }
 DRAWINGS = ("star", "disc", "bars", "ring")
 #: Mixes along a side, and white pixels between both grids.

@@ -97,6 +97,7 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         for precise in (False, True):
             over_near = operations.softmin(*clouds, potential, 0.01, precise, near)
             results.append(np.round((over_near - guess) / 0.01, 2) + 0.0)
+            results += operations.barycentric_projection(*clouds, potential, 0.01, precise, near)
             results += operations.plan_moments(*clouds, potential, guess, 0.01, precise, near)
         over_near, _ = operations.bounded_softmin(*clouds, potential, 0.01, near)
         results.append(np.round((over_near - guess) / 0.01, 2) + 0.0)
@@ -111,6 +112,7 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         )
         results.append(kept.mass)
         softmin = operations.softmin(rows, columns, g, 0.01, precise)
+        results += operations.barycentric_projection(rows, columns, g, 0.01, precise)
         results += operations.plan_moments(rows, columns, g, softmin, 0.01, precise)
     for thresholds, near in (((-9.0, np.inf), None), ((-12.0, -14.0), 1e-9)):
         lists: list[Any] = [None, None]

@@ -16,6 +16,7 @@ from clmorph._shared.options import Options
 from clmorph.pipeline.documentation import annotation
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.recolor_options import RecolorOptions
 
 FILE = Path(__file__).parents[1] / "clmorph" / "pipeline" / "keywords.py"
 HEAD = '''"""The types of options by name, for type checkers.
@@ -33,7 +34,11 @@ class {name}Keywords(TypedDict, total=False):
 
 '''
 #: The classes of options, by the functions that take them.
-CLASSES: dict[str, type[Options]] = {"morph": MorphOptions, "rearrange": RearrangeOptions}
+CLASSES: dict[str, type[Options]] = {
+    "morph": MorphOptions,
+    "rearrange": RearrangeOptions,
+    "recolor": RecolorOptions,
+}
 
 
 def name_of(kind: Any) -> str:

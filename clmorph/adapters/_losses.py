@@ -14,6 +14,7 @@ from clmorph._shared.typing import Array
 from clmorph.backends.arrays import as_floats
 from clmorph.errors import InputError
 from clmorph.transport.divergence import sinkhorn_divergence
+from clmorph.transport.divergence_batch import sinkhorn_divergence_batch
 
 #: Residual at which losses stop, in units of epsilon: derivatives are then exact to 1e-4.
 LOSS_TOL = 1e-6
@@ -45,12 +46,10 @@ def divergence_and_gradient(
     """
     a, x, b, y = (as_floats(*pair) for pair in zip(NAMES, arrays, strict=True))
     batched = check_shapes(a.shape, x.shape, b.shape, y.shape)
-    found = [
-        sinkhorn_divergence(
-            (each[0], each[1]), (each[2], each[3]), gradient=differentiate, **options
-        )
-        for each in (zip(a, x, b, y, strict=True) if batched else [(a, x, b, y)])
-    ]
+    if batched:
+        found = sinkhorn_divergence_batch((a, x), (b, y), gradient=differentiate, **options)
+    else:
+        found = [sinkhorn_divergence((a, x), (b, y), gradient=differentiate, **options)]
     values = np.array([each.value for each in found])
     parts = []
     if differentiate:

@@ -295,8 +295,7 @@ def _streamed_displacement(
             for measure in as_pair(*part.measures)
         ]
         g, epsilon, precise = potentials.g, potentials.epsilon, potentials.precise
-        softmin = operations.softmin(clouds[0], clouds[1], g, epsilon, precise)
-        mean, _ = operations.plan_moments(clouds[0], clouds[1], g, softmin, epsilon, precise)
+        _, mean = operations.barycentric_projection(clouds[0], clouds[1], g, epsilon, precise)
         # Positions are the first two coordinates of lifted points, whatever the cost.
         moments[points[0]] += mean[:, :2] * potentials.row_mass[:, None]
         rows[points[0]] += potentials.row_mass

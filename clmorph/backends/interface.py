@@ -397,6 +397,34 @@ class Operations(Protocol):
             -inf where no pair is stored.
         """
 
+    def barycentric_projection(
+        self,
+        rows: Any,
+        columns: Any,
+        g: Float64,
+        epsilon: float,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, Float64]:
+        """Return T(g) as `softmin` does, and the mean of each row's destinations, in one pass.
+
+        Row i is sent to Y_j with the share pi_ij / (pi 1)_i, which depends on g alone.
+
+        Parameters
+        ----------
+        rows, columns : clouds of N and M points in D dimensions
+        g : (M,) array, cost units
+        epsilon : float, cost units
+        precise, near
+            As in `softmin`.
+
+        Returns
+        -------
+        softmin : (N,) array, cost units
+        mean : (N, D) array
+            It is rounded relative to the spread of the destinations around the row's point.
+        """
+
     def plan_moments(
         self,
         rows: Any,

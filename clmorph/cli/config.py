@@ -25,6 +25,7 @@ from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.pipeline.recipe import (
     BESIDE,
     COMMAND,
+    COMMANDS,
     IMAGES,
     MIX,
     OUTPUT,
@@ -126,7 +127,7 @@ class Found:
     own : dict
         The settings in `OWN`, which only the user decides, for the command line's own options.
     beside : dict
-        The label images and the features that it names, by these words.
+        The label images, the features and the mask that it names, by these words.
     """
 
     options: Settings
@@ -153,10 +154,14 @@ def read_settings(path: Path, command: type[Options] = MorphOptions) -> Found:
     if not path.exists():
         raise InputError(f"--config {path}: no such file")
     own = path.suffix.lower() == ".toml"
-    found = read_toml(path) if own else _recipe(path)
+    found = read_toml(path) if own else _recipe(path, command)
     by_name = {key.replace("-", "_"): value for key, value in found.items()}
     images = _entries(path, IMAGES, by_name.pop(IMAGES, []))
-    beside = {name: _entries(path, name, by_name.pop(name)) for name in BESIDE if name in by_name}
+    beside = {
+        name: _entries(path, name, by_name.pop(name), count)
+        for name, count in BESIDE[command].items()
+        if name in by_name
+    }
     users = {name: by_name.pop(name) for name in OWN if name in by_name}
     if not own:
         for name in (OUTPUT, "format"):  # no recipe that clmorph writes contains these
@@ -180,15 +185,15 @@ def read_settings(path: Path, command: type[Options] = MorphOptions) -> Found:
     return Found(options, chosen, Named(path, own, images), users, others)
 
 
-def _entries(path: Path, name: str, value: Any) -> list[Any]:
-    """Return a checked list of file names, or of tables with one."""
+def _entries(path: Path, name: str, value: Any, count: int | None = None) -> list[Any]:
+    """Return a checked list of `count` file names, or of tables with one."""
     known = [
         isinstance(entry.get("file") if isinstance(entry, dict) else entry, str)
         for entry in (value if isinstance(value, list) else [None])
     ]
-    two = name == IMAGES or len(known) == 2
-    if not all(known) or not two:
-        raise InputError(f"{path}: {name}: expected a list of {'' if two else 'two '}file names")
+    if not all(known) or len(known) != (len(known) if count is None else count):
+        number = {1: "one file name", 2: "two file names"}.get(count or 0, "file names")
+        raise InputError(f"{path}: {name}: expected a list of {number}")
     return list(value)
 
 
@@ -208,7 +213,7 @@ def _check_own(path: Path, users: Settings) -> None:
         users[OUTPUT] = [str(path.parent / output) for output in outputs]
 
 
-def _recipe(path: Path) -> Settings:
+def _recipe(path: Path, command: type[Options]) -> Settings:
     with quiet_libraries():  # notes of clmorph are printed later
         found = read_recipe(path)
     if found.get(COMMAND) == MIX:
@@ -216,9 +221,14 @@ def _recipe(path: Path) -> Settings:
             f"{path} was made by clmorph mix, which has no --config; clmorph.load_options reads "
             "its options"
         )
+    made_by = found.get(COMMAND)
+    if isinstance(made_by, str) and COMMANDS.get(made_by, command) is not command:
+        raise InputError(
+            f"{path} was made by clmorph {made_by}: repeat it by clmorph {made_by} --config {path}"
+        )
     for name in found.get("arrays", []) if isinstance(found.get("arrays"), list) else []:
         note(f"{path} was made with an array of {shown(name)}, which it does not hold")
-    more = {name: found[name] for name in BESIDE if name in found}
+    more = {name: found[name] for name in BESIDE[command] if name in found}
     return {**found["options"], IMAGES: found.get(IMAGES, []), **more}
 
 

@@ -23,6 +23,7 @@ from clmorph.backends.verification.reductions import (
     check_near_pairs,
     check_offsets,
     check_plan_moments,
+    check_projection,
     check_row_maxima,
     check_softmin,
 )
@@ -153,6 +154,10 @@ def _checks(operations: Operations) -> Iterator[Check]:
     for precise in (False, True):
         for listed in (False, True):
             near = _NEAR * listed
+            yield Check(
+                ("barycentric_projection", *near),
+                partial(check_projection, case, precise, listed),
+            )
             yield Check(("plan_moments", *near), partial(check_plan_moments, case, precise, listed))
             yield Check(
                 ("sample_plan_rows", *near), partial(check_draws, few, precise, listed, 2000)

@@ -74,6 +74,7 @@ def cli() -> None:
     clmorph morph a.png b.jpg c.png d.jpg -o tour.mp4 --loop ping-pong
     clmorph rearrange a.png b.jpg -o out.gif the pixels of one picture form the other one
     clmorph mix a.png b.png c.png d.png -o grid.png   pictures between several pictures
+    clmorph recolor a.png b.jpg -o out.png   picture A with the colors of B
     clmorph inspect a.png b.jpg              what would move, how far, how long it takes
     clmorph devices                          what it can run on
     """  # noqa: D301 (click wants the character itself)
@@ -309,6 +310,87 @@ def rearrange(
     run_rearrange(
         Request(
             images, output, chosen, format, bool(recipe),
+            MAX_PIXELS if max_pixels is None else max_pixels,
+            None if config is None else config.named.file,
+        ),
+        device=device, backend=backend, as_json=as_json,
+    )  # fmt: skip
+
+
+def _recolor_settings(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
+    """Read a file of settings before any other option is processed."""
+    if path is None:
+        return None
+    from clmorph.pipeline.recolor_options import RecolorOptions
+
+    found = files.read_settings(path, RecolorOptions)
+    context.default_map = found.own
+    return found
+
+
+@cli.command()
+@click.argument("images", metavar="PHOTO LIKE", nargs=-1, type=options.FileName())
+@options.picture_options
+@click.option(
+    "--config", type=options.FileName(), is_eager=True, callback=_recolor_settings,
+    panel="Settings",
+    help="Read options from your own TOML, or repeat a recipe: .json, or a file that this command "
+    "wrote; its pictures are sought beside it and in the current folder.",
+)  # fmt: skip
+@click.option(
+    "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
+)
+@options.recolor_options
+@click.option(
+    "--mask", type=options.FileName(), panel="Color",
+    help="A picture of the size of PHOTO: white where it is recolored, black where it stays.",
+)  # fmt: skip
+@options.max_pixels_option
+@options.device_options
+def recolor(
+    images: tuple[Path, ...],
+    output: tuple[Path, ...],
+    config: files.Found | None,
+    as_json: bool,
+    device: str | None,
+    backend: str | None,
+    recipe: bool | None,
+    mask: Path | None,
+    max_pixels: int | None,
+    **given: Any,
+) -> None:
+    """Give PHOTO the colors of LIKE; every pixel stays in its place.
+
+    \b
+    clmorph recolor a.jpg b.jpg -o out.png                    A with the colors of B
+    clmorph recolor a.jpg b.jpg -o out.png --strength 0.6     part of the way
+    clmorph recolor a.jpg b.jpg -o out.png --reach 0.3        rare colors stay
+    clmorph recolor a.jpg b.jpg -o out.tif --mask sky.png     only where it is white
+    """  # noqa: D301
+    from clmorph.cli.morph import announce_changes
+    from clmorph.cli.recolor import Request, run_recolor
+    from clmorph.pipeline.recolor_options import RecolorOptions
+
+    chosen = RecolorOptions(**({} if config is None else config.options)).replace(
+        **options.given_options(given, RecolorOptions)
+    )
+    if config is not None and not images:
+        named = config.named.images()
+        images = tuple(path for path, _ in named)
+        announce_changes(named)
+    if config is not None and mask is None and "mask" in config.beside:
+        named = config.beside["mask"].images()
+        mask = named[0][0]
+        announce_changes(named)
+    if len(images) != 2:
+        raise InputError(
+            f"{_counted(images)}: expected two, as in clmorph recolor photo.jpg like.jpg -o out.png"
+        )
+    if not output:
+        raise InputError("no output given: expected -o with a name, such as -o out.png")
+    run_recolor(
+        Request(
+            images, output, chosen, mask, bool(recipe),
             MAX_PIXELS if max_pixels is None else max_pixels,
             None if config is None else config.named.file,
         ),

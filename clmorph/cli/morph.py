@@ -47,7 +47,7 @@ from clmorph.pipeline.maps import NO_MAPS, Maps
 from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.prepare import fitted, recognized
+from clmorph.pipeline.prepare import copied_shape, fitted, recognized, takes_copies
 from clmorph.pipeline.recipe import picture_entries, recipe
 from clmorph.pipeline.result import Morph
 from clmorph.transport.potentials import Potentials
@@ -122,21 +122,33 @@ class _Run:
         most = options.max_particles
         needs = [
             estimate(
-                one.shape[:2], other.shape[:2],
-                _most_particles(one.shape, other.shape, most),
+                one[:2], other[:2], _most_particles(one, other, most),
                 sample=options.sample, barycentric=options.barycentric, backend=operations,
-                alpha=max(one.shape[2], other.shape[2]) == 4,
+                alpha=max(one[2], other[2]) == 4, carried_pixels=pixels,
             )
-            for one, other in itertools.pairwise(pictures)
+            for (one, other), pixels in map(self._lifted, itertools.pairwise(pictures))
         ]  # fmt: skip
         known = most or options.sample or options.barycentric
         size = size_text(max(max(need.ram, need.device) for need in needs))
         return f"memory: {'about' if known else 'at least'} {size}{self._blocks(pictures)}"
 
+    def _lifted(
+        self, pair: Sequence[NDArray[np.float64]]
+    ) -> tuple[list[tuple[int, int, int]], int]:
+        """Return the shapes of what is lifted of two pictures, and the pixels that are not."""
+        shapes = [(picture.shape[0], picture.shape[1], picture.shape[2]) for picture in pair]
+        if not takes_copies(shapes, self.options, self.maps):
+            return shapes, 0
+        small = [copied_shape(shape) for shape in shapes]
+        return small, sum(height * width for height, width, _ in shapes)
+
     def _blocks(self, pictures: Sequence[NDArray[np.float64]]) -> str:
         """Return a text with the number of blocks that are solved; "" if pixels are solved."""
         most = self.options.solve_size
         shapes = [(picture.shape[0], picture.shape[1]) for picture in pictures]
+        for one, other in itertools.pairwise(range(len(pictures))):
+            small, _ = self._lifted((pictures[one], pictures[other]))
+            shapes[one], shapes[other] = small[0][:2], small[1][:2]
         taken = {solved_size(shape, most) for shape in shapes if block_side(shape, most) > 1}
         if not taken:
             return ""

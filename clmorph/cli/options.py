@@ -26,9 +26,11 @@ from clmorph.images.pixels import MAX_PIXELS
 from clmorph.measures.landmark_options import GuideOptions
 from clmorph.measures.options import LiftOptions
 from clmorph.output.options import FrameStyle, PlaybackOptions
+from clmorph.output.picture import WRITERS
 from clmorph.output.save import FORMATS
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
 from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.recolor_options import RecolorOptions
 from clmorph.transport.options import PlanOptions, SolverOptions
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -123,7 +125,10 @@ def names_outside() -> dict[str, str]:
 
 def _all_options() -> dict[str, Option]:
     """Return the options of all commands, by their names in Python."""
-    return specifications(RearrangeOptions) | specifications(MorphOptions)
+    found: dict[str, Option] = {}
+    for kind in (RecolorOptions, RearrangeOptions, MorphOptions):
+        found |= specifications(kind)
+    return found
 
 
 def in_option_names(message: str, more: Mapping[str, str] | None = None) -> str:
@@ -246,6 +251,8 @@ rearrange_options = _together(
     ),
 )  # fmt: skip
 
+recolor_options = _of(RecolorOptions, usual=RecolorOptions)
+
 file_options = _together(
     _option(
         "File", "-o", "--output", type=OutputName(),
@@ -258,6 +265,17 @@ file_options = _together(
         help="Format of the file, in place of what its ending says.",
     ),
     _of(FrameStyle),
+    _option(
+        "File", "--recipe/--no-recipe", is_flag=True, default=None,
+        help="Write OUTPUT.json beside the file; --config repeats the run from it.",
+    ),
+)  # fmt: skip
+
+picture_options = _together(
+    _option(
+        "File", "-o", "--output", type=OutputName(), multiple=True,
+        help=f"Where to write, once or more: {', '.join(WRITERS)}. TIFF has 16 bits.",
+    ),
     _option(
         "File", "--recipe/--no-recipe", is_flag=True, default=None,
         help="Write OUTPUT.json beside the file; --config repeats the run from it.",

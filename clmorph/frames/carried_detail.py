@@ -31,11 +31,11 @@ from numpy.typing import NDArray
 from clmorph.frames.bands import ALL_ROWS, Bands, color_unit, kernel_width, mixed
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.endpoints import share
+from clmorph.frames.ends import End
 from clmorph.frames.halfway import Halfway, mean_displacement, register, sampled
 from clmorph.frames.particles import Particles
 from clmorph.frames.resampling import enlarged
 from clmorph.images.color import to_space
-from clmorph.measures.measure import Measure
 
 Array = NDArray[np.float64]
 
@@ -49,8 +49,8 @@ class CarriedDetail:
 
     Parameters
     ----------
-    measures : (source, target)
-        Measures of opaque images.
+    ends : (source, target)
+        Opaque pictures. If particles have labels, they have one for each pixel of these.
     particles : Particles
         The particles of their plan.
     canvases : three of Canvas
@@ -62,17 +62,17 @@ class CarriedDetail:
 
     def __init__(
         self,
-        measures: tuple[Measure, Measure],
+        ends: tuple[End, End],
         particles: Particles,
         canvases: tuple[Canvas, Canvas, Canvas],
         shown: tuple[Array, Array],
     ) -> None:
         start, middle, end = canvases
-        colors = [measure.colors.reshape(*measure.shape, 3) for measure in measures]
+        colors = [picture.colors for picture in ends]
         first, second = (to_space(image, "oklab")[..., 0] for image in colors)
         #: The motion of each label, and where its pixels are in both images.
         self._layers: list[_Layer] = []
-        for part, masks in _labeled(particles, measures):
+        for part, masks in _labeled(particles, ends):
             displacement, grid = mean_displacement(part, middle)
             # What surrounds a small label would decide its registration.
             large = masks is None or min(float(mask.mean()) for mask in masks) >= REGISTERED
@@ -178,7 +178,7 @@ def labels_to_carry(particles: Particles) -> NDArray[np.int64]:
 
 
 def _labeled(
-    particles: Particles, measures: tuple[Measure, Measure]
+    particles: Particles, ends: tuple[End, End]
 ) -> list[tuple[Particles, tuple[Array, Array] | None]]:
     """Return the particles of each label, and its pixels in both images; or all particles."""
     labels, names = particles.labels, labels_to_carry(particles)
@@ -193,8 +193,8 @@ def _labeled(
     for name in names:
         mine = own == name
         masks = [
-            (each == name).astype(float).reshape(*measure.shape, 1)
-            for each, measure in zip(labels, measures, strict=True)
+            (each == name).astype(float).reshape(*end.shape, 1)
+            for each, end in zip(labels, ends, strict=True)
         ]
         part = replace(particles, links=particles.links[mine], weights=particles.weights[mine])
         found.append((part, (masks[0], masks[1])))

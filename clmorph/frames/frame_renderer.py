@@ -1,5 +1,6 @@
 """Render the frames of one morph: colors, opacity, and exact ends."""
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +19,7 @@ from clmorph.frames.endpoints import (
     make_details,
     share,
 )
+from clmorph.frames.ends import ends_of
 from clmorph.frames.halfway import Halfway
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.opacity import alpha_particles, opacity
@@ -52,6 +54,9 @@ class FrameRenderer:
     endpoints : {"exact", "paper"}
     unmatched : {"fade", "grow", "drop"}
     detail : {"carried", "particles", "shapes", "pixels"}
+    pictures : pair of (H, W, 3) arrays, optional
+        What frames show at both ends, if it has more pixels than the measures: opaque images,
+        for carried detail alone.
     """
 
     def __init__(
@@ -65,12 +70,14 @@ class FrameRenderer:
         endpoints: str,
         unmatched: str,
         detail: str,
+        pictures: Sequence[NDArray[np.float64]] | None = None,
     ) -> None:
         #: The renderer on another device, whose data on the host this one uses.
         self._like: FrameRenderer | None = None
         self._measures, self._plan, self._particles = (source, target), plan, particles
         self._kernel_width, self._operations = kernel_width, operations
         self._endpoints, self._unmatched, self._detail = endpoints, unmatched, detail
+        self._pictures, self._ends = pictures, ends_of((source, target), pictures)
         #: Time and opacity of the frame that was rendered last.
         self._last_opacity: tuple[float, NDArray[np.float64]] | None = None
 
@@ -103,7 +110,7 @@ class FrameRenderer:
         """
         other = FrameRenderer(
             *self._measures, self._plan, self._particles, self._kernel_width, operations,
-            self._endpoints, self._unmatched, self._detail,
+            self._endpoints, self._unmatched, self._detail, self._pictures,
         )  # fmt: skip
         other._like = like
         return other
@@ -114,7 +121,7 @@ class FrameRenderer:
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t."""
-        source, target = self._measures
+        source, target = self._ends
         return canvas_at(t, source.shape, target.shape, source.extent)
 
     def frame(self, t: float) -> NDArray[np.float64]:
@@ -206,7 +213,7 @@ class FrameRenderer:
             self.sums(t, Widths(coarse_band_width(canvas)), coarse_canvas(canvas)).colors
             for t, canvas in ((0.0, start), (1.0, end))
         )
-        return CarriedDetail(self._measures, self._particles, (start, middle, end), (first, last))
+        return CarriedDetail(self._ends, self._particles, (start, middle, end), (first, last))
 
     @cached_property
     def _shapes(self) -> Shapes | None:
@@ -234,17 +241,14 @@ class FrameRenderer:
             correction = EndCorrection(
                 make_details(self._operations, self._measures, self._plan, lacking, self._unmatched)
             )
-        for end, measure in enumerate(self._measures):
-            picture = self._picture(float(end), correction)
-            image = measure.colors.reshape(*measure.shape, 3)
-            rest = image - picture[..., :3]
+        for number, end in enumerate(self._ends):
+            picture = self._picture(float(number), correction)
+            rest = end.colors - picture[..., :3]
             if picture.shape[2] == 4:
-                alpha = np.ones(measure.shape)
-                if measure.alpha is not None:
-                    alpha = measure.alpha.reshape(measure.shape)
+                alpha = np.ones(end.shape) if end.alpha is None else end.alpha
                 rest = np.dstack((np.where(alpha[..., None] > 0, rest, 0.0), alpha))
                 rest[..., 3] -= picture[..., 3]
-            correction.set_rest(end, rest)
+            correction.set_rest(number, rest)
         return correction
 
     def _lacking(self, end: float) -> Lacking:

@@ -14,6 +14,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from clmorph._shared.threads import in_order
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_choice
 from clmorph.backends.arrays import as_floats
@@ -40,6 +41,9 @@ _TO_OPPONENTS = np.array(
         [0.0259040371, 0.7827717662, -0.8086757660],
     ]
 )
+
+#: Number of colors that are converted at a time: they stay in the cache of a core.
+PART = 1 << 16
 
 #: Samples of each channel over which the scale of a space is averaged.
 _SCALE_STEPS = 17
@@ -72,7 +76,8 @@ def to_space(colors: ArrayLike, space: str) -> Array:
     [0.2, 0.5, 0.9]
     """
     check_choice("color space", space, COLOR_SPACES)
-    return _CONVERSIONS[space][0](np.asarray(colors, float)) / _scale(space)
+    convert, scale = _CONVERSIONS[space][0], _scale(space)
+    return _in_parts(lambda part: convert(part) / scale, np.asarray(colors, float))
 
 
 def from_space(coordinates: ArrayLike, space: str) -> Array:
@@ -94,8 +99,28 @@ def from_space(coordinates: ArrayLike, space: str) -> Array:
         If there is no such space.
     """
     check_choice("color space", space, COLOR_SPACES)
-    values = _CONVERSIONS[space][1](np.asarray(coordinates, float) * _scale(space))
-    return np.clip(np.nan_to_num(values), 0.0, 1.0)
+    convert, scale = _CONVERSIONS[space][1], _scale(space)
+
+    def converted(part: Array) -> Array:
+        return np.clip(np.nan_to_num(convert(part * scale)), 0.0, 1.0)
+
+    return _in_parts(converted, np.asarray(coordinates, float))
+
+
+def _in_parts(convert: Callable[[Array], Array], colors: Array) -> Array:
+    """Convert colors (..., 3); of large images a part at a time, in several threads."""
+    if colors.size <= 3 * PART:
+        return convert(colors)
+    rows = colors.reshape(-1, 3)
+    found = np.empty(rows.shape)
+
+    def convert_rows(part: slice) -> None:
+        found[part] = convert(rows[part])
+
+    parts = (slice(first, first + PART) for first in range(0, len(rows), PART))
+    for _ in in_order(convert_rows, parts):
+        pass
+    return found.reshape(colors.shape)
 
 
 def _without_negative_light(lab: Array) -> Array:

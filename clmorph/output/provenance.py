@@ -8,6 +8,7 @@ from clmorph.errors import InputError
 from clmorph.output.bounded import MAX_TEXT, UNREADABLE, from_text
 from clmorph.output.formats.registry import by_content
 from clmorph.output.metadata import MARK
+from clmorph.output.picture import JPEG_START, read_jpeg
 
 #: Number of bytes at the start of a file by which its format is recognized.
 START = 64
@@ -21,7 +22,8 @@ def read_parameters(path: Path) -> dict[str, Any]:
     Parameters
     ----------
     path : Path
-        A file of any format that `clmorph.save` writes, a folder of frames, or a recipe in JSON.
+        A file of any format that `clmorph.save` or `clmorph.write_image` writes, a folder of
+        frames, or a recipe in JSON.
         Its format is recognized by its content, whatever its name.
 
     Raises
@@ -54,6 +56,8 @@ def _metadata_text(path: Path) -> str:
     if start.lstrip().startswith(b"{"):
         with path.open("rb") as file:
             return file.read(MAX_TEXT + 1).decode()
+    if start.startswith(JPEG_START):
+        return read_jpeg(path)
     format = next(by_content(start), None)
     if format is None:
         raise ValueError("it is of no kind that clmorph writes")

@@ -72,3 +72,13 @@ class RearrangeKeywords(TypedDict, total=False):
     extent: Literal["true", "unit"]
     gap: float
     seed: int
+
+
+class RecolorKeywords(TypedDict, total=False):
+    """Options of `clmorph.recolor` by name."""
+
+    strength: float
+    color_space: Literal["srgb", "linear", "lab", "luv", "oklab"]
+    blur: float
+    reach: float | None
+    feather: float

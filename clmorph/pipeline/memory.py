@@ -48,6 +48,8 @@ class MemoryModel:
         it holds at a time.
     numpy_particle : int
         Memory of the NumPy backend for each particle that it moves.
+    carried_pixel : int
+        Host memory for each pixel of pictures that are larger than what is lifted.
     """
 
     base: int = 500_000
@@ -67,6 +69,7 @@ class MemoryModel:
     block: int = 1 << 24
     blocks: int = 4
     numpy_particle: int = 280
+    carried_pixel: int = 150
 
 
 MODEL = MemoryModel()
@@ -105,6 +108,7 @@ def estimate(
     alpha: bool = False,
     dimension: int = 5,
     backend: Backend = "auto",
+    carried_pixels: int = 0,
 ) -> Memory:
     """Estimate the memory that a morph takes, without computing the morph.
 
@@ -132,6 +136,9 @@ def estimate(
         Dimension of the lifted points: 5, or 11 with a color metric for each source pixel.
     backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
+    carried_pixels : int
+        Number of pixels of both pictures, if frames carry the detail of pictures with more pixels
+        than those that are lifted (`clmorph.pipeline.prepare.small_copies`).
 
     Returns
     -------
@@ -153,6 +160,7 @@ def estimate(
         drawn = _n_drawn(check_integer("sample", sample, 1, MAX_DRAWS), n, m)
     else:
         drawn = None if pairs is None else check_number("pairs", pairs, 0.0, 1e18)
+    carried = MODEL.carried_pixel * check_integer("carried_pixels", carried_pixels, 0, 1 << 40)
     levels = min(MODEL.level_pairs, (-(-n // MODEL.tile)) * (-(-m // MODEL.tile)))
     host = MODEL.base + MODEL.solver_point * (n + m) + 24 * levels
     on_device = (MODEL.coordinate * dimension + MODEL.point) * (n + m)
@@ -163,7 +171,7 @@ def estimate(
         morph = MODEL.base + MODEL.morph_point * (n + m) + MODEL.morph_pair * drawn + 24 * levels
         morph += MODEL.alpha_pair * drawn if alpha else 0
         morph += MODEL.barycentric_point * n if barycentric else 0
-        host = max(host, int(morph))
+        host = max(host, int(morph) + carried)
         held = MODEL.held_particle * particles + MODEL.held_pixel * pixels
         # A second set of particles stays in memory; the other buffers are reused.
         on_device += int(

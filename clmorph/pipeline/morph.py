@@ -30,7 +30,7 @@ from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.maps import NO_MAPS, Maps
 from clmorph.pipeline.optimal_width import optimal_curve
 from clmorph.pipeline.options import NO_DIVERGENCE, MorphOptions
-from clmorph.pipeline.prepare import Picture, as_images, as_options, fitted
+from clmorph.pipeline.prepare import Picture, as_images, as_options, fitted, small_copies
 from clmorph.pipeline.presets import PresetName
 from clmorph.pipeline.result import Morph
 from clmorph.transport.barycentric import Barycentric, destination_colors
@@ -160,9 +160,9 @@ class ImagePair:
         """Shapes of the images as they were given."""
         return self.shapes or shapes_of(self.images)
 
-    def measures(self) -> tuple[Measure, Measure]:
-        """Lift both images."""
-        first, second = self.images
+    def measures(self, images: Sequence[Picture] | None = None) -> tuple[Measure, Measure]:
+        """Lift both images, or copies of them."""
+        first, second = self.images if images is None else images
         maps, options = self.maps, self.options
         measures = lift_pair(
             (first, second), weights=maps.weights, color_metric=maps.color_metric,
@@ -232,7 +232,8 @@ class ImagePair:
     def morph(self, backend: Backend, report: StageProgress) -> Morph:
         """Solve the transport, make its particles, and choose the kernel widths."""
         options = self.options
-        source, target = self.measures()
+        small = small_copies(self.images, options, self.maps)
+        source, target = self.measures(small)
         if options.sigma is not None and source.has_metric_map:
             raise InputError(NO_DIVERGENCE)
         if options.barycentric:
@@ -269,13 +270,14 @@ class ImagePair:
                 labels=self.labels(source, target),
             ),
             times=eased(np.linspace(0.0, 1.0, options.n_frames), options.ease),
-            kernel_width=self._kernel_width(source, target, plan),
+            kernel_width=self._kernel_width(small or self.images, source, target, plan),
             operations=operations,
             endpoints=options.endpoints,
             unmatched=options.unmatched,
             options=options,
             arrays=self.maps.names,
             shapes=(self.given_shapes[0], self.given_shapes[1]),
+            pictures=None if small is None else (self.images[0], self.images[1]),
         )  # fmt: skip
         if options.sigma is None:
             return result
@@ -283,14 +285,20 @@ class ImagePair:
         return replace(result, kernel_width=replace(result.kernel_width, curve=curve))
 
     def _kernel_width(
-        self, source: Measure, target: Measure, plan: Plan | Barycentric
+        self,
+        lifted: Sequence[Picture],
+        source: Measure,
+        target: Measure,
+        plan: Plan | Barycentric,
     ) -> KernelWidth:
-        """Return the kernel's width over time (Eq. 3 and 4)."""
+        """Return the kernel's width over time (Eq. 3 and 4), in pixels of the frames."""
         options = self.options
         start, end = (
-            auto_sigma(image) if width == "auto" else float(width)
-            for width, image in zip(
-                (options.sigma_start, options.sigma_end), self.images, strict=True
+            auto_sigma(image) * max(shown.shape) / max(image.shape)
+            if width == "auto"
+            else float(width)
+            for width, image, shown in zip(
+                (options.sigma_start, options.sigma_end), lifted, self.images, strict=True
             )
         )
         counts = _effective_counts(source, target, plan, options.unmatched)

@@ -19,6 +19,11 @@ from clmorph.pipeline.presets import AUTO, PresetName, preset_for
 
 Picture = NDArray[np.float64]
 
+#: Of pictures with a longer side above this number of pixels, frames with carried detail take their
+#: smooth part from the particles of smaller copies. It is blurred by 1.6 % of the longer side: by 8
+#: pixels of such a copy.
+MOST_CARRIED = 512
+
 
 def as_images(images: Sequence[ArrayLike]) -> list[Picture]:
     """Return images as `clmorph.images.pixels.as_pixels` does, named in its error messages.
@@ -134,6 +139,47 @@ def fitted(
                 "reduces that image: give size=None, or an image of that size"
             )
     return small
+
+
+def small_copies(
+    images: Sequence[Picture], options: MorphOptions, beside: Maps = NO_MAPS
+) -> list[Picture] | None:
+    """Return smaller copies of images, whose pixels become particles in place of those of images.
+
+    Parameters
+    ----------
+    images : (image_a, image_b)
+        Images that `fitted` has returned.
+    options : MorphOptions
+    beside : Maps
+
+    Returns
+    -------
+    list of (H, W, 3) arrays, or None
+        None if particles draw detail, or if images are small, have opacity, or come with maps of
+        their pixels.
+    """
+    if not takes_copies([image.shape for image in images], options, beside):
+        return None
+    return [fit(image, MOST_CARRIED) for image in images]
+
+
+def takes_copies(
+    shapes: Sequence[tuple[int, ...]], options: MorphOptions, beside: Maps = NO_MAPS
+) -> bool:
+    """Return whether `small_copies` of images with these shapes (H, W, C) are lifted."""
+    drawn = options.detail == "carried" and options.endpoints == "exact" and options.sigma is None
+    mapped = (beside.weights, beside.color_metric, beside.labels, beside.features)
+    if not drawn or any(each is not None for each in mapped):
+        return False
+    large = max(max(shape[:2]) for shape in shapes) > MOST_CARRIED
+    return large and all(shape[2] == 3 for shape in shapes)
+
+
+def copied_shape(shape: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Return about the shape of the small copy of an image of this shape."""
+    shrink = min(1.0, MOST_CARRIED / max(shape[:2]))
+    return max(1, round(shape[0] * shrink)), max(1, round(shape[1] * shrink)), shape[2]
 
 
 def _reduced(image: Picture, options: MorphOptions, mapped: bool) -> Picture:

@@ -25,13 +25,26 @@ from clmorph.output.bounded import MAX_TEXT
 from clmorph.output.provenance import read_parameters
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.recolor_options import RecolorOptions
 
 #: Keys beside options in a file of settings.
 PRESET, IMAGES, OUTPUT = "preset", "images", "output"
-#: Keys of further files of both pictures.
-BESIDE = ("labels", "features")
-#: Key of the command that made a file, if it is not ``morph``; and the commands' names.
-COMMAND, REARRANGE, MIX = "command", "rearrange", "mix"
+#: Key of the command that made a file, if it is not ``morph``.
+COMMAND = "command"
+#: The value of `COMMAND` for mixes, which have the options of a morph.
+MIX = "mix"
+#: The classes of options of the commands.
+COMMANDS: dict[str, type[Options]] = {
+    "morph": MorphOptions,
+    "rearrange": RearrangeOptions,
+    "recolor": RecolorOptions,
+}
+#: Keys of files beside the pictures, with their number, by the class of the command's options.
+BESIDE: dict[type[Options], dict[str, int]] = {
+    MorphOptions: {"labels": 2, "features": 2},
+    RearrangeOptions: {},
+    RecolorOptions: {"mask": 1},
+}
 #: Keys that only the user decides, in the command line or in TOML; recipes do not contain them.
 OWN = (OUTPUT, "format", "recipe", "max_pixels")
 
@@ -49,7 +62,7 @@ def recipe(
 
     Parameters
     ----------
-    options : MorphOptions or RearrangeOptions
+    options : MorphOptions, RearrangeOptions or RecolorOptions
     images : sequence of mappings
         The pictures: name and digest of each file, if they are files.
     device : str
@@ -58,15 +71,14 @@ def recipe(
         Names of further input arrays ("weights", "color_metric"; "labels" and "features" if they
         are no files), which a recipe does not contain.
     beside : mapping, optional
-        Files of both pictures by what they are (`BESIDE`): name and digest of each.
+        Files beside the pictures by what they are (`BESIDE`): name and digest of each.
     mixes : mapping, optional
         What of mixes is shown: their weights, or the stops of a path.
     """
     found: dict[str, Any] = {"clmorph": __version__, "options": options.outside()}
-    if isinstance(options, RearrangeOptions):
-        found[COMMAND] = REARRANGE
-    if mixes is not None:
-        found |= {COMMAND: MIX, **mixes}
+    command = next((name for name, kind in COMMANDS.items() if isinstance(options, kind)), "morph")
+    found |= {} if command == "morph" else {COMMAND: command}
+    found |= {} if mixes is None else {COMMAND: MIX, **mixes}
     found |= {IMAGES: [dict(image) for image in images]} if images else {}
     for name, entries in (beside or {}).items():
         found[name] = [dict(entry) for entry in entries]
@@ -104,8 +116,7 @@ def options_of(
             found[PRESET] = value
             continue
         if outside not in known:
-            beside = BESIDE if options is MorphOptions else ()
-            names = [*known, *presets, IMAGES, *beside, *OWN]
+            names = [*known, *presets, IMAGES, *BESIDE[options], *OWN]
             raise InputError(f"{where}: {unknown_option(key, dict.fromkeys(names))}")
         name, each = known[outside]
         try:
@@ -142,7 +153,7 @@ def read_recipe(path: Path) -> dict[str, Any]:
     -------
     dict
         The key ``options``, with names outside, and optionally ``images``, ``labels``,
-        ``features``, ``arrays`` and ``device``.
+        ``features``, ``mask``, ``arrays``, ``command`` and ``device``.
 
     Raises
     ------
@@ -162,14 +173,14 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
     Parameters
     ----------
     path : path
-        Any file that `clmorph.save` or ``clmorph morph`` has written, a recipe (.json), or
-        settings in TOML.
+        Any file that `clmorph.save` or a command has written, a recipe (.json), or settings in
+        TOML.
 
     Returns
     -------
     dict
-        Keyword arguments for ``clmorph.morph(a, b, **options)``, or for `clmorph.rearrange` if
-        the file was made by it.
+        Keyword arguments for ``clmorph.morph(a, b, **options)``, or for `clmorph.rearrange` or
+        `clmorph.recolor` if the file was made by one of them.
 
     Raises
     ------
@@ -202,12 +213,13 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
     own = file.suffix.lower() == ".toml"
     found = {} if own else read_recipe(file)
     settings = read_toml(file) if own else found["options"]
+    command = found.get(COMMAND, "morph")
+    kind = COMMANDS.get(command, MorphOptions) if isinstance(command, str) else MorphOptions
     options = {
         name: value for name, value in settings.items()
-        if name.replace("-", "_") not in (IMAGES, *BESIDE, *OWN)
+        if name.replace("-", "_") not in (IMAGES, *BESIDE[kind], *OWN)
     }  # fmt: skip
-    rearranged = found.get(COMMAND) == REARRANGE
-    return options_of(options, str(file), RearrangeOptions if rearranged else MorphOptions)
+    return options_of(options, str(file), kind)
 
 
 def picture_entries(images: Sequence[Path], folder: Path | None = None) -> list[dict[str, Any]]:

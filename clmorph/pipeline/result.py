@@ -41,7 +41,7 @@ class Morph(FrameSequence):
     Attributes
     ----------
     source, target : Measure
-        The images, lifted to position and color.
+        The images, lifted to position and color; smaller copies of them if there are `pictures`.
     potentials : Potentials
         The solution of the transport problem. With labels it holds those of the problem of each
         label, one after another, over the points that have mass
@@ -64,6 +64,10 @@ class Morph(FrameSequence):
         Names of the further input arrays: "weights", "color_metric", "labels", "features".
     shapes : pair of (height, width) or None
         Shapes of the images as they were given; None if they are those of the measures.
+    pictures : pair of (H, W, 3) arrays or None
+        The images as frames show them at both ends, where they have more pixels than the measures:
+        with carried detail, particles draw the smooth part of a frame alone, so that above 512
+        pixels along the longer side smaller copies are lifted.
 
     Examples
     --------
@@ -94,6 +98,9 @@ class Morph(FrameSequence):
     options: MorphOptions = field(default_factory=MorphOptions, repr=False)
     arrays: tuple[str, ...] = ()
     shapes: tuple[tuple[int, int], tuple[int, int]] | None = None
+    pictures: tuple[NDArray[np.float64], NDArray[np.float64]] | None = field(
+        default=None, repr=False
+    )
     _renderer: SpreadRenderer = field(init=False, repr=False, compare=False)
     #: Cache of rendered frames: it holds no frame or all frames.
     _kept: list[NDArray[np.float32]] = field(
@@ -106,12 +113,12 @@ class Morph(FrameSequence):
         renderer = FrameRenderer(
             self.source, self.target, self.plan, self.particles, self.kernel_width,
             self.operations, self.endpoints, self.unmatched,
-            "particles" if asked else self.options.detail,
+            "particles" if asked else self.options.detail, self.pictures,
         )  # fmt: skip
         object.__setattr__(self, "_renderer", SpreadRenderer(renderer, self.times))
 
     def __repr__(self) -> str:
-        (h, w), (height, width) = self.source.shape, self.target.shape
+        (h, w), (height, width) = (self.canvas(t).shape for t in (0.0, 1.0))
         return (
             f"<Morph of {w} x {h} into {width} x {height} pixels, {len(self.times)} frames, "
             f"{len(self.particles)} particles, {self.potentials.message}>"
@@ -130,7 +137,7 @@ class Morph(FrameSequence):
         >>> morph.given_shapes, morph.source.shape
         (((12, 12), (12, 12)), (6, 6))
         """
-        return self.shapes or (self.source.shape, self.target.shape)
+        return self.shapes or (self.canvas(0.0).shape, self.canvas(1.0).shape)
 
     @property
     def solved_sizes(self) -> tuple[int, int]:
@@ -363,6 +370,8 @@ class Morph(FrameSequence):
     @property
     def pixelated(self) -> bool:
         """Whether both images are pixel art."""
+        if self.pictures is not None:
+            return all(is_pixel_art(picture) for picture in self.pictures)
         images = []
         for measure in (self.source, self.target):
             channels = [measure.colors]

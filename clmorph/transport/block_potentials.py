@@ -66,8 +66,8 @@ def transport_pixels(
         return softmin, softmin(g, epsilon)
 
     to_rows, f = extended(source, target, found.f, found.g)
-    means, _ = operations.plan_moments(
-        to_rows.rows, to_rows.columns, found.g, f, epsilon, False, to_rows.near
+    _, means = operations.barycentric_projection(
+        to_rows.rows, to_rows.columns, found.g, epsilon, False, to_rows.near
     )
     _, g = extended(target, source, found.g, found.f)
     return PixelTransport(replace(found, f=f, g=g), means)

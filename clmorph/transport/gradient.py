@@ -20,16 +20,17 @@ transport" (2019), section 4.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph.backends.select import Backend
+from clmorph.backends.interface import Operations
+from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.transport._solver.plan_softmin import row_softmin
+from clmorph.transport._solver.plan_softmin import row_projection, uploaded
 from clmorph.transport.certificate import MAX_EXPONENT
 from clmorph.transport.potentials import Potentials
 
@@ -75,8 +76,8 @@ def gradient(
 ) -> Gradient:
     """Return the derivatives of the optimal transport value by points and weights of both sides.
 
-    They follow from the potentials in closed form. The potentials take one more half-step on each
-    side, and one pass over all pairs gives the mean destinations; no plan is stored. The error
+    They follow from the potentials in closed form. For each side one pass over all pairs gives one
+    more half-step of its potential and the mean destinations; no plan is stored. The error
     of the derivatives is of the size of the residual of the potentials, with the rounding of the
     backend beside it: a derivative by a point is r_i (x_i - T(x_i)), and T(x_i) is rounded in
     float32 relative to the spread of the destinations around x_i. Where a gradient is much smaller
@@ -120,7 +121,12 @@ def gradient(
             "the cost has a metric for each source pixel, so it has no gradient by lifted points: "
             "use one metric for all pixels"
         )
-    sides = _side(*pair, potentials, backend), _side(*pair[::-1], potentials.swapped(), backend)
+    operations = get_backend(backend)
+    clouds = uploaded(operations, pair[0]), uploaded(operations, pair[1])
+    sides = (
+        _side(operations, clouds, pair, potentials),
+        _side(operations, clouds[::-1], pair[::-1], potentials.swapped()),
+    )
     given = potentials.epsilon, _balanced(potentials)
     masses = [float(measure.weights.sum()) for measure in pair]
     weights = [
@@ -134,7 +140,7 @@ def divergence_gradient(
     pair: tuple[AnyMeasure, AnyMeasure],
     cross: Potentials,
     selves: tuple[Potentials, Potentials],
-    backend: Backend,
+    operations: Operations,
 ) -> Gradient:
     """Return the derivatives of the divergence of two measures, given its three solves.
 
@@ -143,15 +149,17 @@ def divergence_gradient(
     pair : (source, target)
     cross : Potentials
     selves : (Potentials of the source with itself, Potentials of the target with itself)
-    backend : Operations
+    operations : Operations
     """
     points, weights = [], []
-    for measures, potentials, own in (
-        (pair, cross, selves[0]),
-        (pair[::-1], cross.swapped(), selves[1]),
+    both = uploaded(operations, pair[0]), uploaded(operations, pair[1])
+    for clouds, measures, potentials, own in (
+        (both, pair, cross, selves[0]),
+        # Swapped too, so that equal measures have derivatives that cancel to the bit.
+        (both[::-1], pair[::-1], cross.swapped(), selves[1].swapped()),
     ):
-        between = _side(*measures, potentials, backend)
-        within = _side(measures[0], measures[0], own, backend)
+        between = _side(operations, clouds, measures, potentials)
+        within = _side(operations, (clouds[0],) * 2, (measures[0],) * 2, own)
         points.append(between.points - within.points)
         weights.append(between.minus(within, cross.epsilon))
     return _joined(points, weights, _balanced(cross))
@@ -183,14 +191,15 @@ class _Side(NamedTuple):
 
 
 def _side(
-    source: AnyMeasure, target: AnyMeasure, potentials: Potentials, backend: Backend
+    operations: Operations,
+    clouds: tuple[Any, Any],
+    pair: tuple[AnyMeasure, AnyMeasure],
+    potentials: Potentials,
 ) -> _Side:
     """Return the derivatives by the source, from the potentials of the target alone."""
-    operations, clouds, to_rows, softmin = row_softmin(source, target, potentials, backend)
+    source = pair[0]
+    softmin, mean = row_projection(operations, clouds, pair, potentials)
     epsilon, rho = potentials.epsilon, potentials.rho
-    mean, _ = operations.plan_moments(
-        *clouds, potentials.g, softmin, epsilon, potentials.precise, to_rows.near
-    )
     inverse = 1.0 / (rho[0] if isinstance(rho, tuple) else rho)
     # f = Delta T(g); then r = a exp((f - T(g)) / epsilon) = a exp(-f / rho).
     potential = softmin / (1.0 + epsilon * inverse)

@@ -8,11 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clmorph._shared.typing import Array
+from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import as_float, check_flag, shown
 from clmorph.backends.arrays import pyopencl_needed
+from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
+from clmorph.measures.points import AnyMeasure, MeasureLike, as_measure
 from clmorph.transport.certificate import Certificate
+from clmorph.transport.entropic_map import as_places, entropic_map
 from clmorph.transport.options import LENGTH, Reach
 from clmorph.transport.regularization import regularization
 
@@ -71,6 +74,9 @@ class Potentials:
         include it.
     visited : float
         Share of all pairs of points that the last softmins summed.
+    measures : (source, target) or None
+        The measures of the problem, for `map`. None if they are not kept: those of batches, of
+        files, and of problems with labels or a map of color metrics.
 
     Examples
     --------
@@ -101,6 +107,7 @@ class Potentials:
     truncation: float | None = None
     truncation_error: float = 0.0
     visited: float = 1.0
+    measures: tuple[AnyMeasure, AnyMeasure] | None = None
 
     def __repr__(self) -> str:
         source, target = (f"{mass:.4g}" for mass in self.certificate.masses)
@@ -135,7 +142,100 @@ class Potentials:
             column_mass=self.row_mass,
             masses=self.certificate.masses[::-1],
         )
-        return replace(self, f=self.g, g=self.f, reach=reach, certificate=certificate)
+        measures = None if self.measures is None else self.measures[::-1]
+        return replace(
+            self, f=self.g, g=self.f, reach=reach, certificate=certificate, measures=measures
+        )
+
+    def map(
+        self,
+        points: ArrayLike | AnyMeasure,
+        *,
+        target: MeasureLike | None = None,
+        own: Potentials | None = None,
+        backend: Backend = "auto",
+    ) -> Array:
+        """Send any points, also new ones, where the plan sends the source around them.
+
+        This is the entropic map T(x) = sum_j w_j(x) y_j with weights w_j(x) proportional to
+        b_j exp((g_j - C(x, y_j)) / epsilon) and of sum 1 (Pooladian and Niles-Weed 2021, section
+        3). At a point of the source it is the mean destination, as `clmorph.barycentric_plan`
+        returns it; between them it is smooth; far from the source it approaches the outermost
+        points of the target. With an unbalanced `reach` it says where the mass goes that moves,
+        and not how much of it there is.
+
+        ``potentials.swapped().map(points)`` maps points of the target back to the source.
+
+        Parameters
+        ----------
+        points : (K, D) array, Measure or WeightedPoints
+            In the coordinates and the unit of the measures' points; for lifted images those of
+            `Measure.points`: x, y, the weighted colors, the weighted features. (K,) will do in one
+            dimension. K may be 0.
+        target : Measure, WeightedPoints, or (weights, points), optional
+            The target of the problem, for potentials whose `measures` is None.
+        own : Potentials, optional
+            Potentials of the source with itself, with the same blur and reach. The map is then
+            the debiased one, x + T(x) - T_own(x): it does not contract to the middle of the target
+            as T does, and is the identity between equal measures. It is the step along the gradient
+            of the Sinkhorn divergence.
+        backend : str, object of pyopencl, or Operations
+            See `clmorph.get_backend`.
+
+        Returns
+        -------
+        (K, D) array
+            T is rounded relative to the size of the target, however far away the points are.
+
+        Raises
+        ------
+        InputError
+            If an argument cannot be used, the target is not known, or points are farther from it
+            than about 10^9 epsilon / (size of the target), where devices fail and NumPy does not.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import clmorph
+        >>> source = np.full(3, 1 / 3), np.array([0.0, 0.5, 1.0])
+        >>> target = np.full(3, 1 / 3), np.array([2.0, 2.5, 3.0])
+        >>> potentials = clmorph.sinkhorn(source, target, blur=0.1, tol=1e-6, backend="numpy")
+        >>> potentials.map([0.0, 0.5, 0.75, 9.0], backend="numpy").round(3).ravel().tolist()
+        [2.0, 2.5, 2.75, 3.0]
+        >>> potentials.swapped().map([2.5], backend="numpy").round(3).tolist()
+        [[0.5]]
+        >>> own = clmorph.sinkhorn(source, source, blur=0.1, tol=1e-6, backend="numpy")
+        >>> potentials.map([0.0, 0.6], own=own, backend="numpy").round(3).ravel().tolist()
+        [2.0, 2.6]
+        """
+        known = self._measure(1, "target") if target is None else as_measure("target", target)
+        check_potentials("potentials", self, (len(self.f), len(known)))
+        places = as_places(points, known)
+        operations = get_backend(backend)
+        mapped = entropic_map(places, known, self.g, self.epsilon, operations, self.precise).means
+        if own is None:
+            return mapped
+        n = len(self.f)
+        check_potentials("own", own, (n, n))
+        if own.blur != self.blur or own.reach != self.reach:
+            raise InputError(
+                f"own has blur={own.blur:g} and reach={shown(own.reach)}: expected those of the "
+                f"potentials, {self.blur:g} and {shown(self.reach)}"
+            )
+        source = own._measure(1, "own")
+        check_potentials("own", own, (n, len(source)))
+        places = as_places(places, source)
+        stay = entropic_map(places, source, own.g, own.epsilon, operations, own.precise).means
+        return places + (mapped - stay)
+
+    def _measure(self, side: int, name: str) -> AnyMeasure:
+        """Return the source (0) or the target (1), which the argument `name` needs."""
+        if not isinstance(self.measures, tuple) or len(self.measures) != 2:
+            raise InputError(
+                f"{name}: these potentials do not hold their measures; expected potentials as "
+                "clmorph.sinkhorn returns them, or the measure as the argument target"
+            )
+        return as_measure(name, self.measures[side])
 
     def to_device(self, queue: Any, dtype: Any = None) -> DevicePotentials:
         """Return f and g as new arrays in the memory of a device, for kernels of a host program.

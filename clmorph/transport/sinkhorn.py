@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from clmorph._shared.validation import (
 )
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning
+from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver import geomloss as geomloss_schedule
 from clmorph.transport._solver.checks import (
@@ -155,9 +157,13 @@ def sinkhorn(
         g = check_potentials("start", start, (len(pair[0]), len(pair[1]))).g
     problem = Problem.between(operations, *pair, given.rho, None if method == "geomloss" else limit)
     if method == "geomloss":
-        return _geomloss(problem, given, scaling, tol, precision, report)
-    options = given, tol, max_iter, precision, report
-    return _warned(solve(problem, pair, *options, g=g, multiscale=multiscale, verify=verify))
+        found = _geomloss(problem, given, scaling, tol, precision, report)
+    else:
+        options = given, tol, max_iter, precision, report
+        found = _warned(solve(problem, pair, *options, g=g, multiscale=multiscale, verify=verify))
+    # Points of a cost with a metric for each source pixel have no coordinates of their own.
+    foreign = isinstance(source, Measure) and source.has_metric_map
+    return found if foreign else replace(found, measures=pair)
 
 
 def _warned(potentials: Potentials) -> Potentials:

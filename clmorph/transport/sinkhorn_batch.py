@@ -113,7 +113,7 @@ def sinkhorn_batch(
     given = regularization(blur, reach, epsilon, rho)
     tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)
     report = check_progress(progress)
-    pairs = _pairs(as_many("sources", sources), as_many("targets", targets))
+    pairs = checked_pairs(as_many("sources", sources), as_many("targets", targets))
     operations = get_backend(backend)
     found = solve_many(pairs, given, tol, max_iter, operations, precision, report)
     return _warned(found)
@@ -122,11 +122,11 @@ def sinkhorn_batch(
 def _warned(found: PotentialsBatch) -> PotentialsBatch:
     """Return potentials, and warn if not all reached the tolerance."""
     if not found.converged:
-        warn_unless_converged("missed", what_missed(found, _name))
+        warn_unless_converged("missed", what_missed(found, problem_name))
     return found
 
 
-def _name(number: int) -> str:
+def problem_name(number: int) -> str:
     """Return the name of a problem in messages."""
     return f"problem {number}"
 
@@ -149,8 +149,18 @@ def what_missed(found: PotentialsBatch, name: Callable[[int], str]) -> str:
     )
 
 
-def _pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasure, AnyMeasure]]:
-    """Return the checked measures of every problem."""
+def checked_pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasure, AnyMeasure]]:
+    """Return the checked measures of every problem.
+
+    Parameters
+    ----------
+    sources, targets : lists of what `as_many` returns
+
+    Raises
+    ------
+    InputError
+        If they are not as many, or a pair cannot be used.
+    """
     if len(sources) != len(targets):
         raise InputError(
             f"there are {len(sources)} sources and {len(targets)} targets: expected as many, one "
@@ -166,7 +176,7 @@ def _pairs(sources: list[Any], targets: list[Any]) -> list[tuple[AnyMeasure, Any
         try:
             pairs.append(as_pair(*pair))
         except InputError as error:
-            raise InputError(f"{_name(number)}: {error}") from None
+            raise InputError(f"{problem_name(number)}: {error}") from None
     return pairs
 
 
@@ -178,7 +188,7 @@ def solve_many(
     operations: Operations,
     precision: str,
     report: Progress,
-    name: Callable[[int], str] = _name,
+    name: Callable[[int], str] = problem_name,
 ) -> PotentialsBatch:
     """Solve the problems of checked pairs of measures, without a warning.
 

@@ -46,7 +46,7 @@ HEADER = ["-Xclang", "-finclude-default-header", "-Xclang", "-fdeclare-opencl-bu
 
 #: Each file in each way in which it is built: plan rows and the log-sum-exp with precise exponents
 #: or not, over all tiles or listed ones; the log-sum-exp also with a bound.
-ROW_FILES = ("log_sum_exp.cl", "plan_rows.cl", "plan_shares.cl")
+ROW_FILES = ("barycentric_projection.cl", "log_sum_exp.cl", "plan_rows.cl", "plan_shares.cl")
 VARIANTS = [
     *(Variant(file) for file in KERNELS if file not in (*ROW_FILES, "near_field.cl")),
     *(Variant("half_steps.cl", balanced=balanced) for balanced in (1, 2, 3)),

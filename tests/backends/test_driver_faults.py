@@ -126,6 +126,8 @@ def every_row_reduction(operations):
             operations.sample_plan_rows(rows, columns, g, f, epsilon, thresholds, False, pairs)
         )
     nearly = [operations.softmin(rows, columns, g, epsilon, False, pairs) for pairs in (None, near)]
+    for pairs in (None, near):
+        nearly += operations.barycentric_projection(rows, columns, g, epsilon, False, pairs)
     nearly.append(operations.bounded_softmin(rows, columns, g, epsilon)[0])
     return same, nearly
 

@@ -281,10 +281,13 @@ def test_moments_and_draws_over_near_pairs(variant, rng, name, blur):
     near = variant.near_pairs(*clouds, g, softmin, epsilon, 1e-8)
     over_all = variant.plan_moments(*clouds, g, softmin, epsilon, True)
     over_near = variant.plan_moments(*clouds, g, softmin, epsilon, True, near)
+    projected = variant.barycentric_projection(*clouds, g, epsilon, True, near)
     tolerance = UNIT * (32 + 4 * np.sqrt(len(g)))
     size = 1.0 + max(np.abs(points).max() for points, _ in pair)
     for got, want, scale in zip(over_near, over_all, (size, 8 * size**2), strict=True):
         assert np.abs(got - want).max() <= 2 * (tolerance + 1e-7) * scale
+    assert np.abs(projected[0] - softmin).max() <= 2 * (tolerance + 1e-7) * epsilon
+    assert np.abs(projected[1] - over_all[0]).max() <= 2 * (tolerance + 1e-7) * size
     thresholds = np.tile([0.1, 0.5, 0.9], (len(softmin), 1))
     draws = variant.sample_plan_rows(*clouds, g, softmin, epsilon, thresholds, True, near)
     assert draws.min() >= 0
@@ -673,6 +676,28 @@ def test_plan_moments(variant, rng, name, blur):
     assert np.abs(got_covariance - covariance).max() <= 8 * tolerance * size**2
 
 
+@pytest.mark.parametrize("blur", [1.0, 0.1, 0.02])
+@pytest.mark.parametrize("name", PAIRS)
+def test_barycentric_projection(variant, rng, name, blur):
+    """One pass gives what two give: the soft minimum, and the mean destination."""
+    pair = PAIRS[name](rng)
+    epsilon = blur**2
+    g = _potential(rng, len(pair[1][0]), epsilon)
+    exact = _upload(REFERENCE, pair)
+    want_softmin = REFERENCE.softmin(*exact, g, epsilon)
+    want_mean, _ = REFERENCE.plan_moments(*exact, g, want_softmin, epsilon)
+    ours = _upload(variant, pair)
+    for precise in (False, True):
+        softmin, mean = variant.barycentric_projection(*ours, g, epsilon, precise)
+        limit = log_sum_exp_tolerance(variant, *pair, epsilon, precise)
+        assert np.abs(softmin - want_softmin).max() <= limit * epsilon
+        low = np.minimum(pair[0][0].min(axis=0), pair[1][0].min(axis=0))
+        high = np.maximum(pair[0][0].max(axis=0), pair[1][0].max(axis=0))
+        size = float(np.max(high - low)) + 1e-6
+        tolerance = UNIT * (32 + 4 * np.sqrt(len(g))) + (0 if precise else 2 * limit)
+        assert np.abs(mean - want_mean).max() <= tolerance * (size + np.abs(want_mean).max())
+
+
 @pytest.mark.parametrize("n_draws", [1, 3, 16])
 @pytest.mark.parametrize("name", PAIRS)
 def test_sample_plan_rows(variant, rng, name, n_draws):
@@ -737,6 +762,9 @@ def test_offsets_add_to_the_cost(variant, rng):
         share = np.exp(exponents + softmin[:, None] / epsilon)
         mean, _ = backend.plan_moments(rows, columns, g, softmin, epsilon)
         assert np.abs(mean - share @ y).max() <= 10 * tolerance
+        projected = backend.barycentric_projection(rows, columns, g, epsilon)
+        assert np.abs(projected[0] - want).max() <= tolerance * epsilon
+        assert np.abs(projected[1] - share @ y).max() <= 10 * tolerance
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -19,6 +19,7 @@ from clouds import PAIRS
 from several import KINDS, two_parts
 from test_operations import (  # noqa: F401 (collected from here)
     test_a_hopeless_guess_is_told,
+    test_barycentric_projection,
     test_bounded_softmin_in_any_dimension_and_over_near_pairs,
     test_bounded_softmin_is_as_near_as_it_says,
     test_deposit,
@@ -143,6 +144,7 @@ def test_results_repeat_to_the_bit(device, rng, kind):
             [
                 softmin, near.softmin, near.skipped,
                 operations.sum_stored(stored, g, False), operations.sum_stored(stored, g, True),
+                *operations.barycentric_projection(cloud, cloud, g, 0.01, True, near),
                 *operations.plan_moments(cloud, cloud, g, softmin, 0.01, True, near),
             ]
         )  # fmt: skip

@@ -96,6 +96,7 @@ def few_results(operations):
         operations.softmin(rows, columns, g, epsilon, True),
         operations.near_pairs(rows, columns, g, softmin, epsilon, 1e-6).softmin,
         operations.plan_rows(rows, columns, f, g, epsilon, *limits).mass,
+        *operations.barycentric_projection(rows, columns, g, epsilon),
         *operations.plan_moments(rows, columns, g, softmin, epsilon),
     ]
     stored = operations.store_pairs(rows, columns, f, g, epsilon, *limits, 10**6)

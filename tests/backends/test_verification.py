@@ -29,6 +29,7 @@ from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import trial, verdicts
 from clmorph.backends.opencl.devices.quirks import QUIRKS, find_quirks
 
+ROW_FILES = "barycentric_projection.cl", "log_sum_exp.cl", "plan_rows.cl", "plan_shares.cl"
 PLAIN = Variant("log_sum_exp.cl", 5)
 OTHER = Variant("plan_rows.cl", 3, precise=True)
 
@@ -37,7 +38,7 @@ pytestmark = pytest.mark.needs_device
 
 def of_file(file):
     """Return the variant in which a file is checked here."""
-    row_loop = file in ("log_sum_exp.cl", "near_field.cl", "plan_rows.cl", "plan_shares.cl")
+    row_loop = file in (*ROW_FILES, "near_field.cl")
     return Variant(file, 5 if row_loop else 0, listed=file == "near_field.cl")
 
 
@@ -96,7 +97,8 @@ def test_a_planted_fault_is_found(monkeypatch, fault):
             ("log_sum_exp.cl", False, False), ("log_sum_exp.cl", True, False),
             ("log_sum_exp.cl", True, True), ("plan_rows.cl", True, False),
             ("plan_rows.cl", False, False), ("plan_shares.cl", False, False),
-            ("plan_shares.cl", True, False),
+            ("plan_shares.cl", True, False), ("barycentric_projection.cl", False, False),
+            ("barycentric_projection.cl", True, False),
         ]
     ],
     ids=str,
@@ -167,8 +169,6 @@ def test_the_probe_refuses_a_device_with_a_wrong_kernel(tmp_path, compiled, faul
 
 
 # --- quirks -----------------------------------------------------------------------------------
-
-ROW_FILES = "log_sum_exp.cl", "plan_rows.cl", "plan_shares.cl"
 
 #: Every file, in all its variants for one dimension.
 VARIANTS = [

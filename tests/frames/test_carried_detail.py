@@ -12,6 +12,7 @@ from clmorph.frames import bands, carried_detail, halfway
 from clmorph.frames.bands import Bands, band_width
 from clmorph.frames.canvas import canvas_at
 from clmorph.frames.carried_detail import CarriedDetail
+from clmorph.frames.ends import ends_of
 from clmorph.frames.halfway import Halfway, register
 from clmorph.frames.resampling import enlarged
 from clmorph.images.pixels import fit
@@ -297,7 +298,7 @@ def test_frames_do_not_depend_on_the_unit_of_the_color_space(monkeypatch):
     shown = np.random.default_rng(0).random((3, 16, 20, 3))
     frames = [
         CarriedDetail(
-            ends, clmorph.particles(*ends, plan, path_space=space), canvases,
+            ends_of(ends), clmorph.particles(*ends, plan, path_space=space), canvases,
             (unit * shown[0], unit * shown[1]),
         ).frame(0.4, canvases[1], unit * shown[2]) / unit
         for space, unit in (("oklab", 1.0), ("srgb", 3.0))
@@ -313,7 +314,7 @@ def test_the_band_is_a_share_of_the_picture_but_never_below_a_pixel():
     plan = clmorph.transport_plan(*ends, potentials, backend="numpy")
     canvases = tuple(canvas_at(t, (10, 80), (110, 8)) for t in (0.0, 0.5, 1.0))
     shown = np.zeros((10, 80, 3)), np.zeros((110, 8, 3))
-    carried = CarriedDetail(ends, clmorph.particles(*ends, plan), canvases, shown)
+    carried = CarriedDetail(ends_of(ends), clmorph.particles(*ends, plan), canvases, shown)
     assert carried.kernel_width(0.0, canvases[0]) == band_width((10, 80))
     assert carried.kernel_width(1.0, canvases[2]) == band_width((110, 8))
 

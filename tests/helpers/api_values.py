@@ -75,6 +75,7 @@ def public_functions() -> dict[str, Callable[..., Any]]:
             if value in (
                 clmorph.MorphOptions,
                 clmorph.RearrangeOptions,
+                clmorph.RecolorOptions,
             ):  # its other methods are for the stages
                 found |= {f"{name}.{each}": getattr(value, each) for each in ("replace", "as_dict")}
             elif isinstance(value, type):
@@ -118,6 +119,7 @@ def examples() -> dict[str, Any]:
         "source": source,
         "target": target,
         "potentials": potentials,
+        "own": clmorph.sinkhorn(source, source, backend="numpy"),
         "plan": clmorph.transport_plan(source, target, potentials, backend="numpy"),
         "morph": morph,
         "sums": morph.sums(0.5),
@@ -195,6 +197,16 @@ def cases() -> dict[str, dict[str, Any]]:
         "Mixes.drawn": {"self": some["mixes"]},
         "Mixes.path": {"self": some["mixes"], "stops": "ab"},
         "Mixes.save": {"self": some["mixes"], "path": "out.png", "stops": None},
+        "recolor": {
+            "image": some["a"], "like": some["b"], "options": None, "mask": np.ones((3, 3)),
+            "backend": "numpy", "progress": Idle(), "strength": 0.5, "color_space": "oklab",
+            "blur": 0.1, "reach": 1.0, "feather": 1.0,
+        },
+        "RecolorOptions.replace": {
+            "self": clmorph.RecolorOptions(), "strength": 0.5, "reach": None,
+        },
+        "RecolorOptions.as_dict": {"self": clmorph.RecolorOptions()},
+        "write_image": {"path": "out.png", "image": some["a"], "parameters": None},
         "RearrangeOptions.replace": {
             "self": clmorph.RearrangeOptions(), "gap": 0.01, "color_weight": 2.0,
         },
@@ -230,6 +242,10 @@ def cases() -> dict[str, dict[str, Any]]:
         "sinkhorn_batch": STRENGTHS | SOLVER | {
             "sources": [some["source"], some["plain"]], "targets": [some["target"], some["plain"]],
             "backend": "numpy", "precision": "auto", "progress": Idle(),
+        },
+        "sinkhorn_divergence_batch": STRENGTHS | SOLVER | {
+            "sources": [some["source"], some["plain"]], "targets": [some["target"], some["plain"]],
+            "backend": "numpy", "precision": "auto", "progress": Idle(), "gradient": True,
         },
         # Without a client, which is checked last, so that every other value is.
         "batch.morph": {
@@ -276,6 +292,10 @@ def cases() -> dict[str, dict[str, Any]]:
         "Plan.to_scipy": {"self": some["plan"]},
         "Plan.to_device": {"self": some["plan"], "queue": some["queue"], "dtype": None},
         "Particles.mass": {"self": some["morph"].particles, "t": 0.5},
+        "Potentials.map": {
+            "self": some["potentials"], "points": some["source"].points, "target": some["target"],
+            "own": some["own"], "backend": "numpy",
+        },
         "Potentials.swapped": {"self": some["potentials"]},
         "Potentials.to_device": {
             "self": some["potentials"], "queue": some["queue"], "dtype": "float32",

@@ -28,6 +28,8 @@ FAULTS = [
     Fault("plan_rows.cl", "count_plan_rows", "select((vint)(0), (vint)(1)",
           "select((vint)(0), (vint)(2)", "plan_rows"),
     Fault("plan_rows.cl", "fill_plan_rows", "TILE + j;", "TILE + (j ^ 1u);", "plan_rows"),
+    Fault("barycentric_projection.cl", "barycentric_projection", "of_tile[1 + d] +=",
+          "of_tile[1 + d] += 0.01f +", "barycentric_projection"),
     Fault("plan_shares.cl", "plan_moments", "[0] += w;", "[0] += 0.99f * w;", "plan_moments"),
     Fault("plan_shares.cl", "sample_plan_rows", "before += of_tile;", "before += 0.9f * of_tile;",
           "sample_plan_rows"),

@@ -291,3 +291,15 @@ class TestCommand:
         assert main(["mix", *files, *given, "--backend", "numpy"]) == 2
         assert capsys.readouterr().err.count("\n") == 1
         assert not list(tmp_path.glob("x.*"))
+
+
+def test_large_images_are_drawn_from_smaller_copies(device):
+    """Their particles are of copies, and their detail and corners of the images themselves."""
+    large = [np.kron(image, np.ones((30, 30, 1))) for image in FOUR[:2]]  # 720 pixels
+    options = {"size": None, "solve_size": 12, "max_particles": 50_000, "backend": device}
+    mixes = clmorph.mix([*large, FOUR[2]], [[1, 0, 0], [2, 1, 1e-6]], **options)
+    np.testing.assert_array_equal(mixes[0], large[0].astype(np.float32))
+    between = mixes.frame([2, 1, 0])
+    assert mixes.morph(0, 1).pictures is not None
+    beside = mixes[1][: between.shape[0], : between.shape[1]]
+    assert np.abs(beside - between[: len(beside), : beside.shape[1]]).mean() < 0.01

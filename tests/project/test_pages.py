@@ -264,7 +264,9 @@ def test_presets_formats_and_options_are_listed():
         assert all(f"`{ending}`" in PAGES[README] for ending in format.endings[:1] if ending)
     sys.path.insert(0, str(ROOT / "tools"))
     table = importlib.import_module("make_option_table")
-    assert table.table() in PAGES["clmorph/cli/README.md"], "run tools/make_option_table.py"
+    for options in table.STARTS:
+        written = table.STARTS[options] + table.table(options) + table.END
+        assert written in PAGES["clmorph/cli/README.md"], "run tools/make_option_table.py"
 
 
 def test_versions_agree():
@@ -304,7 +306,7 @@ def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
         if command[0] == "mix":  # it takes all pairs of pictures, which have tests of their own
             assert ways
             continue
-        if command[0] == "rearrange":  # it draws the pixels themselves
+        if command[0] in ("rearrange", "recolor"):  # they draw the pixels themselves
             assert not ways
             continue
         sprites = "cat.png" in command or "--config" in command
@@ -381,6 +383,12 @@ def barycenter_names(names):
     return {name: bump / bump.sum() for name, bump in bumps.items()}
 
 
+def map_names(names):
+    """What the reader has who maps points: some more points of the space of the measures."""
+    points = np.random.default_rng(7).random((30, names["target"].points.shape[1]))
+    return {"points": points}
+
+
 def many_names(names):
     """What the reader has where many problems are solved at once."""
     rng = np.random.default_rng(6)
@@ -444,13 +452,14 @@ GIVEN = {
     ("clmorph/transport/README.md", "The solver alone"): solver_names,
     ("clmorph/transport/README.md", "Barycenters"): barycenter_names,
     ("clmorph/transport/README.md", "Many problems at once"): many_names,
+    ("clmorph/transport/README.md", "Maps"): map_names,
 }
 #: Clients of Dask that a page has opened.
 OPEN = []
 #: Files that blocks leave.
 LEFT = {
     README: ("out.gif",),
-    "clmorph/pipeline/README.md": ("out.gif", "tour.webp", "out.npz"),
+    "clmorph/pipeline/README.md": ("out.gif", "tour.webp", "out.npz", "recolored.png"),
 }
 
 

@@ -8,6 +8,7 @@ from plain import reference
 
 import clmorph
 from clmorph import ConvergenceWarning, InputError
+from clmorph.transport._solver.plan_softmin import FEW_NEAR
 
 REACHES = [0.4, 3.0, (0.3, 1.0), (0.5, None), None]
 #: Of the largest component.
@@ -163,3 +164,51 @@ def test_no_gradient_of_other_problems(rng):
     solved = clmorph.sinkhorn(source, target, 0.2, 0.5, backend="numpy")
     with pytest.raises(InputError, match="metric for each source pixel"):
         clmorph.gradient(source, target, solved, backend="numpy")
+
+
+@pytest.mark.parametrize("reach", [0.4, None])
+def test_a_batch_gives_what_a_loop_gives(any_backend, rng, reach):
+    pairs = [problem(rng, reach is None, n, m) for n, m in ((9, 12), (30, 7), (1, 1))]
+    pairs.append((pairs[0][0], pairs[0][0]))  # equal measures
+    pairs.append((pairs[0][0], pairs[1][1]))  # measures that occurred before
+    sources, targets = zip(*pairs, strict=True)
+    options = {"tol": 1e-6, "max_iter": 5000, "backend": any_backend, "gradient": True}
+    found = clmorph.sinkhorn_divergence_batch(sources, targets, 0.2, reach, **options)
+    for pair, got in zip(pairs, found, strict=True):
+        want = clmorph.sinkhorn_divergence(*pair, 0.2, reach, **options)
+        assert got.value == pytest.approx(want.value, rel=1e-5, abs=1e-7)
+        assert got.interval[0] <= want.interval[1]
+        assert want.interval[0] <= got.interval[1]
+        largest = max(np.abs(getattr(want.gradient, name)).max() for name in NAMES)
+        for name in NAMES:
+            np.testing.assert_allclose(
+                getattr(got.gradient, name), getattr(want.gradient, name),
+                rtol=0, atol=TOLERANCE * largest + 1e-7,
+            )  # fmt: skip
+    assert float(found[3]) == 0.0
+    assert not found[3].gradient.source_points.any()
+    assert clmorph.sinkhorn_divergence_batch([], [], 0.2, reach, backend="numpy") == []
+
+
+def test_a_batch_names_the_pair_that_is_wrong(rng):
+    good, bad = problem(rng, False), (([1.0], [[np.nan, 0.0]]), ([1.0], [[0.0, 0.0]]))
+    with pytest.raises(InputError, match=r"^problem 1: "):
+        clmorph.sinkhorn_divergence_batch(*zip(good, bad, strict=True), 0.2, 0.5, backend="numpy")
+    with pytest.warns(ConvergenceWarning, match="problem 0"):
+        clmorph.sinkhorn_divergence_batch([good[0]], [good[1]], 0.01, 0.5, 1e-6, 1, backend="numpy")
+
+
+@pytest.mark.parametrize(("blur", "length"), [(0.02, 12.0), (0.3, 1.0)])
+def test_truncated_sums(any_backend, rng, blur, length):
+    """With few near pairs, and with so many that all pairs are summed."""
+    (a, x), (b, y) = problem(rng, False, 700, 900)
+    pair = (a, x * [length, 1.0]), (b, y * [length, 1.0])
+    options = {"tol": 1e-5, "max_iter": 5000, "backend": any_backend, "multiscale": False}
+    near = clmorph.sinkhorn(*pair, blur, 0.2, **options, truncation=1e-7)
+    assert (near.visited <= FEW_NEAR) == (length > 1)
+    got = clmorph.gradient(*pair, near, backend=any_backend)
+    exact = clmorph.sinkhorn(*pair, blur, 0.2, **options, truncation=None)
+    want = clmorph.gradient(*pair, exact, backend=any_backend)
+    for name in NAMES:
+        limit = TOLERANCE * np.abs(getattr(want, name)).max()
+        np.testing.assert_allclose(getattr(got, name), getattr(want, name), rtol=0, atol=limit)

@@ -245,6 +245,25 @@ class NumPyOperations:
         with np.errstate(divide="ignore"):
             return largest + np.log(np.exp(exponents - largest[:, None]).sum(axis=1))
 
+    def barycentric_projection(
+        self,
+        rows: Cloud,
+        columns: Cloud,
+        g: Float64,
+        epsilon: float,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, Float64]:
+        """Return T(g), and the mean of each row's destinations."""
+        softmin, mean = np.empty(len(rows.points)), np.empty(rows.points.shape)
+        for block, exponents in exponent_blocks(rows, columns, g, epsilon, near):
+            largest = exponents.max(axis=1, keepdims=True)
+            share = np.exp(exponents - largest)
+            sums = share.sum(axis=1)
+            softmin[block] = -epsilon * (np.log(sums) + largest[:, 0])
+            mean[block] = (share @ columns.points) / sums[:, None]
+        return softmin, mean
+
     def plan_moments(
         self,
         rows: Cloud,

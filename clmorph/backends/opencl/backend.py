@@ -13,6 +13,7 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.devices.process import claim_opencl, device_lock
 from clmorph.backends.opencl.devices.quirks import shares_host_memory
 from clmorph.backends.opencl.devices.speed import probed_speed, record_key
+from clmorph.backends.opencl.kernels.barycentric_projection import BarycentricProjection
 from clmorph.backends.opencl.kernels.batches import BatchLogSumExp
 from clmorph.backends.opencl.kernels.clouds import CloudStore
 from clmorph.backends.opencl.kernels.half_steps import HalfSteps
@@ -103,6 +104,7 @@ class OpenCLOperations:
         log_sum_exp, near_field = LogSumExp(loop), NearField(loop)
         batches = BatchLogSumExp(loop, log_sum_exp)
         plan_rows, plan_shares = PlanRowReductions(loop), PlanShares(loop)
+        projection = BarycentricProjection(loop)
         self.plan_row_reductions = plan_rows
         stored = SlicedEllpack(loop, plan_rows)
         splatting = self.splatting = Splatting(self.work, self.constants, self.programs)
@@ -120,6 +122,7 @@ class OpenCLOperations:
         self.near_pairs = take_turns(near_field.near_pairs)
         self.count_plan_rows = take_turns(plan_rows.count_plan_rows)
         self.plan_rows = take_turns(plan_rows.plan_rows)
+        self.barycentric_projection = take_turns(projection.barycentric_projection)
         self.plan_moments = take_turns(plan_shares.plan_moments)
         self.sample_plan_rows = take_turns(plan_shares.sample_plan_rows)
         self.store_pairs = take_turns(stored.store_pairs)

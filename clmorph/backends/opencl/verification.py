@@ -22,6 +22,7 @@ from clmorph.backends.verification.reductions import (
     check_draws,
     check_near_pairs,
     check_plan_moments,
+    check_projection,
     check_row_maxima,
     check_softmin,
 )
@@ -115,6 +116,16 @@ def _check_plan_rows(operations: Adjustable, variant: Variant) -> _Checks:
         yield from check_plan_rows(few_rows(operations, exact, variant.dimension), variant.precise)
 
 
+def _check_barycentric_projection(operations: Adjustable, variant: Variant) -> _Checks:
+    exact = NumPyOperations()
+    yield from check_projection(
+        several_tiles(operations, exact, variant.dimension), variant.precise, variant.listed
+    )
+    if not variant.listed:
+        few = few_rows(operations, exact, variant.dimension)
+        yield from check_projection(few, variant.precise)
+
+
 def _check_plan_shares(operations: Adjustable, variant: Variant) -> _Checks:
     exact = NumPyOperations()
     cases = [several_tiles(operations, exact, variant.dimension)]
@@ -162,6 +173,7 @@ _CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
     "log_sum_exp.cl": _check_log_sum_exp,
     "near_field.cl": _check_near_field,
     "plan_rows.cl": _check_plan_rows,
+    "barycentric_projection.cl": _check_barycentric_projection,
     "plan_shares.cl": _check_plan_shares,
     "half_steps.cl": _check_half_steps,
     "sliced_ellpack.cl": _check_sliced_ellpack,

@@ -221,6 +221,26 @@ class SeveralDevices:
 
         return in_order(rows, self._team.over_parts(rows, of_part))
 
+    def barycentric_projection(
+        self,
+        rows: Any,
+        columns: Any,
+        g: Float64,
+        epsilon: float,
+        precise: bool = False,
+        near: NearPairs | None = None,
+    ) -> tuple[Float64, Float64]:
+        """Return T(g), and the mean of each row's destinations."""
+
+        def of_part(member: Operations, part: Part, place: int) -> tuple[Float64, Float64]:
+            whole = columns.whole[part.member]
+            own = own_pairs(near, place)
+            return member.barycentric_projection(part.cloud, whole, g, epsilon, precise, own)
+
+        found = self._team.over_parts(rows, of_part)
+        softmin = in_order(rows, [(part, own) for part, (own, _) in found])
+        return softmin, in_order(rows, [(part, own) for part, (_, own) in found])
+
     def plan_moments(
         self,
         rows: Cloud,

@@ -55,21 +55,41 @@ def check_near_pairs(case: CloudCase) -> Iterator[Finding]:
     yield Finding(f"near_pairs{case.name}", error, case.tolerance(), "nats")
 
 
+def check_projection(
+    case: CloudCase, precise: bool = False, listed: bool = False
+) -> Iterator[Finding]:
+    """Compare soft minima and the mean of each row's destinations, which one pass computes."""
+    near = case.near if listed else None
+    softmin, mean = case.operations.barycentric_projection(
+        *case.ours, case.g, case.epsilon, precise, near
+    )
+    name = f"{'precise ' * precise}barycentric_projection{' over near pairs' * listed}{case.name}"
+    yield Finding(f"{name}, softmin", _off(case, softmin, near), case.tolerance(precise), "nats")
+    tolerance, size = _moments_tolerance(case, precise, listed)
+    error = float(np.abs(mean - case.moments[0]).max() / (2 * size))
+    yield Finding(f"{name}, mean", error, tolerance, "of the clouds' size")
+
+
+def _moments_tolerance(case: CloudCase, precise: bool, listed: bool) -> tuple[float, float]:
+    """Return the tolerated error of moments relative to the clouds' size, and this size."""
+    columns = case.columns[0]
+    size = float(np.ptp(np.concatenate((case.rows[0], columns)), axis=0).max())
+    # Errors of an exponent cancel in part, because moments are divided by the row's sum.
+    tolerance = UNIT * (32 + 4 * len(columns) ** 0.5) + (0 if precise else case.tolerance())
+    return tolerance + 1.5 * BUDGET * listed, size
+
+
 def check_plan_moments(
     case: CloudCase, precise: bool = False, listed: bool = False
 ) -> Iterator[Finding]:
     """Compare mean and covariance of each row's destinations."""
-    columns = case.columns[0]
     near, softmin = None, case.softmin
     if listed:
         near = case.near
         softmin = case.operations.softmin(*case.ours, case.g, case.epsilon, precise, near)
     got = case.operations.plan_moments(*case.ours, case.g, softmin, case.epsilon, precise, near)
     want = case.moments
-    size = float(np.ptp(np.concatenate((case.rows[0], columns)), axis=0).max())
-    # Errors of an exponent cancel in part, because moments are divided by the row's sum.
-    tolerance = UNIT * (32 + 4 * len(columns) ** 0.5) + (0 if precise else case.tolerance())
-    tolerance += 1.5 * BUDGET * listed
+    tolerance, size = _moments_tolerance(case, precise, listed)
     kind = f"{'precise ' * precise}plan_moments{' over near pairs' * listed}{case.name}"
     scales = 2 * size, 8 * size**2
     for name, mine, exact, scale in zip(("mean", "covariance"), got, want, scales, strict=True):

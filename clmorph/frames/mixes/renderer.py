@@ -24,21 +24,21 @@ from clmorph.frames.bands import (
     mixed,
 )
 from clmorph.frames.canvas import Canvas, canvas_at
+from clmorph.frames.ends import End
 from clmorph.frames.halfway import GRID_SIDE, STEPS, STRIDE, Halfway, sampled
 from clmorph.frames.mixes.particles import MixedParticles, upload
 from clmorph.frames.render import Widths, render
 from clmorph.images.color import from_space, to_space
-from clmorph.measures.measure import Measure
 
 Array = NDArray[np.float64]
 
 
-def mixed_canvas(measures: Sequence[Measure], weights: Sequence[float]) -> Canvas:
+def mixed_canvas(pictures: Sequence[End], weights: Sequence[float]) -> Canvas:
     """Return the canvas of a mixture, whose sides are the weighted means of those of the images."""
     # The small number keeps rounding from turning an integer into the one below.
-    sides = np.array([measure.shape for measure in measures])
+    sides = np.array([picture.shape for picture in pictures])
     height, width = np.floor(np.array(weights) @ sides + 1e-9).astype(int).tolist()
-    if measures[0].extent == "unit":
+    if pictures[0].extent == "unit":
         return Canvas((height, width), (width - 1.0, height - 1.0))
     per_unit = float(np.array(weights) @ (sides.max(axis=1) - 1))
     return Canvas((height, width), (per_unit, per_unit))
@@ -58,7 +58,8 @@ class MixRenderer:
 
     Parameters
     ----------
-    measures : sequence of Measure
+    pictures : sequence of End
+        The images, which can have more pixels than the measures of the particles.
     particles : MixedParticles
     motions : mapping of (i, j) to Halfway
         The motion between each pair of images, i < j.
@@ -68,16 +69,16 @@ class MixRenderer:
 
     def __init__(
         self,
-        measures: Sequence[Measure],
+        pictures: Sequence[End],
         particles: MixedParticles,
         motions: Mapping[tuple[int, int], Halfway],
         path_space: str,
         operations: Operations,
     ) -> None:
-        self._measures, self._particles, self._space = measures, particles, path_space
+        self._pictures, self._particles, self._space = pictures, particles, path_space
         self._operations = operations
         self._canvases = [
-            canvas_at(0.0, each.shape, each.shape, each.extent) for each in measures
+            canvas_at(0.0, each.shape, each.shape, each.extent) for each in pictures
         ]  # fmt: skip
         self._grids = [canvas.reduced(GRID_SIDE // STRIDE) for canvas in self._canvases]
         #: The displacement from image i to image j, on the grid of image i.
@@ -94,7 +95,7 @@ class MixRenderer:
         weights : sequence of float
             The weight of each image, with the sum 1.
         """
-        canvas = mixed_canvas(self._measures, weights)
+        canvas = mixed_canvas(self._pictures, weights)
         shown = [i for i, weight in enumerate(weights) if weight > 0]
         bands, shares = [self._bands[i] for i in shown], [weights[i] for i in shown]
         coarse = coarse_canvas(canvas)
@@ -130,9 +131,9 @@ class MixRenderer:
     @cached_property
     def _bands(self) -> list[Bands]:
         found = []
-        for i, (measure, canvas) in enumerate(zip(self._measures, self._canvases, strict=True)):
-            alone = [float(i == k) for k in range(len(self._measures))]
+        for i, (picture, canvas) in enumerate(zip(self._pictures, self._canvases, strict=True)):
+            alone = [float(i == k) for k in range(len(self._pictures))]
             shown = self._colors(alone, coarse_canvas(canvas), coarse_band_width(canvas))
-            image = to_space(measure.colors, self._space).reshape(*measure.shape, 3)
+            image = to_space(picture.colors, self._space)
             found.append(Bands.of(image, canvas, shown))
         return found

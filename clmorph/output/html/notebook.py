@@ -1,5 +1,6 @@
 """A morph in a notebook: its page in an iframe, small enough to be saved with the notebook."""
 
+import math
 from html import escape
 
 import numpy as np
@@ -44,7 +45,7 @@ def repr_html(
     """
     max_pixels = check_number("max_pixels", max_pixels, 1.0, 1e12)
     count = len(morph.times)
-    pixels = max(height * width for height, width in (morph.source.shape, morph.target.shape))
+    pixels = max(math.prod(morph.canvas(t).shape) for t in (0.0, 1.0))
     shown = min(count, max(2, int(max_pixels // pixels)))
     chosen = np.unique(np.round(np.linspace(0, count - 1, shown)).astype(int))
     notes = []

@@ -219,8 +219,8 @@ def known_parameters(morph: FrameSequence) -> dict[str, Any]:
         for side in (reach if isinstance(reach, tuple) else (reach,))
     ]
     known = {
-        "source_size": [source.shape[1], source.shape[0]],
-        "target_size": [morph.target.shape[1], morph.target.shape[0]],
+        "source_size": list(morph.canvas(0.0).shape[::-1]),
+        "target_size": list(morph.canvas(1.0).shape[::-1]),
         "blur": _short(potentials.blur),
         "reach": reaches if len(reaches) > 1 else reaches[0],
         "color_weight": _short(source.color_weight),

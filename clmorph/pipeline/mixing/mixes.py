@@ -16,6 +16,7 @@ from clmorph._shared.progress import StageProgress
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_integer
 from clmorph.backends.interface import Operations
+from clmorph.frames.ends import ends_of
 from clmorph.frames.mixes.particles import MixedParticles
 from clmorph.frames.mixes.renderer import MixRenderer
 from clmorph.frames.sequence import Frame
@@ -332,7 +333,11 @@ class Mixes(Sequence[Frame]):
                 assert isinstance(morph.plan, Plan)
                 assert morph.halfway is not None
                 plans[first, second], motions[first, second] = morph.plan, morph.halfway
-        measures = [self.morph(0, 1).source, *(self.morph(0, k).target for k in self._others)]
+        # In each pair with an image its measure, and its picture, are the same.
+        pairs = [self.morph(0, k) for k in range(1, len(self.images))]
+        measures = [pairs[0].source, *(pair.target for pair in pairs)]
+        ends = [ends_of((pair.source, pair.target), pair.pictures) for pair in pairs]
+        pictures = [ends[0][0], *(end for _, end in ends)]
         options = self.options
         n = sum(map(len, measures))
         draws = DRAWS if options.max_particles is None else options.max_particles // n
@@ -340,11 +345,7 @@ class Mixes(Sequence[Frame]):
             measures, plans, options.unmatched, options.path_space, min(max(draws, 1), DRAWS),
             options.seed,
         )  # fmt: skip
-        return MixRenderer(measures, particles, motions, options.path_space, self.operations)
-
-    @property
-    def _others(self) -> range:
-        return range(1, len(self.images))
+        return MixRenderer(pictures, particles, motions, options.path_space, self.operations)
 
     def _halves(self, weights: Array) -> tuple[Array, Array, bytes]:
         """Return the weights of the mixes of both halves of the images that are shown."""

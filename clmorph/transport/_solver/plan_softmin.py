@@ -9,8 +9,12 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import largest_cost
-from clmorph.transport._solver.softmin import Softmin
+from clmorph.transport._solver.softmin import Softmin, check_finite
 from clmorph.transport.potentials import Potentials, check_origin, check_potentials
+
+#: Near pairs are chosen before a single pass if the solver visited at most this share of all pairs:
+#: to choose them costs a pass over them.
+FEW_NEAR = 0.3
 
 
 def plan_softmin(
@@ -54,18 +58,74 @@ def row_softmin(
     """
     check_potentials("potentials", potentials, (len(source), len(target)))
     operations = get_backend(backend)
-    clouds = (
-        operations.upload(source.points, source.weights, source.offsets),
-        operations.upload(target.points, target.weights, target.offsets),
-    )
+    clouds = uploaded(operations, source), uploaded(operations, target)
     to_rows = plan_softmin(operations, clouds, (source, target), potentials)
     softmin = to_rows(potentials.g, potentials.epsilon, potentials.precise)
+    _check_rows(source, target, potentials, to_rows, softmin)
+    return operations, clouds, to_rows, softmin
+
+
+def uploaded(operations: Operations, measure: AnyMeasure) -> Any:
+    """Return a measure as a cloud in the backend's memory."""
+    return operations.upload(measure.points, measure.weights, measure.offsets)
+
+
+def row_projection(
+    operations: Operations,
+    clouds: tuple[Any, Any],
+    pair: tuple[AnyMeasure, AnyMeasure],
+    potentials: Potentials,
+) -> tuple[Array, Array]:
+    """Return T(g) of the rows of a plan, and the mean of each row's destinations, from one pass.
+
+    Where the solver left out most of the pairs, a pass before that one chooses the near ones.
+
+    Parameters
+    ----------
+    operations : Operations
+    clouds : (rows, columns)
+        The measures in the backend's memory.
+    pair : (source, target)
+    potentials : Potentials
+
+    Returns
+    -------
+    softmin : (N,) array
+        T(g), cost units.
+    mean : (N, D) array
+
+    Raises
+    ------
+    InputError
+        As `row_softmin` does.
+    """
+    check_potentials("potentials", potentials, (len(pair[0]), len(pair[1])))
+    to_rows = plan_softmin(operations, clouds, pair, potentials)
+    g, epsilon, precise = potentials.g, potentials.epsilon, potentials.precise
+    if potentials.truncation is not None and potentials.visited <= FEW_NEAR:
+        to_rows(g, epsilon, precise)
+    rows, columns = clouds
+    softmin, mean = operations.barycentric_projection(
+        rows, columns, g, epsilon, precise, to_rows.near
+    )
+    check_finite(softmin)
+    _check_rows(*pair, potentials, to_rows, softmin)
+    return softmin, mean
+
+
+def _check_rows(
+    source: AnyMeasure,
+    target: AnyMeasure,
+    potentials: Potentials,
+    to_rows: Softmin,
+    softmin: Array,
+) -> None:
+    """Raise an `InputError` if potentials are those of other measures."""
     rounding = to_rows.rounding(
         len(target), largest_cost(source.points, target.points), potentials.epsilon,
         potentials.precise,
     )  # fmt: skip
     check_origin(potentials, row_mass(source.weights, potentials, softmin), rounding)
-    return operations, clouds, to_rows, softmin
 
 
 def row_mass(weights: Array, potentials: Potentials, softmin: Array) -> Array:

@@ -139,7 +139,7 @@ class Softmin:
             epsilon,
             self.reserve * self.truncation,
         )
-        _finite(near.softmin)
+        check_finite(near.softmin)
         self.guess = near.softmin
         if self.proven and float(near.skipped.max()) > self.truncation:
             return None
@@ -157,7 +157,7 @@ class Softmin:
             softmin = self.operations.softmin(*arguments, precise)
         else:
             softmin = self.operations.softmin(*arguments, precise, near)
-        self.near, self.guess, self.left_out = near, _finite(softmin), 0.0
+        self.near, self.guess, self.left_out = near, check_finite(softmin), 0.0
         return softmin
 
     @property
@@ -191,7 +191,7 @@ class Softmin:
         return rounding_error(self.operations, n_columns, largest_cost / epsilon, precise)
 
 
-def _finite(softmin: Array) -> Array:
+def check_finite(softmin: Array) -> Array:
     """Return a softmin if it is finite; values in the range of float64 can overflow in float32."""
     if np.all(np.isfinite(softmin)):
         return softmin

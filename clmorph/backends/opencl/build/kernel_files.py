@@ -4,6 +4,7 @@
 KERNELS = {
     "log_sum_exp.cl": ("log_sum_exp",),
     "near_field.cl": ("largest_shares", "measure_tiles"),
+    "barycentric_projection.cl": ("barycentric_projection",),
     "plan_rows.cl": ("count_plan_rows", "fill_plan_rows"),
     "plan_shares.cl": ("plan_moments", "sample_plan_rows"),
     "half_steps.cl": ("prepare_rows", "row_step", "column_step"),

@@ -1,0 +1,63 @@
+"""The pictures that frames show at both ends, which can have more pixels than what is lifted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.measures.measure import Measure
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """A picture that frames show at one end.
+
+    Attributes
+    ----------
+    colors : (H, W, 3) array
+        sRGB in [0, 1].
+    alpha : (H, W) array or None
+        Opacity; None if all pixels are opaque.
+    extent : str
+        How pixels map to positions, see `clmorph.lift`.
+    """
+
+    colors: Array
+    alpha: Array | None
+    extent: str
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return self.colors.shape[0], self.colors.shape[1]
+
+    @classmethod
+    def of(cls, measure: Measure) -> End:
+        """Return the picture whose pixels a measure has."""
+        alpha = None if measure.alpha is None else measure.alpha.reshape(measure.shape)
+        return cls(measure.colors.reshape(*measure.shape, 3), alpha, measure.extent)
+
+
+def ends_of(
+    measures: tuple[Measure, Measure], pictures: Sequence[Array] | None = None
+) -> tuple[End, End]:
+    """Return both ends.
+
+    Parameters
+    ----------
+    measures : (source, target)
+    pictures : pair of (H, W, 3) arrays, optional
+        Opaque pictures in place of those whose pixels the measures have.
+    """
+    if pictures is None:
+        return End.of(measures[0]), End.of(measures[1])
+    first, second = (
+        End(picture, None, measure.extent)
+        for picture, measure in zip(pictures, measures, strict=True)
+    )
+    return first, second

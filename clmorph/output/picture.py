@@ -1,0 +1,170 @@
+"""Single pictures: ``.png``, ``.jpg``, ``.webp`` and ``.tif``, with the options that made them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clmorph._shared.files import atomic_path, check_file_place
+from clmorph._shared.printable import printable
+from clmorph._shared.typing import Array, ArrayLike
+from clmorph._shared.validation import is_path, shown
+from clmorph.errors import InputError, OutputError
+from clmorph.images.pixels import as_pixels, as_rgb, to_bytes
+from clmorph.output.formats.limits import check_sides, encoding
+from clmorph.output.formats.webp import LONGEST_SIDE, LOSSLESS_EFFORT, as_exif
+from clmorph.output.metadata import IMAGE_DESCRIPTION, as_png_info, as_text, image_head
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+#: The first bytes of a JPEG, and its longest side in pixels: the field has 16 bits.
+JPEG_START, JPEG_SIDE = b"\xff\xd8\xff", 65500
+#: Quality of JPEG, from 0 to 100; its colors are not subsampled.
+JPEG_QUALITY = 95
+
+
+def _image(pixels: Array) -> Image:
+    from PIL import Image
+
+    return Image.fromarray(to_bytes(pixels))
+
+
+@encoding("PNG")
+def _write_png(pixels: Array, parameters: Mapping[str, Any], file: Path) -> None:
+    _image(pixels).save(file, format="PNG", pnginfo=as_png_info(parameters), optimize=False)
+
+
+@encoding("JPEG")
+def _write_jpeg(pixels: Array, parameters: Mapping[str, Any], file: Path) -> None:
+    check_sides((pixels.shape[1], pixels.shape[0]), JPEG_SIDE, "JPEG")
+    _image(as_rgb(pixels)).save(
+        file, format="JPEG", quality=JPEG_QUALITY, subsampling=0, exif=as_exif(parameters)
+    )
+
+
+@encoding("WebP")
+def _write_webp(pixels: Array, parameters: Mapping[str, Any], file: Path) -> None:
+    check_sides((pixels.shape[1], pixels.shape[0]), LONGEST_SIDE, "WebP")
+    _image(pixels).save(
+        file, format="WEBP", lossless=True, exact=True, quality=LOSSLESS_EFFORT, method=4,
+        exif=as_exif(parameters),
+    )  # fmt: skip
+
+
+@encoding("TIFF")
+def _write_tiff(pixels: Array, parameters: Mapping[str, Any], file: Path) -> None:
+    import tifffile
+
+    tifffile.imwrite(
+        file, np.rint(65535.0 * pixels).astype(np.uint16), photometric="rgb",
+        planarconfig="contig", compression="zlib", software=False, metadata=None,
+        extrasamples=["unassalpha"] if pixels.shape[2] == 4 else None,
+        description=as_text(parameters),
+    )  # fmt: skip
+
+
+#: The writer of each ending. JPEG has no opacity: its pictures are laid on white.
+WRITERS: dict[str, Callable[[Array, Mapping[str, Any], Path], None]] = {
+    ".png": _write_png,
+    ".jpg": _write_jpeg,
+    ".jpeg": _write_jpeg,
+    ".webp": _write_webp,
+    ".tif": _write_tiff,
+    ".tiff": _write_tiff,
+}
+
+
+def check_picture_place(path: str | PathLike[str]) -> Path:
+    """Return the path at which a picture can be written, before it is computed.
+
+    Raises
+    ------
+    OutputError
+        If the ending is unknown, or the path cannot be written to.
+    """
+    if not is_path(path):
+        raise OutputError(f"path={shown(path)}: expected a path such as 'out.png'")
+    ending = Path(path).suffix.lower()
+    if ending not in WRITERS:
+        raise OutputError(
+            f"{path}: unknown ending {printable(repr(ending), 40)}; expected "
+            f"{', '.join(WRITERS)} for a single picture"
+        )
+    return check_file_place(path)
+
+
+def write_picture(pixels: Array, parameters: Mapping[str, Any], file: Path) -> None:
+    """Write a picture to a new file in the format of its ending.
+
+    Parameters
+    ----------
+    pixels : (H, W, 3) or (H, W, 4) array
+        sRGB in [0, 1].
+    parameters : mapping
+        Metadata, as values that JSON can represent.
+    file : Path
+    """
+    WRITERS[file.suffix.lower()](pixels, parameters, file)
+
+
+def write_image(
+    path: str | PathLike[str],
+    image: ArrayLike,
+    *,
+    parameters: Mapping[str, Any] | None = None,
+) -> None:
+    """Write an image to a file, the counterpart of `clmorph.read_image`.
+
+    Parameters
+    ----------
+    path : path
+        ``.png``, ``.jpg`` (without opacity, on white), ``.webp`` (without loss), or ``.tif``, which
+        has 16 bits a channel; the others have 8. An existing file is replaced.
+    image : (H, W), (H, W, 3) or (H, W, 4) array
+        See `clmorph.images.pixels.as_pixels`.
+    parameters : mapping, optional
+        Metadata of the file, as values that JSON can represent.
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+    OutputError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> import clmorph
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pathlib.Path(folder, "gray.png")
+    ...     clmorph.write_image(file, np.full((2, 2, 3), 0.6))
+    ...     clmorph.read_image(file)[0, 0].tolist()
+    [0.6, 0.6, 0.6]
+    """
+    place = check_picture_place(path)
+    if parameters is not None and not isinstance(parameters, Mapping):
+        raise InputError(f"parameters={shown(parameters)}: expected a mapping that JSON takes")
+    pixels, metadata = as_pixels(image), parameters or {}
+    try:
+        as_text(metadata)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InputError(
+            f"parameters: expected what JSON takes ({printable(str(error), 120)})"
+        ) from None
+    with atomic_path(place) as file:
+        write_picture(pixels, metadata, file)
+
+
+def read_jpeg(path: Path) -> str:
+    """Return the metadata text of a JPEG: the description in its Exif."""
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    with image_head(JpegImageFile, path) as image:
+        return str(image.getexif().get(IMAGE_DESCRIPTION, ""))

@@ -1,0 +1,155 @@
+"""A smooth map of colors: the debiased entropic map, on a lattice where colors occur."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import (
+    distance_transform_edt,
+    grey_dilation,
+    map_coordinates,
+    spline_filter,
+)
+
+from clmorph._shared.progress import Report
+from clmorph._shared.typing import Array
+from clmorph.backends.interface import Operations
+from clmorph.measures.cluster import make_clusters
+from clmorph.measures.points import AnyMeasure, WeightedPoints
+from clmorph.transport.entropic_map import entropic_map
+from clmorph.transport.potentials import Potentials
+from clmorph.transport.sinkhorn import sinkhorn
+
+#: Largest number of clusters of colors between which the transport is solved; their first side,
+#: and the step of the lattice, in blurs; and the factor by which these grow.
+CLUSTERS, SIDE, STEP, GROWTH = 2048, 0.5, 0.5, 1.2
+#: Largest number of nodes of the lattice, of which those near colors are computed.
+NODES = 1 << 19
+#: Nodes around a color on each side that are computed; a cubic spline has 2, its filter decays.
+AROUND = 3
+#: Residual at which the solver stops, in units of epsilon.
+TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ColorMap:
+    """The step of each color, interpolated by cubic splines between the nodes of a lattice.
+
+    Attributes
+    ----------
+    origin : (3,) array
+        The first node, in coordinates of a color space.
+    step : float
+        Distance of neighboring nodes.
+    coefficients : (3, n, m, k) array
+        Coefficients of the splines of the three components.
+    """
+
+    origin: Array
+    step: float
+    coefficients: Array
+
+    def steps(self, colors: Array) -> Array:
+        """Return the steps of colors (N, 3); beyond the lattice those of its border."""
+        places = (colors - self.origin) / self.step
+        ends = np.array(self.coefficients.shape[1:]) - 2.0
+        places = np.clip(places, 1.0, ends).T
+        return np.stack(
+            [
+                map_coordinates(each, places, order=3, mode="mirror", prefilter=False)
+                for each in self.coefficients
+            ],
+            axis=1,
+        )
+
+
+def color_map(
+    source: WeightedPoints,
+    target: WeightedPoints,
+    blur: float,
+    reach: float | None,
+    operations: Operations,
+    report: Report,
+) -> ColorMap:
+    """Transport one distribution of colors into another one, and return the map of colors.
+
+    The step of a color x is that of the Sinkhorn divergence, T(x) - T_own(x) (see
+    `Potentials.map`), which vanishes between equal distributions. If `reach` is given it is
+    multiplied by the share of the mass at x that moves and is not destroyed,
+    min(1, exp(-(f - f_own)(x) / rho)), so that colors without a counterpart within reach stay.
+
+    Parameters
+    ----------
+    source, target : WeightedPoints
+        Colors (N, 3) in coordinates of a color space, of any masses.
+    blur, reach : float
+        In the unit of these coordinates; a reach of None is balanced.
+    operations : Operations
+    report : callable
+        Called with the share of the work that is done.
+    """
+    a, b = (_clusters(measure, SIDE * blur) for measure in (source, target))
+    cross = sinkhorn(
+        a, b, blur, reach, TOLERANCE, backend=operations,
+        progress=lambda share: report(0.4 * share),
+    )  # fmt: skip
+    own = sinkhorn(
+        a, a, blur, reach, TOLERANCE, backend=operations,
+        progress=lambda share: report(0.4 + 0.4 * share),
+    )  # fmt: skip
+    origin, step, near = _lattice(source.points, STEP * blur)
+    nodes = origin + step * np.argwhere(near)
+    values = _steps(nodes, (a, b), (cross, own), operations)
+    # Farther nodes take the step of the nearest one that is computed.
+    place = distance_transform_edt(~near, return_distances=False, return_indices=True)
+    lattice = np.zeros((3, *near.shape))
+    lattice[:, near] = values.T
+    coefficients = [spline_filter(each[tuple(place)], order=3, mode="mirror") for each in lattice]
+    report(1.0)
+    return ColorMap(origin, step, np.stack(coefficients))
+
+
+def _steps(
+    nodes: Array,
+    measures: tuple[AnyMeasure, AnyMeasure],
+    solved: tuple[Potentials, Potentials],
+    operations: Operations,
+) -> Array:
+    """Return the debiased steps of colors (K, 3)."""
+    cross, own = (
+        entropic_map(nodes, measure, each.g, each.epsilon, operations, each.precise)
+        for measure, each in zip(measures[::-1], solved, strict=True)
+    )
+    steps = cross.means - own.means
+    rho, epsilon = solved[0].rho, solved[0].epsilon
+    if np.isinf(rho):
+        return steps
+    # f = T(g) / (1 + epsilon / rho) at any point
+    nats = (cross.softmins - own.softmins) / (rho + epsilon)
+    return np.asarray(np.exp(-np.maximum(nats, 0.0))[:, None] * steps)
+
+
+def _clusters(measure: WeightedPoints, side: float) -> WeightedPoints:
+    """Return clusters of colors of mass 1 in all, at most `CLUSTERS`."""
+    while True:
+        found = make_clusters(measure, side).measure
+        if len(found) <= CLUSTERS:
+            return WeightedPoints(found.points, found.weights / found.mass)
+        side *= GROWTH
+
+
+def _lattice(points: Array, step: float) -> tuple[Array, float, NDArray[np.bool_]]:
+    """Return origin and step of a lattice around points, and which of its nodes are near points."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    while True:
+        shape = np.ceil((high - low) / step).astype(int) + 1 + 2 * AROUND
+        if np.prod(shape.astype(float)) <= NODES:
+            break
+        step *= GROWTH
+    origin = low - AROUND * step
+    near = np.zeros(shape, bool)
+    near[tuple(np.floor((points - origin) / step).astype(int).T)] = True
+    side = 2 * AROUND + 1
+    return origin, step, grey_dilation(near.view(np.uint8), (side, side, side)).astype(bool)

@@ -1,0 +1,225 @@
+"""Give a picture the colors of another one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from clmorph._shared.progress import Share, StageProgress
+from clmorph._shared.threads import in_order
+from clmorph._shared.typing import Array, ArrayLike
+from clmorph._shared.validation import check_progress, shown
+from clmorph.backends.arrays import as_array
+from clmorph.backends.select import Backend, get_backend
+from clmorph.errors import InputError
+from clmorph.images.color import to_space
+from clmorph.images.gamut import into_gamut
+from clmorph.images.pixels import as_pixels, split_alpha
+from clmorph.measures.points import WeightedPoints
+from clmorph.pipeline.color_map import ColorMap, color_map
+from clmorph.pipeline.documentation import documented
+from clmorph.pipeline.keywords import RecolorKeywords
+from clmorph.pipeline.recolor_options import RecolorOptions
+
+#: Number of pixels, in rows and columns at even distances, whose colors make the distributions.
+SAMPLES = 1 << 19
+#: Pixels that are recolored at once.
+CHUNK = 1 << 16
+#: Levels of a channel of 8 bits.
+LEVELS = 256
+
+
+@documented(RecolorOptions)
+def recolor(
+    image: ArrayLike,
+    like: ArrayLike,
+    options: RecolorOptions | None = None,
+    *,
+    mask: ArrayLike | None = None,
+    backend: Backend = "auto",
+    progress: StageProgress | None = None,
+    **given: Unpack[RecolorKeywords],
+) -> Array:
+    """Give a picture the colors of another one, by transport between their distributions of color.
+
+    Every pixel stays in its place, and its color goes where the smooth, debiased map of the
+    transport sends it. Pixels of one color keep one color, and gradients stay smooth.
+
+    Parameters
+    ----------
+    image : array
+        The picture to be recolored, see `clmorph.images.pixels.as_pixels`.
+    like : array
+        The picture that has the colors, of any size. Its pixels count by their opacity.
+    options : RecolorOptions, optional
+        All options at once; options given by name replace those of this object.
+    mask : (H, W) array, optional
+        Where the image is recolored, of its height and width: bool, or uint8, uint16 or floats,
+        of which the largest value (1 for floats) means in full. Other pixels keep their colors
+        exactly, and their colors do not count.
+    backend : str, object of pyopencl, or Operations
+        See `clmorph.get_backend`.
+    progress : callable, optional
+        A function that is called with a stage's name and the share of it that is done.
+    {options}
+
+    Returns
+    -------
+    (H, W, 3) float64 array, or (H, W, 4) if the image has opacity
+        sRGB in [0, 1]; opacity is that of the image. Colors that sRGB cannot show lose chroma, and
+        keep lightness and hue.
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used.
+    DeviceError
+        If the device cannot be found or fails.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clmorph
+    >>> gray = np.linspace(0.0, 1.0, 5)[None]
+    >>> blue = gray[..., None] * [0.2, 0.4, 1.0]
+    >>> clmorph.recolor(gray, blue, reach=None, backend="numpy").round(2)[0, -1].tolist()
+    [0.2, 0.4, 1.0]
+    >>> bool((clmorph.recolor(gray, blue, strength=0, backend="numpy")[..., 0] == gray).all())
+    True
+    """
+    if options is not None and not isinstance(options, RecolorOptions):
+        raise InputError(
+            f"options={shown(options)}: expected RecolorOptions; give single options by name, "
+            "such as strength=0.5"
+        )
+    chosen = RecolorOptions(**given) if options is None else options.replace(**given)
+    report = check_progress(progress)
+    pixels, other = as_pixels(image, "image"), as_pixels(like, "like")
+    amount = None if mask is None else as_mask(mask, (pixels.shape[0], pixels.shape[1]))
+    return recolored(pixels, other, chosen, amount, backend, report)
+
+
+def recolored(
+    pixels: Array,
+    like: Array,
+    options: RecolorOptions,
+    mask: Array | None,
+    backend: Backend,
+    report: StageProgress,
+) -> Array:
+    """Recolor a picture; the parameters are checked ones of `recolor`.
+
+    Parameters
+    ----------
+    pixels, like : (H, W, 3) or (H, W, 4) arrays
+    options : RecolorOptions
+    mask : (H, W) array in [0, 1], optional
+    backend : str or Operations
+    report : callable
+    """
+    operations = get_backend(backend)
+    visible = np.ones(like.shape[:2]) if like.shape[2] == 3 else like[..., 3]
+    if not visible.any():
+        raise InputError("like: every pixel is transparent; expected colors to take")
+    if mask is not None and options.feather > 0:
+        mask = np.clip(gaussian_filter(mask, 0.5 * options.feather, mode="nearest"), 0.0, 1.0)
+    colors, alpha = split_alpha(pixels)
+    masses = np.ones(colors.shape[:2]) if mask is None else mask
+    masses = masses if alpha is None else masses * alpha
+    found = pixels.copy()
+    if options.strength == 0 or not masses.any():
+        return found
+    space = options.color_space
+    pair = _distribution(colors, masses, space), _distribution(like[..., :3], visible, space)
+    change = color_map(
+        *pair, options.blur, options.reach, operations, lambda share: report("colors", share)
+    )
+    amounts = (
+        np.full(colors.shape[:2], options.strength) if mask is None else (options.strength * mask)
+    )
+    _apply(found, change, amounts, space, report)
+    return found
+
+
+def as_mask(mask: Any, shape: tuple[int, int]) -> Array:
+    """Return a mask as an (H, W) array in [0, 1].
+
+    Raises
+    ------
+    InputError
+        If it is no mask for an image of this shape.
+    """
+    expected = f"an array (H, W) = {shape} as the image has, with values in [0, 1]"
+    values = as_array("mask", mask, expected)
+    if values.shape != shape:
+        raise InputError(f"mask has shape {values.shape}: expected {expected}")
+    return np.ascontiguousarray(as_pixels(values, "mask")[..., 0])
+
+
+def _distribution(colors: Array, masses: Array, space: str) -> WeightedPoints:
+    """Return the colors of an image, or of a sample of its pixels, as weighted points."""
+    step = max(1, int(np.ceil(np.sqrt(masses.size / SAMPLES))))
+    if masses[::step, ::step].any():
+        colors, masses = colors[::step, ::step], masses[::step, ::step]
+    seen = masses > 0
+    return WeightedPoints(to_space(colors[seen], space), masses[seen])
+
+
+def _apply(
+    pixels: Array, change: ColorMap, amounts: Array, space: str, report: StageProgress
+) -> None:
+    """Recolor pixels in place, by the shares `amounts`."""
+    flat, shares = pixels.reshape(amounts.size, -1), amounts.ravel()
+    chosen = np.flatnonzero(shares > 0)
+    shares = shares[chosen]
+    codes = _codes(flat, chosen) if np.all(shares == shares[0]) else None
+    if codes is None:
+        flat[chosen, :3] = _moved(flat[chosen, :3], shares, change, space, report)
+        return
+    # Pictures of 8 bits have many more pixels than colors.
+    known = np.zeros(LEVELS**3, bool)
+    known[codes] = True
+    distinct = np.flatnonzero(known)
+    colors = np.stack(np.unravel_index(distinct, (LEVELS,) * 3), axis=1) / (LEVELS - 1.0)
+    found = _moved(colors, shares[: len(distinct)], change, space, report)
+    places = np.zeros(LEVELS**3, np.int32)
+    places[distinct] = np.arange(len(distinct))
+    for part in _parts(len(chosen)):
+        flat[chosen[part], :3] = found[places[codes[part]]]
+
+
+def _parts(count: int) -> Iterator[slice]:
+    """Return the parts of `count` pixels that are worked on at once."""
+    return (slice(start, start + CHUNK) for start in range(0, count, CHUNK))
+
+
+def _codes(flat: Array, chosen: NDArray[np.intp]) -> NDArray[np.int32] | None:
+    """Return one number for each color of 8 bits a channel; None if not all are such colors."""
+    codes = np.empty(len(chosen), np.int32)
+    for part in _parts(len(chosen)):
+        colors = flat[chosen[part], :3]
+        levels = np.rint((LEVELS - 1.0) * colors).astype(np.int32)
+        if not np.array_equal(levels / (LEVELS - 1.0), colors):
+            return None
+        codes[part] = (levels[:, 0] * LEVELS + levels[:, 1]) * LEVELS + levels[:, 2]
+    return codes
+
+
+def _moved(
+    colors: Array, shares: Array, change: ColorMap, space: str, report: StageProgress
+) -> Array:
+    """Return colors (N, 3) after shares (N,) of their steps, computed a part at a time."""
+
+    def moved(part: slice) -> Array:
+        coordinates = to_space(colors[part], space)
+        return into_gamut(coordinates + shares[part, None] * change.steps(coordinates), space)
+
+    found = np.empty_like(colors)
+    for part, result in in_order(moved, _parts(len(colors))):
+        found[part] = result
+        report("pixels", Share(min(1.0, part.stop / len(colors))))
+    return found
