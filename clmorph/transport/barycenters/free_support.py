@@ -30,7 +30,7 @@ import numpy as np
 from clmorph._shared.typing import Array, Progress
 from clmorph.backends.interface import Operations
 from clmorph.measures.points import AnyMeasure, WeightedPoints
-from clmorph.transport._solver.plan_softmin import row_softmin
+from clmorph.transport._solver.plan_softmin import row_projection, uploaded
 from clmorph.transport.barycenters.result import Barycenter
 from clmorph.transport.certificate import MAX_EXPONENT
 from clmorph.transport.divergence import self_transport_of
@@ -57,11 +57,9 @@ def sent(
     source: AnyMeasure, target: AnyMeasure, potentials: Potentials, operations: Operations
 ) -> Sent:
     """Return where the mass of the source's points goes."""
-    _, clouds, to_rows, softmin = row_softmin(source, target, potentials, operations)
+    clouds = uploaded(operations, source), uploaded(operations, target)
+    softmin, mean = row_projection(operations, clouds, (source, target), potentials)
     epsilon, rho = potentials.epsilon, potentials.rho
-    mean, _ = operations.plan_moments(
-        *clouds, potentials.g, softmin, epsilon, potentials.precise, to_rows.near
-    )
     inverse = 1.0 / (rho[0] if isinstance(rho, tuple) else rho)
     # f = Delta T(g), and so r = a exp((f - T(g)) / epsilon) = a exp(-f / rho).
     exponent = -softmin * inverse / (1.0 + epsilon * inverse)
