@@ -166,6 +166,26 @@ def test_gradient_of_the_divergences_vanishes(device):
     assert np.abs(totals[1] / found.weights[:, None]).max() < 2e-3
 
 
+def test_measures_beyond_the_reach_keep_their_places(device):
+    """The mass of each is a^kappa = w_k b_k^kappa, as if the others did not exist."""
+    measures = [(np.full(6, 1 / 6), 0.1 * _cloud(seed, 6)[1]) for seed in (8, 9)]
+    measures[1] = (measures[1][0], measures[1][1] + 50.0)
+    found = clmorph.barycenter(
+        measures, [0.5, 0.5], 12, 0.5, 1.0, tol=1e-3, max_iter=400, backend=device
+    )
+    kappa = (1 + 0.25) / (2 + 0.25)
+    near = found.points[:, 0] < 25
+    np.testing.assert_allclose(found.weights[near].sum(), 0.5 ** (1 / kappa), rtol=0.03)
+    np.testing.assert_allclose(found.weights[~near].sum(), 0.5 ** (1 / kappa), rtol=0.03)
+
+
+def test_a_support_out_of_reach(device):
+    with pytest.raises(InputError, match="no mass travels"):
+        clmorph.barycenter(
+            [_cloud(0)], None, np.full((3, 2), 90.0), 0.1, 0.2, max_iter=99, backend=device
+        )
+
+
 def test_order_and_zero_shares_do_not_matter(device):
     measures = [_cloud(seed) for seed in (4, 5, 6)]
     start = _cloud(7)

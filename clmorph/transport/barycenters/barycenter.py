@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from clmorph._shared.typing import Array, ArrayLike, Progress
+from clmorph._shared.typing import Array, ArrayLike, IntArray, Progress
 from clmorph._shared.validation import check_flag, check_integer, check_progress, shown
 from clmorph.backends.arrays import as_floats
 from clmorph.backends.select import Backend, get_backend
@@ -64,10 +64,11 @@ def barycenter(
         Share of each measure, at least 0; shares are scaled to the sum 1 and equal by default. A
         measure with the share 0 has no influence.
     support : int, (N, D) array, measure, or (weights (N,), points (N, D)), optional
-        Of a free support the number of points, which are drawn from all measures by their shares,
-        or the points with which the iteration begins, with their masses if it is a measure; by
-        default as many points as the largest measure has. Of a fixed support the points, such as
-        those of a grid; their masses do not matter.
+        Of a free support the number of points, which begin at means of random draws from all
+        measures, or with a reach at draws from their mixture; or the points with which the
+        iteration begins, with their masses if it is a measure; by default as many points as the
+        largest measure has. Of a fixed support the points, such as those of a grid; their masses
+        do not matter.
     blur, epsilon
         As in `clmorph.sinkhorn`.
     reach : float or None
@@ -141,7 +142,8 @@ def barycenter(
     shown_ones = [k for k, share in enumerate(shares) if share > 0]
     used, parts = [whole[k] for k in shown_ones], [float(shares[k]) for k in shown_ones]
     if not fixed:
-        start = _free_start(support, used, parts, seed)
+        balanced = bool(np.isinf(given.rho[0]))
+        start = _free_start(support, used, parts, balanced, seed)
         for each in used:
             check_problem(start, each, given, operations, "auto")
         found = free_support(
@@ -198,7 +200,7 @@ def _shares(weights: Any, count: int) -> Array:
 
 
 def _free_start(
-    support: Any, measures: list[AnyMeasure], shares: list[float], seed: int
+    support: Any, measures: list[AnyMeasure], shares: list[float], balanced: bool, seed: int
 ) -> WeightedPoints:
     """Return the points with which the iteration begins."""
     mass = float(np.dot(shares, [each.weights.sum() for each in measures]))
@@ -206,27 +208,35 @@ def _free_start(
         count = max(map(len, measures))
         if support is not None:
             count = check_integer("support", support, 1, 1 << 24)
-        points = _drawn(measures, shares, count, seed)
+        points = (_means if balanced else _drawn)(measures, shares, count, seed)
         return WeightedPoints(points, np.full(count, mass / count))
     found = _as_points(support, mass)
     _check_dimension(found, measures[0])
     return found
 
 
-def _drawn(measures: list[AnyMeasure], shares: list[float], count: int, seed: int) -> Array:
-    """Return points drawn from the mixture of measures, one from each of equal parts of its mass.
-
-    Each point is the mean of one draw from each measure, weighted by the shares: points spread as
-    those of the barycenter of measures that are independent of one another, about their means.
-    """
+def _means(measures: list[AnyMeasure], shares: list[float], count: int, seed: int) -> Array:
+    """Return points, each the mean of one draw from each measure, weighted by the shares."""
     rng = np.random.default_rng(seed)
     points = np.zeros((count, measures[0].points.shape[1]))
     for measure, share in zip(measures, shares, strict=True):
-        sums = np.cumsum(measure.weights)
-        wanted = (np.arange(count) + rng.random(count)) / count * sums[-1]
-        chosen = np.minimum(np.searchsorted(sums, wanted, side="right"), len(sums) - 1)
-        points += share * measure.points[rng.permutation(chosen)]
+        points += share * measure.points[rng.permutation(_chosen(measure.weights, count, rng))]
     return points
+
+
+def _drawn(measures: list[AnyMeasure], shares: list[float], count: int, seed: int) -> Array:
+    """Return points drawn from the mixture of measures, so that none is beyond the reach of all."""
+    weights = [share * each.weights for each, share in zip(measures, shares, strict=True)]
+    chosen = _chosen(np.concatenate(weights), count, np.random.default_rng(seed))
+    return np.concatenate([measure.points for measure in measures])[chosen]
+
+
+def _chosen(weights: Array, count: int, rng: np.random.Generator) -> IntArray:
+    """Draw points by their weights, one from each of equal parts of the mass."""
+    sums = np.cumsum(weights)
+    wanted = (np.arange(count) + rng.random(count)) / count * sums[-1]
+    # A point without mass is never the first that exceeds a sum.
+    return np.minimum(np.searchsorted(sums, wanted, side="right"), np.flatnonzero(weights)[-1])
 
 
 def _fixed_points(support: Any, measure: AnyMeasure) -> Array:

@@ -29,6 +29,7 @@ import numpy as np
 
 from clmorph._shared.typing import Array, Progress
 from clmorph.backends.interface import Operations
+from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, WeightedPoints
 from clmorph.transport._solver.plan_softmin import row_projection, uploaded
 from clmorph.transport.barycenters.result import Barycenter
@@ -42,6 +43,11 @@ from clmorph.transport.sinkhorn import sinkhorn
 INNER_TOL, INNER_SHARE = 1e-4, 0.1
 #: Largest number of iterations of a solve.
 INNER_ITERATIONS = 2000
+#: Largest factor by which a mass changes in one step, and the share of the mean mass of the
+#: measures below which the mass of the support is lost.
+MOST_GROWTH, LOST = 10.0, 1e-20
+#: Shares of mass that are too small to divide by.
+TINY = 1e-100
 
 
 class Sent(NamedTuple):
@@ -93,6 +99,11 @@ def free_support(
     operations : Operations
     report : callable
         Called with the share of the work that is done.
+
+    Raises
+    ------
+    InputError
+        If all mass of the support vanishes.
     """
     epsilon, rho = given.epsilon, given.rho[0]
     balanced = bool(np.isinf(rho))
@@ -110,18 +121,29 @@ def free_support(
                 epsilon=epsilon, rho=rho, start=found[k],
             )  # fmt: skip
             found[k] = solved
-            there = sent(here, measure, solved, operations)
-            ratio += share * there.ratio
-            pull += (share * there.ratio)[:, None] * (there.mean - points)
+            going = sent(here, measure, solved, operations)
+            ratio += share * going.ratio
+            pull += (share * going.ratio)[:, None] * (going.mean - points)
         if debias:
             own = self_transport_of(here, given, inner, INNER_ITERATIONS, operations)
             within = sent(here, here, own, operations)
             pull -= within.ratio[:, None] * (within.mean - points)
-            growth = ratio / within.ratio
+            growth = np.divide(
+                ratio, within.ratio, out=np.full(len(ratio), MOST_GROWTH), where=within.ratio > TINY
+            )
         else:
             growth = ratio if balanced else ratio * (rho + epsilon) / (rho + epsilon * mass)
-        step = pull / ratio[:, None]
-        changed = weights if balanced else weights * growth
+        # Points from which nothing travels stay, and their masses vanish.
+        there = (ratio > TINY)[:, None]
+        step = np.divide(pull, ratio[:, None], out=np.zeros_like(pull), where=there)
+        changed = weights
+        if not balanced:
+            changed = weights * np.clip(growth, 1 / MOST_GROWTH, MOST_GROWTH)
+            if changed.sum() < LOST * mass:
+                raise InputError(
+                    "support: no mass travels between it and the measures; begin with points "
+                    "nearer to them, or raise the reach"
+                )
         moved = float(np.sqrt(weights @ (step**2).sum(axis=1) / weights.sum())) / given.blur
         residuals.append(max(moved, float(np.abs(changed - weights).sum() / weights.sum())))
         points, weights = points + step, changed
