@@ -398,6 +398,15 @@ def recolor(
     )  # fmt: skip
 
 
+def _mix_settings(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
+    """Read a file of settings before any other option is processed."""
+    if path is None:
+        return None
+    found = files.read_settings(path, mixes=True)
+    context.default_map = found.own
+    return found
+
+
 @cli.command(epilog=_PRESETS)
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
 @click.option(
@@ -424,6 +433,11 @@ def recolor(
     help="A first look in a few seconds: smaller, with fewer frames and less accuracy.",
 )  # fmt: skip
 @click.option(
+    "--config", type=options.FileName(), is_eager=True, callback=_mix_settings, panel="Settings",
+    help="Read options from your own TOML, or repeat a recipe: .json, or a file that this command "
+    "wrote; its pictures are sought beside it and in the current folder.",
+)  # fmt: skip
+@click.option(
     "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
 )
 @options.mix_options
@@ -437,6 +451,7 @@ def mix(
     output: tuple[Path, ...],
     preset: str | None,
     draft: bool,
+    config: files.Found | None,
     as_json: bool,
     device: str | None,
     backend: str | None,
@@ -457,12 +472,26 @@ def mix(
     A picture with a single weight is that picture itself, and one with two is a frame of their
     morph. The presets and most options are those of clmorph morph.
     """  # noqa: D301
-    from clmorph.cli.mix import Request, run_mix
+    from clmorph.cli.mix import Request, run_mix, weights_of
+    from clmorph.cli.morph import announce_changes
 
+    if config is not None and not images:
+        named = config.named.images()
+        images = tuple(name for name, _ in named)
+        announce_changes(named)
+    listed = weights_of(weights, len(images)) if images else None
+    what = {"grid": grid, "weights": listed, "path": path}
+    shown = {name: value for name, value in what.items() if value}
+    wins = preset is not None
+    if config is not None:
+        shown = shown or dict(config.mixes)
+        preset = preset or config.preset
+    if preset is None and (config is None or config.named.own):
+        preset = AUTO
     run_mix(
         Request(
-            images, output, options.given_options(given), preset, draft, grid, weights, path,
-            format, bool(recipe), MAX_PIXELS if max_pixels is None else max_pixels,
+            images, output, options.given_options(given), preset, draft, shown, format,
+            bool(recipe), MAX_PIXELS if max_pixels is None else max_pixels, config, wins,
         ),
         device=device, backend=backend, as_json=as_json,
     )  # fmt: skip

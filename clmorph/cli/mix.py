@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import click
 
 from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
+from clmorph.cli import config as files
 from clmorph.cli.common import chosen_preset, open_backend, read_picture, recipe_places
 from clmorph.cli.terminal import Stages, say
 from clmorph.errors import InputError
@@ -25,9 +27,9 @@ from clmorph.pipeline.mixing.weights import (
     path_weights,
 )
 from clmorph.pipeline.mixing.writing import check_outputs, write_film, write_sheet
-from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.options import MorphOptions, preset_options
 from clmorph.pipeline.prepare import recognized
-from clmorph.pipeline.presets import AUTO
+from clmorph.pipeline.presets import AUTO, drafted
 from clmorph.pipeline.recipe import picture_entries, recipe
 
 
@@ -43,18 +45,20 @@ class Request:
         Options of the command line, by their names in Python.
     preset : str or None
     draft : bool
-    grid : str or None
-        The number of mixes along a side, or rows x columns, such as "5x5".
-    weights : sequence of str
-        Weights of each mix, separated by commas.
-    path : str or None
-        The stops of a path, see `clmorph.pipeline.mixing.weights.path_weights`.
+    shown : dict
+        At most one of "grid" (the number of mixes along a side, or rows x columns, such as "5x5"),
+        "weights" (of each mix), "path" (letters) and "stops" (weights), see
+        `clmorph.pipeline.mixing.weights`.
     format : str or None
         The output format, in place of the format of the output's ending.
     recipe : bool
         Whether a recipe is written beside each output.
     max_pixels : int
         Largest number of pixels of a picture.
+    config : Found, optional
+        The file of settings.
+    preset_wins : bool
+        Whether the preset replaces options of the file, because the command line names it.
     """
 
     images: Sequence[Path]
@@ -62,12 +66,12 @@ class Request:
     given: dict[str, Any]
     preset: str | None
     draft: bool
-    grid: str | None
-    weights: Sequence[str]
-    path: str | None
+    shown: dict[str, Any]
     format: str | None
     recipe: bool
     max_pixels: int
+    config: files.Found | None = None
+    preset_wins: bool = False
 
 
 def run_mix(request: Request, *, device: str | None, backend: str | None, as_json: bool) -> None:
@@ -90,39 +94,36 @@ def run_mix(request: Request, *, device: str | None, backend: str | None, as_jso
         )
     if not request.outputs:
         raise InputError("no output given: expected -o with a name, such as -o grid.png")
-    shown = [name for name in ("grid", "weights", "path") if getattr(request, name)]
+    shown = request.shown
     if len(shown) > 1:
-        raise InputError(f"--{shown[0]} and --{shown[1]} contradict: give one of them")
-    stops = None if request.path is None else path_weights(request.path, count)
-    weights = _weights(request.weights, count) if request.weights else None
-    grid = None if request.grid is None else _grid(request.grid)
-    if weights is None and stops is None:
+        first, second = list(shown)[:2]
+        raise InputError(f"--{first} and --{second} contradict: give one of them")
+    route = shown.get("path", shown.get("stops"))
+    stops = None if route is None else path_weights(route, count)
+    weights = check_mix_weights(shown["weights"], count) if "weights" in shown else stops
+    grid = _grid(shown["grid"]) if "grid" in shown else None
+    if weights is None:
         grid_layout(count, grid)  # raises an error before pictures are read
-    elif stops is not None:
-        weights = stops
     places = [Output(output, request.format) for output in request.outputs]
     beside = recipe_places(request.outputs) if request.recipe else []
-    check_apart([*request.outputs, *beside], images)
+    own = [] if request.config is None else [request.config.named.file]
+    check_apart([*request.outputs, *beside], [*images, *own])
     n_stops = 0 if stops is None else len(stops)
-    early = MorphOptions(
-        preset=None if request.preset == AUTO else request.preset, draft=request.draft,
-        **request.given,
-    )  # fmt: skip
-    check_outputs(places, n_stops, early)
+    options_of = partial(_options, request)
+    check_outputs(places, n_stops, options_of(request.preset))
     pictures = check_images([read_picture(path, request.max_pixels) for path in images])
     preset = request.preset
-    if preset in (None, AUTO):
+    if preset == AUTO:
         preset = recognized(pictures)
-    chosen = MorphOptions(preset=preset, draft=request.draft, **request.given)
-    if request.preset in (None, AUTO):
+    chosen = options_of(preset)
+    if request.preset == AUTO:
         say(chosen_preset(str(preset), chosen))
     operations = open_backend(device, backend)
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:
-        what = {"stops": weights} if stops is not None else {"weights": mixes.weights}
         return recipe(
             chosen, images=picture_entries(images, folder), device=operations.description,
-            mixes={name: value.tolist() for name, value in what.items() if value is not None},
+            mixes=shown,
         )  # fmt: skip
 
     with Stages(began) as stages:
@@ -155,19 +156,46 @@ def run_mix(request: Request, *, device: str | None, backend: str | None, as_jso
     click.echo(json.dumps(summary) if as_json else _last_line(places, summary))
 
 
-def _grid(text: str) -> int | tuple[int, ...]:
+def _options(request: Request, preset: str | None) -> MorphOptions:
+    """Join the file of settings, a preset and the command line; the command line wins.
+
+    Recipes hold all options, so with one of them the preset is None.
+    """
+    layers = [] if request.config is None else [request.config.options]
+    if preset is not None:
+        usual = preset_options(None if preset == AUTO else preset)
+        layers = [*layers, usual] if request.preset_wins else [usual, *layers]
+    below = MorphOptions.layered(layers)
+    if request.draft:
+        below |= drafted(below)
+    return MorphOptions(**MorphOptions.layered((below, request.given)))
+
+
+def _grid(text: Any) -> int | tuple[int, ...]:
     """Return the sides of a grid from a text such as 5x5 or 7."""
     try:
-        sides = tuple(int(part) for part in text.lower().split("x"))
+        sides = tuple(int(part) for part in str(text).lower().split("x"))
     except ValueError:
         sides = ()
     if not 1 <= len(sides) <= 2:
-        raise InputError(f"--grid {printable(text, 40)}: expected rows x columns, such as 5x5")
+        raise InputError(f"--grid {printable(str(text), 40)}: expected rows x columns, such as 5x5")
     return sides if len(sides) == 2 else sides[0]
 
 
-def _weights(texts: Sequence[str], count: int) -> Any:
-    """Return the weights of each mix from texts such as 1,2,1."""
+def weights_of(texts: Sequence[str], count: int) -> list[list[float]]:
+    """Return the weights of each mix from texts such as 1,2,1.
+
+    Parameters
+    ----------
+    texts : sequence of str
+    count : int
+        Number of pictures.
+
+    Raises
+    ------
+    InputError
+        If a text has other than `count` numbers.
+    """
     found = []
     for text in texts:
         try:
@@ -179,7 +207,7 @@ def _weights(texts: Sequence[str], count: int) -> Any:
                 f"--weights {printable(text, 40)}: expected {count} numbers with commas, one for "
                 "each picture, such as " + ",".join("1" * count)
             )
-    return check_mix_weights(found, count)
+    return found
 
 
 def _last_line(places: Sequence[Output], summary: dict[str, Any]) -> str:

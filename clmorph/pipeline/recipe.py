@@ -33,6 +33,8 @@ PRESET, IMAGES, OUTPUT = "preset", "images", "output"
 COMMAND = "command"
 #: The value of `COMMAND` for mixes, which have the options of a morph.
 MIX = "mix"
+#: Keys of what mixes show: a grid, their weights, or the stops of a path, as letters or weights.
+SHOWN = ("grid", "weights", "path", "stops")
 #: The classes of options of the commands.
 COMMANDS: dict[str, type[Options]] = {
     "morph": MorphOptions,
@@ -73,7 +75,7 @@ def recipe(
     beside : mapping, optional
         Files beside the pictures by what they are (`BESIDE`): name and digest of each.
     mixes : mapping, optional
-        What of mixes is shown: their weights, or the stops of a path.
+        What mixes show: one of `SHOWN` and its value.
     """
     found: dict[str, Any] = {"clmorph": __version__, "options": options.outside()}
     command = next((name for name, kind in COMMANDS.items() if isinstance(options, kind)), "morph")

@@ -267,12 +267,28 @@ class TestCommand:
         assert main([*given, "--backend", "numpy"]) == 0
         with Image.open(out) as film:
             assert film.n_frames == 5
-        recipe = json.loads((tmp_path / "film.apng.json").read_text())
-        assert np.shape(recipe["stops"]) == (3, 3)
         assert clmorph.load_options(out)["n_frames"] == 3
+        again = tmp_path / "again.apng"
+        assert main(["mix", "--config", str(out), "-o", str(again), "--backend", "numpy"]) == 0
+        assert json.loads((tmp_path / "film.apng.json").read_text())["path"] == "ab+"
+        assert again.read_bytes() == out.read_bytes()
         capsys.readouterr()
         assert main(["morph", "--config", str(out), "-o", str(tmp_path / "x.gif")]) == 2
         assert "clmorph mix" in capsys.readouterr().err
+
+    def test_recipes_of_sheets(self, files, tmp_path, capsys):
+        from clmorph.cli.main import main
+
+        out, again = tmp_path / "grid.png", tmp_path / "again.png"
+        for shown in (["--grid", "3"], ["--weights", "1,0", "--weights", "1,3"]):
+            given = ["mix", *files[:2], *shown, "-o", str(out), "--backend", "numpy"]
+            assert main([*given, "--blur", "0.06"]) == 0
+            assert main(["mix", "--config", str(out), "-o", str(again), "--backend", "numpy"]) == 0
+            assert again.read_bytes() == out.read_bytes()
+        clmorph.mix(FOUR[:2], [[1, 3]], backend="numpy").save(out)
+        given = ["mix", *files[:2], "--config", str(out), "-o", str(again)]
+        assert main([*given, "--backend", "numpy", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out.splitlines()[-1])["mixes"] == 1
 
     @pytest.mark.parametrize(
         "given",
