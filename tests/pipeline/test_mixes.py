@@ -46,6 +46,7 @@ def test_the_border_of_a_grid_shows_morphs(device):
     np.testing.assert_array_equal(mixes[5], morph.frame(0.5))
 
 
+@pytest.mark.small
 def test_mixes_go_on_smoothly_from_the_border(device):
     """A third image with a weight that nobody sees changes nothing that anybody sees."""
     mixes = clmorph.mix(FOUR[:3], [1, 1, 1], backend=device)

@@ -115,6 +115,7 @@ def test_masses_of_diracs(any_backend, rho, debias):
     np.testing.assert_allclose(found.points, [[0.2, 0.3]], atol=1e-6)
 
 
+@pytest.mark.small
 def test_two_points_meet_at_their_weighted_mean(any_backend):
     measures = [(np.ones(1), np.array([[x, 1 - x]])) for x in (0.0, 1.0)]
     found = clmorph.barycenter(measures, [3, 1], blur=0.1, backend=any_backend)
