@@ -8,9 +8,10 @@ from scipy.ndimage import gaussian_filter, shift
 import clmorph
 from clmorph import InputError, MorphOptions
 from clmorph.analysis.metrics import crumbs, mean_gradient, step_sizes
-from clmorph.frames import carried_detail, halfway
+from clmorph.frames import bands, carried_detail, halfway
+from clmorph.frames.bands import Bands, band_width
 from clmorph.frames.canvas import canvas_at
-from clmorph.frames.carried_detail import Bands, CarriedDetail, band_width
+from clmorph.frames.carried_detail import CarriedDetail
 from clmorph.frames.ends import ends_of
 from clmorph.frames.halfway import Halfway, register
 from clmorph.frames.resampling import enlarged
@@ -126,8 +127,8 @@ class TestBands:
     def test_a_coarser_grid_changes_nothing_that_is_seen(self, device, monkeypatch):
         ends = [fit(picture(name), 200) for name in ("portrait", "cat")]
         frames = []
-        for fineness in (carried_detail.FINENESS, 100.0):
-            monkeypatch.setattr(carried_detail, "FINENESS", fineness)
+        for fineness in (bands.FINENESS, 100.0):
+            monkeypatch.setattr(bands, "FINENESS", fineness)
             morph = clmorph.morph(*ends, n_frames=3, backend=device)
             frames.append([morph.frame(t) for t in (0.3, 0.5)])
         for coarse, fine in zip(*frames, strict=True):
@@ -292,7 +293,8 @@ def test_frames_do_not_depend_on_the_unit_of_the_color_space(monkeypatch):
     def enlarged(colors, space):
         return (3.0 if space == "srgb" else 1.0) * original(colors, "oklab")
 
-    monkeypatch.setattr(carried_detail, "to_space", enlarged)
+    for module in (bands, carried_detail):
+        monkeypatch.setattr(module, "to_space", enlarged)
     shown = np.random.default_rng(0).random((3, 16, 20, 3))
     frames = [
         CarriedDetail(
