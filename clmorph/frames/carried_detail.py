@@ -24,18 +24,22 @@ crosses the borders of labels.
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.enlarging import enlarged
 from clmorph._shared.threads import in_order
+from clmorph.backends.interface import Operations
+from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.records import Motion
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.endpoints import share
 from clmorph.frames.ends import End
 from clmorph.frames.halfway import Halfway, mean_displacement, register, sampled
 from clmorph.frames.particles import Particles
-from clmorph.frames.resampling import enlarged, reduced
+from clmorph.frames.resampling import reduced
 from clmorph.images.color import to_space
 
 Array = NDArray[np.float64]
@@ -48,6 +52,8 @@ BAND_SHARE, NARROWEST_BAND = 0.016, 1.5
 FINENESS = 2.0
 #: The largest number of pixels of a strip of a frame that one thread computes at a time.
 STRIP_PIXELS = 2**18
+#: From so many pixels on, details are sampled by the device: to build its kernel takes a second.
+MANY_PIXELS = 2**20
 #: Difference of the lower bands at which c falls to 1/e, and variance of a detail that nobody sees.
 #: Both are in Oklab, where the difference from black to white is 2.2; other spaces have their own.
 AGREEMENT, FLOOR = 0.1, 1e-5
@@ -130,9 +136,20 @@ class Bands(NamedTuple):
             canvas, coarse,
         )  # fmt: skip
 
-    def detail_at(self, positions: Array) -> _Samples:
-        """Sample the detail at positions (..., 2) of the common frame."""
-        return sampled(self.detail, self.canvas.places(positions), order=3)
+    def motion(self, canvas: Canvas, displacement: Array) -> Motion:
+        """Return where the pixels of a canvas take their detail.
+
+        Parameters
+        ----------
+        canvas : Canvas
+        displacement : (h, w, 2) array
+            On a grid over the canvas, in units of the common frame.
+        """
+        corner = canvas.positions(0, 1)[0, 0]
+        pitch = 1.0 / np.maximum(canvas.scale, 1e-9)
+        origin, beyond = self.canvas.places(np.stack((corner, corner + pitch))).T
+        scaled = (displacement * self.canvas.scale)[..., ::-1]
+        return Motion(canvas.shape, tuple(origin), tuple(beyond - origin), scaled)
 
     def smooth_at(self, positions: Array) -> "Smooth":
         """Sample what is smooth at positions (..., 2) of the common frame."""
@@ -162,6 +179,8 @@ class CarriedDetail:
     shown : (source's, target's)
         What the particles show at t = 0 and t = 1 on the coarse canvas, drawn with `band_width`:
         (h, w, 3) arrays in the space of the path.
+    operations : Operations, optional
+        The backend that samples the details of large frames; NumPy by default.
     """
 
     def __init__(
@@ -170,6 +189,7 @@ class CarriedDetail:
         particles: Particles,
         canvases: tuple[Canvas, Canvas, Canvas],
         shown: tuple[Array, Array],
+        operations: Operations | None = None,
     ) -> None:
         start, middle, end = canvases
         colors = [picture.colors for picture in ends]
@@ -188,6 +208,10 @@ class CarriedDetail:
             Bands.of(to_space(image, particles.path_space), canvas, low)
             for image, canvas, low in zip(colors, (start, end), shown, strict=True)
         ]
+
+        #: The backend that samples large frames, and the splines that it holds.
+        self._large = operations or NumPyOperations()
+        self._on_device: list[Any] = []
 
         white = [float(np.max(to_space(np.ones(3), s))) for s in (particles.path_space, "oklab")]
         #: The unit of the path's color space, where that of Oklab is 1.
@@ -307,16 +331,29 @@ class CarriedDetail:
         Rows outside of the strips are zero.
         """
         found = np.zeros((2, *canvas.shape, 3), np.float32)
+        backend, splines = self._sampler(canvas)
+        motions = [
+            bands.motion(canvas, share_of_path * displacement)
+            for bands, share_of_path in zip(self._bands, (-t, 1 - t), strict=True)
+        ]
 
         def sample(rows: slice) -> None:
-            positions = canvas.positions(rows.start, rows.stop)
-            motion = enlarged(displacement, canvas.shape, rows.start, rows.stop)
-            for out, bands, share_of_path in zip(found, self._bands, (-t, 1 - t), strict=True):
-                out[rows] = bands.detail_at(positions + share_of_path * motion)
+            for out, spline, motion in zip(found, splines, motions, strict=True):
+                out[rows] = backend.sample_spline(spline, motion, rows.start, rows.stop)
 
         for _ in in_order(sample, strips):
             pass
         return found[0], found[1]
+
+    def _sampler(self, canvas: Canvas) -> tuple[Operations, list[Any]]:
+        """Return the backend that samples details for a canvas, and the splines that it holds."""
+        details = [bands.detail for bands in self._bands]
+        if math.prod(canvas.shape) < MANY_PIXELS:
+            backend = NumPyOperations()
+            return backend, [backend.upload_spline(detail) for detail in details]
+        if not self._on_device:
+            self._on_device = [self._large.upload_spline(detail) for detail in details]
+        return self._large, self._on_device
 
 
 def _strips(canvas: Canvas, part: slice) -> list[slice]:

@@ -7,13 +7,13 @@ from scipy.ndimage import gaussian_filter, shift
 
 import clmorph
 from clmorph import InputError, MorphOptions
+from clmorph._shared.enlarging import enlarged
 from clmorph.analysis.metrics import crumbs, mean_gradient, step_sizes
 from clmorph.frames import carried_detail, halfway
 from clmorph.frames.canvas import canvas_at
 from clmorph.frames.carried_detail import Bands, CarriedDetail, band_width
 from clmorph.frames.ends import ends_of
 from clmorph.frames.halfway import Halfway, register
-from clmorph.frames.resampling import enlarged
 from clmorph.images.pixels import fit
 from clmorph.pipeline.options import preset_options
 
