@@ -11,15 +11,19 @@ factors c, g and k).
 import math
 from collections.abc import Sequence
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.enlarging import enlarged
 from clmorph._shared.threads import in_order
+from clmorph.backends.interface import Operations
+from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.records import Motion
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.halfway import sampled
-from clmorph.frames.resampling import enlarged, reduced
+from clmorph.frames.resampling import reduced
 from clmorph.images.color import to_space
 
 Array = NDArray[np.float64]
@@ -32,6 +36,9 @@ BAND_SHARE, NARROWEST_BAND = 0.016, 1.5
 FINENESS = 2.0
 #: The largest number of pixels of a strip of a frame that one thread computes at a time.
 STRIP_PIXELS = 2**18
+#: The details of images with so many pixels are sampled by the device: to build its kernel takes
+#: a second.
+MANY_PIXELS = 2**20
 #: Difference of the lower bands at which c falls to 1/e, and variance of a detail that nobody sees.
 #: Both are in Oklab, where the difference from black to white is 2.2; other spaces have their own.
 AGREEMENT, FLOOR = 0.1, 1e-5
@@ -69,8 +76,10 @@ class Bands(NamedTuple):
 
     Attributes
     ----------
-    detail : (H, W, 3) array
-        Image less lower band, as coefficients of a cubic spline.
+    sampler : Operations
+        The backend that samples the detail.
+    detail
+        Image less lower band, as a spline that the sampler holds.
     smooth : (h, w, 7) array
         On a coarse canvas, the lower band, what the particles lack of it at this end, and the local
         variance of the detail.
@@ -78,13 +87,20 @@ class Bands(NamedTuple):
         The canvas of the image, and its `coarse_canvas`.
     """
 
-    detail: _Samples
+    sampler: Operations
+    detail: Any
     smooth: _Samples
     canvas: Canvas
     coarse: Canvas
 
     @classmethod
-    def of(cls, colors: Array, canvas: Canvas, shown: Array | None = None) -> "Bands":
+    def of(
+        cls,
+        colors: Array,
+        canvas: Canvas,
+        shown: Array | None = None,
+        operations: Operations | None = None,
+    ) -> "Bands":
         """Divide an image into bands.
 
         Parameters
@@ -96,6 +112,8 @@ class Bands(NamedTuple):
             What the particles show at this end, drawn on the coarse canvas with a kernel of
             `band_width`. It differs from the lower band where pixels have unequal masses, or where
             a plan leaves some out.
+        operations : Operations, optional
+            The backend that samples the detail of large images; NumPy by default.
         """
         from scipy.ndimage import spline_filter
 
@@ -112,14 +130,34 @@ class Bands(NamedTuple):
         ]
         lacking = np.zeros_like(low) if shown is None else low - shown
         smooth = np.dstack((low, lacking, variance))
-        return cls(
-            np.stack(coefficients, axis=-1).astype(np.float32), smooth.astype(np.float32),
-            canvas, coarse,
+        many = math.prod(canvas.shape) >= MANY_PIXELS
+        sampler = operations if many and operations is not None else NumPyOperations()
+        spline = sampler.upload_spline(np.stack(coefficients, axis=-1).astype(np.float32))
+        return cls(sampler, spline, smooth.astype(np.float32), canvas, coarse)
+
+    def motion(self, canvas: Canvas, displacement: Array) -> Motion:
+        """Return where the pixels of a canvas take their detail.
+
+        Parameters
+        ----------
+        canvas : Canvas
+        displacement : (h, w, 2) array
+            From a place of the canvas to that of the image, on a grid over the canvas, in units of
+            the common frame.
+        """
+        corner = canvas.positions(0, 1)[0, 0]
+        pitch = 1.0 / np.maximum(canvas.scale, 1e-9)
+        origin, beyond = self.canvas.places(np.stack((corner, corner + pitch))).T
+        step = beyond - origin
+        scaled = (displacement * self.canvas.scale)[..., ::-1]
+        return Motion(
+            canvas.shape, (float(origin[0]), float(origin[1])), (float(step[0]), float(step[1])),
+            scaled,
         )  # fmt: skip
 
-    def detail_at(self, positions: Array) -> _Samples:
-        """Sample the detail at positions (..., 2) of the common frame."""
-        return sampled(self.detail, self.canvas.places(positions), order=3)
+    def detail_at(self, motion: Motion, rows: slice) -> _Samples:
+        """Sample the detail for some rows of a canvas."""
+        return self.sampler.sample_spline(self.detail, motion, rows.start, rows.stop)
 
     def smooth_at(self, positions: Array) -> "Smooth":
         """Sample what is smooth at positions (..., 2) of the common frame."""
@@ -241,11 +279,11 @@ def _details(
     """
     found = [np.zeros((*canvas.shape, 3), np.float32) for _ in bands]
 
+    taken = [each.motion(canvas, own) for each, own in zip(bands, motions, strict=True)]
+
     def sample(rows: slice) -> None:
-        positions = canvas.positions(rows.start, rows.stop)
-        for out, each, motion in zip(found, bands, motions, strict=True):
-            here = enlarged(motion, canvas.shape, rows.start, rows.stop)
-            out[rows] = each.detail_at(positions + here)
+        for out, each, motion in zip(found, bands, taken, strict=True):
+            out[rows] = each.detail_at(motion, rows)
 
     for _ in in_order(sample, strips):
         pass

@@ -28,13 +28,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.enlarging import enlarged
+from clmorph.backends.interface import Operations
 from clmorph.frames.bands import ALL_ROWS, Bands, color_unit, kernel_width, mixed
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.endpoints import share
 from clmorph.frames.ends import End
 from clmorph.frames.halfway import Halfway, mean_displacement, register, sampled
 from clmorph.frames.particles import Particles
-from clmorph.frames.resampling import enlarged
 from clmorph.images.color import to_space
 
 Array = NDArray[np.float64]
@@ -58,6 +59,8 @@ class CarriedDetail:
     shown : (source's, target's)
         What the particles show at t = 0 and t = 1 on the coarse canvas, drawn with `band_width`:
         (h, w, 3) arrays in the space of the path.
+    operations : Operations, optional
+        The backend that samples the detail of large images; NumPy by default.
     """
 
     def __init__(
@@ -66,6 +69,7 @@ class CarriedDetail:
         particles: Particles,
         canvases: tuple[Canvas, Canvas, Canvas],
         shown: tuple[Array, Array],
+        operations: Operations | None = None,
     ) -> None:
         start, middle, end = canvases
         colors = [picture.colors for picture in ends]
@@ -81,7 +85,7 @@ class CarriedDetail:
                 motion = register((first, second), (start, end), displacement, grid)
             self._layers.append(_Layer(motion, masks))
         self._bands = [
-            Bands.of(to_space(image, particles.path_space), canvas, low)
+            Bands.of(to_space(image, particles.path_space), canvas, low, operations)
             for image, canvas, low in zip(colors, (start, end), shown, strict=True)
         ]
         self._unit = color_unit(particles.path_space)

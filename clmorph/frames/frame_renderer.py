@@ -213,7 +213,9 @@ class FrameRenderer:
             self.sums(t, Widths(coarse_band_width(canvas)), coarse_canvas(canvas)).colors
             for t, canvas in ((0.0, start), (1.0, end))
         )
-        return CarriedDetail(self._ends, self._particles, (start, middle, end), (first, last))
+        return CarriedDetail(
+            self._ends, self._particles, (start, middle, end), (first, last), self._operations
+        )
 
     @cached_property
     def _shapes(self) -> Shapes | None:

@@ -135,5 +135,5 @@ class MixRenderer:
             alone = [float(i == k) for k in range(len(self._pictures))]
             shown = self._colors(alone, coarse_canvas(canvas), coarse_band_width(canvas))
             image = to_space(picture.colors, self._space)
-            found.append(Bands.of(image, canvas, shown))
+            found.append(Bands.of(image, canvas, shown, self._operations))
         return found
