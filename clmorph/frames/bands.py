@@ -10,6 +10,7 @@ factors c, g and k).
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -125,9 +126,9 @@ class Bands(NamedTuple):
         squares: Array = np.einsum("ijk,ijk->ij", detail, detail)[..., None]
         powers = reduced(squares, coarse.shape)
         variance = mean_around(powers, width)
-        coefficients = [
-            spline_filter(detail[..., channel], order=3, mode="mirror") for channel in range(3)
-        ]
+        channels = np.moveaxis(detail, -1, 0)
+        filtered = in_order(partial(spline_filter, order=3, mode="mirror"), channels)
+        coefficients = [coefficient for _, coefficient in filtered]
         lacking = np.zeros_like(low) if shown is None else low - shown
         smooth = np.dstack((low, lacking, variance))
         many = math.prod(canvas.shape) >= MANY_PIXELS

@@ -32,8 +32,8 @@ def check_spline(
         first, stop = 3, motion.shape[0] - 1
         got = operations.sample_spline(ours, motion, first, stop)
         want = exact.sample_spline(theirs, motion, first, stop)
-        error = float(np.abs(got - want).max())
-        yield Finding(f"sample_spline, {name}", error, sample_tolerance(coefficients, motion), "")
+        error = float(np.abs(got - want).max() / sample_tolerance(coefficients, motion))
+        yield Finding(f"sample_spline, {name}", error, 1.0, "of the tolerance")
 
 
 def sample_tolerance(coefficients: np.ndarray, motion: Motion) -> float:
