@@ -1,8 +1,8 @@
 """Refuse requests that do not come from the studio's own page.
 
 A web page that the user visits can send requests to 127.0.0.1. It cannot choose their ``Host``,
-``Origin`` and ``Sec-Fetch-Site``, which the browser writes. A name whose address an attacker changes
-to 127.0.0.1 (DNS rebinding) is still in ``Host``.
+``Origin`` and ``Sec-Fetch-Site``, which the browser writes. A name whose address an attacker
+changes to 127.0.0.1 (DNS rebinding) is still in ``Host``.
 """
 
 import ipaddress

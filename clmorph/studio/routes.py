@@ -3,7 +3,7 @@
 import asyncio
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from contextlib import aclosing, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
@@ -167,6 +167,11 @@ class Studio:
                         raise too_large
                     file.write(part)
             picture = await run_in_threadpool(_read, path)
+        except FileError as error:
+            path.unlink(missing_ok=True)
+            return JSONResponse(
+                {"line": printable(self.line(error), MESSAGE)}, 413 if error is too_large else 400
+            )
         except BaseException:
             path.unlink(missing_ok=True)
             raise
@@ -271,8 +276,8 @@ class Studio:
         done: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
         def tell(line: str) -> None:
-            with suppress(RuntimeError):
-                tab.loop.call_soon_threadsafe(lambda: done.done() or done.set_result(line))
+            with suppress(RuntimeError):  # the server has ended
+                tab.loop.call_soon_threadsafe(_settle, done, line)
 
         def write() -> None:
             if not path.exists():
@@ -285,6 +290,11 @@ class Studio:
         if line:
             return JSONResponse({"line": line}, 400)
         return _attached(path, f"morph.{ending}")
+
+
+def _settle(done: "asyncio.Future[str]", line: str) -> None:
+    if not done.done():
+        done.set_result(line)
 
 
 async def _page(name: str, kind: str, request: Request) -> Response:
@@ -327,11 +337,10 @@ def _attached(path: Path, name: str) -> Response:
 
 async def _json(request: Request) -> Mapping[str, Any]:
     body = b""
-    async with aclosing(request.stream()) as stream:  # type: ignore[type-var]
-        async for part in stream:
-            body += part
-            if len(body) > MAX_REQUEST:
-                raise InputError(f"the request has more than {MAX_REQUEST} bytes: expected fewer")
+    async for part in request.stream():
+        body += part
+        if len(body) > MAX_REQUEST:
+            raise InputError(f"the request has more than {MAX_REQUEST} bytes: expected fewer")
     try:
         found = json.loads(body)
     except (ValueError, RecursionError):

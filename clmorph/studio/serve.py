@@ -16,6 +16,7 @@ from clmorph._shared.signals import note_partial
 from clmorph._shared.staging import staging_folder
 from clmorph._shared.validation import check_integer
 from clmorph.backends.opencl.devices.find import find_devices
+from clmorph.backends.select import get_backend
 from clmorph.errors import InputError, OutputError
 from clmorph.studio.extra import need_studio
 from clmorph.studio.work import LineOf
@@ -116,7 +117,9 @@ def _listen(host: str, port: int | None) -> socket.socket:
     try:
         kind, *_, place = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError) as error:
-        raise InputError(f"host={host}: expected an address or a name ({reason_of(error)})") from None
+        raise InputError(
+            f"host {host}: expected an address or a name ({reason_of(error)})"
+        ) from None
     tries = (PORT, 0) if port is None else (port,)
     for number in tries:
         found = socket.socket(kind, socket.SOCK_STREAM)
@@ -128,7 +131,7 @@ def _listen(host: str, port: int | None) -> socket.socket:
             found.close()
             if number == tries[-1]:
                 raise InputError(
-                    f"port={number}: cannot listen there ({reason_of(error)}); choose another "
+                    f"port {number}: cannot listen there ({reason_of(error)}); choose another "
                     "one, or 0 for any"
                 ) from None
             continue
@@ -152,7 +155,7 @@ def _address(host: str, port: int) -> str:
 
 def _devices(first: str) -> list[dict[str, str]]:
     """Return the devices for the page, each with its name and its measured speed."""
-    usual = [{"name": first, "label": "automatic" if first == "auto" else first}]
+    usual = [{"name": first, "label": f"{first}: {get_backend(first).description}"}]
     found = [
         {
             "name": device.index,

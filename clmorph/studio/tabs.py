@@ -144,7 +144,7 @@ def safe_name(name: str) -> str:
 
     Examples
     --------
-    >>> safe_name("../../etc/passwd"), safe_name(".."), safe_name("a\\\\b.png")
+    >>> safe_name("../../etc/passwd"), safe_name(".."), safe_name("a/b.png")
     ('passwd', 'picture', 'b.png')
     """
     last = printable(name.replace("\\", "/").rsplit("/", 1)[-1], 4 * MAX_NAME)

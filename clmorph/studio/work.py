@@ -73,7 +73,6 @@ def preview(ask: Ask) -> None:
     """Show small morphs, each finer than the one before."""
     options = ask.options()
     operations = get_backend(ask.choices.device)
-    whole = {"size": options.size, "n_frames": options.n_frames}
     for step, (size, frames) in enumerate(STEPS):
         small = _small(options, size, frames)
         chain = _chain(ask, small, operations, checking)
@@ -82,21 +81,23 @@ def preview(ask: Ask) -> None:
         save(chain, path, parameters=_parameters(ask, small, operations), progress=checking)
         ask.tab.publish(
             "preview", number=ask.number, step=step, url=ask.tab.view(name, path),
-            last=step == len(STEPS) - 1,
+            last=step == len(STEPS) - 1 or _is_whole(small, options),
         )  # fmt: skip
-        if all(
-            whole[key] is not None and whole[key] <= most
-            for key, most in (("size", size), ("n_frames", frames))
-        ):
+        if _is_whole(small, options):
             break
+
+
+def _is_whole(small: MorphOptions, options: MorphOptions) -> bool:
+    """Return whether a further step would show nothing more."""
+    return small.size == options.size and small.n_frames == options.n_frames
 
 
 def _small(options: MorphOptions, size: int, frames: int) -> MorphOptions:
     """Return the options of a preview, which plays as long as the whole morph."""
     pace = (options.fps or 20.0) * min(frames, options.n_frames) / options.n_frames
-    pace = options.fps if options.duration is not None else max(pace, 0.1)
     return options.replace(
-        size=_least(options.size, size), n_frames=min(options.n_frames, frames), fps=pace,
+        size=_least(options.size, size), n_frames=min(options.n_frames, frames),
+        fps=None if options.fps is None else max(pace, 0.1),
         solve_size=_least(options.solve_size, BLOCKS), tol=max(options.tol, DRAFT_TOL),
         max_particles=_least(options.max_particles, PARTICLES),
     )  # fmt: skip

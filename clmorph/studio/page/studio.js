@@ -65,7 +65,7 @@ function took({ pictures }) {
   $("shown").replaceChildren();
   pictures.forEach((picture, index) => {
     const letter = String.fromCharCode(65 + index);
-    const image = element("img", { src: of(`/pictures/${picture.key}/shown`), alt: `Picture ${letter}: ${picture.name}`, draggable: "false" });
+    const image = element("img", { src: of(`/pictures/${picture.key}/shown`), alt: `Picture ${letter}: ${picture.name}`, draggable: "false", class: picture.width < 128 ? "small" : "" });
     const frame = element("div", { class: "frame" }, image);
     const link = element("a", { href: of(`/pictures/${picture.key}`), download: picture.name, title: `${picture.name}, ${picture.width} × ${picture.height}` }, `${letter}: ${picture.name}`);
     const remove = element("button", { type: "button", "aria-label": `Remove picture ${letter}`, title: "Remove" }, "×");
@@ -151,7 +151,7 @@ function makeControl(option) {
       input.value = box.checked ? option.word : "";
       changed();
     });
-    row.append(element("label", { class: "button", for: "balanced" }, "balanced: nothing fades"), box);
+    row.append(element("label", { class: "tick", for: "balanced" }, box, "balanced: nothing fades"));
     row.balanced = box;
   }
   row.append(element("small", {}, option.help));
