@@ -102,6 +102,12 @@ from .output.picture import (
 from .output.save import (
     save as save,
 )
+from .pipeline.mixing.mix import (
+    mix as mix,
+)
+from .pipeline.mixing.mixes import (
+    Mixes as Mixes,
+)
 from .pipeline.morph import (
     morph as morph,
 )
@@ -128,6 +134,12 @@ from .pipeline.recolor_options import (
 )
 from .pipeline.result import (
     Morph as Morph,
+)
+from .transport.barycenters.barycenter import (
+    barycenter as barycenter,
+)
+from .transport.barycenters.result import (
+    Barycenter as Barycenter,
 )
 from .transport.barycentric import (
     Barycentric as Barycentric,
@@ -187,6 +199,7 @@ from .transport.sinkhorn_batch import (
 __all__ = [
     "__version__",
     "Archive",
+    "Barycenter",
     "Barycentric",
     "ClmorphError",
     "ClmorphWarning",
@@ -203,6 +216,7 @@ __all__ = [
     "Inspection",
     "Measure",
     "MemoryWarning",
+    "Mixes",
     "Morph",
     "MorphOptions",
     "OutputError",
@@ -216,6 +230,7 @@ __all__ = [
     "Rearrangement",
     "RecolorOptions",
     "WeightedPoints",
+    "barycenter",
     "barycentric_plan",
     "batch",
     "density",
@@ -229,6 +244,7 @@ __all__ = [
     "lift",
     "load",
     "load_options",
+    "mix",
     "morph",
     "particles",
     "read_image",

@@ -24,6 +24,7 @@ from clmorph.backends.opencl.build import constants as build_constants
 from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants, lanes_constants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.kernels.launches import Workspace
+from clmorph.backends.verification.splines import motions
 from clmorph.measures.points import WeightedPoints
 from clmorph.reference import NumPyOperations
 from clmorph.transport._solver.problem import Problem
@@ -132,6 +133,9 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     # Sums far above 1 make no draw beyond those of their row.
     draws = operations.sample_plan_rows(rows, columns, g, softmin + 0.1, 0.01, thresholds)
     results.append(np.array([float(draws.max() < m)]))
+    spline = operations.upload_spline(rng.normal(size=(11, 9, 3)).astype(np.float32))
+    for motion in motions((11, 9)).values():
+        results.append(operations.sample_spline(spline, motion, 2, motion.shape[0]))
     moving = operations.upload_particles(
         rng.random((40, 6)), rng.integers(0, 40, (150, 2)).astype(np.uint32), rng.random((150, 2))
     )

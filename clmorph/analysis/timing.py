@@ -9,7 +9,7 @@ import numpy as np
 
 from clmorph._shared.typing import IntArray
 from clmorph.backends.interface import Operations
-from clmorph.frames.carried_detail import band_width
+from clmorph.frames.bands import band_width
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.options import Detail, RenderOptions

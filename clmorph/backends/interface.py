@@ -15,6 +15,7 @@ from clmorph.backends.records import (
     Float32,
     Float64,
     IterationNumbers,
+    Motion,
     NearPairs,
     PlanRows,
     StoredPairs,
@@ -523,6 +524,32 @@ class Operations(Protocol):
         Returns
         -------
         splats
+        """
+
+    def upload_spline(self, coefficients: NDArray[np.float32]) -> Any:
+        """Upload a picture, as the coefficients of a cubic spline: (H, W, 3) array.
+
+        They are those of `scipy.ndimage.spline_filter` with the mode "mirror".
+        """
+
+    def sample_spline(
+        self, spline: Any, motion: Motion, first: int, stop: int
+    ) -> NDArray[np.float32]:
+        """Sample a picture at the places of some rows of a canvas.
+
+        Beyond its border the picture is mirrored about the centers of its outermost pixels.
+
+        Parameters
+        ----------
+        spline
+            What `upload_spline` has returned.
+        motion : Motion
+        first, stop : int
+            The first row of the canvas, and the one after the last.
+
+        Returns
+        -------
+        (stop - first, width, 3) array
         """
 
     def upload_splats(

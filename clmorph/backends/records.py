@@ -17,6 +17,28 @@ class PlanRows(NamedTuple):
     mass: Float64  #: (kept,) mass of each pair
 
 
+class Motion(NamedTuple):
+    """Where each pixel of a canvas takes its sample from a picture.
+
+    A pixel takes it at `origin` + `step` * (row, column) + displacement, in pixels of the picture,
+    (row, column).
+
+    Attributes
+    ----------
+    shape : (height, width)
+        The shape of the canvas.
+    origin, step : (row, column)
+    displacements : (h, w, 2) array
+        On a grid over the extent of the canvas. Between its points they are linear, and beyond the
+        outermost ones constant.
+    """
+
+    shape: tuple[int, int]
+    origin: tuple[float, float]
+    step: tuple[float, float]
+    displacements: Float64
+
+
 class Bins(NamedTuple):
     """Particles sorted into square bins of the canvas and its margin."""
 

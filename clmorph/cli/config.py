@@ -10,7 +10,7 @@ current folder.
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +27,11 @@ from clmorph.pipeline.recipe import (
     COMMAND,
     COMMANDS,
     IMAGES,
+    MIX,
     OUTPUT,
     OWN,
     PRESET,
+    SHOWN,
     options_of,
     read_recipe,
     read_toml,
@@ -127,6 +129,8 @@ class Found:
         The settings in `OWN`, which only the user decides, for the command line's own options.
     beside : dict
         The label images, the features and the mask that it names, by these words.
+    mixes : dict
+        What of mixes it shows: one of `SHOWN` and its value.
     """
 
     options: Settings
@@ -134,9 +138,12 @@ class Found:
     named: Named
     own: Settings
     beside: Mapping[str, Named]
+    mixes: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_settings(path: Path, command: type[Options] = MorphOptions) -> Found:
+def read_settings(
+    path: Path, command: type[Options] = MorphOptions, *, mixes: bool = False
+) -> Found:
     """Read settings from TOML, from a recipe (JSON), or from a file that clmorph has written.
 
     Parameters
@@ -144,6 +151,8 @@ def read_settings(path: Path, command: type[Options] = MorphOptions) -> Found:
     path : Path
     command : type
         The class of the command's options.
+    mixes : bool
+        Whether the command is ``clmorph mix``, whose options are those of a morph.
 
     Raises
     ------
@@ -153,7 +162,7 @@ def read_settings(path: Path, command: type[Options] = MorphOptions) -> Found:
     if not path.exists():
         raise InputError(f"--config {path}: no such file")
     own = path.suffix.lower() == ".toml"
-    found = read_toml(path) if own else _recipe(path, command)
+    found = read_toml(path) if own else _recipe(path, command, mixes)
     by_name = {key.replace("-", "_"): value for key, value in found.items()}
     images = _entries(path, IMAGES, by_name.pop(IMAGES, []))
     beside = {
@@ -161,6 +170,7 @@ def read_settings(path: Path, command: type[Options] = MorphOptions) -> Found:
         for name, count in BESIDE[command].items()
         if name in by_name
     }
+    shows = {name: by_name.pop(name) for name in SHOWN if mixes and name in by_name}
     users = {name: by_name.pop(name) for name in OWN if name in by_name}
     if not own:
         for name in (OUTPUT, "format"):  # no recipe that clmorph writes contains these
@@ -181,7 +191,7 @@ def read_settings(path: Path, command: type[Options] = MorphOptions) -> Found:
         raise FileError(f"{path}: {error}") from None
     _check_own(path, users)
     others = {name: Named(path, own, entries) for name, entries in beside.items()}
-    return Found(options, chosen, Named(path, own, images), users, others)
+    return Found(options, chosen, Named(path, own, images), users, others, shows)
 
 
 def _entries(path: Path, name: str, value: Any, count: int | None = None) -> list[Any]:
@@ -212,17 +222,21 @@ def _check_own(path: Path, users: Settings) -> None:
         users[OUTPUT] = [str(path.parent / output) for output in outputs]
 
 
-def _recipe(path: Path, command: type[Options]) -> Settings:
+def _recipe(path: Path, command: type[Options], mixes: bool) -> Settings:
     with quiet_libraries():  # notes of clmorph are printed later
         found = read_recipe(path)
-    made_by = found.get(COMMAND)
-    if isinstance(made_by, str) and COMMANDS.get(made_by, command) is not command:
+    made_by = found.get(COMMAND, "morph")
+    mixed = made_by == MIX
+    if isinstance(made_by, str) and (
+        mixed != mixes or COMMANDS.get(made_by, command) is not command
+    ):
         raise InputError(
             f"{path} was made by clmorph {made_by}: repeat it by clmorph {made_by} --config {path}"
         )
     for name in found.get("arrays", []) if isinstance(found.get("arrays"), list) else []:
         note(f"{path} was made with an array of {shown(name)}, which it does not hold")
-    more = {name: found[name] for name in BESIDE[command] if name in found}
+    others = (*BESIDE[command], *(SHOWN if mixes else ()))
+    more = {name: found[name] for name in others if name in found}
     return {**found["options"], IMAGES: found.get(IMAGES, []), **more}
 
 

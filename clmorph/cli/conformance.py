@@ -35,6 +35,7 @@ from clmorph.backends.verification.splats import (
     check_splat,
     thinned,
 )
+from clmorph.backends.verification.splines import check_spline
 from clmorph.errors import InputError
 from clmorph.measures.lift import lift
 from clmorph.measures.measure import Measure
@@ -172,6 +173,7 @@ def _checks(operations: Operations) -> Iterator[Check]:
         (*_SORT, "choose_width_levels", "splat", *_CELLS), partial(check_own_widths, fewer, 0.7)
     )
     yield Check((*_SORT, "advect", "choose_width_levels", "splat"), partial(check_advect, fewer))
+    yield Check(("sample_spline",), partial(check_spline, operations, exact))
     yield Check(_EVERY, partial(_check_morph, operations))
 
 

@@ -73,6 +73,7 @@ def cli() -> None:
     clmorph morph a.png b.jpg -o out.html    a page to play with: scrub, zoom, look inside
     clmorph morph a.png b.jpg c.png d.jpg -o tour.mp4 --loop ping-pong
     clmorph rearrange a.png b.jpg -o out.gif the pixels of one picture form the other one
+    clmorph mix a.png b.png c.png d.png -o grid.png   pictures between several pictures
     clmorph recolor a.png b.jpg -o out.png   picture A with the colors of B
     clmorph inspect a.png b.jpg              what would move, how far, how long it takes
     clmorph studio                           a local web page for all of this
@@ -398,6 +399,105 @@ def recolor(
     )  # fmt: skip
 
 
+def _mix_settings(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
+    """Read a file of settings before any other option is processed."""
+    if path is None:
+        return None
+    found = files.read_settings(path, mixes=True)
+    context.default_map = found.own
+    return found
+
+
+@cli.command(epilog=_PRESETS)
+@click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
+@click.option(
+    "--grid", metavar="ROWSxCOLUMNS", panel="Mixes",
+    help="Number of mixes along the sides: a row between two pictures (7), a triangle between "
+    "three (5), a rectangle between four (5x5), which stand in its corners.  [default: 5]",
+)  # fmt: skip
+@click.option(
+    "--weights", metavar="W,W,…", multiple=True, panel="Mixes",
+    help="In place of a grid, one mix: a weight for each picture, such as 2,1,1. Can be repeated.",
+)  # fmt: skip
+@click.option(
+    "--path", metavar="LETTERS", panel="Mixes",
+    help="A film in place of a picture: the stops of a path through the mixes, a for the first "
+    "picture, b for the second one, and + for the even mix of all, such as ab+dca.",
+)  # fmt: skip
+@options.file_options
+@click.option(
+    "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Settings",
+    help="Set of options for a kind of pictures; see below.  [default: auto]",
+)  # fmt: skip
+@click.option(
+    "--draft", is_flag=True, panel="Settings",
+    help="A first look in a few seconds: smaller, with fewer frames and less accuracy.",
+)  # fmt: skip
+@click.option(
+    "--config", type=options.FileName(), is_eager=True, callback=_mix_settings, panel="Settings",
+    help="Read options from your own TOML, or repeat a recipe: .json, or a file that this command "
+    "wrote; its pictures are sought beside it and in the current folder.",
+)  # fmt: skip
+@click.option(
+    "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
+)
+@options.mix_options
+@options.max_pixels_option
+@options.device_options
+def mix(
+    images: tuple[Path, ...],
+    grid: str | None,
+    weights: tuple[str, ...],
+    path: str | None,
+    output: tuple[Path, ...],
+    preset: str | None,
+    draft: bool,
+    config: files.Found | None,
+    as_json: bool,
+    device: str | None,
+    backend: str | None,
+    format: str | None,
+    recipe: bool | None,
+    max_pixels: int | None,
+    **given: Any,
+) -> None:
+    """Mix several pictures: a grid of pictures between them, or a film.
+
+    \b
+    clmorph mix a.png b.png c.png d.png -o grid.png      25 pictures, yours in the corners
+    clmorph mix a.png b.png c.png d.png --grid 7x9 --size 128 -o grid.png
+    clmorph mix a.png b.png c.png -o triangle.png        between three: a triangle
+    clmorph mix a.png b.png c.png --weights 2,1,1 -o one.png
+    clmorph mix a.png b.png c.png d.png --path abdca -o tour.gif
+
+    A picture with a single weight is that picture itself, and one with two is a frame of their
+    morph. The presets and most options are those of clmorph morph.
+    """  # noqa: D301
+    from clmorph.cli.mix import Request, run_mix, weights_of
+    from clmorph.cli.morph import announce_changes
+
+    if config is not None and not images:
+        named = config.named.images()
+        images = tuple(name for name, _ in named)
+        announce_changes(named)
+    listed = weights_of(weights, len(images)) if images else None
+    what = {"grid": grid, "weights": listed, "path": path}
+    shown = {name: value for name, value in what.items() if value}
+    wins = preset is not None
+    if config is not None:
+        shown = shown or dict(config.mixes)
+        preset = preset or config.preset
+    if preset is None and (config is None or config.named.own):
+        preset = AUTO
+    run_mix(
+        Request(
+            images, output, options.given_options(given), preset, draft, shown, format,
+            bool(recipe), MAX_PIXELS if max_pixels is None else max_pixels, config, wins,
+        ),
+        device=device, backend=backend, as_json=as_json,
+    )  # fmt: skip
+
+
 @cli.command(epilog=_PRESETS)
 @click.argument("images", metavar="A B", nargs=-1, type=options.FileName())
 @click.option(
@@ -645,6 +745,6 @@ def completion(shell: str) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
-    names = {str(parameter.name): parameter.opts[-1] for parameter in morph.params}
+    names = {str(parameter.name): parameter.opts[-1] for parameter in (*morph.params, *mix.params)}
     with terminable() as ending:
         return run(cli, arguments, names | options.names_outside(), ending)

@@ -220,6 +220,17 @@ morph_options = _together(
     _of(PlanOptions),
     _of(RenderOptions),
 )
+mix_options = _together(
+    _of(PlaybackOptions),
+    _of(BudgetOptions),
+    _of(SolverOptions, "blur"),
+    _of(MorphOptions, "reach"),
+    _of(SolverOptions, "epsilon", "rho"),
+    _of(LiftOptions),
+    _of(SolverOptions, "tol", "max_iter"),
+    _of(PlanOptions),
+    _of(RenderOptions),
+)
 inspect_options = _together(
     _of(BudgetOptions),
     _of(SolverOptions, "blur"),

@@ -22,130 +22,27 @@ is the mean of these mixtures, weighted by how much of each label is at a place:
 crosses the borders of labels.
 """
 
-import math
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.threads import in_order
+from clmorph._shared.enlarging import enlarged
+from clmorph.backends.interface import Operations
+from clmorph.frames.bands import ALL_ROWS, Bands, color_unit, kernel_width, mixed
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.endpoints import share
 from clmorph.frames.ends import End
 from clmorph.frames.halfway import Halfway, mean_displacement, register, sampled
 from clmorph.frames.particles import Particles
-from clmorph.frames.resampling import enlarged, reduced
 from clmorph.images.color import to_space
 
 Array = NDArray[np.float64]
-_Samples = NDArray[np.float32]
 
-#: Standard deviation of the Gaussian between both bands: a share of the longer side, and at least
-#: this number of pixels.
-BAND_SHARE, NARROWEST_BAND = 0.016, 1.5
-#: What is as smooth as the lower band is computed with so many pixels for each standard deviation.
-FINENESS = 2.0
-#: The largest number of pixels of a strip of a frame that one thread computes at a time.
-STRIP_PIXELS = 2**18
-#: Difference of the lower bands at which c falls to 1/e, and variance of a detail that nobody sees.
-#: Both are in Oklab, where the difference from black to white is 2.2; other spaces have their own.
-AGREEMENT, FLOOR = 0.1, 1e-5
-#: The deviation to which g lowers a mixture, relative to that of both details mixed by t. Between
-#: unlike images the lower band is softer than those of the images; a detail a little stronger
-#: makes frames as sharp as the images are. At both ends, and where details agree, g is 1 anyway.
-CRISPNESS = 1.03
 #: Least share of both images from which the motion of a label is registered, and largest number of
 #: labels whose detail is carried: each costs a registration, and a share of each frame.
 REGISTERED, MOST_LABELS = 0.1, 16
-ALL_ROWS = slice(None)
-
-
-def band_width(shape: tuple[int, int]) -> float:
-    """Return the standard deviation of the Gaussian between both bands, in pixels."""
-    return max(NARROWEST_BAND, BAND_SHARE * max(shape))
-
-
-def coarse_canvas(canvas: Canvas) -> Canvas:
-    """Return the canvas on which what is as smooth as the lower band is computed."""
-    longest = max(canvas.shape)
-    return canvas.reduced(math.ceil(FINENESS * longest / band_width(canvas.shape)))
-
-
-def coarse_band_width(canvas: Canvas) -> float:
-    """Return the standard deviation of the Gaussian between both bands, in coarse pixels."""
-    return band_width(canvas.shape) * max(coarse_canvas(canvas).shape) / max(canvas.shape)
-
-
-class Bands(NamedTuple):
-    """An image divided into bands, ready to be sampled.
-
-    Attributes
-    ----------
-    detail : (H, W, 3) array
-        Image less lower band, as coefficients of a cubic spline.
-    smooth : (h, w, 7) array
-        On a coarse canvas, the lower band, what the particles lack of it at this end, and the local
-        variance of the detail.
-    canvas, coarse : Canvas
-        The canvas of the image, and its `coarse_canvas`.
-    """
-
-    detail: _Samples
-    smooth: _Samples
-    canvas: Canvas
-    coarse: Canvas
-
-    @classmethod
-    def of(cls, colors: Array, canvas: Canvas, shown: Array | None = None) -> "Bands":
-        """Divide an image into bands.
-
-        Parameters
-        ----------
-        colors : (H, W, 3) array
-            The image in the space of the path.
-        canvas : Canvas
-        shown : (h, w, 3) array, optional
-            What the particles show at this end, drawn on the coarse canvas with a kernel of
-            `band_width`. It differs from the lower band where pixels have unequal masses, or where
-            a plan leaves some out.
-        """
-        from scipy.ndimage import spline_filter
-
-        coarse = coarse_canvas(canvas)
-        width = coarse_band_width(canvas)
-        few = reduced(colors, coarse.shape)
-        low = _mean_around(few, width)
-        detail = np.asarray(colors - enlarged(low, canvas.shape), dtype=np.float64)
-        squares: Array = np.einsum("ijk,ijk->ij", detail, detail)[..., None]
-        powers = reduced(squares, coarse.shape)
-        variance = _mean_around(powers, width)
-        coefficients = [
-            spline_filter(detail[..., channel], order=3, mode="mirror") for channel in range(3)
-        ]
-        lacking = np.zeros_like(low) if shown is None else low - shown
-        smooth = np.dstack((low, lacking, variance))
-        return cls(
-            np.stack(coefficients, axis=-1).astype(np.float32), smooth.astype(np.float32),
-            canvas, coarse,
-        )  # fmt: skip
-
-    def detail_at(self, positions: Array) -> _Samples:
-        """Sample the detail at positions (..., 2) of the common frame."""
-        return sampled(self.detail, self.canvas.places(positions), order=3)
-
-    def smooth_at(self, positions: Array) -> "Smooth":
-        """Sample what is smooth at positions (..., 2) of the common frame."""
-        found = sampled(self.smooth, self.coarse.places(positions), order=1)
-        return Smooth(found[..., :3], found[..., 3:6], found[..., 6:])
-
-
-class Smooth(NamedTuple):
-    """What is smooth of `Bands`, at some positions: (..., 3) arrays, and (..., 1) variances."""
-
-    low: _Samples
-    lacking: _Samples
-    variance: _Samples
 
 
 class CarriedDetail:
@@ -162,6 +59,8 @@ class CarriedDetail:
     shown : (source's, target's)
         What the particles show at t = 0 and t = 1 on the coarse canvas, drawn with `band_width`:
         (h, w, 3) arrays in the space of the path.
+    operations : Operations, optional
+        The backend that samples the detail of large images; NumPy by default.
     """
 
     def __init__(
@@ -170,6 +69,7 @@ class CarriedDetail:
         particles: Particles,
         canvases: tuple[Canvas, Canvas, Canvas],
         shown: tuple[Array, Array],
+        operations: Operations | None = None,
     ) -> None:
         start, middle, end = canvases
         colors = [picture.colors for picture in ends]
@@ -185,13 +85,15 @@ class CarriedDetail:
                 motion = register((first, second), (start, end), displacement, grid)
             self._layers.append(_Layer(motion, masks))
         self._bands = [
-            Bands.of(to_space(image, particles.path_space), canvas, low)
+            Bands.of(to_space(image, particles.path_space), canvas, low, operations)
             for image, canvas, low in zip(colors, (start, end), shown, strict=True)
         ]
+        self._unit = color_unit(particles.path_space)
 
-        white = [float(np.max(to_space(np.ones(3), s))) for s in (particles.path_space, "oklab")]
-        #: The unit of the path's color space, where that of Oklab is 1.
-        self._unit = white[0] / white[1]
+    @property
+    def motion(self) -> Halfway:
+        """The motion between images without labels; of several labels, that of the first."""
+        return self._layers[0].motion
 
     def kernel_width(self, t: float, canvas: Canvas) -> float:
         """Return the kernel width with which particles are drawn at time t on the coarse canvas.
@@ -207,9 +109,7 @@ class CarriedDetail:
         float
             In pixels of the coarse canvas.
         """
-        start, end = (band_width(bands.canvas.shape) for bands in self._bands)
-        shrink = max(coarse_canvas(canvas).shape) / max(canvas.shape)
-        return ((1 - t) * start + t * end) * shrink
+        return kernel_width(self._bands, (1 - t, t), canvas)
 
     def frame(self, t: float, canvas: Canvas, colors: Array) -> Array:
         """Return a frame in the space of the path: (H, W, 3) array.
@@ -264,66 +164,8 @@ class CarriedDetail:
         part: slice = ALL_ROWS,
     ) -> Array:
         """Return some rows of a frame along one motion, all by default: (rows, W, 3) array."""
-        coarse = coarse_canvas(canvas)
-        # Local deviations at the border of the part depend on what is beside it.
-        first, last, _ = part.indices(canvas.shape[0])
-        beside = math.ceil(4 * self.kernel_width(t, canvas) * canvas.shape[0] / coarse.shape[0])
-        wider = slice(max(0, first - beside), last + beside)
-        details = self._details(t, canvas, displacement, _strips(canvas, wider))
-        places, motion = coarse.positions(), enlarged(displacement, coarse.shape)
-        a = self._bands[0].smooth_at(places - t * motion)
-        b = self._bands[1].smooth_at(places + (1 - t) * motion)
-        floor = FLOOR * self._unit**2
-        strong_a = (1 - t) * np.sqrt(a.variance + floor)
-        strong_b = t * np.sqrt(b.variance + floor)
-        k = strong_b / (strong_a + strong_b)
-        product = np.einsum("ijk,ijk->ij", *details)[..., None]
-        together = _mean_around(reduced(product, coarse.shape), self.kernel_width(t, canvas))
-        found = (1 - k) ** 2 * a.variance + k**2 * b.variance + 2 * k * (1 - k) * together
-        wanted = CRISPNESS * (strong_a + strong_b)
-        gain = np.minimum(1.0, wanted / np.sqrt(np.maximum(found, 0.0) + floor))
-        differ = ((a.low - b.low) ** 2).sum(axis=-1)[..., None]
-        agree = np.exp(-differ / (AGREEMENT * self._unit) ** 2)
-        shown = colors + share(t) * ((1 - t) * a.lacking + t * b.lacking)
-        low = (1 - agree) * shown + agree * ((1 - t) * a.low + t * b.low)
-        smooth = np.dstack((low, gain * (1 - k), gain * k))
-        picture = np.empty((*canvas.shape, 3))
-
-        def mix(rows: slice) -> None:
-            here = enlarged(smooth, canvas.shape, rows.start, rows.stop)
-            picture[rows] = here[..., :3]
-            picture[rows] += here[..., 3:4] * details[0][rows]
-            picture[rows] += here[..., 4:] * details[1][rows]
-
-        for _ in in_order(mix, _strips(canvas, part)):
-            pass
-        return picture[part]
-
-    def _details(
-        self, t: float, canvas: Canvas, displacement: Array, strips: list[slice]
-    ) -> tuple[_Samples, _Samples]:
-        """Return the details of both images where the motion has brought them at time t.
-
-        Rows outside of the strips are zero.
-        """
-        found = np.zeros((2, *canvas.shape, 3), np.float32)
-
-        def sample(rows: slice) -> None:
-            positions = canvas.positions(rows.start, rows.stop)
-            motion = enlarged(displacement, canvas.shape, rows.start, rows.stop)
-            for out, bands, share_of_path in zip(found, self._bands, (-t, 1 - t), strict=True):
-                out[rows] = bands.detail_at(positions + share_of_path * motion)
-
-        for _ in in_order(sample, strips):
-            pass
-        return found[0], found[1]
-
-
-def _strips(canvas: Canvas, part: slice) -> list[slice]:
-    """Return rows of a canvas in some strips, which threads compute at the same time."""
-    first, last, _ = part.indices(canvas.shape[0])
-    rows = max(1, min(-(-(last - first) // 4), STRIP_PIXELS // canvas.shape[1]))
-    return [slice(row, min(row + rows, last)) for row in range(first, last, rows)]
+        motions = -t * displacement, (1 - t) * displacement
+        return mixed(self._bands, (1 - t, t), motions, canvas, colors, share(t), self._unit, part)
 
 
 class _Layer(NamedTuple):
@@ -361,18 +203,3 @@ def _labeled(
         part = replace(particles, links=particles.links[mine], weights=particles.weights[mine])
         found.append((part, (masks[0], masks[1])))
     return found
-
-
-def _mean_around(image: NDArray[np.floating], width: float) -> Array:
-    """Return the mean of an image (H, W, C) under a Gaussian, of pixels inside the image alone."""
-    from scipy.ndimage import gaussian_filter, gaussian_filter1d
-
-    down, along = (
-        gaussian_filter1d(np.ones(side, dtype=image.dtype), width, mode="constant")
-        for side in image.shape[:2]
-    )
-    channels = [
-        gaussian_filter(image[..., channel], width, mode="constant")
-        for channel in range(image.shape[2])
-    ]
-    return np.stack(channels, axis=-1) / (down[:, None] * along)[..., None]

@@ -8,14 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
+from clmorph.frames.bands import coarse_band_width, coarse_canvas
 from clmorph.frames.canvas import Canvas, canvas_at
-from clmorph.frames.carried_detail import (
-    MOST_LABELS,
-    CarriedDetail,
-    coarse_band_width,
-    coarse_canvas,
-    labels_to_carry,
-)
+from clmorph.frames.carried_detail import MOST_LABELS, CarriedDetail, labels_to_carry
 from clmorph.frames.endpoints import (
     EndCorrection,
     Lacking,
@@ -25,6 +20,7 @@ from clmorph.frames.endpoints import (
     share,
 )
 from clmorph.frames.ends import ends_of
+from clmorph.frames.halfway import Halfway
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.opacity import alpha_particles, opacity
 from clmorph.frames.particles import Particles
@@ -96,6 +92,11 @@ class FrameRenderer:
         carries = all(measure.alpha is None for measure in self._measures)
         carries = carries and len(labels_to_carry(self._particles)) <= MOST_LABELS
         return self._detail if carries or self._detail != "carried" else "particles"
+
+    @property
+    def halfway(self) -> Halfway | None:
+        """The motion of carried detail; None if particles or flat shapes draw the frames."""
+        return None if self._carried is None else self._carried.motion
 
     def on(self, operations: Operations, like: "FrameRenderer | None" = None) -> "FrameRenderer":
         """Return a renderer of the same morph on another device.
@@ -212,7 +213,9 @@ class FrameRenderer:
             self.sums(t, Widths(coarse_band_width(canvas)), coarse_canvas(canvas)).colors
             for t, canvas in ((0.0, start), (1.0, end))
         )
-        return CarriedDetail(self._ends, self._particles, (start, middle, end), (first, last))
+        return CarriedDetail(
+            self._ends, self._particles, (start, middle, end), (first, last), self._operations
+        )
 
     @cached_property
     def _shapes(self) -> Shapes | None:

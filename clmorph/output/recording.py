@@ -1,10 +1,10 @@
 """Rendered frames of a morph or of a chain of morphs, from which files are written."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,17 @@ from clmorph.output.spool import Spool
 
 #: Called with a stage's name and the share of it that is done.
 StageProgress = Callable[[str, float], None]
+
+
+class Drawn(Protocol):
+    """Frames that are drawn one after the other: a morph, or a leg of a path through mixes."""
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """The times of the frames, ascending from 0 to 1."""
+
+    def iter_frames(self, first: int = 0) -> Generator[NDArray[np.float32], None, None]:
+        """Draw the frames one by one, from a given number on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +90,7 @@ class Recording:
 
 @contextmanager
 def recorded(
-    morphs: Iterable[FrameSequence],
+    morphs: Iterable[Drawn],
     motion: Motion,
     *,
     reverse: bool = False,
@@ -95,7 +106,7 @@ def recorded(
 
     Parameters
     ----------
-    morphs : iterable of Morph
+    morphs : iterable of Morph, or of other objects that draw frames
         Each begins with the picture that the one before ends with. They are taken one by one,
         so that only one is in memory at a time.
     motion : Motion
@@ -124,6 +135,7 @@ def recorded(
     with Spool(np.float32 if exact else np.uint8, folder) as spool:
         for number, morph in enumerate(morphs):
             if keep:
+                assert isinstance(morph, FrameSequence)  # formats that need more are for morphs
                 kept.append(morph)
             name = f"frames {number + 1}" if n_morphs > 1 else "frames"
             first = 0 if number == 0 else 1

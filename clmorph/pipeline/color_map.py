@@ -24,9 +24,9 @@ from clmorph.transport.sinkhorn import sinkhorn
 
 #: Largest number of clusters of colors between which the transport is solved; their first side,
 #: and the step of the lattice, in blurs; and the factor by which these grow.
-CLUSTERS, SIDE, STEP, GROWTH = 2048, 0.5, 0.5, 1.2
+CLUSTERS, SIDE, STEP, GROWTH = 2048, 0.5, 0.3, 1.2
 #: Largest number of nodes of the lattice, of which those near colors are computed.
-NODES = 1 << 19
+NODES = 1 << 20
 #: Nodes around a color on each side that are computed; a cubic spline has 2, its filter decays.
 AROUND = 3
 #: Residual at which the solver stops, in units of epsilon.

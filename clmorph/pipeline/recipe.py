@@ -31,6 +31,10 @@ from clmorph.pipeline.recolor_options import RecolorOptions
 PRESET, IMAGES, OUTPUT = "preset", "images", "output"
 #: Key of the command that made a file, if it is not ``morph``.
 COMMAND = "command"
+#: The value of `COMMAND` for mixes, which have the options of a morph.
+MIX = "mix"
+#: Keys of what mixes show: a grid, their weights, or the stops of a path, as letters or weights.
+SHOWN = ("grid", "weights", "path", "stops")
 #: The classes of options of the commands.
 COMMANDS: dict[str, type[Options]] = {
     "morph": MorphOptions,
@@ -54,6 +58,7 @@ def recipe(
     device: str = "",
     arrays: Sequence[str] = (),
     beside: Mapping[str, Sequence[Mapping[str, Any]]] | None = None,
+    mixes: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the recipe of a file, which suffices to make the file again.
 
@@ -69,10 +74,13 @@ def recipe(
         are no files), which a recipe does not contain.
     beside : mapping, optional
         Files beside the pictures by what they are (`BESIDE`): name and digest of each.
+    mixes : mapping, optional
+        What mixes show: one of `SHOWN` and its value.
     """
     found: dict[str, Any] = {"clmorph": __version__, "options": options.outside()}
     command = next((name for name, kind in COMMANDS.items() if isinstance(options, kind)), "morph")
     found |= {} if command == "morph" else {COMMAND: command}
+    found |= {} if mixes is None else {COMMAND: MIX, **mixes}
     found |= {IMAGES: [dict(image) for image in images]} if images else {}
     for name, entries in (beside or {}).items():
         found[name] = [dict(entry) for entry in entries]

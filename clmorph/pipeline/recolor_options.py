@@ -38,7 +38,7 @@ class RecolorOptions(Options):
         "Color", word="",
     )  # fmt: skip
     blur: float = option(
-        0.1, number(0.005, 10.0),
+        0.1, number(0.01, 10.0),
         "Length scale below which neighboring colors stay together: a larger one changes colors "
         "more evenly, a smaller one matches the other picture's colors more exactly.",
         "Color", unit="units of a channel", word="",

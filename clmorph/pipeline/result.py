@@ -13,6 +13,7 @@ from clmorph.backends.arrays import pyopencl_needed
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.frame_renderer import FrameRenderer
+from clmorph.frames.halfway import Halfway
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths, check_widths
@@ -214,13 +215,22 @@ class Morph(FrameSequence):
         return self._renderer.detail
 
     @property
+    def halfway(self) -> Halfway | None:
+        """The motion along which detail is carried; None unless `detail` is "carried".
+
+        Its `at` returns the displacement of what is at a place at time t. With labels it is the
+        motion of the first one.
+        """
+        return self._renderer.halfway
+
+    @property
     def sigma(self) -> NDArray[np.float64]:
         """(n_frames,) kernel width at `times`, in pixels; 0 where there is no kernel.
 
         It is the width for ``detail="particles"`` and for `sums`; flat shapes have their own. Where
         detail is carried,
         particles show the lower band alone, with the width
-        `clmorph.frames.carried_detail.band_width`.
+        `clmorph.frames.bands.band_width`.
         """
         return np.array([self.kernel_width.at(t, self.canvas(t)) for t in self.times])
 

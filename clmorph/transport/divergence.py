@@ -15,6 +15,7 @@ import numpy as np
 
 from clmorph._shared.typing import Progress
 from clmorph._shared.validation import check_flag, check_progress, shown
+from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
@@ -213,9 +214,7 @@ def sinkhorn_divergence(
 
     parts: list[Potentials] = []
     for number, measure in enumerate(pair):
-        truncation = choose_truncation("auto", tol, len(measure) ** 2 >= MANY_PAIRS)
-        problem = Problem.between(operations, measure, measure, given.rho, truncation)
-        parts.append(_self_transport(problem, given, tol, max_iter, precision))
+        parts.append(self_transport_of(measure, given, tol, max_iter, operations, precision))
         report(0.15 * (number + 1))
     if are_equal(*pair):
         cross = parts[0]
@@ -317,6 +316,30 @@ def are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
     return np.array_equal(source.points, target.points) and np.array_equal(
         source.weights, target.weights
     )
+
+
+def self_transport_of(
+    measure: AnyMeasure,
+    given: Regularization,
+    tol: float,
+    max_iter: int,
+    operations: Operations,
+    precision: str = "auto",
+) -> Potentials:
+    """Solve the problem of a measure with itself.
+
+    Parameters
+    ----------
+    measure : Measure or WeightedPoints
+    given : Regularization
+        With one reach for both sides.
+    tol, max_iter, precision
+        As in `clmorph.sinkhorn`.
+    operations : Operations
+    """
+    truncation = choose_truncation("auto", tol, len(measure) ** 2 >= MANY_PAIRS)
+    problem = Problem.between(operations, measure, measure, given.rho, truncation)
+    return _self_transport(problem, given, tol, max_iter, precision)
 
 
 def _self_transport(

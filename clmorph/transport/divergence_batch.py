@@ -86,7 +86,7 @@ def sinkhorn_divergence_batch(
     >>> targets = [([1.0], [0.1])] * 2
     >>> found = clmorph.sinkhorn_divergence_batch(sources, targets, 0.1, 0.3, backend="numpy")
     >>> [round(float(each), 4) for each in found]
-    [0.0025, 0.0148]
+    [0.0021, 0.0183]
     """
     given = one_regularization(blur, reach, epsilon, rho)
     tol, max_iter, _ = check_solver_options(tol, max_iter, precision=precision)

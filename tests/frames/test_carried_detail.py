@@ -7,13 +7,14 @@ from scipy.ndimage import gaussian_filter, shift
 
 import clmorph
 from clmorph import InputError, MorphOptions
+from clmorph._shared.enlarging import enlarged
 from clmorph.analysis.metrics import crumbs, mean_gradient, step_sizes
-from clmorph.frames import carried_detail, halfway
+from clmorph.frames import bands, carried_detail, halfway
+from clmorph.frames.bands import Bands, band_width
 from clmorph.frames.canvas import canvas_at
-from clmorph.frames.carried_detail import Bands, CarriedDetail, band_width
+from clmorph.frames.carried_detail import CarriedDetail
 from clmorph.frames.ends import ends_of
 from clmorph.frames.halfway import Halfway, register
-from clmorph.frames.resampling import enlarged
 from clmorph.images.pixels import fit
 from clmorph.pipeline.options import preset_options
 
@@ -100,6 +101,11 @@ class TestMotion:
         assert np.all(np.abs(corner) <= 0.5 * np.array(canvas.shape) / small.shape)
 
 
+def at_rest(bands, canvas):
+    """Return the detail of an image that does not move."""
+    return bands.detail_at(bands.motion(canvas, np.zeros((1, 1, 2))), slice(0, canvas.shape[0]))
+
+
 class TestBands:
     @pytest.mark.parametrize("shape", [(40, 53), (300, 210), (1, 9), (400, 3)])
     def test_their_sum_is_the_image(self, shape):
@@ -109,7 +115,7 @@ class TestBands:
         assert max(bands.coarse.shape) <= max(shape)
         assert max(shape) < 150 or max(bands.coarse.shape) < 0.6 * max(shape)
         smooth = bands.smooth_at(bands.coarse.positions())
-        detail = bands.detail_at(canvas.positions())
+        detail = at_rest(bands, canvas)
         assert not smooth.lacking.any()
         assert np.abs(detail + enlarged(smooth.low, shape) - image).max() < 1e-5
         assert np.all(smooth.variance >= 0)
@@ -120,14 +126,14 @@ class TestBands:
         flat = np.full((200, 300, 3), 0.3)
         canvas = canvas_at(0.0, (200, 300), (200, 300))
         bands = Bands.of(flat, canvas)
-        assert np.abs(bands.detail_at(canvas.positions())).max() < 1e-6
+        assert np.abs(at_rest(bands, canvas)).max() < 1e-6
         assert np.abs(bands.smooth_at(bands.coarse.positions()).low - 0.3).max() < 1e-6
 
     def test_a_coarser_grid_changes_nothing_that_is_seen(self, device, monkeypatch):
         ends = [fit(picture(name), 200) for name in ("portrait", "cat")]
         frames = []
-        for fineness in (carried_detail.FINENESS, 100.0):
-            monkeypatch.setattr(carried_detail, "FINENESS", fineness)
+        for fineness in (bands.FINENESS, 100.0):
+            monkeypatch.setattr(bands, "FINENESS", fineness)
             morph = clmorph.morph(*ends, n_frames=3, backend=device)
             frames.append([morph.frame(t) for t in (0.3, 0.5)])
         for coarse, fine in zip(*frames, strict=True):
@@ -292,7 +298,8 @@ def test_frames_do_not_depend_on_the_unit_of_the_color_space(monkeypatch):
     def enlarged(colors, space):
         return (3.0 if space == "srgb" else 1.0) * original(colors, "oklab")
 
-    monkeypatch.setattr(carried_detail, "to_space", enlarged)
+    for module in (bands, carried_detail):
+        monkeypatch.setattr(module, "to_space", enlarged)
     shown = np.random.default_rng(0).random((3, 16, 20, 3))
     frames = [
         CarriedDetail(

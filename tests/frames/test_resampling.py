@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from clmorph._shared.enlarging import enlarged
 from clmorph.frames.canvas import canvas_at
-from clmorph.frames.resampling import enlarged, reduced
+from clmorph.frames.resampling import reduced
 
 SHAPES = [
     ((7, 5), (20, 31)),

@@ -133,6 +133,7 @@ def examples() -> dict[str, Any]:
         "path": clmorph.density_path(np.eye(3), np.eye(3)[:, ::-1], backend="numpy"),
         "plain": (np.ones(3), np.arange(6.0).reshape(3, 2)),
         "queue": _any_queue(),
+        "mixes": clmorph.mix([a, b, a[::-1]], [[1, 0, 0], [1, 1, 0]], n_frames=2, backend="numpy"),
         "rearranged": clmorph.rearrange(a, b, n_frames=2, backend="numpy"),
     }
 
@@ -183,6 +184,19 @@ def cases() -> dict[str, dict[str, Any]]:
             "size": None, "color_weight": 2.0, "color_space": "srgb", "extent": "true",
             "gap": 0.01, "seed": 0,
         },
+        "mix": STRENGTHS | SOLVER | WIDTHS | LIFTING | shared | playback | {
+            "images": [some["a"], some["b"]], "weights": [[1.0, 1.0]], "grid": None,
+            "draft": False, "n_frames": 2, "splatting": "adaptive", "sigma": None,
+            "endpoints": "exact", "detail": "particles", "unmatched": "fade",
+            "path_space": "srgb", "barycentric": False, "sample": None, "seed": 0,
+            "ease": "linear", "feature_weight": 1.0, "landmarks": None,
+        },
+        "Mixes.frame": {"self": some["mixes"], "weights": [1.0, 1.0, 0.0]},
+        "Mixes.morph": {"self": some["mixes"], "first": 0, "second": 1},
+        "Mixes.sheet": {"self": some["mixes"], "background": None},
+        "Mixes.drawn": {"self": some["mixes"]},
+        "Mixes.path": {"self": some["mixes"], "stops": "ab"},
+        "Mixes.save": {"self": some["mixes"], "path": "out.png", "stops": None},
         "recolor": {
             "image": some["a"], "like": some["b"], "options": None, "mask": np.ones((3, 3)),
             "backend": "numpy", "progress": Idle(), "strength": 0.5, "color_space": "oklab",
@@ -214,6 +228,11 @@ def cases() -> dict[str, dict[str, Any]]:
             "gradient": True,
         },
         "gradient": planned,
+        "barycenter": STRENGTHS | {
+            "measures": [some["source"], some["target"]], "weights": [1.0, 2.0], "support": 3,
+            "tol": 0.1, "max_iter": 3, "backend": "numpy", "fixed": False, "debias": True,
+            "seed": 0, "progress": Idle(),
+        },
         "density": {"values": some["grid"]},
         "density_path": SOLVER | {
             "source": some["grid"], "target": some["grid"].T, "blur": 0.05, "reach": 0.3,
@@ -316,6 +335,7 @@ def cases() -> dict[str, dict[str, Any]]:
         "ReferenceMorph.frame": {"self": some["reference"], "t": 0.5},
     }  # fmt: skip
     given["quality.path_divergence"].pop("max_iter")
+    given["mix"].pop("color_metric")  # maps are for two images
     return given
 
 

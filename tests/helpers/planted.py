@@ -48,6 +48,7 @@ FAULTS = [
     Fault("particles.cl", "fill_bins", "weight * sample.y", "0.999f * weight * sample.y",
           "deposit"),
     Fault("splat.cl", "splat", "ky[y] * kx;", "0.999f * ky[y] * kx;", "splat"),
+    Fault("spline.cl", "sample_spline", "origin + step", "origin + 1.01f * step", "sample_spline"),
     Fault("gauss_transform.cl", "sum_moments", "chunk + MOMENT_CHUNK),",
           "chunk + MOMENT_CHUNK) - 1,", "splat"),
     Fault("gauss_transform.cl", "sum_rows", "vstore4(fold", "vstore4(0.999f * fold", "splat"),

@@ -12,6 +12,7 @@ from clmorph.errors import InputError
 from clmorph.images.color import COLOR_SPACES, to_space
 from clmorph.images.gamut import into_gamut
 from clmorph.pipeline import recolor as module
+from clmorph.pipeline.color_map import color_map
 
 #: Half a level of 8 bits.
 LEVEL = 0.5 / 255
@@ -185,6 +186,26 @@ def test_pictures_of_8_bits_are_recolored_color_by_color():
     np.testing.assert_array_equal(masked[~some], a[~some] / 255)
     want = clmorph.recolor(slightly, b, mask=some, backend="numpy")
     np.testing.assert_allclose(masked, want, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("reach", [None, 1.0])
+def test_the_lattice_shows_the_map_itself(reach):
+    """Between its nodes too, to half a level: the steps of the map at the pixels' own colors."""
+    operations = clmorph.get_backend("numpy")
+    points = [to_space(scene(seed).reshape(-1, 3), "oklab") for seed in (18, 19)]
+    source, target = (clmorph.WeightedPoints(each, np.ones(len(each))) for each in points)
+    change = color_map(source, target, 0.1, reach, operations, lambda share: None)
+    own, cross = (
+        clmorph.sinkhorn(*pair, 0.1, reach, backend=operations)
+        for pair in ((source, source), (source, target))
+    )
+    want = cross.map(points[0], own=own, backend=operations) - points[0]
+    shares = np.exp(-np.maximum(cross.f - own.f, 0.0) / (reach or np.inf) ** 2)
+    want *= shares[:, None]
+    # Beside the lattice, the clusters differ from the pixels: they are half a blur wide.
+    missed = np.abs(change.steps(points[0]) - want)
+    assert missed.max() < 4 * LEVEL
+    assert missed.mean() < 0.5 * LEVEL
 
 
 def test_large_pictures_are_sampled_and_recolored_in_parts(monkeypatch):

@@ -7,10 +7,12 @@ from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.numpy.batches import Batch, divide, for_each
 from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
 from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
+from clmorph.backends.numpy.spline import sample_spline
 from clmorph.backends.records import (
     Bins,
     Float32,
     Float64,
+    Motion,
     NearPairs,
     PlanRows,
     StoredPairs,
@@ -332,6 +334,14 @@ class NumPyOperations:
         positions = (moved[:, :2] - 0.5) * np.asarray(scale) + np.asarray(center)
         spacings = moved[:, 5] * 0.5 * (scale[0] + scale[1])
         return Splats(positions, moved[:, 2:5], weights, spacings)
+
+    def upload_spline(self, coefficients: Float32) -> Float32:
+        """Upload a picture, as the coefficients of a cubic spline."""
+        return coefficients
+
+    def sample_spline(self, spline: Float32, motion: Motion, first: int, stop: int) -> Float32:
+        """Sample a picture at the places of some rows of a canvas."""
+        return sample_spline(spline, motion, first, stop)
 
     def upload_splats(
         self,

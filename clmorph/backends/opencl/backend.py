@@ -25,6 +25,7 @@ from clmorph.backends.opencl.kernels.plan_shares import PlanShares
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.sliced_ellpack import SlicedEllpack
 from clmorph.backends.opencl.kernels.splat import Splatting
+from clmorph.backends.opencl.kernels.spline import SplineSampling
 from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import DeviceError
 
@@ -109,6 +110,8 @@ class OpenCLOperations:
         stored = SlicedEllpack(loop, plan_rows)
         splatting = self.splatting = Splatting(self.work, self.constants, self.programs)
 
+        splines = SplineSampling(self.work, self.programs)
+
         take_turns = self._take_turns
         self.upload = take_turns(clouds.upload)
         self.softmin = take_turns(log_sum_exp.softmin)
@@ -129,6 +132,8 @@ class OpenCLOperations:
         self.sum_stored = take_turns(stored.sum_stored)
         self.upload_particles = take_turns(splatting.upload_particles)
         self.upload_splats = take_turns(splatting.upload_splats)
+        self.upload_spline = take_turns(splines.upload_spline)
+        self.sample_spline = take_turns(splines.sample_spline)
         self.advect = take_turns(splatting.advect)
         self.deposit = take_turns(splatting.deposit)
         self.adapt_widths = take_turns(splatting.adapt_widths)

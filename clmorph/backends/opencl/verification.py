@@ -34,6 +34,7 @@ from clmorph.backends.verification.splats import (
     check_splat,
     thinned,
 )
+from clmorph.backends.verification.splines import check_spline
 from clmorph.errors import ClmorphError
 
 #: Number of splats and canvas of the checks: bins of more than MOMENT_CHUNK splats, several blocks
@@ -169,6 +170,10 @@ def _check_splat(operations: Adjustable, variant: Variant, method: str) -> _Chec
     yield from check_own_widths(thinned(case, FEWER), 1.1)
 
 
+def _check_spline(operations: Adjustable, variant: Variant) -> _Checks:
+    yield from check_spline(operations, NumPyOperations())
+
+
 _CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
     "log_sum_exp.cl": _check_log_sum_exp,
     "near_field.cl": _check_near_field,
@@ -179,5 +184,6 @@ _CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
     "sliced_ellpack.cl": _check_sliced_ellpack,
     "particles.cl": _check_particles,
     "splat.cl": partial(_check_splat, method="gather"),
+    "spline.cl": _check_spline,
     "gauss_transform.cl": partial(_check_splat, method="moments"),
 }

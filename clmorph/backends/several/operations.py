@@ -101,6 +101,7 @@ class SeveralDevices:
         self.bounded_softmin_batch = lone.bounded_softmin_batch
         self.upload_particles = lone.upload_particles
         self.upload_splats = lone.upload_splats
+        self.upload_spline, self.sample_spline = lone.upload_spline, lone.sample_spline
         self.advect = lone.advect
         self.deposit = lone.deposit
         self.adapt_widths = lone.adapt_widths

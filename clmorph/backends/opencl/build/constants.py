@@ -130,14 +130,16 @@ class BuildConstants:
             "WIDTH": self.width,
         }
 
+    def common_macros(self) -> dict[str, int | float]:
+        """Return the macros of ``common.cl``, for files that have none of their own."""
+        return {"EXP2_BUILTIN": self.exp2_builtin, "SENTINEL": SENTINEL, "WIDTH": self.width}
+
     def particle_macros(self) -> dict[str, int | float]:
         """Return the macros of ``particles.cl``."""
         return {
+            **self.common_macros(),
             "BASE_LEVEL": WIDTH_LEVELS.base,
-            "EXP2_BUILTIN": self.exp2_builtin,
             "LEVELS_PER_OCTAVE": WIDTH_LEVELS.per_octave,
-            "SENTINEL": SENTINEL,
-            "WIDTH": self.width,
             "WIDTH_LEVELS": WIDTH_LEVELS.count,
         }
 

@@ -13,5 +13,6 @@ KERNELS = {
         "advect", "pack_weights", "choose_width_levels", "count_bins", "fill_bins",
     ),
     "splat.cl": ("splat",),
+    "spline.cl": ("sample_spline",),
     "gauss_transform.cl": ("sum_moments", "sum_rows", "sum_columns"),
 }  # fmt: skip

@@ -1,0 +1,1 @@
+"""Frames that mix several images."""

@@ -1,0 +1,1 @@
+"""Mixtures of several images: grids of mixes, and paths through them."""

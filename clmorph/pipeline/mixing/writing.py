@@ -1,0 +1,141 @@
+"""Write mixes to files: a sheet with all of them, or a film of a path through them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clmorph._shared.files import atomic_paths, check_apart, errors_as_output
+from clmorph._shared.progress import StageProgress
+from clmorph.errors import OutputError
+from clmorph.output.metadata import as_png_info
+from clmorph.output.options import FrameStyle
+from clmorph.output.playback import held_frames, motion_of
+from clmorph.output.recording import Drawn, recorded
+from clmorph.output.save import Output, write_all
+from clmorph.pipeline.options import MorphOptions
+
+#: The ending of files with a sheet of mixes.
+SHEET = ".png"
+
+
+def check_outputs(outputs: Sequence[Output], n_stops: int, options: MorphOptions) -> None:
+    """Check that files can hold a sheet, or a film with some stops, before any computation.
+
+    Parameters
+    ----------
+    outputs : sequence of Output
+    n_stops : int
+        Number of stops of the path; 0 for a sheet.
+    options : MorphOptions
+
+    Raises
+    ------
+    OutputError
+        If a file cannot hold it.
+    InputError
+        If the options of playback contradict one another, or do not suit a format.
+    """
+    for output in outputs:
+        if not n_stops and output.name != "sheet":
+            raise OutputError(
+                f"{output.path}: mixes side by side are one picture: expected a name that ends in "
+                f"{SHEET}; a path through the mixes makes a film"
+            )
+        if output.format.keep:
+            raise OutputError(
+                f"{output.path}: this format holds morphs of two pictures, not mixes: expected "
+                ".gif, .webp, .apng, .mp4, .webm, .png, .tif or a folder"
+            )
+    if n_stops:
+        motion = motion_of(options, held_frames(n_stops, options.n_frames))
+        for output in outputs:
+            output.check_motion(motion)
+
+
+def write_sheet(
+    outputs: Sequence[Output],
+    sheet: np.ndarray[Any, np.dtype[np.uint8]],
+    metadata: Mapping[str, Any],
+    texts: Mapping[Path, str] | None = None,
+) -> None:
+    """Write a sheet to PNG files: all of them whole, or none.
+
+    Parameters
+    ----------
+    outputs : sequence of Output
+        Outputs that `check_outputs` has accepted.
+    sheet : (H, W, 3) or (H, W, 4) uint8 array
+    metadata : mapping
+    texts : mapping, optional
+        Further texts to be written, each by the path of its file.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    from PIL import Image
+
+    beside = dict(texts or {})
+    places = [*(output.place for output in outputs), *beside]
+    check_apart(places)
+    with atomic_paths(places) as made:
+        for new, (place, text) in zip(made[len(outputs) :], beside.items(), strict=True):
+            with errors_as_output(place):
+                new.write_text(text, "utf-8")
+        for output, new in zip(outputs, made, strict=False):
+            with errors_as_output(output.path):
+                Image.fromarray(sheet).save(new, format="PNG", pnginfo=as_png_info(metadata))
+
+
+def write_film(
+    outputs: Sequence[Output],
+    legs: Sequence[Drawn],
+    options: MorphOptions,
+    pixelated: bool,
+    metadata: Mapping[str, Any],
+    texts: Mapping[Path, str] | None = None,
+    progress: StageProgress | None = None,
+) -> tuple[int, float]:
+    """Write the film of a path to files: all of them whole, or none.
+
+    Parameters
+    ----------
+    outputs : sequence of Output
+        Outputs that `check_outputs` has accepted.
+    legs : sequence of Leg
+    options : MorphOptions
+    pixelated : bool
+    metadata : mapping
+    texts : mapping, optional
+        Further texts to be written, each by the path of its file.
+    progress : callable, optional
+
+    Returns
+    -------
+    frames : int
+    seconds : float
+        Duration of one round.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    report = progress or (lambda stage, share: None)
+    motion = motion_of(options, held_frames(len(legs) + 1, options.n_frames))
+    style = FrameStyle(**options.of(FrameStyle))
+    with recorded(
+        legs, motion, n_morphs=len(legs), reverse=options.reverse,
+        exact=any(output.format.exact for output in outputs), pixelated=pixelated,
+        parameters=metadata, folder=outputs[0].folder, progress=report,
+    ) as film:  # fmt: skip
+        write_all(
+            outputs, film, style,
+            lambda output, share: report(f"write {output.path.name}", share), texts,
+        )  # fmt: skip
+        return len(film), film.duration

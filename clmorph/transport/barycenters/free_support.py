@@ -1,0 +1,157 @@
+"""Barycenters whose points move.
+
+The barycenter of measures b_k with the shares w_k minimizes F(a) = sum_k w_k S(a, b_k), where S is
+the Sinkhorn divergence, or the entropic transport value OT itself without debiasing. With
+r_k,i = a_i R_k,i, the mass that leaves point x_i for b_k, and T_k(x_i), the mean of where it goes,
+and with R_s and T_s those of the transport of a to itself (`clmorph.transport.gradient`),
+
+    dF / dx_i = a_i [sum_k w_k R_k,i (x_i - T_k(x_i)) - R_s,i (x_i - T_s(x_i))],
+    dF / da_i = (rho + epsilon) [R_s,i - sum_k w_k R_k,i].
+
+A step moves each point by its derivative over the mass that leaves it, which for OT is the mean
+x_i <- sum_k w_k T_k(x_i) (Cuturi and Doucet, "Fast computation of Wasserstein barycenters", ICML
+2014, algorithm 2). If masses are not fixed by balanced transport, a step multiplies a_i by
+sum_k w_k R_k,i / R_s,i, whose fixed points are those where dF / da_i = 0. For Diracs at one place
+it converges to the power mean a^kappa = sum_k w_k b_k^kappa, kappa = (rho + epsilon) /
+(2 rho + epsilon), at the rate 1 - kappa.
+
+Without debiasing points shrink together: OT(a, b) is least for an a narrower than b. Séjourné,
+Feydy, Vialard, Trouvé and Peyré, "Sinkhorn divergences for unbalanced optimal transport" (2019);
+Janati, Cuturi and Gramfort, "Debiased Sinkhorn barycenters", ICML 2020, section 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from clmorph._shared.typing import Array, Progress
+from clmorph.backends.interface import Operations
+from clmorph.errors import InputError
+from clmorph.measures.points import AnyMeasure, WeightedPoints
+from clmorph.transport._solver.plan_softmin import row_projection, uploaded
+from clmorph.transport.barycenters.result import Barycenter
+from clmorph.transport.certificate import MAX_EXPONENT
+from clmorph.transport.divergence import self_transport_of
+from clmorph.transport.potentials import Potentials
+from clmorph.transport.regularization import Regularization
+from clmorph.transport.sinkhorn import sinkhorn
+
+#: Residual of the solves, in units of epsilon, and its largest share of the tolerance.
+INNER_TOL, INNER_SHARE = 1e-4, 0.1
+#: Largest number of iterations of a solve.
+INNER_ITERATIONS = 2000
+#: Largest factor by which a mass changes in one step, and the share of the mean mass of the
+#: measures below which the mass of the support is lost.
+MOST_GROWTH, LOST = 10.0, 1e-20
+#: Shares of mass that are too small to divide by.
+TINY = 1e-100
+
+
+class Sent(NamedTuple):
+    """Where the points' mass goes."""
+
+    #: (N,) mass that leaves each point, relative to its own
+    ratio: Array
+    #: (N, D) mean destinations
+    mean: Array
+
+
+def sent(
+    source: AnyMeasure, target: AnyMeasure, potentials: Potentials, operations: Operations
+) -> Sent:
+    """Return where the mass of the source's points goes."""
+    clouds = uploaded(operations, source), uploaded(operations, target)
+    softmin, mean = row_projection(operations, clouds, (source, target), potentials)
+    epsilon, rho = potentials.epsilon, potentials.rho
+    inverse = 1.0 / (rho[0] if isinstance(rho, tuple) else rho)
+    # f = Delta T(g), and so r = a exp((f - T(g)) / epsilon) = a exp(-f / rho).
+    exponent = -softmin * inverse / (1.0 + epsilon * inverse)
+    return Sent(np.exp(np.minimum(exponent, MAX_EXPONENT)), mean)
+
+
+def free_support(
+    measures: Sequence[AnyMeasure],
+    shares: Sequence[float],
+    start: WeightedPoints,
+    given: Regularization,
+    debias: bool,
+    tol: float,
+    max_iter: int,
+    operations: Operations,
+    report: Progress,
+) -> Barycenter:
+    """Move points, and change their masses unless transport is balanced, until they rest.
+
+    Parameters
+    ----------
+    measures : sequence of Measure or WeightedPoints
+    shares : sequence of float
+        Positive shares of the measures, with the sum 1.
+    start : WeightedPoints
+    given : Regularization
+        With one reach for both sides.
+    debias : bool
+    tol, max_iter : float, int
+        See `clmorph.barycenter`.
+    operations : Operations
+    report : callable
+        Called with the share of the work that is done.
+
+    Raises
+    ------
+    InputError
+        If all mass of the support vanishes.
+    """
+    epsilon, rho = given.epsilon, given.rho[0]
+    balanced = bool(np.isinf(rho))
+    inner = min(INNER_TOL, INNER_SHARE * tol)
+    points, weights = start.points.copy(), start.weights.copy()
+    found: list[Potentials | None] = [None] * len(measures)
+    residuals: list[float] = []
+    mass = float(np.dot(shares, [each.mass for each in measures]))
+    for number in range(max_iter):
+        here = WeightedPoints(points, weights)
+        ratio, pull = np.zeros(len(points)), np.zeros_like(points)
+        for k, (measure, share) in enumerate(zip(measures, shares, strict=True)):
+            solved = sinkhorn(
+                here, measure, tol=inner, max_iter=INNER_ITERATIONS, backend=operations,
+                epsilon=epsilon, rho=rho, start=found[k],
+            )  # fmt: skip
+            found[k] = solved
+            going = sent(here, measure, solved, operations)
+            ratio += share * going.ratio
+            pull += (share * going.ratio)[:, None] * (going.mean - points)
+        if debias:
+            own = self_transport_of(here, given, inner, INNER_ITERATIONS, operations)
+            within = sent(here, here, own, operations)
+            pull -= within.ratio[:, None] * (within.mean - points)
+            growth = np.divide(
+                ratio, within.ratio, out=np.full(len(ratio), MOST_GROWTH), where=within.ratio > TINY
+            )
+        else:
+            growth = ratio if balanced else ratio * (rho + epsilon) / (rho + epsilon * mass)
+        # Points from which nothing travels stay, and their masses vanish.
+        there = (ratio > TINY)[:, None]
+        step = np.divide(pull, ratio[:, None], out=np.zeros_like(pull), where=there)
+        changed = weights
+        if not balanced:
+            changed = weights * np.clip(growth, 1 / MOST_GROWTH, MOST_GROWTH)
+            if changed.sum() < LOST * mass:
+                raise InputError(
+                    "support: no mass travels between it and the measures; begin with points "
+                    "nearer to them, or raise the reach"
+                )
+        moved = float(np.sqrt(weights @ (step**2).sum(axis=1) / weights.sum())) / given.blur
+        residuals.append(max(moved, float(np.abs(changed - weights).sum() / weights.sum())))
+        points, weights = points + step, changed
+        done = residuals[-1] <= tol
+        report(1.0 if done else (number + 1) / max_iter)
+        if done:
+            break
+    status = "converged" if residuals[-1] <= tol else "max_iter"
+    return Barycenter(
+        points, weights, None, status, len(residuals), residuals[-1], np.array(residuals)
+    )

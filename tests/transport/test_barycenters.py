@@ -1,0 +1,289 @@
+"""Barycenters, against closed forms and other libraries."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import ndtri
+
+import clmorph
+from clmorph.errors import ConvergenceWarning, InputError
+
+#: A line of points for fixed supports, and widths of two bells on it.
+LINE = np.linspace(-1.2, 1.2, 121)
+WIDTHS, SHARES = (0.1, 0.25), (0.6, 0.4)
+
+
+def _quantiles(mean: float, width: float, n: int = 100) -> tuple[np.ndarray, np.ndarray]:
+    """A Gaussian as points of equal masses."""
+    q = ndtri((np.arange(n) + 0.5) / n)
+    return np.full(n, 1 / n), mean + width * q / np.sqrt((q**2).mean())
+
+
+def _bell(mean: float, width: float) -> tuple[np.ndarray, np.ndarray]:
+    density = np.exp(-0.5 * ((LINE - mean) / width) ** 2)
+    return density / density.sum(), LINE
+
+
+def _moments(found: clmorph.Barycenter) -> tuple[float, float]:
+    weights = found.weights / found.mass
+    mean = weights @ found.points[:, 0]
+    return float(mean), float(np.sqrt(weights @ (found.points[:, 0] - mean) ** 2))
+
+
+def _cross(one: float, other: float, epsilon: float) -> float:
+    """Covariance c of the entropic plan between Gaussians: c^2 + epsilon c = (one other)^2."""
+    return 0.5 * (np.sqrt(epsilon**2 + 4 * (one * other) ** 2) - epsilon)
+
+
+def _width(kind: str, epsilon: float) -> float:
+    """Width of a Gaussian barycenter, from the condition of the optimum.
+
+    sum_k w_k c(s, s_k) = c(s, s) debiased, = s^2 for OT with free points; sum_k w_k s_k^2 / c = 1
+    for projections on a fixed support.
+    """
+
+    def condition(s: float) -> float:
+        crosses = [_cross(s, each, epsilon) for each in WIDTHS]
+        if kind == "blurred":
+            return 1 - sum(w * k * k / c for w, k, c in zip(SHARES, WIDTHS, crosses, strict=True))
+        aim = s * s if kind == "narrow" else _cross(s, s, epsilon)
+        return float(np.dot(SHARES, crosses)) - aim
+
+    return float(brentq(condition, 1e-4, 3.0))
+
+
+class TestGaussians:
+    """Each has the mean and the width that theory gives; without blur they would be 0.16 wide."""
+
+    @pytest.mark.parametrize("blur", [0.03, 0.1])
+    @pytest.mark.parametrize("debias", [True, False])
+    def test_free_support(self, any_backend, blur, debias):
+        measures = [_quantiles(m, s) for m, s in zip((-0.4, 0.6), WIDTHS, strict=True)]
+        found = clmorph.barycenter(
+            measures, SHARES, None, blur, debias=debias, tol=1e-3, backend=any_backend
+        )
+        assert found.converged
+        wanted = _width("debiased" if debias else "narrow", blur**2)
+        np.testing.assert_allclose(_moments(found), (0.0, wanted), atol=1e-3)
+        assert found.mass == pytest.approx(1.0)
+
+    @pytest.mark.parametrize("debias", [True, False])
+    def test_fixed_support(self, any_backend, debias):
+        measures = [_bell(m, s) for m, s in zip((-0.2, 0.3), WIDTHS, strict=True)]
+        found = clmorph.barycenter(
+            measures, SHARES, LINE, 0.08, debias=debias, fixed=True, tol=1e-4, backend=any_backend
+        )
+        assert found.converged
+        wanted = _width("debiased" if debias else "blurred", 0.08**2)
+        np.testing.assert_allclose(_moments(found), (0.0, wanted), atol=1e-3)
+        np.testing.assert_array_equal(found.points[:, 0], LINE)
+
+    def test_debiasing_removes_the_blur(self):
+        assert abs(_width("debiased", 0.03**2) - 0.16) < 1e-4
+        assert _width("narrow", 0.1**2) < 0.14 < 0.18 < _width("blurred", 0.1**2)
+
+    def test_covariance_in_the_plane(self, device):
+        """Commuting covariances: the barycenter's root is the mean of the roots."""
+        one, other = _quantiles(0, 1, 10)[1], _quantiles(0, 1, 10)[1]
+        grid = np.stack(np.meshgrid(one, other), axis=2).reshape(-1, 2)
+        turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+        weights = np.full(100, 0.01)
+        measures = [(weights, grid * sides @ turn.T) for sides in ((0.1, 0.3), (0.2, 0.1))]
+        found = clmorph.barycenter(measures, None, measures[0], 0.02, tol=1e-3, backend=device)
+        roots = (0.5 * np.add((0.1, 0.3), (0.2, 0.1))) ** 2
+        covariance = found.points.T @ found.points / 100
+        np.testing.assert_allclose(covariance, turn * roots @ turn.T, atol=1e-3)
+
+
+@pytest.mark.parametrize("rho", [0.1, 1.0])
+@pytest.mark.parametrize("debias", [True, False])
+def test_masses_of_diracs(any_backend, rho, debias):
+    """a^kappa = sum_k w_k b_k^kappa debiased; without, a (rho + epsilon m) / (rho + epsilon) is
+    sum_k w_k (a b_k)^kappa."""
+    epsilon, shares, masses = 0.01, np.array([0.25, 0.75]), np.array([1.0, 4.0])
+    kappa = (rho + epsilon) / (2 * rho + epsilon)
+    total = shares @ masses**kappa
+    wanted = total ** (1 / kappa)
+    if not debias:
+        factor = (rho + epsilon) / (rho + epsilon * (shares @ masses))
+        wanted = (total * factor) ** (1 / (1 - kappa))
+    measures = [(np.array([mass]), np.array([[0.2, 0.3]])) for mass in masses]
+    found = clmorph.barycenter(
+        measures, shares, epsilon=epsilon, rho=rho, debias=debias, tol=1e-5, backend=any_backend
+    )
+    assert found.mass == pytest.approx(wanted, rel=1e-4)
+    np.testing.assert_allclose(found.points, [[0.2, 0.3]], atol=1e-6)
+
+
+@pytest.mark.small
+def test_two_points_meet_at_their_weighted_mean(any_backend):
+    measures = [(np.ones(1), np.array([[x, 1 - x]])) for x in (0.0, 1.0)]
+    found = clmorph.barycenter(measures, [3, 1], blur=0.1, backend=any_backend)
+    np.testing.assert_allclose(found.points, [[0.25, 0.75]], atol=1e-6)
+    assert found.status == "converged"
+
+
+def _cloud(seed: int, n: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    weights = rng.random(n) + 0.5
+    return weights / weights.sum(), 0.2 * rng.normal(size=(n, 2)) + 0.5
+
+
+@pytest.mark.parametrize("reach", [None, 0.4])
+def test_one_measure_is_its_own_barycenter(any_backend, reach):
+    weights, points = _cloud(0)
+    found = clmorph.barycenter(
+        [(weights, points)], None, (weights, points), 0.05, reach, backend=any_backend
+    )
+    np.testing.assert_allclose(found.points, points, atol=1e-4)
+    np.testing.assert_allclose(found.weights, weights, atol=1e-4 / 40)
+
+
+def test_translations(device):
+    """The barycenter of shifted copies is a copy, shifted by the mean."""
+    weights, points = _cloud(1)
+    shifts = np.array([[0.0, 0.0], [0.3, 0.1], [0.0, -0.4]])
+    shares = np.array([0.5, 0.25, 0.25])
+    measures = [(weights, points + shift) for shift in shifts]
+    start = weights, points + shares @ shifts + 0.02
+    found = clmorph.barycenter(measures, shares, start, 0.05, backend=device)
+    copy = weights, points + shares @ shifts
+    assert float(clmorph.sinkhorn_divergence(found, copy, 0.05, backend=device)) < 1e-6
+
+
+def test_gradient_of_the_divergences_vanishes(device):
+    """Masses differ, and so do the measures' numbers of points."""
+    measures = [_cloud(2, 30), (1.5 * _cloud(3, 45)[0], _cloud(3, 45)[1] + 0.2)]
+    found = clmorph.barycenter(
+        measures, [0.3, 0.7], 25, 0.1, 0.5, tol=1e-3, max_iter=400, backend=device
+    )
+    totals = np.zeros(25), np.zeros((25, 2))
+    for share, measure in zip((0.3, 0.7), measures, strict=True):
+        each = clmorph.sinkhorn_divergence(
+            found, measure, 0.1, 0.5, tol=1e-5, gradient=True, backend=device
+        ).gradient
+        totals = totals[0] + share * each.source_weights, totals[1] + share * each.source_points
+    assert np.abs(totals[0]).max() < 2e-3
+    assert np.abs(totals[1] / found.weights[:, None]).max() < 2e-3
+
+
+def test_measures_beyond_the_reach_keep_their_places(device):
+    """The mass of each is a^kappa = w_k b_k^kappa, as if the others did not exist."""
+    measures = [(np.full(6, 1 / 6), 0.1 * _cloud(seed, 6)[1]) for seed in (8, 9)]
+    measures[1] = (measures[1][0], measures[1][1] + 50.0)
+    found = clmorph.barycenter(
+        measures, [0.5, 0.5], 12, 0.5, 1.0, tol=1e-3, max_iter=400, backend=device
+    )
+    kappa = (1 + 0.25) / (2 + 0.25)
+    near = found.points[:, 0] < 25
+    np.testing.assert_allclose(found.weights[near].sum(), 0.5 ** (1 / kappa), rtol=0.03)
+    np.testing.assert_allclose(found.weights[~near].sum(), 0.5 ** (1 / kappa), rtol=0.03)
+
+
+def test_a_support_out_of_reach(device):
+    with pytest.raises(InputError, match="no mass travels"):
+        clmorph.barycenter(
+            [_cloud(0)], None, np.full((3, 2), 90.0), 0.1, 0.2, max_iter=99, backend=device
+        )
+
+
+def test_order_and_zero_shares_do_not_matter(device):
+    measures = [_cloud(seed) for seed in (4, 5, 6)]
+    start = _cloud(7)
+    options = {"blur": 0.1, "backend": device}
+    one = clmorph.barycenter(measures[:2], [0.3, 0.7], start, **options)
+    other = clmorph.barycenter(measures[::-1], [0, 7, 3], start, **options)
+    np.testing.assert_allclose(one.points, other.points, atol=1e-5)
+    for debias in (True, False):
+        grids = [
+            clmorph.barycenter(
+                each, shares, start[1], 0.2, fixed=True, debias=debias, backend=device
+            )
+            for each, shares in ((measures[:2], [0.3, 0.7]), (measures[::-1], [0, 7, 3]))
+        ]
+        np.testing.assert_allclose(grids[0].weights, grids[1].weights, atol=1e-5)
+
+
+def test_same_seed_same_points():
+    measures = [_cloud(4), _cloud(5)]
+    draws = [clmorph.barycenter(measures, None, 9, 0.2, seed=s, backend="numpy") for s in (0, 0, 1)]
+    np.testing.assert_array_equal(draws[0].points, draws[1].points)
+    assert not np.array_equal(draws[0].points, draws[2].points)
+
+
+class TestPeers:
+    def test_debiased_barycenter_on_a_grid(self, device):
+        ot = pytest.importorskip("ot")
+        y, x = np.mgrid[0:16, 0:16] / 15
+        spots = (0.3, 0.4, 0.01), (0.7, 0.5, 0.03)
+        grids = np.array([np.exp(-((x - a) ** 2 + (y - b) ** 2) / c) for a, b, c in spots])
+        grids /= grids.sum(axis=(1, 2), keepdims=True)
+        blur, shares = 0.08, np.array([0.4, 0.6])
+        theirs = ot.bregman.convolutional_barycenter2d_debiased(
+            grids, reg=2 * blur**2, weights=shares, stopThr=1e-9, numItermax=5000
+        )
+        cells = clmorph.density(np.ones((16, 16))).points
+        measures = [clmorph.density(grid) for grid in grids]
+        ours = clmorph.barycenter(
+            measures, shares, cells, blur, fixed=True, tol=1e-4, backend=device
+        )
+        # Both approach the optimum slowly where it is flat; the values of the aim are nearer.
+        assert np.abs(ours.weights.reshape(16, 16) - theirs).max() < 0.02 * theirs.max()
+        aims = [
+            sum(
+                share * float(clmorph.sinkhorn_divergence(each, measure, blur, backend="numpy"))
+                for share, measure in zip(shares, measures, strict=True)
+            )
+            for each in (ours, (theirs.ravel() / theirs.sum(), cells))
+        ]
+        assert aims[0] == pytest.approx(aims[1], rel=1e-4)
+
+    def test_free_support_of_exact_transport(self, device):
+        """With a small blur points are where exact transport puts them."""
+        ot = pytest.importorskip("ot")
+        rng = np.random.default_rng(3)
+        clouds = [rng.random((8, 2)), rng.random((8, 2)) + np.array([1.0, 0.0])]
+        even = np.full(8, 1 / 8)
+        start = 0.5 * (clouds[0] + clouds[1][rng.permutation(8)])
+        theirs = ot.lp.free_support_barycenter(clouds, [even, even], start, numItermax=100)
+        ours = clmorph.barycenter(
+            [(even, cloud) for cloud in clouds], None, theirs, 0.01, backend=device
+        )
+        np.testing.assert_allclose(ours.points, theirs, atol=5e-3)
+
+
+class TestMistakes:
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            ({"weights": [1]}, "one for each measure"),
+            ({"weights": [0, 0]}, "not all 0"),
+            ({"weights": [1, -1]}, "at least 0"),
+            ({"weights": [1, np.nan]}, "finite"),
+            ({"support": np.zeros((3, 3))}, "dimensions"),
+            ({"support": 0}, "support=0"),
+            ({"fixed": True}, "needs its points"),
+            ({"fixed": True, "support": np.zeros((3, 2)), "reach": 0.1}, "balanced"),
+            ({"reach": (0.1, 0.2)}, "one number"),
+            ({"blur": -1}, "blur"),
+            ({"tol": 0}, "tol"),
+            ({"max_iter": 0}, "max_iter"),
+            ({"measures": []}, "none given"),
+            ({"measures": [_cloud(0), (np.ones(2), np.zeros((2, 2)))]}, "differ"),
+            ({"measures": [_cloud(0), (np.ones(2) / 2, np.zeros((2, 3)))]}, "dimensions"),
+        ],
+    )
+    def test_arguments(self, arguments, words):
+        given = {"measures": [_cloud(0), _cloud(1)], "blur": 0.1, "backend": "numpy"} | arguments
+        with pytest.raises(InputError, match=words):
+            clmorph.barycenter(**given)
+
+    def test_a_limit_of_iterations_is_reported(self):
+        for fixed in (False, True):
+            with pytest.warns(ConvergenceWarning, match="barycenter"):
+                found = clmorph.barycenter(
+                    [_cloud(0), _cloud(1)], None, _cloud(2)[1], 0.1, max_iter=2, tol=1e-6,
+                    fixed=fixed, backend="numpy",
+                )  # fmt: skip
+            assert (found.status, found.n_iter, len(found.residuals)) == ("max_iter", 2, 2)
+            assert np.isfinite(found.weights).all()
