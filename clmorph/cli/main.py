@@ -76,6 +76,7 @@ def cli() -> None:
     clmorph mix a.png b.png c.png d.png -o grid.png   pictures between several pictures
     clmorph recolor a.png b.jpg -o out.png   picture A with the colors of B
     clmorph inspect a.png b.jpg              what would move, how far, how long it takes
+    clmorph studio                           a local web page for all of this
     clmorph devices                          what it can run on
     """  # noqa: D301 (click wants the character itself)
 
@@ -625,6 +626,31 @@ def batch(
             backend=backend, max_pixels=max_pixels, redo=redo, as_json=as_json,
         )
     )  # fmt: skip
+
+
+@cli.command()
+@click.option(
+    "--host", metavar="ADDRESS", default="127.0.0.1", show_default=True,
+    help="Where to listen; any other than this machine's own address needs the token that is "
+    "printed.",
+)  # fmt: skip
+@click.option(
+    "--port", type=click.IntRange(0, 65535), help="Port; 0: a free one.  [default: 8017, or free]"
+)
+@click.option("--browser/--no-browser", default=True, help="Open the page in a browser.")
+@options.device_options
+def studio(
+    host: str, port: int | None, browser: bool, device: str | None, backend: str | None
+) -> None:
+    """Open a local web page to look rather than type (extra "studio").
+
+    \b
+    clmorph studio                       http://127.0.0.1:8017/, for this machine alone
+    clmorph studio --port 0 --no-browser
+    """  # noqa: D301
+    from clmorph.cli.studio import run_studio
+
+    run_studio(host, port, device, backend, browser)
 
 
 @cli.command()

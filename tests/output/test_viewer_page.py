@@ -7,9 +7,9 @@ import time
 
 import numpy as np
 import pytest
+from browsers import chromium
 from PIL import Image
 from plain import morph
-from programs import program
 
 from clmorph._shared.printable import printable
 from clmorph.errors import InputError
@@ -18,10 +18,6 @@ from clmorph.measures.landmark_options import check_landmarks, read_landmarks
 from clmorph.output.html import Curve, Field, Marks, Scene, page, repr_html, scene_of
 from clmorph.output.save import save
 
-FLAGS = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-]  # fmt: skip
 DESK = {"width": 1280, "height": 800}
 PHONE = {
     "viewport": {"width": 360, "height": 740},
@@ -33,13 +29,8 @@ PHONE = {
 
 @pytest.fixture(scope="module")
 def browser():
-    path = program("chromium")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=path, args=FLAGS)
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture

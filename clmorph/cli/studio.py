@@ -1,0 +1,49 @@
+"""The command ``clmorph studio``: a local web page."""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from clmorph.cli.demo import demo_images
+from clmorph.cli.options import in_option_names
+from clmorph.cli.terminal import say
+from clmorph.errors import ClmorphError, FileError, InputError
+from clmorph.images.pixels import to_bytes
+from clmorph.studio.serve import serve
+
+#: Names of the bundled pictures on the page.
+SAMPLES = ("sprite.png", "photograph.png")
+
+
+def run_studio(
+    host: str, port: int | None, device: str | None, backend: str | None, browser: bool
+) -> None:
+    """Serve the studio until it is ended.
+
+    Raises
+    ------
+    InputError
+        If the extra "studio" is missing, or an argument cannot be used.
+    """
+    if device is not None and backend not in (None, "auto", "opencl"):
+        raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
+    serve(
+        host, port, device=device or backend or "auto", browser=browser, samples=write_samples,
+        line_of=line_of, say=say,
+    )  # fmt: skip
+
+
+def line_of(error: ClmorphError) -> str:
+    """Return an error as the command line says it, after its "clmorph: "."""
+    if isinstance(error, FileError):
+        return f"error: {error}"
+    return f"error: {in_option_names(str(error))}"
+
+
+def write_samples(folder: Path) -> list[Path]:
+    """Write the bundled pictures to a folder, and return their paths."""
+    paths = [folder / name for name in SAMPLES]
+    for path, pixels in zip(paths, demo_images(), strict=True):
+        Image.fromarray(np.ascontiguousarray(to_bytes(pixels))).save(path)
+    return paths

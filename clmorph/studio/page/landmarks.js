@@ -1,0 +1,108 @@
+// Pairs of landmarks on both pictures: set by clicks, moved by dragging or arrow keys.
+
+/**
+ * Landmarks on two pictures.
+ *
+ * changed() is called after each change of a complete pair.
+ * attach(side, frame, picture): draw and edit them on a picture; side 0 is A, 1 is B.
+ * pairs(): complete pairs, in pixels of the pictures as they were given.
+ */
+function makeLandmarks(changed) {
+  let points = [];
+  let sides = [];
+
+  const pairs = () => points.filter((pair) => pair[0] && pair[1]);
+  const clamp = (value, most) => Math.min(Math.max(value, 0), most);
+
+  function at(side, event) {
+    const { frame, picture } = sides[side];
+    const box = frame.querySelector("img").getBoundingClientRect();
+    const x = ((event.clientX - box.left) / box.width) * picture.width;
+    const y = ((event.clientY - box.top) / box.height) * picture.height;
+    const round = (value, most) => Math.round(clamp(value, most) * 10) / 10;
+    return [round(x, picture.width), round(y, picture.height)];
+  }
+
+  function place(button, side, point) {
+    const { picture } = sides[side];
+    button.style.left = `${(100 * point[0]) / picture.width}%`;
+    button.style.top = `${(100 * point[1]) / picture.height}%`;
+    const number = Number(button.textContent);
+    button.setAttribute("aria-label", `Landmark ${number} in ${"AB"[side]}, at ${point[0]}, ${point[1]}`);
+  }
+
+  function remove(index) {
+    points.splice(index, 1);
+    draw();
+    changed();
+  }
+
+  function move(button, index, side, point) {
+    points[index][side] = point;
+    place(button, side, point);
+  }
+
+  function draw(focus = null) {
+    sides.forEach(({ frame }, side) => {
+      for (const old of frame.querySelectorAll(".mark")) old.remove();
+      points.forEach((pair, index) => {
+        if (!pair[side]) return;
+        const button = document.createElement("button");
+        button.type = "button";
+        button.className = "mark";
+        button.textContent = index + 1;
+        place(button, side, pair[side]);
+        button.addEventListener("pointerdown", (event) => {
+          button.setPointerCapture(event.pointerId);
+          event.stopPropagation();
+        });
+        button.addEventListener("pointermove", (event) => {
+          if (button.hasPointerCapture(event.pointerId)) move(button, index, side, at(side, event));
+        });
+        button.addEventListener("pointerup", () => changed());
+        button.addEventListener("click", (event) => event.stopPropagation());
+        button.addEventListener("keydown", (event) => {
+          const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+          if (event.key === "Delete" || event.key === "Backspace") remove(index);
+          else if (step) {
+            const { picture } = sides[side];
+            const [x, y] = points[index][side];
+            move(button, index, side, [clamp(x + step[0], picture.width), clamp(y + step[1], picture.height)]);
+            changed();
+          } else return;
+          event.preventDefault();
+        });
+        frame.append(button);
+        if (focus && focus[0] === index && focus[1] === side) button.focus();
+      });
+    });
+  }
+
+  function add(side, point) {
+    let index = points.findIndex((pair) => !pair[side]);
+    if (index < 0) index = points.push([null, null]) - 1;
+    points[index][side] = point;
+    draw([index, side]);
+    if (points[index][1 - side]) changed();
+  }
+
+  function attach(side, frame, picture) {
+    sides[side] = { frame, picture };
+    frame.tabIndex = 0;
+    frame.setAttribute("role", "group");
+    frame.setAttribute("aria-label", `Picture ${"AB"[side]}: Enter sets a landmark in its middle`);
+    frame.addEventListener("click", (event) => add(side, at(side, event)));
+    frame.addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" || event.target !== frame) return;
+      add(side, [Math.round(picture.width / 2), Math.round(picture.height / 2)]);
+      event.preventDefault();
+    });
+  }
+
+  return {
+    pairs, attach, draw,
+    detach() { sides = []; },
+    clear() { points = []; draw(); },
+    get any() { return points.length > 0; },
+  };
+}

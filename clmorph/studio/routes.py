@@ -1,0 +1,366 @@
+"""The requests of the page."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from PIL import Image
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from clmorph._shared.printable import MESSAGE, printable, size_text
+from clmorph.errors import ClmorphError, FileError, InputError
+from clmorph.images.pixels import MAX_PIXELS, as_rgb, fit, read_image, to_bytes
+from clmorph.studio import choices, work
+from clmorph.studio.guard import FRAMED
+from clmorph.studio.tabs import MAX_PICTURES, Shown, Tab, Tabs
+from clmorph.studio.worker import Job, Worker
+
+#: Largest numbers of bytes of a picture's file, and of a request of another kind.
+MAX_UPLOAD, MAX_REQUEST = 64 << 20, 1 << 18
+#: Longer side of a picture as the page shows it.
+SHOWN_SIDE = 640
+#: Seconds after which a silent stream says that it is alive.
+ALIVE = 15.0
+#: Files of the page by their addresses.
+PAGE = {
+    "/": ("studio.html", "text/html"),
+    "/studio.css": ("studio.css", "text/css"),
+    "/studio.js": ("studio.js", "text/javascript"),
+    "/landmarks.js": ("landmarks.js", "text/javascript"),
+}
+GONE = "this tab has been closed; load the page again"
+
+
+@dataclass
+class Studio:
+    """What all requests share.
+
+    Attributes
+    ----------
+    folder : Path
+        The temporary folder.
+    worker : Worker
+    line_of : callable
+        How the command line says an error.
+    samples : sequence of Path
+        Pictures to begin with.
+    devices : list
+        What the page says of each device: ``name``, ``label``.
+    """
+
+    folder: Path
+    worker: Worker
+    line_of: work.LineOf
+    samples: list[Path]
+    devices: list[dict[str, str]]
+
+    def __post_init__(self) -> None:
+        self.tabs = Tabs(
+            self.folder, lambda key: self.worker.cancel(key, ("preview", "run", "save"))
+        )
+
+    def line(self, error: ClmorphError) -> str:
+        """Return an error's line, without the temporary folder."""
+        text = self.line_of(error)
+        for tab in self.folder.iterdir():
+            if str(tab) in text:
+                head, _, rest = text.partition(f"{tab}/")
+                text = head + rest.partition("/")[2]
+        return text
+
+    def app(self) -> Starlette:
+        """Return the application."""
+        tab = "/tabs/{tab}"
+        post, got = ["POST"], ["GET"]
+        routes = [
+            *(Route(address, partial(_page, *PAGE[address]), methods=got) for address in PAGE),
+            Route("/tabs", self._asked(self.open), methods=post),
+            *(
+                Route(tab + path, self._asked(self._of_tab(action)), methods=methods)
+                for path, action, methods in (
+                    ("/close", self.close, post),
+                    ("/events", self.events, got),
+                    ("/pictures", self.add, post),
+                    ("/samples", self.add_samples, post),
+                    ("/pictures/{key}", self.picture, got),
+                    ("/pictures/{key}/remove", self.remove, post),
+                    ("/pictures/{key}/shown", self.shown, got),
+                    ("/swap", self.swap, post),
+                    ("/preview", partial(self.start, "preview"), post),
+                    ("/run", partial(self.start, "run"), post),
+                    ("/cancel", self.cancel, post),
+                    ("/views/{name}", self.view, got),
+                    ("/files/{ending}", self.file, got),
+                )
+            ),
+        ]
+        return Starlette(routes=routes)
+
+    def _asked(
+        self, action: Callable[[Request], Awaitable[Response]]
+    ) -> Callable[[Request], Awaitable[Response]]:
+        async def answer(request: Request) -> Response:
+            try:
+                return await action(request)
+            except ClmorphError as error:
+                line = printable(self.line(error), MESSAGE)
+            except ClientDisconnect:
+                line = "the page has gone"
+            except MemoryError:
+                line = "not enough memory; use a smaller picture"
+            return JSONResponse({"line": line}, 400)
+
+        return answer
+
+    def _of_tab(
+        self, action: Callable[[Request, Tab], Awaitable[Response]]
+    ) -> Callable[[Request], Awaitable[Response]]:
+        async def answer(request: Request) -> Response:
+            tab = self.tabs.find(request.path_params["tab"])
+            if tab is None:
+                return JSONResponse({"line": GONE}, 404)
+            return await action(request, tab)
+
+        return answer
+
+    async def open(self, request: Request) -> Response:
+        """Open a tab, and describe the controls."""
+        tab = self.tabs.open()
+        return JSONResponse({"tab": tab.key, "devices": self.devices, **choices.controls()})
+
+    async def close(self, request: Request, tab: Tab) -> Response:
+        """Close a tab."""
+        self.tabs.close(tab.key)
+        return Response(status_code=204)
+
+    async def events(self, request: Request, tab: Tab) -> Response:
+        """Stream what happens to a tab (server-sent events)."""
+        return StreamingResponse(_stream(tab), media_type="text/event-stream")
+
+    async def add(self, request: Request, tab: Tab) -> Response:
+        """Take a picture's file, the body of the request."""
+        self._room(tab, 1)
+        path = tab.place(request.query_params.get("name", "picture"))
+        too_large = FileError(
+            f"{path.name}: more than {size_text(MAX_UPLOAD)}; expected a smaller file"
+        )
+        if int(request.headers.get("content-length", "0") or 0) > MAX_UPLOAD:
+            return JSONResponse({"line": self.line(too_large)}, 413)
+        size = 0
+        try:
+            with path.open("wb") as file:
+                async for part in request.stream():
+                    size += len(part)
+                    if size > MAX_UPLOAD:
+                        raise too_large
+                    file.write(part)
+            picture = await run_in_threadpool(_read, path)
+        except FileError as error:
+            path.unlink(missing_ok=True)
+            return JSONResponse(
+                {"line": printable(self.line(error), MESSAGE)}, 413 if error is too_large else 400
+            )
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+        self._room(tab, 1)
+        tab.pictures.append(picture)
+        return _pictures(tab)
+
+    async def add_samples(self, request: Request, tab: Tab) -> Response:
+        """Take the bundled pictures."""
+        self._room(tab, len(self.samples))
+        for sample in self.samples:
+            path = tab.place(sample.name)
+            path.write_bytes(sample.read_bytes())
+            tab.pictures.append(await run_in_threadpool(_read, path))
+        return _pictures(tab)
+
+    def _room(self, tab: Tab, more: int) -> None:
+        if len(tab.pictures) + more > MAX_PICTURES:
+            raise InputError(f"{MAX_PICTURES} pictures are in this tab at most: remove one")
+
+    async def picture(self, request: Request, tab: Tab) -> Response:
+        """Return a picture's file as it was given."""
+        found = _find(tab, request)
+        if found is None:
+            return _missing()
+        return _attached(found.path, found.path.name)
+
+    async def shown(self, request: Request, tab: Tab) -> Response:
+        """Return a picture as the page shows it."""
+        found = _find(tab, request)
+        return _missing() if found is None else FileResponse(f"{found.path}.png-shown")
+
+    async def remove(self, request: Request, tab: Tab) -> Response:
+        """Forget a picture."""
+        tab.pictures = [each for each in tab.pictures if each.key != request.path_params["key"]]
+        return _pictures(tab)
+
+    async def swap(self, request: Request, tab: Tab) -> Response:
+        """Turn the order of the pictures round."""
+        tab.pictures = tab.pictures[::-1]
+        return _pictures(tab)
+
+    async def start(self, kind: Any, request: Request, tab: Tab) -> Response:
+        """Begin a preview or a whole morph, and say with which options."""
+        asked = await _json(request)
+        number = asked.get("number")
+        if not isinstance(number, int) or not 0 <= number < 1 << 40:
+            raise InputError("number: expected that of the request")
+        chosen = choices.read_choices(asked)
+        if chosen.device not in {device["name"] for device in self.devices}:
+            raise InputError("device: expected one of those that the page offers")
+        if len(tab.pictures) < 2:
+            raise InputError(f"{len(tab.pictures)} pictures given: expected two or more")
+        if len(tab.pictures) > 2 and chosen.given.get("landmarks"):
+            raise InputError(
+                f"landmarks are for two pictures, but {len(tab.pictures)} are given: morph them "
+                "two at a time"
+            )
+        ask = work.Ask(tab, tuple(tab.pictures), chosen, number)
+        preset = await run_in_threadpool(ask.recognized)
+        options = chosen.options(preset)
+        failed = partial(tab.publish, "error", number=number, of=kind)
+        what = partial(work.run if kind == "run" else work.preview, ask)
+        job = Job(
+            tab.key, kind,
+            partial(work.guarded, what, lambda line: failed(line=line), self.line),
+            partial(tab.publish, "cancelled", number=number, of=kind),
+        )  # fmt: skip
+        before = self.worker.submit(job, ("preview", "run") if kind == "run" else ("preview",))
+        names = [picture.path.name for picture in ask.pictures]
+        return JSONResponse(
+            {
+                "options": options.outside(), "preset": chosen.named(preset), "before": before,
+                "command": choices.command_line(chosen, preset, names),
+                "python": choices.python_code(chosen, preset, names),
+            },
+            202,
+        )  # fmt: skip
+
+    async def cancel(self, request: Request, tab: Tab) -> Response:
+        """Request that the tab's work stops."""
+        self.worker.cancel(tab.key, ("preview", "run", "save"))
+        return Response(status_code=202)
+
+    async def view(self, request: Request, tab: Tab) -> Response:
+        """Return a viewer's page, which stands in a frame of the studio."""
+        path = tab.views.get(request.path_params["name"])
+        if path is None or not path.exists():
+            return _missing()
+        return FileResponse(
+            path, media_type="text/html", headers={"Content-Security-Policy": FRAMED}
+        )
+
+    async def file(self, request: Request, tab: Tab) -> Response:
+        """Write a file of the last run, and return it."""
+        ending, result = request.path_params["ending"], tab.result
+        if ending not in choices.DOWNLOADS:
+            return _missing()
+        if result is None:
+            raise InputError("nothing to download yet: run the morph first")
+        path = tab.folder / f"morph-{result.number}.{ending}"
+        done: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+
+        def tell(line: str) -> None:
+            with suppress(RuntimeError):  # the server has ended
+                tab.loop.call_soon_threadsafe(_settle, done, line)
+
+        def write() -> None:
+            if not path.exists():
+                work.write_file(result, path, work.checking)
+            tell("")
+
+        guarded = partial(work.guarded, write, tell, self.line)
+        self.worker.submit(Job(tab.key, "save", guarded, lambda: tell("cancelled")))
+        line = await done
+        if line:
+            return JSONResponse({"line": line}, 400)
+        return _attached(path, f"morph.{ending}")
+
+
+def _settle(done: "asyncio.Future[str]", line: str) -> None:
+    if not done.done():
+        done.set_result(line)
+
+
+async def _page(name: str, kind: str, request: Request) -> Response:
+    return Response(files("clmorph.studio.page").joinpath(name).read_bytes(), media_type=kind)
+
+
+def _read(path: Path) -> Shown:
+    """Read a picture, and write what the page shows of it."""
+    try:
+        pixels = read_image(path, max_pixels=MAX_PIXELS)
+    except FileError:
+        raise
+    except ClmorphError as error:
+        raise FileError(str(error)) from None
+    if pixels.shape[2] == 4 and not pixels[..., 3].any():
+        raise FileError(f"{path}: every pixel is transparent; expected something to see")
+    small = to_bytes(fit(pixels if pixels.shape[2] == 4 else as_rgb(pixels), SHOWN_SIDE))
+    Image.fromarray(np.ascontiguousarray(small)).save(f"{path}.png-shown", "PNG")
+    return Shown(path, pixels, path.parent.name)
+
+
+def _find(tab: Tab, request: Request) -> Shown | None:
+    key = request.path_params["key"]
+    return next((each for each in tab.pictures if each.key == key), None)
+
+
+def _pictures(tab: Tab) -> Response:
+    return JSONResponse({"pictures": [picture.known for picture in tab.pictures]})
+
+
+def _missing() -> Response:
+    return JSONResponse({"line": "there is no such thing here"}, 404)
+
+
+def _attached(path: Path, name: str) -> Response:
+    disposition = f"attachment; filename*=utf-8''{quote(name)}"
+    kind = "application/octet-stream"
+    return FileResponse(path, media_type=kind, headers={"Content-Disposition": disposition})
+
+
+async def _json(request: Request) -> Mapping[str, Any]:
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > MAX_REQUEST:
+            raise InputError(f"the request has more than {MAX_REQUEST} bytes: expected fewer")
+    try:
+        found = json.loads(body)
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise InputError("the request: expected an object of JSON")
+    return found
+
+
+async def _stream(tab: Tab) -> AsyncIterator[str]:
+    queue: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+    tab.listeners.add(queue)
+    try:
+        yield ": here\n\n"
+        while True:
+            try:
+                message = await asyncio.wait_for(queue.get(), ALIVE)
+            except TimeoutError:
+                yield ": alive\n\n"
+                continue
+            yield f"data: {json.dumps(message)}\n\n"
+    finally:
+        tab.listeners.discard(queue)

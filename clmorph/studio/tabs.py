@@ -1,0 +1,156 @@
+"""The tabs: each has its pictures, its folder, its results, and listeners to what happens."""
+
+import asyncio
+import secrets
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from clmorph._shared.printable import printable
+from clmorph.errors import InputError
+from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.result import Morph
+from clmorph.studio.choices import Choices
+
+#: Largest numbers of tabs, and of pictures in a tab.
+MAX_TABS, MAX_PICTURES = 16, 8
+#: Seconds after which a tab that nobody listens to is closed.
+LEFT = 120.0
+#: Largest number of characters of a picture's name.
+MAX_NAME = 100
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A picture of a tab: its file, its pixels (H, W, C), and what the page knows of it."""
+
+    path: Path
+    pixels: Any = field(repr=False)
+    key: str
+
+    @property
+    def known(self) -> dict[str, Any]:
+        """The description for the page."""
+        height, width = self.pixels.shape[:2]
+        return {"key": self.key, "name": self.path.name, "width": width, "height": height}
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished run: its morphs, and what they were made with."""
+
+    number: int
+    morphs: list[Morph]
+    options: MorphOptions
+    parameters: dict[str, Any]
+    choices: Choices
+
+
+@dataclass(eq=False)
+class Tab:
+    """One page in one browser."""
+
+    key: str
+    folder: Path
+    loop: asyncio.AbstractEventLoop
+    pictures: list[Shown] = field(default_factory=list)
+    views: dict[str, Path] = field(default_factory=dict)
+    result: Result | None = None
+    heard: float = field(default_factory=time.monotonic)
+    listeners: set["asyncio.Queue[dict[str, Any]]"] = field(default_factory=set)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def publish(self, kind: str, **more: Any) -> None:
+        """Tell the page something, from any thread."""
+        try:
+            self.loop.call_soon_threadsafe(self._tell, {"type": kind, **more})
+        except RuntimeError:  # the server has ended
+            return
+
+    def _tell(self, message: dict[str, Any]) -> None:
+        for queue in self.listeners:
+            queue.put_nowait(message)
+
+    def place(self, name: str) -> Path:
+        """Return the path of a new picture in a folder of its own."""
+        key = secrets.token_hex(8)
+        folder = self.folder / key
+        folder.mkdir()
+        return folder / safe_name(name)
+
+    def view(self, name: str, path: Path, keep: int = 2) -> str:
+        """Let the page read a file; only the newest views of the name's kind are kept."""
+        kind = name.split("-")[0]
+        with self.lock:
+            self.views[name] = path
+            old = [other for other in self.views if other.split("-")[0] == kind][:-keep]
+            for other in old:
+                self.views.pop(other).unlink(missing_ok=True)
+        return f"/tabs/{self.key}/views/{name}"
+
+
+class Tabs:
+    """All tabs; those that were left are closed."""
+
+    def __init__(self, folder: Path, gone: Callable[[str], None]) -> None:
+        self._folder, self._gone = folder, gone
+        self._tabs: dict[str, Tab] = {}
+
+    def open(self) -> Tab:
+        """Open a tab.
+
+        Raises
+        ------
+        InputError
+            If there are too many.
+        """
+        self.sweep()
+        if len(self._tabs) >= MAX_TABS:
+            raise InputError(f"{MAX_TABS} tabs are open: expected fewer; close one")
+        key = secrets.token_urlsafe(16)
+        folder = self._folder / secrets.token_hex(8)
+        folder.mkdir(mode=0o700)
+        tab = self._tabs[key] = Tab(key, folder, asyncio.get_running_loop())
+        return tab
+
+    def find(self, key: str) -> Tab | None:
+        """Return a tab, or None."""
+        tab = self._tabs.get(key)
+        if tab is not None:
+            tab.heard = time.monotonic()
+        return tab
+
+    def close(self, key: str) -> None:
+        """Close a tab: its work stops, and its files go."""
+        tab = self._tabs.pop(key, None)
+        if tab is not None:
+            self._gone(key)
+            shutil.rmtree(tab.folder, ignore_errors=True)
+
+    def sweep(self) -> None:
+        """Close the tabs that were left."""
+        now = time.monotonic()
+        for key, tab in list(self._tabs.items()):
+            if not tab.listeners and now - tab.heard > LEFT:
+                self.close(key)
+
+
+def safe_name(name: str) -> str:
+    """Return the last part of a file's name, without what could be a path or an option.
+
+    Examples
+    --------
+    >>> safe_name("../../etc/passwd"), safe_name(".."), safe_name("a/b.png")
+    ('passwd', 'picture', 'b.png')
+    """
+    last = printable(name.replace("\\", "/").rsplit("/", 1)[-1], 4 * MAX_NAME)
+    last = "".join(letter for letter in last if letter.isprintable() and letter not in '<>:"|?*')
+    last = last.strip(" .")
+    stem, dot, ending = last.rpartition(".")
+    if len(last) > MAX_NAME:
+        last = (stem or ending)[: MAX_NAME - 10] + dot + ending[-8:]
+    return last.strip(" .") or "picture"

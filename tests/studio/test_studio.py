@@ -1,0 +1,370 @@
+"""Test the studio as its user meets it: a server of its own process, driven in a browser."""
+
+import http.client
+import json
+import os
+import re
+import shlex
+import signal
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from browsers import chromium
+from PIL import Image
+
+
+@contextmanager
+def served(tmp, *arguments):
+    """Start the studio with a folder for temporary files; yield its process and port."""
+    tmp.mkdir(exist_ok=True)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "clmorph", "studio", "--port", "0", "--no-browser", *arguments],
+        stderr=subprocess.PIPE, text=True, env=os.environ | {"TMPDIR": str(tmp)},
+    )  # fmt: skip
+    try:
+        line = process.stderr.readline()
+        process.line = line
+        found = re.search(r"http://\S+?:(\d+)/", line)
+        assert found, line + process.stderr.read()
+        yield process, int(found[1])
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return tmp_path_factory.mktemp("studio")
+
+
+@pytest.fixture(scope="module")
+def port(place):
+    with served(place / "tmp") as (_, port):
+        yield port
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture
+def opened(browser, port):
+    """Open pages; each must be without errors, and ask nobody but the studio."""
+    bad, contexts = [], []
+
+    def open_page(**options):
+        context = browser.new_context(
+            **({"viewport": {"width": 1280, "height": 900}, "reduced_motion": "reduce"} | options)
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.on("pageerror", lambda error: bad.append(str(error)))
+        page.on(
+            "request",
+            lambda request: (
+                None
+                if request.url.startswith((f"http://127.0.0.1:{port}/", "data:", "blob:"))
+                else bad.append(request.url)
+            ),
+        )
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.evaluate("studio.ready")
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert bad == []
+
+
+@pytest.fixture(scope="module")
+def pictures(place):
+    """Two drawn pictures in a folder, one of them with a name that shells take apart."""
+    rng = np.random.default_rng(1)
+    paths = []
+    for name, shape, color in (("a one's.png", (48, 60), 0), ("b.png", (56, 44), 2)):
+        pixels = np.full((*shape, 3), 200, np.uint8)
+        pixels[10:30, 8:28] = 40
+        pixels[10:30, 8:28, color] = 250
+        pixels += rng.integers(0, 6, pixels.shape, dtype=np.uint8)
+        Image.fromarray(pixels).save(place / name)
+        paths.append(place / name)
+    return paths
+
+
+def until(page, condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not page.evaluate(f"Boolean({condition})"):
+        assert time.monotonic() < end, (condition, page.inner_text("body"))
+        time.sleep(0.02)
+
+
+def take(page, paths):
+    """Give pictures, and wait for the preview."""
+    page.set_input_files("#choose", [str(path) for path in paths])
+    until(page, "studio.state.shown === studio.state.number && studio.state.shown > 0")
+
+
+def fill(page, **values):
+    """Set options; those that are folded away are unfolded."""
+    page.evaluate("document.getElementById('more').open = true")
+    for name, value in values.items():
+        page.fill(f"#option-{name}", value)
+
+
+def frame(page, time):
+    """The pixels of the viewer's frame at a time, as a digest."""
+    return page.evaluate(
+        """async (time) => { const view = studio.state.view.contentWindow;
+        await view.clmorph.seek(time);
+        return view.document.getElementById("canvas").toDataURL(); }""",
+        time,
+    )
+
+
+def run(page):
+    page.click("#run")
+    finished(page)
+
+
+def finished(page):
+    until(page, "!document.getElementById('downloads').hidden")
+    until(page, "studio.state.shown === studio.state.number")
+
+
+def fetched(page, ending):
+    with page.expect_download() as found:
+        page.click(f"#get-{ending}")
+    return found.value.path().read_bytes()
+
+
+def test_from_two_pictures_to_the_same_file_as_the_command(opened, pictures):
+    page = opened()
+    # One is dropped, the other one chosen.
+    page.evaluate(
+        """([bytes, name]) => { const data = new DataTransfer();
+        data.items.add(new File([new Uint8Array(bytes)], name));
+        document.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true })); }""",
+        [list(pictures[0].read_bytes()), pictures[0].name],
+    )
+    until(page, "studio.state.pictures.length === 1")
+    take(page, pictures[1:])
+    before = frame(page, 0.5)
+    # The preview follows a slider, and a pair of landmarks.
+    number = page.evaluate("studio.state.number")
+    page.get_by_label("Color weight, as a slider").fill("1")
+    until(page, f"studio.state.shown > {number} && studio.state.shown === studio.state.number")
+    heavier = frame(page, 0.5)
+    assert heavier != before
+    page.locator("#shown .frame").nth(0).click(position={"x": 30, "y": 40})
+    number = page.evaluate("studio.state.number")
+    page.locator("#shown .frame").nth(1).click(position={"x": 80, "y": 70})
+    until(page, f"studio.state.shown > {number} && studio.state.shown === studio.state.number")
+    assert len(page.evaluate("studio.landmarks.pairs()")) == 1
+    assert frame(page, 0.5) != heavier
+    # A long run is cancelled: the preview stays, and another run follows.
+    fill(page, frames="2000", size="64")
+    page.click("#run")
+    until(page, "document.getElementById('status').textContent.startsWith('frames')")
+    page.click("#cancel")
+    began = time.monotonic()
+    until(page, "document.getElementById('status').textContent === 'cancelled'", 10)
+    assert time.monotonic() - began < 5
+    assert page.locator("#views iframe").count() == 1
+    fill(page, frames="6")
+    page.select_option("#option-reverse", "yes")
+    run(page)
+    assert page.evaluate("studio.state.view.contentWindow.clmorph.times.length") == 6
+    assert frame(page, 0.2) != frame(page, 0.8)
+    gif = fetched(page, "gif")
+    for name, suffix in (("command", ".sh"), ("python", ".py")):
+        folder = pictures[0].parent / name
+        folder.mkdir()
+        for path in pictures:
+            (folder / path.name).write_bytes(path.read_bytes())
+        text = page.input_value(f"#{name}")
+        if suffix == ".py":
+            command = [sys.executable, "-c", text]
+        else:
+            words = shlex.split(text)
+            assert words[:2] == ["clmorph", "morph"]
+            command = [sys.executable, "-m", *words]
+        subprocess.run(command, cwd=folder, check=True, capture_output=True)
+        assert (folder / "morph.gif").read_bytes() == gif, name
+    recipe = json.loads(fetched(page, "json"))
+    assert recipe["options"]["frames"] == 6
+    assert [image["file"] for image in recipe["images"]] == [path.name for path in pictures]
+
+
+def test_mistakes_are_the_lines_of_the_terminal(opened, pictures, place):
+    page = opened()
+    bad, huge = place / "bad.png", place / "huge.png"
+    bad.write_bytes(b"not a picture")
+
+    def chunk(name, data):
+        body = name + data
+        return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
+
+    head = struct.pack(">IIBBBBB", 60000, 60000, 8, 2, 0, 0, 0)
+    huge.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IEND", b""))
+    for path in (bad, huge):
+        page.set_input_files("#choose", str(path))
+        until(page, f"document.getElementById('failure').textContent.includes('{path.name}')")
+        shown = page.inner_text("#failure")
+        said = subprocess.run(
+            [sys.executable, "-m", "clmorph", "morph", path.name, path.name, "-o", "x.gif"],
+            cwd=place, capture_output=True, text=True,
+        ).stderr  # fmt: skip
+        assert f"clmorph: {shown}" in said.splitlines()
+    take(page, pictures)
+    number = page.evaluate("studio.state.number")
+    fill(page, blur="much")
+    until(page, "!document.getElementById('failure').hidden")
+    assert "Invalid value for '--blur'" in page.inner_text("#failure")
+    fill(page, blur="", frames="1")
+    until(page, "document.getElementById('failure').textContent.includes('--frames 1')")
+    # The last preview has stayed.
+    assert page.evaluate("studio.state.shown") == number
+
+
+def test_tabs_keep_apart_and_a_phone_has_room(opened, pictures):
+    one = opened()
+    two = opened(
+        viewport={"width": 390, "height": 800}, is_mobile=True, has_touch=True, color_scheme="dark"
+    )
+    take(one, pictures)
+    take(two, pictures[::-1])
+    assert one.evaluate("studio.state.tab") != two.evaluate("studio.state.tab")
+    assert frame(one, 0.0) != frame(two, 0.0)
+    for page, frames in ((one, "5"), (two, "4")):
+        fill(page, size="24", frames=frames)
+        page.click("#run")
+    for page, frames in ((one, 5), (two, 4)):
+        finished(page)
+        assert page.evaluate("studio.state.view.contentWindow.clmorph.times.length") == frames
+    assert two.evaluate("document.documentElement.scrollWidth") <= 390
+    # Each control has a name for those who do not see it.
+    unnamed = one.evaluate(
+        """[...document.querySelectorAll("button, input, select, textarea")]
+        .filter((each) => !(each.labels?.length || each.ariaLabel || each.textContent.trim()))
+        .map((each) => each.id)"""
+    )
+    assert unnamed == []
+
+
+def asked(port, method, path, headers=(), body=None, host=None):
+    """The status and the body of an answer to a request that no browser would send."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    connection.putrequest(method, path, skip_host=True)
+    connection.putheader("Host", host or f"127.0.0.1:{port}")
+    for name, value in dict(headers).items():
+        connection.putheader(name, value)
+    if body is not None:
+        connection.putheader("Content-Length", str(len(body)))
+    connection.endheaders(body)
+    answer = connection.getresponse()
+    found = answer.status, answer.read(), dict(answer.getheaders())
+    connection.close()
+    return found
+
+
+def test_strangers_are_refused(port):
+    status, body, headers = asked(port, "POST", "/tabs")
+    tab = f"/tabs/{json.loads(body)['tab']}"
+    assert status == 200
+    assert "frame-ancestors 'none'" in headers["content-security-policy"]
+    assert "access-control-allow-origin" not in {name.lower() for name in headers}
+    for host in (
+        "evil.example",
+        f"evil.example:{port}",
+        f"127.0.0.1:{port + 1}",
+        f"x@127.0.0.1:{port}",
+    ):
+        assert asked(port, "GET", "/", host=host)[0] == 403, host
+    for header in (
+        {"Origin": "http://evil.example"}, {"Origin": "null"},
+        {"Origin": f"http://localhost:{port}"}, {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site"},
+    ):  # fmt: skip
+        for method, path in (
+            ("POST", "/tabs"),
+            ("POST", f"{tab}/pictures"),
+            ("GET", f"{tab}/events"),
+        ):
+            assert asked(port, method, path, header)[0] == 403, (header, path)
+    for path in (
+        "/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/tabs/../studio.html",
+        f"{tab}/views/..%2f..%2fowner", f"{tab}/views/%2fetc%2fpasswd", f"{tab}/pictures/..%2f..",
+        f"{tab}/files/..%2fowner", f"{tab}/files/npz", "/tabs/nobody/events",
+    ):  # fmt: skip
+        assert asked(port, "GET", path)[0] == 404, path
+    # Names of pictures cannot leave their folder, nor can the text of an option name a file.
+    status, body, _ = asked(port, "POST", f"{tab}/pictures?name=..%2f..%2fx.png", body=b"junk")
+    assert status == 400
+    assert json.loads(body)["line"].startswith("error: x.png is not an image")
+    for settings in (
+        {"landmark": "/etc/passwd.txt"},
+        {"landmarks": "/etc/passwd.csv"},
+        [],
+        {"blur": 1},
+    ):
+        text = json.dumps({"number": 1, "settings": settings}).encode()
+        assert asked(port, "POST", f"{tab}/preview", body=text)[0] == 400
+    for text in (b"", b"[", b"[1]", b'{"number": 1e99}', b"[" * 100_000, b"x" * 300_000):
+        assert asked(port, "POST", f"{tab}/run", body=text)[0] == 400
+    # A file that is too large is refused before it is read.
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    connection.putrequest("POST", f"{tab}/pictures?name=large.png")
+    connection.putheader("Content-Length", str(10**10))
+    connection.endheaders(b"\x89PNG")
+    answer = connection.getresponse()
+    assert answer.status == 413
+    assert b"large.png: more than" in answer.read()
+    connection.close()
+
+
+def test_another_host_needs_the_token(tmp_path):
+    with served(tmp_path / "tmp", "--host", "0.0.0.0") as (process, port):
+        token = re.search(r"\?token=(\S+)", process.line)[1]
+        assert asked(port, "GET", "/")[0] == 403
+        assert asked(port, "GET", "/?token=wrong")[0] == 403
+        assert asked(port, "POST", f"/tabs?token={token}")[0] == 403
+        status, _, headers = asked(port, "GET", f"/?token={token}")
+        assert status == 303
+        cookie = headers["set-cookie"]
+        assert "HttpOnly" in cookie
+        assert "samesite=strict" in cookie.lower()
+        given = {"Cookie": cookie.split(";")[0]}
+        assert asked(port, "GET", "/", given)[0] == 200
+        assert asked(port, "GET", "/", given, host=f"evil.example:{port}")[0] == 403
+
+
+def test_nothing_is_left_at_the_end(tmp_path, pictures):
+    tmp = tmp_path / "tmp"
+    with served(tmp) as (process, port):
+        tab = json.loads(asked(port, "POST", "/tabs")[1])["tab"]
+        picture = pictures[0].read_bytes()
+        assert asked(port, "POST", f"/tabs/{tab}/pictures?name=a.png", body=picture)[0] == 200
+        assert len(list(tmp.rglob("a.png"))) == 1
+        process.send_signal(signal.SIGKILL)
+        process.wait(20)
+    assert len(list(tmp.rglob("a.png"))) == 1
+    with served(tmp) as (process, port):
+        assert list(tmp.rglob("a.png")) == []
+        tab = json.loads(asked(port, "POST", "/tabs")[1])["tab"]
+        for name in ("a.png", "b.png"):
+            asked(port, "POST", f"/tabs/{tab}/pictures?name={name}", body=picture)
+        ask = {"number": 1, "settings": {"frames": "5000"}}
+        assert asked(port, "POST", f"/tabs/{tab}/run", body=json.dumps(ask).encode())[0] == 202
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 128 + signal.SIGTERM
+        assert "Traceback" not in process.stderr.read()
+    assert list(tmp.iterdir()) == []

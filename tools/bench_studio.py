@@ -1,0 +1,100 @@
+"""Measure how fast the studio answers, in headless Chromium: ``python tools/bench_studio.py``.
+
+Starts ``clmorph studio``, takes the bundled pictures, and prints a Markdown table: seconds from a
+change of a slider to the first preview on the screen and to the finest one, from a click on Cancel
+to the page's word and to the end of the work. Needs the extras "studio" and "test", and Chromium.
+"""
+
+import argparse
+import os
+import re
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+from typing import Any
+
+WEIGHTS = (0.1, 0.9, 0.3, 0.7, 0.2, 0.8, 0.4, 0.6)
+MOMENTS = (0.3, 0.8, 1.5, 2.5)
+
+
+def wait(page: Any, condition: str) -> float:
+    """Return the seconds until a condition holds on the page."""
+    began = time.perf_counter()
+    while not page.evaluate(f"Boolean({condition})"):
+        time.sleep(0.005)
+    return time.perf_counter() - began
+
+
+def measure(page: Any) -> dict[str, list[float]]:
+    found: dict[str, list[float]] = {name: [] for name in ("first", "finest", "word", "done")}
+    page.evaluate("studio.ready")
+    page.click("#samples")
+    wait(page, "document.getElementById('status').textContent === 'preview'")
+    slider = page.get_by_label("Color weight, as a slider")
+    for weight in WEIGHTS:
+        number = page.evaluate("studio.state.number")
+        slider.fill(str(weight))
+        first = wait(page, f"studio.state.shown > {number}")
+        found["first"].append(first)
+        finest = "studio.state.view.contentWindow.clmorph.times.length >= 12"
+        found["finest"].append(first + wait(page, finest))
+        time.sleep(0.3)
+    page.fill("#option-frames", "300")
+    for moment in MOMENTS:
+        page.click("#run")
+        time.sleep(moment)
+        page.click("#cancel")
+        began = time.perf_counter()
+        wait(page, "document.getElementById('status').textContent.startsWith('cancel')")
+        found["word"].append(time.perf_counter() - began)
+        wait(page, "document.getElementById('status').textContent === 'cancelled'")
+        found["done"].append(time.perf_counter() - began)
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--picture", help="write a picture of the page to this file")
+    arguments = parser.parse_args()
+    from playwright.sync_api import sync_playwright
+
+    command = [sys.executable, "-m", "clmorph", "studio", "--port", "0", "--no-browser"]
+    command += ["--backend", arguments.device]
+    server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
+    assert server.stderr is not None
+    try:
+        address = re.search(r"http://\S+", server.stderr.readline())
+        assert address is not None
+        with sync_playwright() as driver:
+            path = shutil.which("chromium") or shutil.which("google-chrome")
+            browser = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
+            page = browser.new_page(
+                viewport={"width": 1280, "height": 1000}, reduced_motion="reduce"
+            )
+            page.goto(address[0])
+            found = measure(page)
+            if arguments.picture:
+                page.evaluate("studio.state.view.contentWindow.clmorph.seek(0.5)")
+                time.sleep(0.5)
+                page.screenshot(path=arguments.picture)
+            browser.close()
+    finally:
+        server.terminate()
+        server.wait()
+    meanings = {
+        "first": "a slider's change to the first preview",
+        "finest": "a slider's change to the finest preview",
+        "word": "Cancel to its acknowledgement",
+        "done": "Cancel to the end of the work",
+    }
+    print("| from … to | median, s | longest, s |\n|---|---|---|")
+    for name, values in found.items():
+        print(f"| {meanings[name]} | {statistics.median(values):.2f} | {max(values):.2f} |")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
