@@ -38,7 +38,7 @@ FRAMED = "frame-ancestors 'self'"
 
 
 @dataclass(frozen=True)
-class Door:
+class Access:
     """Who may come in.
 
     Attributes
@@ -96,10 +96,10 @@ class Door:
 
 
 class Guard:
-    """Middleware that asks `Door`, and adds `HEADERS` to each answer."""
+    """Middleware that asks `Access`, and adds `HEADERS` to each answer."""
 
-    def __init__(self, app: ASGIApp, door: Door) -> None:
-        self._app, self._door = app, door
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self._app, self._access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or refuse it."""
@@ -109,14 +109,14 @@ class Guard:
         if scope["type"] != "http":
             return
         headers = Headers(scope=scope)
-        name = f"{COOKIE}{self._door.port}"
+        name = f"{COOKIE}{self._access.port}"
         query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
         given = query.get(TOKEN, [""])[0] if scope["path"] == "/" else ""
-        why = self._door.refusal(headers, scope["path"], given or _cookie(headers, name))
+        why = self._access.refusal(headers, scope["path"], given or _cookie(headers, name))
         answer = self._app
         if len(headers.getlist("host")) != 1 or why:
             answer = PlainTextResponse((why or "expected one host") + "\n", 403)
-        elif self._door.token and given:
+        elif self._access.token and given:
             redirect = RedirectResponse("/", 303)
             redirect.set_cookie(name, given, httponly=True, samesite="strict")
             answer = redirect

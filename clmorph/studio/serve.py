@@ -66,7 +66,7 @@ def serve(
     need_studio()
     import uvicorn
 
-    from clmorph.studio.guard import TOKEN, Door, Guard
+    from clmorph.studio.guard import TOKEN, Access, Guard
     from clmorph.studio.routes import Studio
     from clmorph.studio.worker import Worker
 
@@ -84,7 +84,7 @@ def serve(
             worker = Worker()
             studio = Studio(tabs, worker, line_of, samples(folder), _devices(device))
             config = uvicorn.Config(
-                Guard(studio.app(), Door(host, taken, token)), log_level="critical",
+                Guard(studio.app(), Access(host, taken, token)), log_level="critical",
                 access_log=False, lifespan="off", server_header=False, date_header=False,
                 ws="none", timeout_graceful_shutdown=1, proxy_headers=False,
                 limit_concurrency=256,

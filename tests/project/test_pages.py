@@ -11,7 +11,10 @@ import importlib
 import itertools
 import re
 import shlex
+import signal
+import subprocess
 import sys
+import threading
 import tomllib
 from pathlib import Path
 
@@ -276,6 +279,20 @@ def test_versions_agree():
     assert f"## {version}" in PAGES[CHANGES].splitlines()[2]
 
 
+def assert_served(command):
+    """A command that serves until a signal ends it says where, and ends."""
+    command = [sys.executable, "-m", "clmorph", *command, "--no-browser"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        timer = threading.Timer(60, process.kill)
+        timer.start()
+        try:
+            assert "http://127.0.0.1:" in process.stderr.readline(), command
+        finally:
+            process.terminate()
+            timer.cancel()
+        assert process.wait(20) == 128 + signal.SIGTERM
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("page", [page for page, lines in OURS.items() if lines])
 def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
@@ -290,6 +307,9 @@ def test_commands(page, tmp_path, monkeypatch, capfd, ways, widths):
         if command[0] in ("devices", "check") and not TESTED:
             continue
         command = [TESTED[0].index if word == "NAME" else word for word in command]
+        if command[0] == "studio":
+            assert_served(command)
+            continue
         ways.clear()
         widths.clear()
         assert main(command) == 0, (line, capfd.readouterr().err)
