@@ -21,11 +21,7 @@ void barycentric_projection(
     __global float* restrict sums)   // (SUMS, shares, n_rows)
 {
     ROW_SETUP;
-    const uint share = get_global_id(1);
-    const uint shares = get_global_size(1);
-    const uint per_share = (end_tile - first_tile + shares - 1) / shares;
-    const uint n_begin = min(end_tile, first_tile + share * per_share);
-    const uint n_end = min(end_tile, n_begin + per_share);
+    SHARE_SETUP;
     // Above columns without mass: the difference of two sentinels is no exponent.
     vreal m = (vreal)(0.5f * SENTINEL);
     vreal total[SUMS];

@@ -101,6 +101,14 @@
 #define LEVEL_PLANE n_column_tiles
 #endif
 
+// The column tiles of a work-group's share, n_begin <= n < n_end, where get_global_id(1) is its number.
+#define SHARE_SETUP                                                                            \
+    const uint share = get_global_id(1);                                                       \
+    const uint shares = get_global_size(1);                                                    \
+    const uint per_share = (end_tile - first_tile + shares - 1) / shares;                      \
+    const uint n_begin = min(end_tile, first_tile + share * per_share);                        \
+    const uint n_end = min(end_tile, n_begin + per_share)
+
 // Put column tile q, recentered for the row tile, into local memory:
 // staged[d][j] = k (v - (p - q))_d for d < DIM, staged[DIM][j] = the part without u.
 // The first barrier waits for the readers of the tile before, the last one for the writers.

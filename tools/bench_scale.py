@@ -11,9 +11,11 @@ summed in the whole solve, in units of N M: one iteration without truncation tak
 what frames are made of: all kept pairs if they are few, else about 1.5 million draws, at least
 one a pixel (the command line's default); and the time that this takes. A frame is that at
 t = 0.5, after another one; memory is the largest over all of this. GeomLoss (online, KeOps,
-scaling 0.9) is timed where it has fewer points than
-`--patience`, and is else extrapolated as N^2, marked "~". `--verify` takes the residual over all
-pairs too, which takes two sums over N M.
+scaling 0.9) is timed where it has fewer points than `--patience`, and is else extrapolated as N^2,
+marked "~". `--verify` takes the residual over all pairs too, which takes two sums over N M.
+
+`--drawn` times morphs of large pictures with the default options in place of all that: up to the
+plan, the first frame, which divides and registers the images, and the least of two more.
 """
 
 import argparse
@@ -160,6 +162,27 @@ def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> No
     print(json.dumps(record))
 
 
+def drawn(device: str, side: int) -> None:
+    """Morph large pictures with the default options, and print what frames take, as JSON."""
+    operations = clmorph.get_backend(device)
+    clmorph.morph(*photographs((64, 64)), backend=operations).frame(0.5)  # kernels are built
+    images = photographs((side, side))
+    Path("/proc/self/clear_refs").write_text("5")
+    before = resident_bytes("VmRSS")
+    began = time.perf_counter()
+    result = clmorph.morph(*images, size=None, n_frames=3, backend=operations)
+    seconds = [time.perf_counter() - began]
+    for t in (0.4, 0.45, 0.5):
+        began = time.perf_counter()
+        result.frame(t)
+        seconds.append(time.perf_counter() - began)
+    record = {
+        "solved": seconds[0], "first": seconds[1], "frame": min(seconds[2:]),
+        "host": resident_bytes("VmHWM") - before,
+    }  # fmt: skip
+    print(json.dumps(record))
+
+
 def geomloss(setting: str, shape: tuple[int, int]) -> None:
     """Time GeomLoss once and print it, as JSON."""
     import torch
@@ -215,11 +238,14 @@ def main() -> int:
     parser.add_argument("--verify", action="store_true", help="residual over all pairs too")
     parser.add_argument("--geomloss", action="store_true", help="time GeomLoss beside")
     parser.add_argument("--patience", type=int, default=17_000, help="most points for GeomLoss")
+    parser.add_argument("--drawn", type=int, nargs="*", default=[], metavar="SIDE")
     parser.add_argument("--one", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
         kind, setting, height, width = options.one
-        if kind == "geomloss":
+        if setting == "drawn":
+            drawn(kind, int(height))
+        elif kind == "geomloss":
             geomloss(setting, (int(height), int(width)))
         else:
             morph(kind, setting, (int(height), int(width)), options.verify)
@@ -227,6 +253,15 @@ def main() -> int:
     shapes = [(side, side) for side in options.sides]
     shapes += ODD_SHAPES if options.odd else ()
     print(f"{clmorph.get_backend(options.device).description}\n")
+    if options.drawn:
+        print(line("pixels", "solve and plan, s", "first frame, s", "frame, s", "host, MB"))
+        print(line(*["---"] * 5))
+        for side in options.drawn:
+            record = in_own_process("--one", options.device, "drawn", str(side), str(side))
+            if record is not None:
+                cells = (f"{record[name]:.2g}" for name in ("solved", "first", "frame"))
+                print(line(f"{side} x {side}", *cells, f"{record['host'] / 1e6:.0f}"), flush=True)
+        return 0
     heads = [
         "blur", "points", "solve, s", "iterations", "residual, eps", "pairs", "work, N M",
         "truncation error", "plan", "plan, s", "frame, s", "host, MB", "device, MB",

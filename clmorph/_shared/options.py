@@ -146,6 +146,32 @@ class Options:
         """Return a copy with some options replaced; it raises the same errors as the class."""
         return type(self)(**{**self.as_dict(), **given})
 
+    @classmethod
+    def of_call(cls, options: Any, given: Mapping[str, Any], example: str) -> Self:
+        """Return the options of a call, from an object of this class and options by name.
+
+        Parameters
+        ----------
+        options : object of this class, or None
+        given : mapping
+            Options by name, which replace those of the object.
+        example : str
+            An option by name, such as ``n_frames=30``, for the error message.
+
+        Raises
+        ------
+        InputError
+            If `options` has another type, or an option cannot be used.
+        """
+        if options is None:
+            return cls(**given)
+        if not isinstance(options, cls):
+            raise InputError(
+                f"options={shown(options)}: expected {cls.__name__}; give single options by name, "
+                f"such as {example}"
+            )
+        return options.replace(**given)
+
     def outside(self) -> dict[str, Any]:
         """Return the options in the form of files: sorted, by their names outside."""
         known = specifications(type(self))

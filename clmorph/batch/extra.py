@@ -1,10 +1,16 @@
-"""What the extra ``dask`` brings, and the error where it is missing."""
+"""What the extra ``dask`` brings, the error where it is missing, and those of its workers."""
 
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from typing import Any
 
 from clmorph._shared.validation import shown
-from clmorph.errors import InputError
+from clmorph.errors import ClmorphError, DeviceError, InputError
+
+#: Held by the task that computes, where a worker has several threads.
+TURN = threading.Lock()
 
 
 def need_dask() -> None:
@@ -35,3 +41,33 @@ def check_client(client: Any) -> Any:
     if client.status != "running":
         raise InputError(f"client={shown(client)}: it is closed; expected one that is connected")
     return client
+
+
+@contextmanager
+def on_workers(client: Any, tasks: list[Any], remedy: str) -> Iterator[None]:
+    """Report what ends workers as an error of clmorph, and cancel the tasks in the end.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    tasks : list
+        Futures; it is filled inside.
+    remedy : str
+        What may help, for the error message.
+
+    Raises
+    ------
+    DeviceError
+        If a worker or the scheduler has ended.
+    """
+    try:
+        yield
+    except ClmorphError:
+        raise
+    except Exception as error:  # of many classes: a worker or the scheduler has ended
+        raise DeviceError(
+            f"the workers did not finish ({type(error).__name__}); start again, {remedy}"
+        ) from None
+    finally:
+        with suppress(Exception):  # the scheduler has gone
+            client.cancel(tasks)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import threading
 import warnings
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -12,8 +10,8 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_integer, shown
 from clmorph.backends.select import get_backend
-from clmorph.batch.extra import check_client
-from clmorph.errors import ClmorphError, ConvergenceWarning, DeviceError, InputError
+from clmorph.batch.extra import TURN, check_client, on_workers
+from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.many import as_many
 from clmorph.measures.points import AnyMeasure, as_pair
 from clmorph.transport._solver.checks import check_solver_options
@@ -25,7 +23,6 @@ from clmorph.transport.sinkhorn_batch import MeasuresLike, solve_many
 
 #: Measures along a side of a block.
 BLOCK = 16
-_TURN = threading.Lock()
 
 
 def divergence_matrix(
@@ -100,32 +97,25 @@ def divergence_matrix(
     starts = range(0, len(own), side)
     groups = [own[start : start + side] for start in starts]
     selves, tasks, places, missed = [], [], [], 0
-    try:
+    futures: list[Any] = []
+    with on_workers(client, futures, "with a smaller block if they lack memory"):
         sent = client.scatter(groups, broadcast=len(groups) > 1)
         selves += [
             client.submit(_solve_selves, group, start, solver, pure=False)
             for group, start in zip(sent, starts, strict=True)
         ]
+        futures += selves
         for i, first in enumerate(starts):
             for j, second in enumerate(starts[i:], i):
                 of_task = sent[i], sent[j], selves[i], selves[j], (first, second), solver
                 tasks.append(client.submit(_solve_block, *of_task, pure=False))
+                futures.append(tasks[-1])
                 places.append((first, second))
         for (first, second), (part, unsolved) in zip(places, client.gather(tasks), strict=True):
             rows, columns = part.shape
             values[first : first + rows, second : second + columns] = part
             values[second : second + columns, first : first + rows] = part.T
             missed += unsolved
-    except ClmorphError:
-        raise
-    except Exception as error:  # of many classes: a worker or the scheduler has ended
-        raise DeviceError(
-            f"the workers did not finish ({type(error).__name__}); start again, with a smaller "
-            "block if they lack memory"
-        ) from None
-    finally:
-        with suppress(Exception):  # the scheduler has gone
-            client.cancel([*tasks, *selves])
     if missed:
         warnings.warn(
             ConvergenceWarning(
@@ -162,7 +152,7 @@ def _solve(
     given, tol, max_iter, precision, backend = solver
     if not pairs:
         return [], 0
-    with _TURN:
+    with TURN:
         operations = get_backend(backend)
         found = solve_many(
             pairs, given, tol, max_iter, operations, precision, lambda share: None, name

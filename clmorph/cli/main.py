@@ -1,6 +1,7 @@
 """The command ``clmorph``."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,42 +82,69 @@ def cli() -> None:
     """  # noqa: D301 (click wants the character itself)
 
 
-def _settings_callback(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
-    """Read a file of settings before any other option is processed."""
-    if path is None:
-        return None
-    found = files.read_settings(path)
-    own = found.own if found.preset is None else found.own | {"preset": found.preset}
-    context.default_map = own
-    return found
+Reader = Callable[[Path], files.Found]
+
+
+def _config_option(read: Reader, *, preset: bool = False) -> Callable[[Any], Any]:
+    """Return the option --config, whose file is read before any other option is processed.
+
+    Parameters
+    ----------
+    read : callable
+        Reads the file.
+    preset : bool
+        Whether the preset that the file names stands for that of the command line.
+    """
+
+    def settings(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
+        if path is None:
+            return None
+        found = read(path)
+        named = {"preset": found.preset} if preset and found.preset is not None else {}
+        context.default_map = found.own | named
+        return found
+
+    return click.option(
+        "--config", type=options.FileName(), is_eager=True, callback=settings, panel="Settings",
+        help="Read options from your own TOML, or repeat a recipe: .json, or a file that clmorph "
+        "wrote; its pictures are sought beside it and in the current folder.",
+    )  # fmt: skip
+
+
+def _rearrange_settings(path: Path) -> files.Found:
+    from clmorph.pipeline.rearrange_options import RearrangeOptions
+
+    return files.read_settings(path, RearrangeOptions)
+
+
+def _recolor_settings(path: Path) -> files.Found:
+    from clmorph.pipeline.recolor_options import RecolorOptions
+
+    return files.read_settings(path, RecolorOptions)
+
+
+def _pictures(images: tuple[Path, ...], config: files.Found | None) -> tuple[Path, ...]:
+    """Return the pictures of the command line or, if there are none, of the file of settings."""
+    from clmorph.cli.morph import announce_changes
+
+    if config is None or images:
+        return images
+    named = config.named.images()
+    announce_changes(named)
+    return tuple(path for path, _ in named)
 
 
 @cli.command(epilog=_PRESETS)
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
 @options.file_options
-@click.option(
-    "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Settings",
-    help="Set of options for a kind of pictures; see below.  [default: auto]",
-)  # fmt: skip
-@click.option(
-    "--draft",
-    is_flag=True,
-    panel="Settings",
-    help="A first look in a few seconds: smaller, with fewer frames and less accuracy.",
-)
-@click.option(
-    "--config", type=options.FileName(), is_eager=True, callback=_settings_callback,
-    panel="Settings",
-    help="Read options from your own TOML, or repeat a recipe: .json, or a file that clmorph "
-    "wrote; its pictures are sought beside it and in the current folder.",
-)  # fmt: skip
+@options.preset_option
+@options.draft_option
+@_config_option(files.read_settings, preset=True)
 @click.option(
     "--dump-config", is_flag=True, panel="Settings",
     help="Print all options as TOML, and do nothing else.",
 )  # fmt: skip
-@click.option(
-    "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
-)
+@options.json_option
 @options.morph_options
 @options.map_options
 @options.max_pixels_option
@@ -161,10 +189,7 @@ def morph(
     foreign = config is not None and not config.named.own
     auto = preset == AUTO or (preset is None and not foreign)
     chosen = options_of(None if auto else preset)
-    if config is not None and not images:
-        named = config.named.images()
-        images = tuple(path for path, _ in named)
-        announce_changes(named)
+    images = _pictures(images, config)
     beside = {"labels": labels or (), "features": features or ()}
     if config is not None:
         for name, files_of in config.beside.items():
@@ -245,29 +270,11 @@ def _counted(images: Sequence[Path]) -> str:
     return f"{len(images) or 'no'} picture{'s' * (len(images) != 1)} given"
 
 
-def _rearrange_settings(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
-    """Read a file of settings before any other option is processed."""
-    if path is None:
-        return None
-    from clmorph.pipeline.rearrange_options import RearrangeOptions
-
-    found = files.read_settings(path, RearrangeOptions)
-    context.default_map = found.own
-    return found
-
-
 @cli.command()
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
 @options.file_options
-@click.option(
-    "--config", type=options.FileName(), is_eager=True, callback=_rearrange_settings,
-    panel="Settings",
-    help="Read options from your own TOML, or repeat a recipe: .json, or a file that this command "
-    "wrote; its pictures are sought beside it and in the current folder.",
-)  # fmt: skip
-@click.option(
-    "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
-)
+@_config_option(_rearrange_settings)
+@options.json_option
 @options.rearrange_options
 @options.max_pixels_option
 @options.device_options
@@ -290,17 +297,13 @@ def rearrange(
     clmorph rearrange a.png b.jpg -o out.mp4 --size 512      larger pictures
     clmorph rearrange a.png b.jpg -o out.gif --color-weight 1  shorter ways, poorer likeness
     """  # noqa: D301
-    from clmorph.cli.morph import announce_changes
     from clmorph.cli.rearrange import Request, run_rearrange
     from clmorph.pipeline.rearrange_options import RearrangeOptions
 
     chosen = RearrangeOptions(**({} if config is None else config.options)).replace(
         **options.given_options(given, RearrangeOptions)
     )
-    if config is not None and not images:
-        named = config.named.images()
-        images = tuple(path for path, _ in named)
-        announce_changes(named)
+    images = _pictures(images, config)
     if len(images) < 2:
         raise InputError(
             f"{_counted(images)}: expected two or more, as in clmorph rearrange a.png b.jpg -o "
@@ -318,29 +321,11 @@ def rearrange(
     )  # fmt: skip
 
 
-def _recolor_settings(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
-    """Read a file of settings before any other option is processed."""
-    if path is None:
-        return None
-    from clmorph.pipeline.recolor_options import RecolorOptions
-
-    found = files.read_settings(path, RecolorOptions)
-    context.default_map = found.own
-    return found
-
-
 @cli.command()
 @click.argument("images", metavar="PHOTO LIKE", nargs=-1, type=options.FileName())
 @options.picture_options
-@click.option(
-    "--config", type=options.FileName(), is_eager=True, callback=_recolor_settings,
-    panel="Settings",
-    help="Read options from your own TOML, or repeat a recipe: .json, or a file that this command "
-    "wrote; its pictures are sought beside it and in the current folder.",
-)  # fmt: skip
-@click.option(
-    "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
-)
+@_config_option(_recolor_settings)
+@options.json_option
 @options.recolor_options
 @click.option(
     "--mask", type=options.FileName(), panel="Color",
@@ -375,10 +360,7 @@ def recolor(
     chosen = RecolorOptions(**({} if config is None else config.options)).replace(
         **options.given_options(given, RecolorOptions)
     )
-    if config is not None and not images:
-        named = config.named.images()
-        images = tuple(path for path, _ in named)
-        announce_changes(named)
+    images = _pictures(images, config)
     if config is not None and mask is None and "mask" in config.beside:
         named = config.beside["mask"].images()
         mask = named[0][0]
@@ -399,15 +381,6 @@ def recolor(
     )  # fmt: skip
 
 
-def _mix_settings(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
-    """Read a file of settings before any other option is processed."""
-    if path is None:
-        return None
-    found = files.read_settings(path, mixes=True)
-    context.default_map = found.own
-    return found
-
-
 @cli.command(epilog=_PRESETS)
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
 @click.option(
@@ -425,22 +398,10 @@ def _mix_settings(context: click.Context, parameter: click.Parameter, path: Any)
     "picture, b for the second one, and + for the even mix of all, such as ab+dca.",
 )  # fmt: skip
 @options.file_options
-@click.option(
-    "--preset", type=click.Choice([AUTO, *PRESETS]), panel="Settings",
-    help="Set of options for a kind of pictures; see below.  [default: auto]",
-)  # fmt: skip
-@click.option(
-    "--draft", is_flag=True, panel="Settings",
-    help="A first look in a few seconds: smaller, with fewer frames and less accuracy.",
-)  # fmt: skip
-@click.option(
-    "--config", type=options.FileName(), is_eager=True, callback=_mix_settings, panel="Settings",
-    help="Read options from your own TOML, or repeat a recipe: .json, or a file that this command "
-    "wrote; its pictures are sought beside it and in the current folder.",
-)  # fmt: skip
-@click.option(
-    "--json", "as_json", is_flag=True, panel="Settings", help="Print a summary for programs."
-)
+@options.preset_option
+@options.draft_option
+@_config_option(partial(files.read_settings, mixes=True))
+@options.json_option
 @options.mix_options
 @options.max_pixels_option
 @options.device_options
@@ -474,12 +435,8 @@ def mix(
     morph. The presets and most options are those of clmorph morph.
     """  # noqa: D301
     from clmorph.cli.mix import Request, run_mix, weights_of
-    from clmorph.cli.morph import announce_changes
 
-    if config is not None and not images:
-        named = config.named.images()
-        images = tuple(name for name, _ in named)
-        announce_changes(named)
+    images = _pictures(images, config)
     listed = weights_of(weights, len(images)) if images else None
     what = {"grid": grid, "weights": listed, "path": path}
     shown = {name: value for name, value in what.items() if value}

@@ -29,6 +29,7 @@ from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.output.picture import WRITERS
 from clmorph.output.save import FORMATS
 from clmorph.pipeline.options import BudgetOptions, MorphOptions
+from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recolor_options import RecolorOptions
 from clmorph.transport.options import PlanOptions, SolverOptions
@@ -253,6 +254,11 @@ rearrange_options = _together(
 
 recolor_options = _of(RecolorOptions, usual=RecolorOptions)
 
+_recipe_option = _option(
+    "File", "--recipe/--no-recipe", is_flag=True, default=None,
+    help="Write OUTPUT.json beside the file; --config repeats the run from it.",
+)  # fmt: skip
+
 file_options = _together(
     _option(
         "File", "-o", "--output", type=OutputName(),
@@ -265,10 +271,7 @@ file_options = _together(
         help="Format of the file, in place of what its ending says.",
     ),
     _of(FrameStyle),
-    _option(
-        "File", "--recipe/--no-recipe", is_flag=True, default=None,
-        help="Write OUTPUT.json beside the file; --config repeats the run from it.",
-    ),
+    _recipe_option,
 )  # fmt: skip
 
 picture_options = _together(
@@ -276,11 +279,20 @@ picture_options = _together(
         "File", "-o", "--output", type=OutputName(), multiple=True,
         help=f"Where to write, once or more: {', '.join(WRITERS)}. TIFF has 16 bits.",
     ),
-    _option(
-        "File", "--recipe/--no-recipe", is_flag=True, default=None,
-        help="Write OUTPUT.json beside the file; --config repeats the run from it.",
-    ),
+    _recipe_option,
 )  # fmt: skip
+
+preset_option = _option(
+    "Settings", "--preset", type=click.Choice([AUTO, *PRESETS]),
+    help="Set of options for a kind of pictures; see below.  [default: auto]",
+)  # fmt: skip
+draft_option = _option(
+    "Settings", "--draft", is_flag=True,
+    help="A first look in a few seconds: smaller, with fewer frames and less accuracy.",
+)  # fmt: skip
+json_option = _option(
+    "Settings", "--json", "as_json", is_flag=True, help="Print a summary for programs."
+)
 
 device_options = _together(
     _option(

@@ -14,12 +14,13 @@ from typing import Any
 import click
 import numpy as np
 
-from clmorph._shared.files import atomic_paths, check_apart, errors_as_output
+from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
 from clmorph.cli.common import note_warning, open_backend, read_picture, recipe_places
 from clmorph.cli.terminal import Stages
 from clmorph.errors import FileError
 from clmorph.output.picture import check_picture_place, write_picture
+from clmorph.output.together import write_together
 from clmorph.pipeline.recipe import picture_entries, recipe
 from clmorph.pipeline.recolor import recolored
 from clmorph.pipeline.recolor_options import RecolorOptions
@@ -85,15 +86,14 @@ def run_recolor(
         warnings.showwarning = partial(note_warning, [])
         stages.count("preparation")
         found = recolored(photo, like, options, mask, operations, stages)
-        with atomic_paths([*places, *beside]) as made:
-            for number, (path, new) in enumerate(zip(request.outputs, made, strict=False)):
-                stages("files", number / len(places))
-                with errors_as_output(path):
-                    write_picture(found, metadata(), new)
-            for path, new in zip(beside, made[len(places) :], strict=True):
-                with errors_as_output(path):
-                    text = json.dumps(metadata(path.resolve().parent), indent=2) + "\n"
-                    new.write_text(text, "utf-8")
+        stages("files", 0.0)
+        write = partial(write_picture, found, metadata())
+        texts = {
+            path: json.dumps(metadata(path.resolve().parent), indent=2) + "\n" for path in beside
+        }
+        write_together(
+            [(*each, write) for each in zip(places, request.outputs, strict=True)], texts
+        )
         stages("files", 1.0)
         summary = {
             "outputs": [str(path) for path in request.outputs],

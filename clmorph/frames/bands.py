@@ -162,7 +162,7 @@ class Bands(NamedTuple):
 
     def smooth_at(self, positions: Array) -> "Smooth":
         """Sample what is smooth at positions (..., 2) of the common frame."""
-        found = sampled(self.smooth, self.coarse.places(positions), order=1)
+        found = sampled(self.smooth, self.coarse.places(positions))
         return Smooth(found[..., :3], found[..., 3:6], found[..., 6:])
 
 

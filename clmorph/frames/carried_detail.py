@@ -148,7 +148,7 @@ class CarriedDetail:
         assert layer.masks is not None  # there are several layers
         positions, motion = canvas.positions(), enlarged(displacement, canvas.shape)
         first, second = (
-            sampled(mask, bands.canvas.places(positions + share_of_path * motion), order=1)
+            sampled(mask, bands.canvas.places(positions + share_of_path * motion))
             for mask, bands, share_of_path in zip(
                 layer.masks, self._bands, (-t, 1 - t), strict=True
             )

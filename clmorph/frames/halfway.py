@@ -97,19 +97,17 @@ class Halfway:
         return found
 
     def _sampled(self, positions: Array) -> Array:
-        return sampled(self.displacement, self._grid.places(positions), order=1)
+        return sampled(self.displacement, self._grid.places(positions))
 
 
-def sampled(image: NDArray[_Real], places: Array, order: int) -> NDArray[_Real]:
-    """Interpolate an image that is continued by reflection at its border.
+def sampled(image: NDArray[_Real], places: Array) -> NDArray[_Real]:
+    """Interpolate an image linearly; it is continued by reflection at its border.
 
     Parameters
     ----------
     image : (H, W, C) array
-        Values, or with order 3 the coefficients of a cubic spline (`scipy.ndimage.spline_filter`).
     places : (2, ...) array
         Pixel coordinates (row, column).
-    order : {1, 3}
 
     Returns
     -------
@@ -120,9 +118,9 @@ def sampled(image: NDArray[_Real], places: Array, order: int) -> NDArray[_Real]:
     found = np.empty((image.shape[2], *places.shape[1:]), image.dtype)
     for channel in range(image.shape[2]):
         map_coordinates(
-            image[..., channel], places, output=found[channel], order=order, mode="mirror",
+            image[..., channel], places, output=found[channel], order=1, mode="mirror",
             prefilter=False,
-        )  # type: ignore[call-overload]  # fmt: skip
+        )  # fmt: skip
     return np.moveaxis(found, 0, -1)
 
 
@@ -202,7 +200,7 @@ def register(
         refined = images.moved(images.best(trials), (FINE,))
         displacement = images.trusted(displacement, refined)
     kept = grid.reduced(max(1, GRID_SIDE // STRIDE))
-    return Halfway(sampled(displacement, grid.places(kept.positions()), order=1), kept)
+    return Halfway(sampled(displacement, grid.places(kept.positions())), kept)
 
 
 class _Images(NamedTuple):
@@ -216,7 +214,7 @@ class _Images(NamedTuple):
         """Return the local contrast of both images along a displacement, on the grid."""
         points = self.grid.positions()
         return [
-            _contrast(sampled(image, over.places(points + share * displacement), 1)[..., 0], width)
+            _contrast(sampled(image, over.places(points + share * displacement))[..., 0], width)
             for image, over, share in zip(self.images, self.canvases, (-0.5, 0.5), strict=True)
         ]
 

@@ -6,6 +6,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clmorph._shared.printable import printable
+from clmorph._shared.validation import shown
+from clmorph.errors import InputError
 from clmorph.output.bounded import MAX_HEAD, MAX_TEXT, BoundedFile
 
 if TYPE_CHECKING:
@@ -30,6 +33,25 @@ def as_text(parameters: Mapping[str, Any]) -> str:
     if len(text) > MAX_TEXT:
         raise ValueError(f"{len(text)} characters are too many: files hold at most {MAX_TEXT}")
     return text
+
+
+def checked_parameters(parameters: Any) -> Mapping[str, Any]:
+    """Return the parameters that a caller gave for a file.
+
+    Raises
+    ------
+    InputError
+        If they are no mapping, or JSON cannot represent them.
+    """
+    if not isinstance(parameters, Mapping):
+        raise InputError(f"parameters={shown(parameters)}: expected a mapping that JSON takes")
+    try:
+        as_text(parameters)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InputError(
+            f"parameters: expected what JSON takes ({printable(str(error), 120)})"
+        ) from None
+    return parameters
 
 
 def as_png_info(parameters: Mapping[str, Any]) -> "PngInfo":

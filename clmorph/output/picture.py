@@ -13,11 +13,17 @@ from clmorph._shared.files import atomic_path, check_file_place
 from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import is_path, shown
-from clmorph.errors import InputError, OutputError
+from clmorph.errors import OutputError
 from clmorph.images.pixels import as_pixels, as_rgb, to_bytes
 from clmorph.output.formats.limits import check_sides, encoding
 from clmorph.output.formats.webp import LONGEST_SIDE, LOSSLESS_EFFORT, as_exif
-from clmorph.output.metadata import IMAGE_DESCRIPTION, as_png_info, as_text, image_head
+from clmorph.output.metadata import (
+    IMAGE_DESCRIPTION,
+    as_png_info,
+    as_text,
+    checked_parameters,
+    image_head,
+)
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -149,15 +155,8 @@ def write_image(
     [0.6, 0.6, 0.6]
     """
     place = check_picture_place(path)
-    if parameters is not None and not isinstance(parameters, Mapping):
-        raise InputError(f"parameters={shown(parameters)}: expected a mapping that JSON takes")
-    pixels, metadata = as_pixels(image), parameters or {}
-    try:
-        as_text(metadata)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise InputError(
-            f"parameters: expected what JSON takes ({printable(str(error), 120)})"
-        ) from None
+    metadata = checked_parameters({} if parameters is None else parameters)
+    pixels = as_pixels(image)
     with atomic_path(place) as file:
         write_picture(pixels, metadata, file)
 

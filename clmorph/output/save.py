@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.files import (
-    atomic_paths,
-    check_apart,
     check_file_place,
     check_place,
     errors_as_output,
@@ -22,16 +20,16 @@ from clmorph._shared.files import (
     is_empty,
 )
 from clmorph._shared.options import Options, specifications, unknown_option
-from clmorph._shared.printable import printable
 from clmorph._shared.validation import check_choice, check_progress, is_path, shown
 from clmorph.errors import InputError, OutputError
 from clmorph.frames.sequence import FrameSequence
 from clmorph.output.formats.format import PACE, SIZES, Format
 from clmorph.output.formats.registry import FORMATS, by_ending, usual_endings
-from clmorph.output.metadata import as_text
+from clmorph.output.metadata import checked_parameters
 from clmorph.output.options import FrameStyle, PlaybackOptions
 from clmorph.output.playback import Motion, motion_of
 from clmorph.output.recording import Recording, StageProgress, recorded
+from clmorph.output.together import write_together
 
 #: The options of `save`.
 SAVED = ("fps", "duration", "hold", "loop", "reverse", *specifications(FrameStyle))
@@ -123,17 +121,12 @@ def write_all(
     InputError
         If a format or style does not suit the recording, or two outputs have the same path.
     """
-    beside = dict(texts or {})
-    places = [*(output.place for output in outputs), *beside]
-    check_apart(places)
-    with atomic_paths(places) as made:
-        for new, (place, text) in zip(made[len(outputs) :], beside.items(), strict=True):
-            with errors_as_output(place):
-                new.write_text(text, "utf-8")
-        for output, new in zip(outputs, made, strict=False):
-            report_share = partial(report, output) if report else (lambda share: None)
-            with errors_as_output(output.path):
-                output.format.write(recording, style or FrameStyle(), new, report_share)
+
+    def write(output: Output, new: Path) -> None:
+        report_share = partial(report, output) if report else (lambda share: None)
+        output.format.write(recording, style or FrameStyle(), new, report_share)
+
+    write_together([(each.place, each.path, partial(write, each)) for each in outputs], texts)
 
 
 def _by_ending(path: Path) -> Format:
@@ -214,15 +207,7 @@ def save(
             raise InputError(
                 "morphs: expected each to begin with the picture that the one before ends with"
             )
-    if parameters is not None and not isinstance(parameters, Mapping):
-        raise InputError(f"parameters={shown(parameters)}: expected a mapping that JSON takes")
-    metadata = parameters if parameters is not None else metadata_of(chain, options)
-    try:
-        as_text(metadata)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise InputError(
-            f"parameters: expected what JSON takes ({printable(str(error), 120)})"
-        ) from None
+    metadata = checked_parameters(metadata_of(chain, options) if parameters is None else parameters)
     with recorded(
         chain, motion, n_morphs=len(chain), reverse=options.reverse,
         exact=output.format.exact, keep=output.format.keep,

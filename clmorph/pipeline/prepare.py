@@ -83,11 +83,7 @@ def as_options(
             MorphOptions(draft=draft, **given)  # raises an error before the images are looked at
             preset = recognized(images)
         return MorphOptions(preset=preset, draft=draft, **given)
-    if not isinstance(options, MorphOptions):
-        raise InputError(
-            f"options={shown(options)}: expected MorphOptions; give single options by name, such "
-            "as n_frames=30"
-        )
+    chosen = MorphOptions.of_call(options, given, "n_frames=30")
     if preset is not None:
         raise InputError(
             f"options and preset={shown(preset)} contradict: give one of them, or "
@@ -97,7 +93,7 @@ def as_options(
         raise InputError(
             "options and draft=True contradict: give one of them, or MorphOptions(draft=True)"
         )
-    return options.replace(**given) if given else options
+    return chosen
 
 
 def fitted(
@@ -156,8 +152,8 @@ def small_copies(
     Returns
     -------
     list of (H, W, 3) arrays, or None
-        None if particles draw detail, or if images are small, have opacity, or come with maps of
-        their pixels.
+        None if particles draw detail, if the transport is solved between pixels or more blocks than
+        copies have pixels, or if images are small, have opacity, or come with maps of their pixels.
     """
     if not takes_copies([image.shape for image in images], options, beside):
         return None
@@ -169,6 +165,7 @@ def takes_copies(
 ) -> bool:
     """Return whether `small_copies` of images with these shapes (H, W, C) are lifted."""
     drawn = options.detail == "carried" and options.endpoints == "exact" and options.sigma is None
+    drawn = drawn and options.solve_size is not None and options.solve_size <= MOST_CARRIED
     mapped = (beside.weights, beside.color_metric, beside.labels, beside.features)
     if not drawn or any(each is not None for each in mapped):
         return False

@@ -10,9 +10,8 @@ import numpy as np
 
 from clmorph._shared.progress import StageProgress
 from clmorph._shared.typing import Array, ArrayLike
-from clmorph._shared.validation import check_progress, shown
+from clmorph._shared.validation import check_progress
 from clmorph.backends.select import Backend, get_backend
-from clmorph.errors import InputError
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import particles
 from clmorph.images.pixels import fit, resized, split_alpha
@@ -93,12 +92,7 @@ def rearrange(
     >>> found.lower_bound <= found.cost <= 1.01 * found.lower_bound
     True
     """
-    if options is not None and not isinstance(options, RearrangeOptions):
-        raise InputError(
-            f"options={shown(options)}: expected RearrangeOptions; give single options by name, "
-            "such as n_frames=30"
-        )
-    chosen = RearrangeOptions(**given) if options is None else options.replace(**given)
+    chosen = RearrangeOptions.of_call(options, given, "n_frames=30")
     images = as_images((image_a, image_b))
     return arranged(images, chosen, backend, check_progress(progress))
 

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from clmorph._shared.progress import Share, StageProgress
 from clmorph._shared.threads import in_order
 from clmorph._shared.typing import Array, ArrayLike
-from clmorph._shared.validation import check_progress, shown
+from clmorph._shared.validation import check_progress
 from clmorph.backends.arrays import as_array
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
@@ -91,12 +91,7 @@ def recolor(
     >>> bool((clmorph.recolor(gray, blue, strength=0, backend="numpy")[..., 0] == gray).all())
     True
     """
-    if options is not None and not isinstance(options, RecolorOptions):
-        raise InputError(
-            f"options={shown(options)}: expected RecolorOptions; give single options by name, "
-            "such as strength=0.5"
-        )
-    chosen = RecolorOptions(**given) if options is None else options.replace(**given)
+    chosen = RecolorOptions.of_call(options, given, "strength=0.5")
     report = check_progress(progress)
     pixels, other = as_pixels(image, "image"), as_pixels(like, "like")
     amount = None if mask is None else as_mask(mask, (pixels.shape[0], pixels.shape[1]))

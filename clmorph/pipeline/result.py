@@ -67,7 +67,7 @@ class Morph(FrameSequence):
     pictures : pair of (H, W, 3) arrays or None
         The images as frames show them at both ends, where they have more pixels than the measures:
         with carried detail, particles draw the smooth part of a frame alone, so that above 512
-        pixels along the longer side smaller copies are lifted.
+        pixels along the longer side smaller copies are lifted, unless more is solved than these.
 
     Examples
     --------

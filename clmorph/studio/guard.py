@@ -39,7 +39,7 @@ FRAMED = "frame-ancestors 'self'"
 
 @dataclass(frozen=True)
 class Access:
-    """Who may come in.
+    """Who may send requests.
 
     Attributes
     ----------

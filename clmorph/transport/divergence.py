@@ -215,6 +215,7 @@ def sinkhorn_divergence(
     parts: list[Potentials] = []
     for number, measure in enumerate(pair):
         parts.append(self_transport_of(measure, given, tol, max_iter, operations, precision))
+        _warn_of_itself(parts[-1])
         report(0.15 * (number + 1))
     if are_equal(*pair):
         cross = parts[0]
@@ -229,6 +230,11 @@ def sinkhorn_divergence(
         result = replace(result, gradient=found)
     report(1.0)
     return result
+
+
+def _warn_of_itself(own: Potentials) -> None:
+    """Warn if the problem of a measure with itself did not converge."""
+    warn_unless_converged(own.status, f"self-transport: {own.message}; raise max_iter, tol or blur")
 
 
 def one_regularization(blur: Any, reach: Any, epsilon: Any, rho: Any) -> Regularization:
@@ -326,7 +332,7 @@ def self_transport_of(
     operations: Operations,
     precision: str = "auto",
 ) -> Potentials:
-    """Solve the problem of a measure with itself.
+    """Solve the problem of a measure with itself, without a warning.
 
     Parameters
     ----------
@@ -382,7 +388,6 @@ def _self_transport(
             break
     status = "converged" if residual <= tol else ("precision" if stalled else "max_iter")
     message = f"{status} in {len(residuals)} iterations (residual {residual:.1e} epsilon)"
-    warn_unless_converged(status, f"self-transport: {message}; raise max_iter, tol or blur")
     return Potentials(
         f, f, given.blur, given.reach, status, message, len(residuals), residual,
         np.array(residuals), problem.certificate(f, f, softmin, softmin, epsilon), precise,

@@ -30,7 +30,7 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
-from clmorph.transport._solver.plan_softmin import row_projection, uploaded
+from clmorph.transport._solver.plan_softmin import inverse_rho, sent, uploaded
 from clmorph.transport.certificate import MAX_EXPONENT
 from clmorph.transport.potentials import Potentials
 
@@ -198,14 +198,11 @@ def _side(
 ) -> _Side:
     """Return the derivatives by the source, from the potentials of the target alone."""
     source = pair[0]
-    softmin, mean = row_projection(operations, clouds, pair, potentials)
-    epsilon, rho = potentials.epsilon, potentials.rho
-    inverse = 1.0 / (rho[0] if isinstance(rho, tuple) else rho)
-    # f = Delta T(g); then r = a exp((f - T(g)) / epsilon) = a exp(-f / rho).
-    potential = softmin / (1.0 + epsilon * inverse)
-    with np.errstate(divide="ignore"):
-        exponent = np.minimum(np.log(source.weights) - potential * inverse, MAX_EXPONENT)
-    return _Side(np.exp(exponent)[:, None] * (source.points - mean), potential, inverse)
+    going = sent(operations, clouds, pair, potentials)
+    mass = source.weights * going.ratio
+    return _Side(
+        mass[:, None] * (source.points - going.mean), going.potential, inverse_rho(potentials)
+    )
 
 
 def _balanced(potentials: Potentials) -> bool:

@@ -346,6 +346,22 @@ def test_divergence_matrix(client):
         )
 
 
+def test_barycenters(client):
+    rng = np.random.default_rng(2)
+    groups = [[(np.full(n, 1 / n), rng.random((n, 2))) for n in sizes] for sizes in ((5, 6), (4,))]
+    options = {"blur": 0.2, "support": 4, "seed": 3, "backend": "numpy"}
+    found = clmorph.batch.barycenters(groups, client=client, **options)
+    for group, got in zip(groups, found, strict=True):
+        want = clmorph.barycenter(group, **options)
+        assert np.array_equal(got.points, want.points)
+        assert got.status == want.status
+    assert clmorph.batch.barycenters([], blur=0.2, client=client) == []
+    with pytest.raises(clmorph.InputError, match="group 1: measures"):
+        clmorph.batch.barycenters([groups[0], []], blur=0.2, client=client, backend="numpy")
+    with pytest.warns(clmorph.ConvergenceWarning, match="1 of 1 barycenters"):
+        clmorph.batch.barycenters(groups[:1], client=client, **options, max_iter=1)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [

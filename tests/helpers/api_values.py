@@ -256,6 +256,10 @@ def cases() -> dict[str, dict[str, Any]]:
             "measures": [some["source"], some["target"]], "client": None, "backend": "numpy",
             "precision": "auto", "block": 2,
         },
+        "batch.barycenters": STRENGTHS | SOLVER | {
+            "groups": [[some["source"], some["target"]]], "client": None, "backend": "numpy",
+            "weights": [1.0, 1.0], "support": 3, "fixed": False, "debias": True, "seed": 0,
+        },
         "divergence_matrix": STRENGTHS | SOLVER | {
             "measures": [some["source"], some["target"]], "backend": "numpy", "precision": "auto",
             "progress": Idle(),

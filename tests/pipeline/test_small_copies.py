@@ -12,7 +12,7 @@ OPTIONS = {
     "preset": "photo",
     "size": None,
     "n_frames": 3,
-    "solve_size": 32,
+    "solve_size": 16,
     "max_particles": 60_000,
 }
 
@@ -65,6 +65,8 @@ def test_they_look_as_if_pixels_were_lifted(monkeypatch):
     "given",
     [
         {"detail": "particles"},
+        {"solve_size": None},
+        {"solve_size": 25},
         {"endpoints": "paper"},
         {"weights": (np.ones((30, 30)), None)},
         {"labels": (np.zeros((30, 30), int), np.zeros((30, 30), int))},
@@ -73,8 +75,8 @@ def test_they_look_as_if_pixels_were_lifted(monkeypatch):
 )
 def test_where_pixels_themselves_are_lifted(few, given):
     a, b = photographs((30, 30), (30, 30))
-    options = OPTIONS | {"solve_size": None if "color_metric" in given else 16}
-    morph = clmorph.morph(a, b, backend="numpy", **options, **given)
+    options = OPTIONS | {"solve_size": None if "color_metric" in given else 16} | given
+    morph = clmorph.morph(a, b, backend="numpy", **options)
     assert morph.pictures is None
     assert morph.source.shape == (30, 30)
 

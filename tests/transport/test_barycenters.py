@@ -7,6 +7,7 @@ from scipy.special import ndtri
 
 import clmorph
 from clmorph.errors import ConvergenceWarning, InputError
+from clmorph.transport.barycenters import free_support
 
 #: A line of points for fixed supports, and widths of two bells on it.
 LINE = np.linspace(-1.2, 1.2, 121)
@@ -202,6 +203,19 @@ def test_order_and_zero_shares_do_not_matter(device):
             for each, shares in ((measures[:2], [0.3, 0.7]), (measures[::-1], [0, 7, 3]))
         ]
         np.testing.assert_allclose(grids[0].weights, grids[1].weights, atol=1e-5)
+
+
+def test_inexact_solves_are_told(monkeypatch):
+    """Points that rest by solves that were stopped are not converged; one warning says so."""
+    measures = [_cloud(0, 12), _cloud(1, 12)]
+    options = {"blur": 0.05, "tol": 1e-3, "max_iter": 300, "backend": "numpy"}
+    assert clmorph.barycenter(measures, **options).converged
+    monkeypatch.setattr(free_support, "INNER_ITERATIONS", 3)
+    with pytest.warns(ConvergenceWarning) as warned:
+        found = clmorph.barycenter(measures, **options)
+    assert len(warned) == 1
+    assert found.status in ("precision", "max_iter")
+    assert found.residual > options["tol"]
 
 
 def test_same_seed_same_points():

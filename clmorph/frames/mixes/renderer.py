@@ -124,7 +124,7 @@ class MixRenderer:
         found = np.zeros_like(places)
         # As in `Halfway.at`, the mean of two steps settles where a step alone would swing.
         for _ in range(2 * STEPS):
-            step = -sampled(way, self._grids[i].places(places + found), order=1)
+            step = -sampled(way, self._grids[i].places(places + found))
             found = 0.5 * (found + step)
         return found
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from clmorph._shared.files import atomic_paths, check_apart, errors_as_output
 from clmorph._shared.progress import StageProgress
 from clmorph.errors import OutputError
 from clmorph.output.metadata import as_png_info
@@ -16,6 +15,7 @@ from clmorph.output.options import FrameStyle
 from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Drawn, recorded
 from clmorph.output.save import Output, write_all
+from clmorph.output.together import write_together
 from clmorph.pipeline.options import MorphOptions
 
 #: The ending of files with a sheet of mixes.
@@ -80,16 +80,10 @@ def write_sheet(
     """
     from PIL import Image
 
-    beside = dict(texts or {})
-    places = [*(output.place for output in outputs), *beside]
-    check_apart(places)
-    with atomic_paths(places) as made:
-        for new, (place, text) in zip(made[len(outputs) :], beside.items(), strict=True):
-            with errors_as_output(place):
-                new.write_text(text, "utf-8")
-        for output, new in zip(outputs, made, strict=False):
-            with errors_as_output(output.path):
-                Image.fromarray(sheet).save(new, format="PNG", pnginfo=as_png_info(metadata))
+    def write(new: Path) -> None:
+        Image.fromarray(sheet).save(new, format="PNG", pnginfo=as_png_info(metadata))
+
+    write_together([(output.place, output.path, write) for output in outputs], texts)
 
 
 def write_film(

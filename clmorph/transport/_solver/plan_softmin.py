@@ -1,6 +1,6 @@
 """The softmin T(g) of a plan's rows, from which its rows are computed without storing the plan."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import largest_cost
 from clmorph.transport._solver.softmin import Softmin, check_finite
+from clmorph.transport.certificate import MAX_EXPONENT
 from clmorph.transport.potentials import Potentials, check_origin, check_potentials
 
 #: Near pairs are chosen before a single pass if the solver visited at most this share of all pairs:
@@ -32,8 +33,7 @@ def plan_softmin(
     """
     weights = pair[0].weights, pair[1].weights
     result = Softmin(operations, *clouds, weights, potentials.truncation)
-    rho = potentials.rho[0] if isinstance(potentials.rho, tuple) else potentials.rho
-    result.guess = potentials.f * (1.0 + potentials.epsilon / rho)
+    result.guess = potentials.f * (1.0 + potentials.epsilon * inverse_rho(potentials))
     return result
 
 
@@ -68,6 +68,37 @@ def row_softmin(
 def uploaded(operations: Operations, measure: AnyMeasure) -> Any:
     """Return a measure as a cloud in the backend's memory."""
     return operations.upload(measure.points, measure.weights, measure.offsets)
+
+
+class Sent(NamedTuple):
+    """Where the mass of the rows goes, after one more half-step."""
+
+    potential: Array  #: (N,) f = Delta T(g), cost units
+    ratio: Array  #: (N,) mass that leaves each row, relative to its own: exp(-f / rho)
+    mean: Array  #: (N, D) mean destinations
+
+
+def sent(
+    operations: Operations,
+    clouds: tuple[Any, Any],
+    pair: tuple[AnyMeasure, AnyMeasure],
+    potentials: Potentials,
+) -> Sent:
+    """Return where the mass of a plan's rows goes, from the potentials of the columns alone.
+
+    The pass over all pairs is that of `row_projection`, whose parameters these are.
+    """
+    softmin, mean = row_projection(operations, clouds, pair, potentials)
+    inverse = inverse_rho(potentials)
+    potential = softmin / (1.0 + potentials.epsilon * inverse)
+    # r = a exp((f - T(g)) / epsilon) = a exp(-f / rho).
+    return Sent(potential, np.exp(np.minimum(-potential * inverse, MAX_EXPONENT)), mean)
+
+
+def inverse_rho(potentials: Potentials) -> float:
+    """Return 1 / rho of the source; 0 if it is balanced."""
+    rho = potentials.rho
+    return 1.0 / (rho[0] if isinstance(rho, tuple) else rho)
 
 
 def row_projection(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from clmorph.transport.barycenters.free_support import free_support
 from clmorph.transport.barycenters.result import Barycenter
 from clmorph.transport.divergence import check_symmetric, one_regularization
 from clmorph.transport.options import SolverOptions
+from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import warn_unless_converged
 
 #: Largest number of iterations, unless the user says it: with a free and with a fixed support.
@@ -127,47 +128,93 @@ def barycenter(
     >>> abs(round(float(mean), 3)), round(float(width), 2)
     (0.0, 0.15)
     """
-    given = one_regularization(blur, reach, epsilon, rho)
-    fixed, debias = check_flag("fixed", fixed), check_flag("debias", debias)
-    most = (FIXED_ITERATIONS if fixed else FREE_ITERATIONS) if max_iter is None else max_iter
-    tol, most, _ = check_solver_options(tol, most)
-    seed = check_integer("seed", seed, 0, 2**63)
+    call = checked_call(blur, reach, epsilon, rho, tol, max_iter, fixed, debias, seed)
     report = check_progress(progress)
-    whole = _checked(measures)
-    shares = _shares(weights, len(whole))
+    problem = prepared(measures, weights, support, call)
     operations = get_backend(backend)
-    for each in whole[1:]:
-        check_problem(whole[0], each, given, operations, "auto")
-    # A share that float64 cannot tell from 0 would divide 0 by 0.
-    shown_ones = [k for k, share in enumerate(shares) if share > 0]
-    used, parts = [whole[k] for k in shown_ones], [float(shares[k]) for k in shown_ones]
-    if not fixed:
-        balanced = bool(np.isinf(given.rho[0]))
-        start = _free_start(support, used, parts, balanced, seed)
-        for each in used:
-            check_problem(start, each, given, operations, "auto")
-        found = free_support(
-            used, parts, start, given, debias, tol, most, operations, report
+    for first in (problem.measures[0], problem.start):
+        for each in problem.measures:
+            check_problem(first, each, call.given, operations, "auto")
+    if fixed:
+        found = fixed_support(
+            problem.measures, problem.shares, problem.start.points, call.given.epsilon, call.debias,
+            call.tol, call.max_iter, operations, report,
         )  # fmt: skip
     else:
-        if not np.isinf(given.rho[0]):
-            raise InputError(
-                f"reach={given.rho[0] ** 0.5:g}: a fixed support is for balanced transport; "
-                "expected None, or fixed=False"
-            )
-        points = _fixed_points(support, used[0])
-        even = np.full(len(points), used[0].weights.sum() / len(points))
-        for each in used:
-            check_problem(WeightedPoints(points, even), each, given, operations, "auto")
-        found = fixed_support(
-            used, parts, points, given.epsilon, debias, tol, most, operations, report
+        found = free_support(
+            problem.measures, problem.shares, problem.start, call.given, call.debias, call.tol,
+            call.max_iter, operations, report,
         )  # fmt: skip
     warn_unless_converged(
         found.status,
         f"barycenter: residual {found.residual:.1e} after {found.n_iter} iterations, above the "
-        f"tolerance {tol:g}; raise max_iter, tol or blur",
+        f"tolerance {call.tol:g}; raise max_iter, tol or blur",
     )
     return found
+
+
+class Call(NamedTuple):
+    """The checked options of a call."""
+
+    given: Regularization
+    tol: float
+    max_iter: int
+    fixed: bool
+    debias: bool
+    seed: int
+
+
+def checked_call(
+    blur: Any, reach: Any, epsilon: Any, rho: Any, tol: Any, max_iter: Any, fixed: Any,
+    debias: Any, seed: Any,
+) -> Call:  # fmt: skip
+    """Return the checked options of `barycenter`, which are its parameters.
+
+    Raises
+    ------
+    InputError
+        If an option cannot be used.
+    """
+    given = one_regularization(blur, reach, epsilon, rho)
+    fixed, debias = check_flag("fixed", fixed), check_flag("debias", debias)
+    most = (FIXED_ITERATIONS if fixed else FREE_ITERATIONS) if max_iter is None else max_iter
+    tol, most, _ = check_solver_options(tol, most)
+    if fixed and not np.isinf(given.rho[0]):
+        raise InputError(
+            f"reach={given.rho[0] ** 0.5:g}: a fixed support is for balanced transport; "
+            "expected None, or fixed=False"
+        )
+    return Call(given, tol, most, fixed, debias, check_integer("seed", seed, 0, 2**63))
+
+
+class BarycenterProblem(NamedTuple):
+    """Measures with positive shares, these shares, and the support with which to begin."""
+
+    measures: list[AnyMeasure]
+    shares: list[float]
+    start: WeightedPoints
+
+
+def prepared(measures: Any, weights: Any, support: Any, call: Call) -> BarycenterProblem:
+    """Return the checked measures, shares and support of `barycenter`.
+
+    Raises
+    ------
+    InputError
+        If one of them cannot be used.
+    """
+    whole = _checked(measures)
+    shares = _shares(weights, len(whole))
+    # A share that float64 cannot tell from 0 would divide 0 by 0.
+    shown_ones = [k for k, share in enumerate(shares) if share > 0]
+    used, parts = [whole[k] for k in shown_ones], [float(shares[k]) for k in shown_ones]
+    if call.fixed:
+        points = _fixed_points(support, used[0])
+        even = np.full(len(points), used[0].weights.sum() / len(points))
+        return BarycenterProblem(used, parts, WeightedPoints(points, even))
+    balanced = bool(np.isinf(call.given.rho[0]))
+    start = _free_start(support, used, parts, balanced, call.seed)
+    return BarycenterProblem(used, parts, start)
 
 
 def _checked(measures: Any) -> list[AnyMeasure]:

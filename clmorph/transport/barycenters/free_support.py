@@ -23,21 +23,22 @@ Janati, Cuturi and Gramfort, "Debiased Sinkhorn barycenters", ICML 2020, section
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from clmorph._shared.typing import Array, Progress
+from clmorph._shared.typing import Progress
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, WeightedPoints
-from clmorph.transport._solver.plan_softmin import row_projection, uploaded
+from clmorph.transport._solver.checks import choose_truncation
+from clmorph.transport._solver.plan_softmin import sent, uploaded
+from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.softmin import MANY_PAIRS
 from clmorph.transport.barycenters.result import Barycenter
-from clmorph.transport.certificate import MAX_EXPONENT
 from clmorph.transport.divergence import self_transport_of
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization
-from clmorph.transport.sinkhorn import sinkhorn
+from clmorph.transport.sinkhorn import solve
 
 #: Residual of the solves, in units of epsilon, and its largest share of the tolerance.
 INNER_TOL, INNER_SHARE = 1e-4, 0.1
@@ -48,28 +49,6 @@ INNER_ITERATIONS = 2000
 MOST_GROWTH, LOST = 10.0, 1e-20
 #: Shares of mass that are too small to divide by.
 TINY = 1e-100
-
-
-class Sent(NamedTuple):
-    """Where the points' mass goes."""
-
-    #: (N,) mass that leaves each point, relative to its own
-    ratio: Array
-    #: (N, D) mean destinations
-    mean: Array
-
-
-def sent(
-    source: AnyMeasure, target: AnyMeasure, potentials: Potentials, operations: Operations
-) -> Sent:
-    """Return where the mass of the source's points goes."""
-    clouds = uploaded(operations, source), uploaded(operations, target)
-    softmin, mean = row_projection(operations, clouds, (source, target), potentials)
-    epsilon, rho = potentials.epsilon, potentials.rho
-    inverse = 1.0 / (rho[0] if isinstance(rho, tuple) else rho)
-    # f = Delta T(g), and so r = a exp((f - T(g)) / epsilon) = a exp(-f / rho).
-    exponent = -softmin * inverse / (1.0 + epsilon * inverse)
-    return Sent(np.exp(np.minimum(exponent, MAX_EXPONENT)), mean)
 
 
 def free_support(
@@ -110,23 +89,30 @@ def free_support(
     inner = min(INNER_TOL, INNER_SHARE * tol)
     points, weights = start.points.copy(), start.weights.copy()
     found: list[Potentials | None] = [None] * len(measures)
+    clouds = [uploaded(operations, measure) for measure in measures]
     residuals: list[float] = []
     mass = float(np.dot(shares, [each.mass for each in measures]))
     for number in range(max_iter):
         here = WeightedPoints(points, weights)
+        cloud = uploaded(operations, here)
+        inexact = 0.0
         ratio, pull = np.zeros(len(points)), np.zeros_like(points)
         for k, (measure, share) in enumerate(zip(measures, shares, strict=True)):
-            solved = sinkhorn(
-                here, measure, tol=inner, max_iter=INNER_ITERATIONS, backend=operations,
-                epsilon=epsilon, rho=rho, start=found[k],
+            limit = choose_truncation("auto", inner, len(here) * len(measure) >= MANY_PAIRS)
+            problem = Problem.between(operations, here, measure, given.rho, limit)
+            before = found[k]
+            solved = solve(
+                problem, (here, measure), given, inner, INNER_ITERATIONS, "auto",
+                lambda share: None, None if before is None else before.g,
             )  # fmt: skip
-            found[k] = solved
-            going = sent(here, measure, solved, operations)
+            found[k], inexact = solved, max(inexact, solved.residual)
+            going = sent(operations, (cloud, clouds[k]), (here, measure), solved)
             ratio += share * going.ratio
             pull += (share * going.ratio)[:, None] * (going.mean - points)
         if debias:
             own = self_transport_of(here, given, inner, INNER_ITERATIONS, operations)
-            within = sent(here, here, own, operations)
+            inexact = max(inexact, own.residual)
+            within = sent(operations, (cloud, cloud), (here, here), own)
             pull -= within.ratio[:, None] * (within.mean - points)
             growth = np.divide(
                 ratio, within.ratio, out=np.full(len(ratio), MOST_GROWTH), where=within.ratio > TINY
@@ -145,13 +131,15 @@ def free_support(
                     "nearer to them, or raise the reach"
                 )
         moved = float(np.sqrt(weights @ (step**2).sum(axis=1) / weights.sum())) / given.blur
-        residuals.append(max(moved, float(np.abs(changed - weights).sum() / weights.sum())))
+        change = max(moved, float(np.abs(changed - weights).sum() / weights.sum()))
+        residuals.append(max(change, inexact))
         points, weights = points + step, changed
-        done = residuals[-1] <= tol
+        # Points that rest by inexact solves would rest in the next iteration, too.
+        done = change <= tol
         report(1.0 if done else (number + 1) / max_iter)
         if done:
             break
-    status = "converged" if residuals[-1] <= tol else "max_iter"
+    status = "converged" if residuals[-1] <= tol else ("precision" if done else "max_iter")
     return Barycenter(
         points, weights, None, status, len(residuals), residuals[-1], np.array(residuals)
     )

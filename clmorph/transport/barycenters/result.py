@@ -21,14 +21,16 @@ class Barycenter(WeightedPoints):
     weights : (N,) array
         Their masses.
     offsets : None
-    status : {"converged", "max_iter"}
+    status : {"converged", "max_iter", "precision"}
+        "precision": the points rest, but a transport problem could not be solved as exactly as
+        `tol` asks for.
     n_iter : int
         Number of iterations.
     residual : float
         The residual of the last iteration. With a free support it is the root mean square of the
-        step of the points in units of blur, or the change of the masses relative to the whole mass
-        if that is larger. With a fixed one it is the largest error of a marginal, or the change of
-        the masses, relative to the whole mass.
+        step of the points in units of blur, the change of the masses relative to the whole mass, or
+        the residual of a transport problem, whichever is largest. With a fixed one it is the
+        largest error of a marginal, or the change of the masses, relative to the whole mass.
     residuals : (n_iter,) array
         The residual of each iteration.
 

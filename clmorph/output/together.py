@@ -1,0 +1,39 @@
+"""Files that are written together: all of them whole, or none."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from clmorph._shared.files import atomic_paths, check_apart, errors_as_output
+
+
+def write_together(
+    writers: Sequence[tuple[Path, Path, Callable[[Path], None]]],
+    texts: Mapping[Path, str] | None = None,
+) -> None:
+    """Write several files, and texts beside them.
+
+    Parameters
+    ----------
+    writers : sequence of (place, path, function)
+        The place of a file, its path as the user gave it, and the function that writes it to the
+        path of a temporary file.
+    texts : mapping, optional
+        Further texts to be written in UTF-8, each by the path of its file.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    InputError
+        If two files have the same path.
+    """
+    beside = dict(texts or {})
+    places = [*(place for place, _, _ in writers), *beside]
+    check_apart(places)
+    with atomic_paths(places) as made:
+        for new, (place, text) in zip(made[len(writers) :], beside.items(), strict=True):
+            with errors_as_output(place):
+                new.write_text(text, "utf-8")
+        for new, (_, path, write) in zip(made, writers, strict=False):
+            with errors_as_output(path):
+                write(new)
