@@ -7,6 +7,8 @@
 //            float64 powers are exact to 2^-44 and additions to 2^-53, with unevaluated sums of
 //            two float32 to 2^-31 and to 2^-45. The reference m of the powers is a whole number,
 //            so that sums for another one are rescaled without an error.
+//            2: exponents in float64 (PRECISE must be 2), their distances from m, the powers, and
+//            sums of UNROLL powers in float32, and all other sums in float64.
 
 #ifndef BOUNDED
 #define BOUNDED 0
@@ -59,15 +61,20 @@ typedef ereal sreal;
 #endif
 #endif
 
+// A whole number not under x, but for a rounding of x.
+static inline vreal whole_above(const vreal x)
+{
+    return ceil(x + fabs(x) * 2.3841858e-7f);
+}
+
 // What powers of e are taken from, at least: a whole number not under e, but for a rounding.
 static inline vreal reference_of(const ereal e)
 {
 #if PRECISE == 2
-    const vreal high = TO_VREAL(e);
+    return whole_above(TO_VREAL(e));
 #else
-    const vreal high = HIGH(e); // the sum of both parts stops a simulator (Oclgrind 21.10)
+    return whole_above(HIGH(e)); // the sum of both parts stops a simulator (Oclgrind 21.10)
 #endif
-    return ceil(high + fabs(high) * 2.3841858e-7f);
 }
 
 // 2^n for a whole n <= 0; under -125 it is 2^-125.
@@ -177,16 +184,34 @@ static inline sreal add_tile(
     for (uint j = 0; j < TILE; j += UNROLL) {
         ereal e[UNROLL];
         vreal m_new = m;
+#if BOUNDED == 2
+        vreal highest = (vreal)(0.5f * SENTINEL);
+#pragma unroll
+        for (int c = 0; c < UNROLL; ++c) {
+            e[c] = exponent(u, staged, j + c);
+            highest = max(highest, TO_VREAL(e[c]));
+        }
+        m_new = max(m, whole_above(highest));
+#else
 #pragma unroll
         for (int c = 0; c < UNROLL; ++c) {
             e[c] = exponent(u, staged, j + c);
             m_new = max(m_new, reference_of(e[c]));
         }
+#endif
         s = rescaled(s, m - m_new);
         s_tile = rescaled(s_tile, m - m_new);
+#if BOUNDED == 2
+        vreal few = (vreal)(0.0f);
+#pragma unroll
+        for (int c = 0; c < UNROLL; ++c)
+            few += exp2_nonpositive(e_above(e[c], m_new));
+        s_tile += TO_EREAL(few);
+#else
 #pragma unroll
         for (int c = 0; c < UNROLL; ++c)
             s_tile = sum_of(s_tile, power_above(e[c], m_new));
+#endif
         m = m_new;
     }
     *maximum = m;

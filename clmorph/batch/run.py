@@ -1,6 +1,7 @@
 """Send jobs to workers, a few ahead of what they do, and collect the records."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from clmorph._shared.printable import reason_of
@@ -10,6 +11,10 @@ from clmorph.errors import DeviceError
 
 #: Jobs that wait at the scheduler for each thread of its workers, and at least.
 AHEAD, LEAST = 2, 8
+GONE = (
+    "the scheduler has gone, or has dropped the jobs; start the same command again: only what is "
+    "missing is done"
+)
 
 
 def run_jobs(client: Any, jobs: Sequence[tuple[Job, str]], device: str) -> Iterator[dict[str, Any]]:
@@ -41,7 +46,8 @@ def run_jobs(client: Any, jobs: Sequence[tuple[Job, str]], device: str) -> Itera
     def send(more: Iterator[tuple[Job, str]]) -> bool:
         for job, key in more:
             # One key a submission: results of an earlier run that Dask remembers are not wanted.
-            future = client.submit(run_job, job, key, device, pure=False)
+            with _reaching_the_scheduler():
+                future = client.submit(run_job, job, key, device, pure=False)
             known[future] = job, key
             ended.add(future)
             return True
@@ -63,12 +69,23 @@ def run_jobs(client: Any, jobs: Sequence[tuple[Job, str]], device: str) -> Itera
             for future in ended:
                 yield _record(future, *known.pop(future))
     finally:
-        # A run that ends early takes its jobs back.
-        client.cancel(list(known))
+        # A run that ends early takes its jobs back, unless the scheduler has gone.
+        with suppress(Exception):
+            client.cancel(list(known))
+
+
+@contextmanager
+def _reaching_the_scheduler() -> Iterator[None]:
+    """Say that the scheduler has gone: the client notices it in errors of many classes."""
+    try:
+        yield
+    except Exception:
+        raise DeviceError(GONE) from None
 
 
 def _ahead(client: Any) -> int:
-    workers = client.scheduler_info(n_workers=-1)["workers"].values()
+    with _reaching_the_scheduler():
+        workers = client.scheduler_info(n_workers=-1)["workers"].values()
     return max(LEAST, AHEAD * sum(worker["nthreads"] for worker in workers))
 
 
@@ -82,10 +99,7 @@ def _record(future: Any, job: Job, key: str) -> dict[str, Any]:
     if future.status == "finished":
         return future.result()
     if future.status != "error":
-        raise DeviceError(
-            "the scheduler has gone, or has dropped the jobs; start the same command again: only "
-            "what is missing is done"
-        )
+        raise DeviceError(GONE)
     error = future.exception()
     if _was_given_up(future):
         line = "the workers that tried it ended: out of memory, perhaps; use a smaller size"

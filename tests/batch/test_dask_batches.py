@@ -19,6 +19,7 @@ import clmorph
 from clmorph.batch.index import index_page
 from clmorph.batch.jobs import Defaults, from_folder, read_jobs
 from clmorph.batch.places import JOURNAL as NAME
+from clmorph.batch.run import run_jobs
 from clmorph.batch.workers import LOCAL, devices_of, local_client, quiet_dask
 from clmorph.cli.main import main
 
@@ -482,7 +483,8 @@ def test_a_scheduler_that_dies(pictures, tmp_path):
             scheduler.kill()
             _, errors = process.communicate(timeout=60)
         assert process.returncode == 2, errors
-        _, last = errors.splitlines()
+        assert errors.count("\n") == 2, errors
+        last = errors.splitlines()[1]
         assert last.startswith("clmorph: error: the scheduler has gone")
         assert len(records(out)) >= 2
     finally:
@@ -593,3 +595,28 @@ def test_ctrl_c_of_a_terminal(pictures, tmp_path):
     assert "Traceback" not in errors
     assert (out / "index.html").exists()
     assert not list(out.rglob(".clmorph-*"))
+
+
+class Lost:
+    """A client that has lost its scheduler."""
+
+    loop = None
+
+    def __init__(self, lost):
+        self.lost = lost
+
+    def __getattr__(self, name):
+        def call(*_, **__):
+            if name == self.lost or name == "cancel":
+                raise OSError("in <Heartbeat>: connection closed")
+            return {"workers": {}}
+
+        return call
+
+
+@pytest.mark.parametrize("lost", ["scheduler_info", "submit"])
+def test_a_scheduler_that_cannot_be_reached(monkeypatch, lost):
+    """Whatever the client raises becomes one line, also while jobs are sent."""
+    monkeypatch.setattr("distributed.as_completed", lambda loop: set())
+    with pytest.raises(clmorph.DeviceError, match="scheduler has gone"):
+        list(run_jobs(Lost(lost), [("job", "key")], "numpy"))

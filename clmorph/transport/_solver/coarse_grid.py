@@ -46,13 +46,17 @@ class CorrectedProblem(Problem):
     def start_iteration(self) -> None:
         """Return None: the device has no corrections."""
 
-    def softmin_rows(self, g: Array, epsilon: float, precise: bool) -> Array:
+    def softmin_rows(
+        self, g: Array, epsilon: float, precise: bool, bounded: bool = False
+    ) -> Array:
         """T(g), corrected."""
-        return super().softmin_rows(g, epsilon, precise) + self._corrections[0]
+        return super().softmin_rows(g, epsilon, precise, bounded) + self._corrections[0]
 
-    def softmin_columns(self, f: Array, epsilon: float, precise: bool) -> Array:
+    def softmin_columns(
+        self, f: Array, epsilon: float, precise: bool, bounded: bool = False
+    ) -> Array:
         """T(f), corrected."""
-        return super().softmin_columns(f, epsilon, precise) + self._corrections[1]
+        return super().softmin_columns(f, epsilon, precise, bounded) + self._corrections[1]
 
     def correct(self, rows: Array, columns: Array, epsilon: float) -> None:
         """Set the corrections tau of T(g), (N,), and of T(f), (M,)."""

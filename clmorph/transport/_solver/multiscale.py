@@ -46,6 +46,8 @@ from clmorph.transport._solver.state import (
 SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.5)
 #: Residual to reach over the clusters before the first iteration over the points.
 FIRST_TOLERANCE = 1e-2
+#: Share of the truncation for which near pairs are chosen where the guess of the softmin is rough.
+ROUGH_RESERVE = 1e-6
 #: Residual to reach in the coarse problem: this share of the residual over the points, and at
 #: least this share of `tol`.
 CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
@@ -138,6 +140,8 @@ class Multiscale:
                 (points.rows, problem.columns, (points.a, clusters[1].weights)),
             )
         ]
+        # It is needed once, for which a rough guess must do.
+        prolongations[1].reserve = ROUGH_RESERVE
         return CoarseGrid(problem, source, target, *prolongations)
 
     def _stored_grid(self) -> CoarseGrid | None:
@@ -185,25 +189,29 @@ class Multiscale:
     def _cycle(self, grid: CoarseGrid | None, g: Array) -> None:
         """Alternate one iteration over the points with a solve of the coarse problem."""
         problem, epsilon = self.problem, self._blur**2
-        before, reached, failures = np.inf, 0.0, 0
+        before, expected, reached, failures = np.inf, np.inf, 0.0, 0
         while True:
             # Lists of near pairs leave out large exponents, so the bound can fall meanwhile.
             self.precise = needs_more(problem, self.precision, epsilon, self.tol)
             coarse = problem.rounding(epsilon, precise=False)
             precise = self.precise and before <= SWITCH * coarse
-            f, g, t_rows = problem.update_f(g, problem.softmin_rows(g, epsilon, precise), epsilon)
-            t_columns = problem.softmin_columns(f, epsilon, precise)
+            # The iteration that is likely to be the last one computes what a certificate needs.
+            last = expected <= self.tol
+            t_rows = problem.softmin_rows(g, epsilon, precise, last)
+            f, g, t_rows = problem.update_f(g, t_rows, epsilon)
+            t_columns = problem.softmin_columns(f, epsilon, precise, last)
             residual = problem.residual(f, g, t_rows, t_columns, epsilon)
             self.state = State(f, g, t_rows, t_columns, residual)
             self.residuals.append(residual)
             self._report_share(0.3 + 0.7 * share_done(self.residuals[0], residual, self.tol))
             rounding = problem.rounding(epsilon, precise)
             self.rounding = ROUNDING_MARGIN * rounding
-            done = residual <= self.tol - (0.0 if precise else rounding)
+            done = residual <= self.tol - (0.0 if precise or last else rounding)
             out = self.n_iter >= self._max_iter
             if done or out:
-                self.state = measured(problem, f, g, epsilon)
-                self.residuals[-1] = self.state.residual
+                if not last:
+                    self.state = measured(problem, f, g, epsilon)
+                    self.residuals[-1] = self.state.residual
                 self.status = "converged" if self.state.residual <= self.tol else "max_iter"
                 if out or self.status == "converged":
                     return
@@ -221,6 +229,7 @@ class Multiscale:
                 self._iterate_points(image)
                 return
             g, reached = self._correct(grid, image)
+            expected = np.inf if np.isinf(before) else residual * min(1.0, residual / before)
             before = residual
 
     def _correct(self, grid: CoarseGrid, image: Array) -> tuple[Array, float]:

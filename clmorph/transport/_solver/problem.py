@@ -136,15 +136,19 @@ class Problem:
         source, target = (1.0 / (1.0 + epsilon * inverse) for inverse in self.inverse_rho)
         return source, target
 
-    def softmin_rows(self, g: Array, epsilon: float, precise: bool) -> Array:
+    def softmin_rows(
+        self, g: Array, epsilon: float, precise: bool, bounded: bool = False
+    ) -> Array:
         """Return T(g), (N,) array (paper, 3.1; math: softmin)."""
         self.n_softmin += 1
-        return self.to_rows(g, epsilon, precise)
+        return self.to_rows(g, epsilon, precise, bounded)
 
-    def softmin_columns(self, f: Array, epsilon: float, precise: bool) -> Array:
+    def softmin_columns(
+        self, f: Array, epsilon: float, precise: bool, bounded: bool = False
+    ) -> Array:
         """Return T(f), (M,) array (paper, 3.1; math: softmin)."""
         self.n_softmin += 1
-        return self.to_columns(f, epsilon, precise)
+        return self.to_columns(f, epsilon, precise, bounded)
 
     @property
     def left_out(self) -> float:

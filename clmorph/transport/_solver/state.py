@@ -65,6 +65,8 @@ def share_done(first: float, residual: float, tol: float) -> float:
     """
     if residual <= tol or first <= tol:
         return 1.0
+    if not math.isfinite(residual):
+        return 0.0
     return min(1.0, max(0.0, math.log(first / residual) / math.log(first / tol)))
 
 

@@ -78,7 +78,7 @@ class BuildConstants:
         dimension: int,
         precise: bool = False,
         listed: bool = False,
-        bounded: bool = False,
+        bounded: int = 0,
     ) -> dict[str, int | float]:
         """Return the macros of ``row_loop.cl`` and ``sums.cl``.
 
@@ -90,11 +90,12 @@ class BuildConstants:
             Whether exponents are formed in more than float32.
         listed : bool
             Whether the loop covers listed column tiles only.
-        bounded : bool
-            Whether sums have a proven error bound, which needs precise exponents.
+        bounded : {0, 1, 2}
+            Whether sums have a proven error bound, which needs precise exponents, and how: as
+            exact as the exponents (1), or with powers in float32 (2). Without float64, 2 is 1.
         """
         return {
-            "BOUNDED": int(bounded),
+            "BOUNDED": min(int(bounded), self.precise),
             "DIM": dimension,
             "EXP2_BUILTIN": self.exp2_builtin,
             "GROUP": self.group,

@@ -16,7 +16,9 @@ class Variant:
         A file of `KERNELS`.
     dimension : int
         Dimension of the points, for the files that include the row loop; 0 for others.
-    precise, listed, bounded : bool
+    precise, listed : bool
+        See `BuildConstants.row_macros`.
+    bounded : {0, 1, 2}
         See `BuildConstants.row_macros`.
     balanced : int
         See `BuildConstants.half_step_macros`.
@@ -26,7 +28,7 @@ class Variant:
     dimension: int = 0
     precise: bool = False
     listed: bool = False
-    bounded: bool = False
+    bounded: int = 0
     balanced: int = 0
 
     def macros(self, constants: BuildConstants) -> dict[str, int | float]:
@@ -59,6 +61,7 @@ class Variant:
     def __str__(self) -> str:
         words = [f"dimension {self.dimension}"] if self.dimension else []
         words += [name for name in ("precise", "listed", "bounded") if getattr(self, name)]
+        words += ["powers in float32"] if self.bounded == 2 else []
         words += [f"balanced {self.balanced}"] if self.balanced else []
         return f"{self.file} ({', '.join(words)})" if words else self.file
 
@@ -73,7 +76,7 @@ def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
     """
     return (
         Variant("log_sum_exp.cl", dimension),
-        Variant("log_sum_exp.cl", dimension, precise=True, bounded=True),
+        Variant("log_sum_exp.cl", dimension, precise=True, bounded=1),
         Variant("half_steps.cl"),
         Variant("plan_rows.cl", dimension),
         Variant("plan_shares.cl", dimension),
@@ -89,7 +92,7 @@ def large_variants(dimension: int = 5) -> tuple[Variant, ...]:
         Variant("near_field.cl", dimension, listed=True),
         Variant("log_sum_exp.cl", dimension, listed=True),
         Variant("log_sum_exp.cl", dimension, precise=True),
-        Variant("log_sum_exp.cl", dimension, precise=True, listed=True, bounded=True),
+        Variant("log_sum_exp.cl", dimension, precise=True, listed=True, bounded=2),
         Variant("plan_shares.cl", dimension, listed=True),
     )
 

@@ -84,6 +84,11 @@ class Cloud:
         return len(self.order)
 
     @cached_property
+    def radii(self) -> Float64:
+        """Bounds of the distances of points from the centers of their tiles: (tiles,) array."""
+        return np.sqrt(np.sum(half_sides(self).astype(float) ** 2, axis=1))
+
+    @cached_property
     def wide(self) -> Wide:
         """The same points in groups of tiles."""
         tiles, tile, dimension = self.shifts.shape
@@ -94,6 +99,11 @@ class Cloud:
         centers = 0.5 * (points.min(axis=1) + points.max(axis=1))
         centers = centers.astype(np.float32).astype(float)
         return Wide(centers, (points - centers[:, None]).astype(np.float32))
+
+
+def half_sides(cloud: Tiles) -> NDArray[np.float32]:
+    """Return the half sides of the tiles' boxes, rounded up: (tiles, D) array."""
+    return np.abs(cloud.shifts).max(axis=1) * np.float32(1 + 1e-6)
 
 
 class CloudStore:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
+from clmorph.backends.opencl.build.constants import PRECISE_UNROLL, SENTINEL, BuildConstants
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
@@ -12,6 +12,8 @@ from clmorph.backends.records import Float64, NearPairs
 
 #: Relative errors of an operation, and of a power of two, in pairs of float32.
 PAIRS_ERRORS = 2.0**-45, 2.0**-31
+#: Relative errors of float32: of an operation, and of a power of two (by a polynomial or built in).
+FLOAT32_ERRORS = 2.0**-24, 2.0**-21
 #: The error bound holds if a row's maximum (log2) is at most the first number, because float32
 #: rounds larger ones too coarsely. A sum is then larger than the second number.
 LARGEST_MAXIMUM, SMALLEST_SUM = 2.0**28, 2.0**-70
@@ -51,11 +53,15 @@ class LogSumExp:
         epsilon: float,
         near: NearPairs | None = None,
     ) -> tuple[Float64, float]:
-        """Return T(g) with a proven bound of its rounding error, in nats."""
+        """Return T(g) with a proven bound of its rounding error, in nats.
+
+        Over near pairs powers are float32: their error is less than that of the pairs left out.
+        """
+        bounded = 1 if near is None else 2
         maxima, sums, offsets = self._log_sum_exp(
-            rows, columns, potential, epsilon, True, near, bounded=True
+            rows, columns, potential, epsilon, True, near, bounded
         )
-        error = self._error_bound(rows, columns, potential, epsilon)
+        error = self._error_bound(rows, columns, potential, epsilon, bounded)
         if not (np.abs(maxima).max() <= LARGEST_MAXIMUM and sums.min() > SMALLEST_SUM):
             error = np.inf
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -63,7 +69,7 @@ class LogSumExp:
         return unsort(rows, softmin), error
 
     def _error_bound(
-        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
+        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, bounded: int
     ) -> float:
         """Return the bound of `bounded_softmin` in nats."""
         k = LOG2_E / epsilon
@@ -76,7 +82,7 @@ class LogSumExp:
         return float(
             rounding_bound(
                 self._loop.constants, columns.centers.shape[1], costs, float(np.ptp(values)),
-                largest, len(columns.centers),
+                largest, len(columns.centers), bounded,
             )
         )  # fmt: skip
 
@@ -100,7 +106,7 @@ class LogSumExp:
         epsilon: float,
         precise: bool,
         near: NearPairs | None = None,
-        bounded: bool = False,
+        bounded: int = 0,
     ) -> tuple[Float64, Float64, Float64]:
         pairs = None if near is None else near.pairs
         return self.of_sorted(rows, columns, potential, epsilon, precise, pairs, bounded)
@@ -113,7 +119,7 @@ class LogSumExp:
         epsilon: float,
         precise: bool,
         pairs: TilePairs | None = None,
-        bounded: bool = False,
+        bounded: int = 0,
     ) -> tuple[Float64, Float64, Float64]:
         """Return maximum, sum and offset of every sorted row.
 
@@ -130,7 +136,7 @@ class LogSumExp:
             n_rows = len(part) * tile
             found = np.empty((shares, n_rows), np.float32)
             # The buffer holds the sums and the rounding errors of their nearest float32.
-            planes = np.empty((1 + bounded, shares, n_rows), np.float32)
+            planes = np.empty((2 if bounded else 1, shares, n_rows), np.float32)
             buffers = loop.work.empty(found.nbytes), loop.work.empty(planes.nbytes)
             loop.launch(
                 kernel, rows, columns, exponents, part, np.uint32(n_rows), *buffers,
@@ -156,12 +162,18 @@ def rounding_bound(
     spread: Any,
     largest: Any,
     n_tiles: Any,
+    bounded: int = 1,
 ) -> Any:
     """Return a bound of a log-sum-exp in nats, with every rounding error at its largest.
 
     An exponent is a sum of products no larger than `size`, formed in 3 D + 6 operations from
     numbers that pairs of float32 hold to 2^-49. The constant of a row is at most `of_row`
     and is formed in float64. See ``cl_kernels/sums.cl`` for powers and additions.
+
+    Where powers are float32, so are the distances x_j <= 0 of exponents from their reference, and
+    sum_j w_j |x_j| multiplies their relative error, where w_j = 2^x_j / S are the shares of the sum
+    S. It is the entropy of w less log2 S, and therefore at most the logarithm of the number of
+    columns plus 1, because the largest term of S is not less than about 1/2.
 
     Parameters
     ----------
@@ -175,9 +187,15 @@ def rounding_bound(
         the rows' offsets added.
     n_tiles : int
         Number of column tiles.
+    bounded : {1, 2}
+        See `BuildConstants.row_macros`.
     """
     operation, power = (2.0**-53, 2.0**-44) if constants.precise == 2 else PAIRS_ERRORS
     size, of_row = 8 * costs + 2 * spread, costs + largest
     exponents = size * ((3 * dimension + 6) * operation + 2.0**-47) + 2.0**-49 * of_row
     sums = power + (constants.tile + n_tiles) * operation + 2.0**-46
+    if min(bounded, constants.precise) == 2:
+        operation, power = FLOAT32_ERRORS
+        exponents = exponents + operation * (np.log2(constants.tile * n_tiles) + 2)
+        sums = sums + 1.01 * (power + PRECISE_UNROLL * operation)
     return np.log(2) * exponents + sums

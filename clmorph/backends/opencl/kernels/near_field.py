@@ -10,7 +10,7 @@ from clmorph.backends.opencl.build.constants import LARGEST_SHARE, SENTINEL
 from clmorph.backends.opencl.kernels.candidates import candidates, kept_shares
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
-from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, half_sides
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64, NearPairs
 
 #: Share of the budget that is available for the tiles that bounds alone exclude.
@@ -172,10 +172,7 @@ class NearField:
 
 def _largest_cost(rows: Cloud, columns: Cloud, pairs: TilePairs, part: range) -> float:
     """Return a bound of the cost of all pairs of points in the pairs of tiles of a part."""
-    radii = [
-        np.sqrt(np.sum(half_sides(tiles).astype(float) ** 2, axis=1)) for tiles in (rows, columns)
-    ]
     starts = pairs.starts[part.start : part.stop + 1]
-    own = np.repeat(radii[0][part.start : part.stop], np.diff(starts))
-    farthest = np.sqrt(2 * pairs.distances) + own + radii[1][pairs.tiles]
+    own = np.repeat(rows.radii[part.start : part.stop], np.diff(starts))
+    farthest = np.sqrt(2 * pairs.distances) + own + columns.radii[pairs.tiles]
     return 0.5 * float(farthest.max(initial=0.0)) ** 2

@@ -58,7 +58,7 @@ class RowLoop:
         rows: Cloud,
         precise: bool = False,
         listed: bool = False,
-        bounded: bool = False,
+        bounded: int = 0,
     ) -> cl.Kernel:
         """Return a kernel for the dimension of some rows; its file is built at the first call.
 
@@ -67,7 +67,9 @@ class RowLoop:
         file, name : str
             A file and a kernel of `clmorph.backends.opencl.build.variants.KERNELS`.
         rows : Cloud
-        precise, listed, bounded : bool
+        precise, listed : bool
+            See `BuildConstants.row_macros`.
+        bounded : {0, 1, 2}
             See `BuildConstants.row_macros`.
         """
         variant = Variant(file, rows.centers.shape[1], precise, listed, bounded)

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL
-from clmorph.backends.opencl.kernels.clouds import Tiles
+from clmorph.backends.opencl.kernels.clouds import Tiles, half_sides
 from clmorph.backends.records import Float64
 
 #: Rounding error of a bound in float32, relative to its largest terms.
@@ -154,11 +154,6 @@ def _slopes(shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bo
     normal += ridge[:, None, None] * np.eye(shifts.shape[2])
     slopes = np.linalg.solve(normal, right[..., None])[..., 0]
     return slopes.astype(np.float32).astype(float)  # as the bounds use them
-
-
-def half_sides(cloud: Tiles) -> NDArray[np.float32]:
-    """Return the half sides of the tiles' boxes, rounded up: (tiles, D) array."""
-    return np.abs(cloud.shifts).max(axis=1) * np.float32(1 + 1e-6)
 
 
 def _bounds(cloud: Tiles, slopes: Float64, level: Float64) -> TileBounds:
