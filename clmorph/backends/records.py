@@ -62,6 +62,18 @@ class NearPairs(NamedTuple):
     largest: float  #: the largest cost among the pairs, cost units
 
 
+class LastPasses(NamedTuple):
+    """What the last two softmins of a large solve leave to a plan of the same potentials."""
+
+    operations: Any  #: the backend
+    softmins: tuple[Float64, Float64]  #: T(g) and T(f), cost units
+    near: tuple[NearPairs, NearPairs]  #: the pairs that these have summed
+
+    def swapped(self) -> "LastPasses":
+        """Return those of the problem with source and target exchanged."""
+        return self._replace(softmins=self.softmins[::-1], near=self.near[::-1])
+
+
 class StoredPairs(NamedTuple):
     """Pairs of a plan that a backend holds, see `Operations.store_pairs`."""
 

@@ -260,7 +260,7 @@ class ImagePair:
         result = Morph(
             source=source,
             target=target,
-            potentials=potentials,
+            potentials=replace(potentials, passes=None),  # the plan is made
             plan=plan,
             particles=replace(
                 particles(

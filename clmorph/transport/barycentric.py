@@ -149,14 +149,14 @@ def barycentric_plan(
     mean, covariance = operations.plan_moments(
         *clouds, potentials.g, softmin, epsilon, precise, to_rows.near
     )
-    to_columns = plan_softmin(operations, clouds[::-1], pair[::-1], potentials.swapped())
-    columns = to_columns(potentials.f, epsilon, precise)
+    swapped = potentials.swapped()
+    columns = plan_softmin(operations, clouds[::-1], pair[::-1], swapped).softmin(swapped)
     return Barycentric(
         positions=mean[:, :2] if images else mean,
         colors=to_colors(mean),
         covariance=covariance,
         row_mass=row_mass(pair[0].weights, potentials, softmin),
-        column_mass=row_mass(pair[1].weights, potentials.swapped(), columns),
+        column_mass=row_mass(pair[1].weights, swapped, columns),
     )
 
 

@@ -99,8 +99,8 @@ def transport_plan(
     with np.errstate(divide="ignore"):
         log_a, log_b = np.log(source.weights), np.log(target.weights)
     with np.errstate(over="ignore"):
-        to_rows = plan_softmin(operations, (rows, columns), (source, target), potentials)
-        softmin = to_rows(g, epsilon, potentials.precise)
+        of_rows = plan_softmin(operations, (rows, columns), (source, target), potentials)
+        to_rows, softmin = of_rows.operator, of_rows.softmin(potentials)
         whole = np.exp((f - softmin) / epsilon + log_a)
     largest = largest_cost(source.points, target.points)
     rounding = to_rows.rounding(len(g), largest, epsilon, potentials.precise)
@@ -127,11 +127,10 @@ def transport_plan(
         else:
             near = None
             if potentials.truncation is not None:
-                to_columns = plan_softmin(
-                    operations, (columns, rows), (target, source), potentials.swapped()
-                )
-                to_columns(f, epsilon)
-                near = to_columns.near
+                swapped = potentials.swapped()
+                of_columns = plan_softmin(operations, (columns, rows), (target, source), swapped)
+                of_columns.softmin(swapped)
+                near = of_columns.operator.near
             column_maxima = operations.row_maxima(columns, rows, f, epsilon, near)
             column_maxima += g / epsilon + log_b
             column_thresholds = column_maxima + np.log(relative)

@@ -177,9 +177,9 @@ def draw_pairs(
     pair = as_pair(source, target)
     operations, clouds, to_rows, by_row = row_softmin(*pair, potentials, backend)
     swapped = potentials.swapped()
-    to_columns = plan_softmin(operations, clouds[::-1], pair[::-1], swapped)
+    of_columns = plan_softmin(operations, clouds[::-1], pair[::-1], swapped)
+    to_columns, by_column = of_columns.operator, of_columns.softmin(swapped)
     epsilon, precise = potentials.epsilon, potentials.precise
-    by_column = to_columns(potentials.f, epsilon, precise)
 
     def draw(own: Potentials, softmin: Softmin, sums: Array, count: int) -> NDArray[np.int32]:
         thresholds = (np.arange(count) + rng.random((len(sums), count))) / count

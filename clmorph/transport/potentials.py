@@ -11,6 +11,7 @@ import numpy as np
 from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import as_float, check_flag, shown
 from clmorph.backends.arrays import pyopencl_needed
+from clmorph.backends.records import LastPasses
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_measure
@@ -77,6 +78,9 @@ class Potentials:
     measures : (source, target) or None
         The measures of the problem, for `map`. None if they are not kept: those of batches, of
         files, and of problems with labels or a map of color metrics.
+    passes : LastPasses or None
+        The near pairs of a large solve, so that a plan of these potentials on the same backend need
+        not choose them again: see `clmorph.backends.records.LastPasses`. They are not pickled.
 
     Examples
     --------
@@ -108,6 +112,11 @@ class Potentials:
     truncation_error: float = 0.0
     visited: float = 1.0
     measures: tuple[AnyMeasure, AnyMeasure] | None = None
+    passes: LastPasses | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: near pairs belong to a backend of this process."""
+        return {**self.__dict__, "passes": None}
 
     def __repr__(self) -> str:
         source, target = (f"{mass:.4g}" for mass in self.certificate.masses)
@@ -143,9 +152,11 @@ class Potentials:
             masses=self.certificate.masses[::-1],
         )
         measures = None if self.measures is None else self.measures[::-1]
+        passes = None if self.passes is None else self.passes.swapped()
         return replace(
-            self, f=self.g, g=self.f, reach=reach, certificate=certificate, measures=measures
-        )
+            self, f=self.g, g=self.f, reach=reach, certificate=certificate, measures=measures,
+            passes=passes,
+        )  # fmt: skip
 
     def map(
         self,

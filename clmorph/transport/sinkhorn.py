@@ -12,6 +12,7 @@ from clmorph._shared.validation import (
     check_flag,
     check_progress,
 )
+from clmorph.backends.records import LastPasses
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import ConvergenceWarning
 from clmorph.measures.measure import Measure
@@ -160,7 +161,9 @@ def sinkhorn(
         found = _geomloss(problem, given, scaling, tol, precision, report)
     else:
         options = given, tol, max_iter, precision, report
-        found = _warned(solve(problem, pair, *options, g=g, multiscale=multiscale, verify=verify))
+        found = _warned(
+            solve(problem, pair, *options, g=g, multiscale=multiscale, verify=verify, keep=True)
+        )
     # Points of a cost with a metric for each source pixel have no coordinates of their own.
     foreign = isinstance(source, Measure) and source.has_metric_map
     return found if foreign else replace(found, measures=pair)
@@ -183,6 +186,7 @@ def solve(
     g: Array | None = None,
     multiscale: bool | str = "auto",
     verify: bool = False,
+    keep: bool = False,
 ) -> Potentials:
     """Solve one problem by the certified iteration, without a warning.
 
@@ -196,6 +200,8 @@ def solve(
         Potentials at which the iteration begins.
     tol, max_iter, precision, report, multiscale, verify
         Checked arguments of `sinkhorn`.
+    keep : bool
+        Whether the result keeps the near pairs, if the problem has such.
     """
     limit = problem.truncation
     options = given.blur, tol, max_iter, precision, report
@@ -206,7 +212,17 @@ def solve(
     iteration.run(g)
     if verify and limit is not None:
         _take_all_pairs(iteration, given.epsilon)
-    return _finish(iteration, given, limit)
+    found = _finish(iteration, given, limit)
+    return replace(found, passes=_passes(iteration)) if keep else found
+
+
+def _passes(iteration: Iteration | Multiscale) -> LastPasses | None:
+    """Return what the last softmins have found out; None if they have summed all pairs."""
+    problem, state = iteration.problem, iteration.state
+    near = problem.to_rows.near, problem.to_columns.near
+    if near[0] is None or near[1] is None:
+        return None
+    return LastPasses(problem.operations, (state.t_rows, state.t_columns), (near[0], near[1]))
 
 
 def _take_all_pairs(iteration: Iteration | Multiscale, epsilon: float) -> None:

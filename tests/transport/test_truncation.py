@@ -1,5 +1,6 @@
 """Compare sums over near pairs with sums over all pairs: the error is within the stated bound."""
 
+import pickle
 import warnings
 
 import numpy as np
@@ -204,3 +205,36 @@ def test_wrong_options(value):
     one = plain.lift(np.zeros((2, 2)))
     with pytest.raises(clmorph.InputError, match="truncation"):
         sinkhorn(one, one, backend="numpy", truncation=value)
+
+
+def test_a_plan_takes_over_the_pairs_of_the_solve(device, monkeypatch, rng):
+    """Nothing is chosen again, results agree, and other measures are still noticed."""
+    pair = pair_of("picture", rng, 500, 600)
+    kept = quietly(*pair, 0.05, 0.3, backend=device, multiscale=True, truncation=1e-5, tol=1e-4)
+    fresh = pickle.loads(pickle.dumps(kept))
+    assert kept.passes is not None
+    assert fresh.passes is None
+
+    def results(potentials):
+        plan = clmorph.transport_plan(*pair, potentials, backend=device)
+        draws = clmorph.sample_plan(*pair, potentials, 4, backend=device)
+        means = clmorph.barycentric_plan(*pair, potentials, backend=device)
+        return plan.to_scipy().toarray(), draws.to_scipy().toarray(), means.positions
+
+    want = results(fresh)
+    chosen, near_pairs = [], device.near_pairs
+
+    def counted(*arguments):
+        chosen.append(1)
+        return near_pairs(*arguments)
+
+    monkeypatch.setattr(device, "near_pairs", counted)
+    got = results(kept)
+    assert not chosen
+    for one, other in zip(got, want, strict=True):
+        np.testing.assert_allclose(one.sum(axis=0), other.sum(axis=0), rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(got[0], want[0], rtol=1e-3, atol=1e-9)
+    results(fresh)
+    assert len(chosen) == 6
+    with pytest.raises(clmorph.InputError, match="other measures"):
+        clmorph.sample_plan(pair[0], (pair[1][0], pair[1][1] + 0.1), kept, 4, backend=device)

@@ -46,9 +46,7 @@ class CorrectedProblem(Problem):
     def start_iteration(self) -> None:
         """Return None: the device has no corrections."""
 
-    def softmin_rows(
-        self, g: Array, epsilon: float, precise: bool, bounded: bool = False
-    ) -> Array:
+    def softmin_rows(self, g: Array, epsilon: float, precise: bool, bounded: bool = False) -> Array:
         """T(g), corrected."""
         return super().softmin_rows(g, epsilon, precise, bounded) + self._corrections[0]
 

@@ -18,9 +18,25 @@ from clmorph.transport.potentials import Potentials, check_origin, check_potenti
 FEW_NEAR = 0.3
 
 
+class OfRows(NamedTuple):
+    """The operator of a plan's rows, and the softmin T(g) of the potentials, if it is known."""
+
+    operator: Softmin
+    known: Array | None
+
+    def softmin(self, potentials: Potentials) -> Array:
+        """Return T(g), (N,), from the solver's last pass or from a new one."""
+        if self.known is not None:
+            return self.known
+        return self.operator(potentials.g, potentials.epsilon, potentials.precise)
+
+
 def plan_softmin(
-    operations: Operations, clouds: tuple[Any, Any], pair: tuple[Any, Any], potentials: Any
-) -> Softmin:
+    operations: Operations,
+    clouds: tuple[Any, Any],
+    pair: tuple[Any, Any],
+    potentials: Potentials,
+) -> OfRows:
     """Return the softmin T(g) of a plan's rows, with the truncation that the solver used.
 
     Parameters
@@ -28,13 +44,33 @@ def plan_softmin(
     operations : Operations
     clouds : (rows, columns)
     pair : (source, target)
-        Measures, or objects with the attribute `weights`.
     potentials : Potentials
     """
     weights = pair[0].weights, pair[1].weights
     result = Softmin(operations, *clouds, weights, potentials.truncation)
+    passes = None if potentials.truncation is None else potentials.passes
+    if passes is not None and passes.operations is operations and _are(pair, potentials.measures):
+        known = passes.softmins[0]
+        result.take_over(passes.near[0], potentials.g, known, potentials.epsilon)
+        return OfRows(result, known)
     result.guess = potentials.f * (1.0 + potentials.epsilon * inverse_rho(potentials))
-    return result
+    return OfRows(result, None)
+
+
+def _are(pair: tuple[AnyMeasure, AnyMeasure], own: tuple[AnyMeasure, AnyMeasure] | None) -> bool:
+    """Return whether these are the measures for which the potentials were computed."""
+
+    def same(one: Array | None, other: Array | None) -> bool:
+        if one is None or other is None:
+            return one is other
+        return bool(np.array_equal(one, other))
+
+    return own is not None and all(
+        same(one.weights, other.weights)
+        and same(one.points, other.points)
+        and same(one.offsets, other.offsets)
+        for one, other in zip(pair, own, strict=True)
+    )
 
 
 def row_softmin(
@@ -59,8 +95,8 @@ def row_softmin(
     check_potentials("potentials", potentials, (len(source), len(target)))
     operations = get_backend(backend)
     clouds = uploaded(operations, source), uploaded(operations, target)
-    to_rows = plan_softmin(operations, clouds, (source, target), potentials)
-    softmin = to_rows(potentials.g, potentials.epsilon, potentials.precise)
+    of_rows = plan_softmin(operations, clouds, (source, target), potentials)
+    to_rows, softmin = of_rows.operator, of_rows.softmin(potentials)
     _check_rows(source, target, potentials, to_rows, softmin)
     return operations, clouds, to_rows, softmin
 
@@ -131,9 +167,10 @@ def row_projection(
         As `row_softmin` does.
     """
     check_potentials("potentials", potentials, (len(pair[0]), len(pair[1])))
-    to_rows = plan_softmin(operations, clouds, pair, potentials)
+    to_rows, known = plan_softmin(operations, clouds, pair, potentials)
     g, epsilon, precise = potentials.g, potentials.epsilon, potentials.precise
-    if potentials.truncation is not None and potentials.visited <= FEW_NEAR:
+    few = potentials.truncation is not None and potentials.visited <= FEW_NEAR
+    if few and known is None:
         to_rows(g, epsilon, precise)
     rows, columns = clouds
     softmin, mean = operations.barycentric_projection(

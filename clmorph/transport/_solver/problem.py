@@ -136,9 +136,7 @@ class Problem:
         source, target = (1.0 / (1.0 + epsilon * inverse) for inverse in self.inverse_rho)
         return source, target
 
-    def softmin_rows(
-        self, g: Array, epsilon: float, precise: bool, bounded: bool = False
-    ) -> Array:
+    def softmin_rows(self, g: Array, epsilon: float, precise: bool, bounded: bool = False) -> Array:
         """Return T(g), (N,) array (paper, 3.1; math: softmin)."""
         self.n_softmin += 1
         return self.to_rows(g, epsilon, precise, bounded)

@@ -123,6 +123,11 @@ class Softmin:
         self._near, self.left_out = None, 0.0
         return self._over(None, potential, epsilon, *kind)
 
+    def take_over(self, near: NearPairs, potential: Array, softmin: Array, epsilon: float) -> None:
+        """Take over pairs that another softmin has summed at this potential, with their result."""
+        self._near = self.near = near
+        self._chosen_for, self.guess = (epsilon, potential), softmin
+
     def release(self) -> None:
         """Sum over all pairs from now on."""
         self.truncation = self._near = None
