@@ -350,8 +350,9 @@ def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, fresh_search: None) -
     """Indexes of the devices probed, in an empty cache; every probe is content."""
     probed: list[str] = []
 
-    def probe(index: str) -> dict[str, object]:
-        probed.append(index)
+    def probe(index: str, request: str | None = None) -> dict[str, object]:
+        if request is None:
+            probed.append(index)
         return {"usable": True, "reason": "", "pairs_per_second": 1.0}
 
     monkeypatch.setattr("clmorph.backends.opencl.devices.cache.cache_folder", lambda: tmp_path)

@@ -22,7 +22,7 @@ PHOTO_SIDE = 256
 #: and the photograph has many.
 CHANGES: dict[str, float] = {"blur": 0.04, "color_weight": 1.0}
 #: All options; the pictures are not downscaled.
-OPTIONS = MorphOptions(n_frames=40, size=None, **CHANGES)  # type: ignore[arg-type]
+OPTIONS = MorphOptions(size=None, **CHANGES)  # type: ignore[arg-type]
 
 
 def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -67,8 +67,7 @@ def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
             outputs, recording,
             report=lambda output, share: stages(f"write {output.path.name}", share),
         )  # fmt: skip
-    options = {"frames": OPTIONS.n_frames, **CHANGES}
-    given = " ".join(f"--{name.replace('_', '-')} {value:g}" for name, value in options.items())
+    given = " ".join(f"--{name.replace('_', '-')} {value:g}" for name, value in CHANGES.items())
     seconds = ", ".join(f"{stage} {time:.1f} s" for stage, time in stages.seconds.items())
     return [
         f"pictures: {sprite.shape[1]}x{sprite.shape[0]} into {photo.shape[1]}x{photo.shape[0]} "

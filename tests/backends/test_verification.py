@@ -23,7 +23,12 @@ from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build import program, programs
 from clmorph.backends.opencl.build.constants import choose_constants
 from clmorph.backends.opencl.build.programs import Programs, program_key, read_request
-from clmorph.backends.opencl.build.variants import KERNELS, Variant, large_variants, usual_variants
+from clmorph.backends.opencl.build.variants import (
+    KERNELS,
+    Variant,
+    further_variants,
+    usual_variants,
+)
 from clmorph.backends.opencl.devices import cache as storage
 from clmorph.backends.opencl.devices import find as devices
 from clmorph.backends.opencl.devices import trial, verdicts
@@ -183,13 +188,14 @@ VARIANTS = [
         for listed, bounded in ((False, 1), (True, 1), (True, 2))
     ),
     Variant("near_field.cl", 5, listed=True),
+    Variant("half_steps.cl", balanced=3),
     *(Variant(file) for file in KERNELS if file not in (*ROW_FILES, "near_field.cl")),
 ]
 
 
 def test_the_variants_are_of_every_file():
     assert {variant.file for variant in VARIANTS} == set(KERNELS)
-    assert set(usual_variants() + large_variants()) <= set(VARIANTS)
+    assert set(usual_variants() + further_variants()) <= set(VARIANTS)
 
 
 @pytest.mark.parametrize("quirk", QUIRKS)
@@ -498,10 +504,11 @@ def test_programs_of_a_morph_are_verified_together(one, requests):
     assert set(requests[0]) == set(usual_variants())
 
 
-def test_programs_of_large_pictures_are_verified_together(one, requests):
-    for variant in large_variants():
+def test_further_programs_are_verified_together(one, requests):
+    wanted = {variant for variant in further_variants() if variant.suits(one.constants)}
+    for variant in wanted:
         made(one).verify(variant)
-    assert [set(request) for request in requests] == [set(large_variants())]
+    assert [set(request) for request in requests] == [wanted]
 
 
 def test_forced_quirks_have_a_verdict_of_their_own(monkeypatch):

@@ -262,7 +262,9 @@ def test_a_broken_runtime_is_one_more_row(monkeypatch, capfd, tmp_path, fresh_se
     broken, real = TESTED[0].index, devices.run_probe
     crashed = {"usable": False, "reason": "crashed (signal 6)", "pairs_per_second": 0.0}
     monkeypatch.setattr(
-        devices, "run_probe", lambda index: crashed if index == broken else real(index)
+        devices,
+        "run_probe",
+        lambda index, **how: crashed if index == broken else real(index, **how),
     )
     found = found_anew()
     others = [d.index for d in found if d.usable]

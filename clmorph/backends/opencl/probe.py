@@ -1,8 +1,9 @@
 """Verify programs of a device: ``python -m clmorph.backends.opencl.probe INDEX [REQUEST]``.
 
 The programs are those of the request (see `clmorph.backends.opencl.build.programs.make_request`),
-or those that most morphs use. Before and after the check of each, a line is printed; see
-`opencl.devices.trial`. No program that this process builds is verified in a further process.
+those that most morphs use, or with the request "further" those that they use beside these. Before
+and after the check of each, a line is printed; see `opencl.devices.trial`. No program that this
+process builds is verified in a further process.
 """
 
 import contextlib
@@ -17,10 +18,10 @@ import pyopencl as cl
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import choose_constants
 from clmorph.backends.opencl.build.programs import program_key, read_request
-from clmorph.backends.opencl.build.variants import Variant, usual_variants
+from clmorph.backends.opencl.build.variants import Variant, further_variants, usual_variants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.devices.throughput import throughput
-from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, LOADED, VERDICT
+from clmorph.backends.opencl.devices.trial import BEGUN, ENDED, FURTHER, LOADED, VERDICT
 from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import ClmorphError
 
@@ -43,7 +44,10 @@ def probe(index: str, request: str | None = None) -> dict[str, Any]:
     device, constants, variants = found[index], None, list(usual_variants())
     speed = 0.0
     try:
-        if request is not None:
+        if request == FURTHER:
+            constants, variants = choose_constants(device), list(further_variants())
+            variants = [variant for variant in variants if variant.suits(constants)]
+        elif request is not None:
             constants, variants = read_request(request)
         else:
             # A tuned build is no reason to refuse the device; it is verified when it is used.

@@ -86,19 +86,22 @@ def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
     )
 
 
-def large_variants(dimension: int = 5) -> tuple[Variant, ...]:
-    """Return the variants that such a morph uses beside the usual ones if pictures are large."""
+def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
+    """Return the variants that photographs and drawings use beside the usual ones."""
     return (
         Variant("near_field.cl", dimension, listed=True),
         Variant("log_sum_exp.cl", dimension, listed=True),
         Variant("log_sum_exp.cl", dimension, precise=True),
         Variant("log_sum_exp.cl", dimension, precise=True, listed=True, bounded=2),
         Variant("plan_shares.cl", dimension, listed=True),
+        Variant("half_steps.cl", balanced=3),
+        Variant("plan_rows.cl", dimension, listed=True),
+        Variant("sliced_ellpack.cl"),
     )
 
 
 def used_together(variant: Variant) -> tuple[Variant, ...]:
     """Return the variants that one morph uses, with this one among them; else this one alone."""
     dimension = variant.dimension or 5
-    groups = usual_variants(dimension), large_variants(dimension)
+    groups = usual_variants(dimension), further_variants(dimension)
     return next((group for group in groups if variant in group), (variant,))

@@ -1,6 +1,7 @@
 """Find OpenCL devices, determine which of them work, and choose one."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 from clmorph.backends.opencl.devices.device import Device as Device
@@ -8,7 +9,7 @@ from clmorph.backends.opencl.devices.device import describe, is_meant, names_of,
 from clmorph.backends.opencl.devices.install_hints import advice
 from clmorph.backends.opencl.devices.process import Once
 from clmorph.backends.opencl.devices.runtimes import intel_runtime, list_platforms
-from clmorph.backends.opencl.devices.trial import probe_seconds, run_probe
+from clmorph.backends.opencl.devices.trial import FURTHER, probe_seconds, run_probe
 from clmorph.backends.opencl.devices.verdicts import (
     driver_identity,
     forget_all,
@@ -48,8 +49,9 @@ def tried(index: str) -> Device:
     """Return a device with its verdict; if that is unknown, the device is tried.
 
     The verdict is stored under a key of driver, platform, processor and kernel sources; the first
-    trial of a device takes some seconds. A trial that ran out of time or memory is no evidence
-    about the device, and the next process repeats it.
+    trial of a device takes some seconds. Meanwhile another process builds and verifies further
+    programs, whose verdicts count where they are used. A trial that ran out of time or memory is no
+    evidence about the device, and the next process repeats it.
 
     Parameters
     ----------
@@ -60,7 +62,11 @@ def tried(index: str) -> Device:
     key = verdict_key(handle)
     verdict = load_verdict(key)
     if verdict is None:
-        verdict = run_probe(index)
+        # Two processes, because compilers of OpenCL use one core.
+        with ThreadPoolExecutor(1) as pool:
+            further = pool.submit(run_probe, index, request=FURTHER)
+            verdict = run_probe(index)
+            further.result()
         save_verdict(key, verdict)
     return describe(index, handle, verdict)
 

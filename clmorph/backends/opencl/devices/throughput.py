@@ -7,7 +7,7 @@ import numpy as np
 from clmorph.backends.interface import Operations
 
 #: Seconds over which the best throughput is taken.
-THROUGHPUT_SECONDS = 0.5
+THROUGHPUT_SECONDS = 0.25
 #: The number of points of the first, short measurement.
 FEW_POINTS = 256
 #: If one run would take more than this number of seconds, the short measurement is the result.

@@ -30,6 +30,8 @@ LOADED = "clmorph.backends.opencl.probe: loaded"
 #: drivers print text, too, and not always whole lines.
 BEGUN, ENDED = "clmorph.program.begun", "clmorph.program.ended"
 VERDICT = "clmorph.verdict"
+#: The request to verify the programs that most morphs use beside those of a trial.
+FURTHER = "further"
 #: Signals that end a process for a reason outside the driver: a user, or a lack of memory.
 _FROM_OUTSIDE = ("SIGHUP", "SIGINT", "SIGKILL", "SIGQUIT", "SIGTERM")
 #: Seconds after which the end of a silent process is looked for, and for which a killed one may
@@ -74,8 +76,8 @@ def run_probe(
     seconds : float, optional
         Time limit for each program; if not given, `probe_seconds`.
     request : str, optional
-        The programs to verify, see `clmorph.backends.opencl.build.programs.make_request`. If not
-        given, those that most morphs use, and the speed is measured.
+        The programs to verify, see `clmorph.backends.opencl.build.programs.make_request`, or
+        `FURTHER`. If not given, those that most morphs use, and the speed is measured.
 
     Returns
     -------
