@@ -264,7 +264,7 @@ def test_demo(tmp_path, monkeypatch, capfd):
         assert words in out
     assert err.startswith("device: ")
     with Image.open("clmorph-demo.gif") as gif:
-        assert gif.n_frames == 40
+        assert gif.n_frames == 30
     assert "<canvas" in Path("clmorph-demo.html").read_text()
     assert size("clmorph-demo.png")[0] > 1000
 
