@@ -24,6 +24,7 @@ from clmorph.pipeline.mixing.weights import (
     MOST_IMAGES,
     check_mix_weights,
     grid_layout,
+    grid_sides,
     path_weights,
 )
 from clmorph.pipeline.mixing.writing import check_outputs, write_film, write_sheet
@@ -101,7 +102,7 @@ def run_mix(request: Request, *, device: str | None, backend: str | None, as_jso
     route = shown.get("path", shown.get("stops"))
     stops = None if route is None else path_weights(route, count)
     weights = check_mix_weights(shown["weights"], count) if "weights" in shown else stops
-    grid = _grid(shown["grid"]) if "grid" in shown else None
+    grid = grid_sides("--grid", shown["grid"]) if "grid" in shown else None
     if weights is None:
         grid_layout(count, grid)  # raises an error before pictures are read
     places = [Output(output, request.format) for output in request.outputs]
@@ -169,17 +170,6 @@ def _options(request: Request, preset: str | None) -> MorphOptions:
     if request.draft:
         below |= drafted(below)
     return MorphOptions(**MorphOptions.layered((below, request.given)))
-
-
-def _grid(text: Any) -> int | tuple[int, ...]:
-    """Return the sides of a grid from a text such as 5x5 or 7."""
-    try:
-        sides = tuple(int(part) for part in str(text).lower().split("x"))
-    except ValueError:
-        sides = ()
-    if not 1 <= len(sides) <= 2:
-        raise InputError(f"--grid {printable(str(text), 40)}: expected rows x columns, such as 5x5")
-    return sides if len(sides) == 2 else sides[0]
 
 
 def weights_of(texts: Sequence[str], count: int) -> list[list[float]]:

@@ -1,4 +1,4 @@
-"""What the page offers and what was chosen on it: options, the command line and the Python code.
+"""What was chosen on the page: its options, the command line and the Python code that do the same.
 
 The page sends texts as the command line takes them, by the options' names outside.
 """
@@ -6,10 +6,12 @@ The page sends texts as the command line takes them, by the options' names outsi
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import PurePath
 from typing import Any
 
 from clmorph._shared.options import (
     Option,
+    Options,
     from_line,
     outside_name,
     specifications,
@@ -19,27 +21,9 @@ from clmorph._shared.options import (
 from clmorph._shared.validation import as_float, shown
 from clmorph.errors import InputError
 from clmorph.measures.landmark_options import check_landmarks
-from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
-
-#: The options that stand first, each with what it does to the picture.
-MAIN = {
-    "blur": "Small: sharp and exact. Large: whole regions move together, softly.",
-    "reach": "How far things may travel. What has no counterpart within it fades.",
-    "color_weight": "High: colors stay and things travel far. Low: things stay and change color.",
-    "size": "Pixels along the longer side of the morph. Larger takes longer.",
-    "n_frames": "Number of frames. More are smoother.",
-}
-#: Ends of their sliders, in the unit outside, and whether a step multiplies.
-SLIDERS = {
-    "blur": (0.003, 0.3, True),
-    "reach": (0.02, 2.0, True),
-    "color_weight": (0.0, 4.0, False),
-    "size": (16, 512, True),
-    "n_frames": (2, 120, False),
-}
-#: Files that the page offers, by their endings.
-DOWNLOADS = ("gif", "webp", "mp4", "html", "json")
+from clmorph.pipeline.mixing.weights import grid_sides
+from clmorph.pipeline.presets import AUTO, PRESETS
+from clmorph.studio.kinds import KINDS, Kind
 
 
 @dataclass(frozen=True)
@@ -48,53 +32,68 @@ class Choices:
 
     Attributes
     ----------
+    kind : Kind
     preset : str
     given : mapping
         Values by names in Python.
     device : str
         What `clmorph.get_backend` takes.
+    grid : str
+        Sides of the grid, as the command line takes them; "" for the usual ones, or for kinds
+        without a grid.
+    painted : bool
+        Whether painted regions count.
     """
 
+    kind: Kind
     preset: str = AUTO
     given: Mapping[str, Any] = field(default_factory=dict)
     device: str = "auto"
+    grid: str = ""
+    painted: bool = False
 
-    def options(self, recognized: str) -> MorphOptions:
+    def options(self, recognized: str) -> Any:
         """Return all options; `recognized` is the preset that the pictures choose."""
-        return MorphOptions(preset=self.named(recognized), **self.given)
+        preset = {"preset": self.named(recognized)} if self.kind.presets else {}
+        return self.kind.options(**preset, **self.given)
 
     def named(self, recognized: str) -> str:
         """Return the name of the preset."""
         return recognized if self.preset == AUTO else self.preset
 
+    @property
+    def sides(self) -> int | tuple[int, ...] | None:
+        """The sides of the grid; None for the usual ones."""
+        return grid_sides("grid", self.grid) if self.grid else None
 
-def controls() -> dict[str, Any]:
-    """Return the description of all controls, for the page."""
-    return {
-        "presets": {AUTO: AUTO_HELP, **{name: each.help for name, each in PRESETS.items()}},
-        "options": [
-            _control(name, known)
-            for name, known in specifications(MorphOptions).items()
-            if not known.kind.several
-        ],
-        "downloads": list(DOWNLOADS),
-    }
+    @property
+    def mixes(self) -> dict[str, str] | None:
+        """What a recipe says of the mixes; None for other kinds."""
+        if not self.kind.grid:
+            return None
+        return {"grid": self.grid} if self.grid else {}
+
+    def beside(self, names: Sequence[str]) -> list[str]:
+        """Return the names of the files that hold painted regions, by those of the pictures."""
+        if not self.painted:
+            return []
+        return [painted_name(self.kind, name) for name in names[: painted_pictures(self.kind)]]
 
 
-def _control(name: str, known: Option) -> dict[str, Any]:
-    schema = known.kind.schema
-    found: dict[str, Any] = {
-        "name": outside_name(name, known), "help": MAIN.get(name, known.help), "unit": known.unit,
-        "panel": known.panel, "word": known.word, "main": name in MAIN,
-        "flag": not known.kind.metavar,
-    }  # fmt: skip
-    if "enum" in schema:
-        found["choices"] = [*schema["enum"], *([known.word] if known.word else [])]
-    if name in SLIDERS:
-        low, high, multiplies = SLIDERS[name]
-        whole = schema.get("type") == "integer"
-        found["slider"] = {"low": low, "high": high, "multiplies": multiplies, "whole": whole}
-    return found
+def painted_pictures(kind: Kind) -> int:
+    """Return the number of pictures that can be painted."""
+    return {"labels": 2, "mask": 1}.get(kind.painted, 0)
+
+
+def painted_name(kind: Kind, name: str) -> str:
+    """Return the name of the file that holds the painted regions of a picture.
+
+    Examples
+    --------
+    >>> painted_name(KINDS["morph"], "a.png"), painted_name(KINDS["recolor"], "b.jpg")
+    ('a-labels.png', 'b-mask.png')
+    """
+    return f"{PurePath(name).stem}-{kind.painted}.png"
 
 
 def read_choices(asked: Any) -> Choices:
@@ -103,8 +102,8 @@ def read_choices(asked: Any) -> Choices:
     Parameters
     ----------
     asked : mapping
-        ``preset``, ``device``, ``settings`` (texts by names outside, truth values for flags) and
-        ``landmarks`` (pairs of points).
+        ``kind``, ``preset``, ``device``, ``settings`` (texts by names outside, truth values for
+        flags), ``grid``, ``painted`` and ``landmarks`` (pairs of points).
 
     Raises
     ------
@@ -114,6 +113,10 @@ def read_choices(asked: Any) -> Choices:
     """
     if not isinstance(asked, Mapping) or not isinstance(asked.get("settings", {}), Mapping):
         raise InputError("settings: expected texts by the names of options")
+    name = asked.get("kind", "morph")
+    if name not in KINDS:
+        raise InputError(f"kind={shown(name)}: expected one of {', '.join(KINDS)}")
+    kind = KINDS[name]
     preset, device = asked.get("preset", AUTO), asked.get("device", "auto")
     if preset not in (AUTO, *PRESETS):
         raise InputError(f"preset={shown(preset)}: expected one of {', '.join((AUTO, *PRESETS))}")
@@ -121,7 +124,7 @@ def read_choices(asked: Any) -> Choices:
         raise InputError(f"device={shown(device)}: expected the name of a device")
     known = {
         outside_name(name, each): (name, each)
-        for name, each in specifications(MorphOptions).items()
+        for name, each in specifications(kind.options).items()
         if not each.kind.several
     }
     given: dict[str, Any] = {}
@@ -131,9 +134,13 @@ def read_choices(asked: Any) -> Choices:
         name, each = known[key]
         given[name] = _value(key, each, value)
     marks = asked.get("landmarks") or ()
-    if marks:
+    if marks and kind.landmarks:
         given["landmarks"] = check_landmarks("landmarks", marks)
-    return Choices(preset, given, device)
+    grid = str(asked.get("grid") or "").strip()[:20] if kind.grid else ""
+    painted = bool(kind.painted) and asked.get("painted") is True
+    found = Choices(kind, preset, given, device, grid, painted)
+    _ = found.sides  # raises an error if it is no grid
+    return found
 
 
 def _value(key: str, known: Option, value: Any) -> Any:
@@ -149,13 +156,16 @@ def _value(key: str, known: Option, value: Any) -> Any:
         raise InputError(f"Invalid value for '--{line}': {error}") from None
 
 
-def command_line(
-    choices: Choices, recognized: str, names: Sequence[str], output: str = "morph.gif"
-) -> str:
+def command_line(choices: Choices, recognized: str, names: Sequence[str]) -> str:
     """Return the command that writes the same file, in the folder of the pictures."""
-    known = specifications(MorphOptions)
-    words = ["clmorph", "morph", *(f"./{name}" if name[0] == "-" else name for name in names)]
-    words += ["-o", output, "--preset", choices.named(recognized)]
+    kind = choices.kind
+    known = specifications(kind.options)
+    output = f"{kind.output}.{kind.downloads[0]}"
+    words = ["clmorph", kind.name, *map(_as_path, names), "-o", output]
+    words += ["--preset", choices.named(recognized)] if kind.presets else []
+    words += ["--grid", choices.grid] if choices.grid else []
+    beside = choices.beside(names)
+    words += [f"--{kind.painted}", *map(_as_path, beside)] if beside else []
     for name, value in choices.given.items():
         line = "--" + outside_name(name, known[name]).replace("_", "-")
         if isinstance(value, bool):
@@ -174,6 +184,10 @@ def command_line(
     return shlex.join(words)
 
 
+def _as_path(name: str) -> str:
+    return f"./{name}" if name[0] == "-" else name
+
+
 def _text(value: Any, name: str) -> str:
     if isinstance(value, list):
         return ("x" if name == "canvas" else ",").join(_text(part, name) for part in value)
@@ -181,30 +195,80 @@ def _text(value: Any, name: str) -> str:
     return str(value) if number is None else repr(value)
 
 
-def python_code(
-    choices: Choices, recognized: str, names: Sequence[str], output: str = "morph.gif"
-) -> str:
+#: The lines of Python code after the pictures are read, by kind. `given` are the options,
+#: `beside` the files with painted regions.
+_CODE = {
+    "morph": """\
+labels = tuple(clmorph.read_labels(file) for file in beside) or None
+chain = [clmorph.morph(a, b, labels=labels, **given) for a, b in pairwise(pictures)]
+more = {"labels": picture_entries(beside)} if beside else {}
+known = recipe(chain[0].options, images=picture_entries(files), beside=more, device=device)
+clmorph.save(chain, OUTPUT, parameters=known)
+""",
+    "rearrange": """\
+chain, pixels = [], pictures[0]
+for picture in pictures[1:]:
+    chain.append(clmorph.rearrange(pixels, picture, **given))
+    pixels = chain[-1][-1]
+known = recipe(chain[0].options, images=picture_entries(files), device=device)
+clmorph.save(chain, OUTPUT, parameters=known)
+""",
+    "recolor": """\
+mask = clmorph.read_labels(beside[0]) > 0 if beside else None
+picture = clmorph.recolor(*pictures, mask=mask, **given)
+del given["backend"]
+more = {"mask": picture_entries(beside)} if beside else {}
+options = clmorph.RecolorOptions(**given)
+known = recipe(options, images=picture_entries(files), beside=more, device=device)
+clmorph.write_image(OUTPUT, picture, parameters=known)
+""",
+    "mix": """\
+mixes = clmorph.mix(pictures, grid=GRID, **given)
+known = recipe(
+    mixes.options, images=picture_entries(files), device=device, mixes=MIXES
+)
+write_sheet([Output(OUTPUT)], mixes.sheet(mixes.options.background), known)
+""",
+}  # fmt: skip
+
+
+def python_code(choices: Choices, recognized: str, names: Sequence[str]) -> str:
     """Return the Python code that writes the same file, in the folder of the pictures."""
-    given = [f"preset={choices.named(recognized)!r}"]
+    kind = choices.kind
+    given = [f"preset={choices.named(recognized)!r}"] if kind.presets else []
     given += [f"{name}={value!r}" for name, value in choices.given.items()]
-    given += [f"backend={choices.device!r}"] if choices.device != "auto" else []
+    code = _CODE[kind.name].replace("OUTPUT", repr(f"{kind.output}.{kind.downloads[0]}"))
+    if kind.grid:
+        code = code.replace("GRID", repr(choices.sides)).replace("MIXES", repr(choices.mixes))
+    painted = choices.beside(names)
+    mix = kind.name == "mix"
     return "\n".join(
         (
-            "from itertools import pairwise",
+            *(["from itertools import pairwise"] if kind.name == "morph" else []),
             "from pathlib import Path",
             "",
             "import clmorph",
+            *(["from clmorph.output.save import Output"] if mix else []),
+            *(["from clmorph.pipeline.mixing.writing import write_sheet"] if mix else []),
             "from clmorph.pipeline.recipe import picture_entries, recipe",
             "",
             f"files = [Path(name) for name in {list(names)!r}]",
+            *([f"beside = [Path(name) for name in {painted!r}]"] if kind.painted else []),
             "pictures = [clmorph.read_image(file) for file in files]",
-            f"given = dict({', '.join(given)})",
-            "chain = [clmorph.morph(a, b, **given) for a, b in pairwise(pictures)]",
-            "known = recipe(",
-            "    chain[0].options, images=picture_entries(files),",
-            "    device=chain[0].operations.description,",
-            ")",
-            f"clmorph.save(chain, {output!r}, parameters=known)",
-            "",
+            f"operations = clmorph.get_backend({choices.device!r})",
+            "device = operations.description",
+            f"given = dict({', '.join([*given, 'backend=operations'])})",
+            code,
         )
+    )
+
+
+def memory_given(options: Options, choices: Choices) -> Choices:
+    """Return choices that name the memory limit of options, if they have one."""
+    limit = getattr(options, "max_memory", None)
+    if limit is None or "max_memory" in choices.given:
+        return choices
+    given = {**choices.given, "max_memory": limit}
+    return Choices(
+        choices.kind, choices.preset, given, choices.device, choices.grid, choices.painted
     )

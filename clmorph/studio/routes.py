@@ -24,7 +24,9 @@ from clmorph.errors import ClmorphError, FileError, InputError
 from clmorph.images.pixels import MAX_PIXELS, as_rgb, fit, read_image, to_bytes
 from clmorph.studio import choices, work
 from clmorph.studio.guard import FRAMED
-from clmorph.studio.tabs import MAX_PICTURES, Shown, Tab, Tabs
+from clmorph.studio.kinds import KINDS, MAX_PICTURES
+from clmorph.studio.painting import read_painted
+from clmorph.studio.tabs import Shown, Tab, Tabs
 from clmorph.studio.worker import Job, Worker
 
 #: Largest numbers of bytes of a picture's file, and of a request of another kind.
@@ -39,7 +41,10 @@ PAGE = {
     "/studio.css": ("studio.css", "text/css"),
     "/studio.js": ("studio.js", "text/javascript"),
     "/landmarks.js": ("landmarks.js", "text/javascript"),
+    "/brush.js": ("brush.js", "text/javascript"),
 }
+#: Media types of what the page shows.
+MEDIA = {".html": "text/html", ".png": "image/png"}
 GONE = "this tab has been closed; load the page again"
 
 
@@ -96,6 +101,8 @@ class Studio:
                     ("/samples", self.add_samples, post),
                     ("/pictures/{key}", self.picture, got),
                     ("/pictures/{key}/remove", self.remove, post),
+                    ("/pictures/{key}/painted/{kind}", self.paint, post),
+                    ("/pictures/{key}/painted/{kind}", self.painted, got),
                     ("/pictures/{key}/shown", self.shown, got),
                     ("/swap", self.swap, post),
                     ("/preview", partial(self.start, "preview"), post),
@@ -138,7 +145,8 @@ class Studio:
     async def open(self, request: Request) -> Response:
         """Open a tab, and describe the controls."""
         tab = self.tabs.open()
-        return JSONResponse({"tab": tab.key, "devices": self.devices, **choices.controls()})
+        kinds = [kind.described() for kind in KINDS.values()]
+        return JSONResponse({"tab": tab.key, "devices": self.devices, "kinds": kinds})
 
     async def close(self, request: Request, tab: Tab) -> Response:
         """Close a tab."""
@@ -209,6 +217,31 @@ class Studio:
         tab.pictures = [each for each in tab.pictures if each.key != request.path_params["key"]]
         return _pictures(tab)
 
+    async def paint(self, request: Request, tab: Tab) -> Response:
+        """Take the painted regions of a picture, a PNG; without a body there are none any more."""
+        found, kind = _find(tab, request), request.path_params["kind"]
+        if found is None or kind not in {each.painted for each in KINDS.values()} - {""}:
+            return _missing()
+        body = await _body(request, MAX_UPLOAD)
+        if not body:
+            found.painted.pop(kind, None)
+        else:
+            height, width = found.pixels.shape[:2]
+            image = await run_in_threadpool(read_painted, body, (height, width), kind)
+            owner = next(each for each in KINDS.values() if each.painted == kind)
+            path = found.path.with_name(choices.painted_name(owner, found.path.name))
+            if path == found.path:
+                raise InputError(f"{path.name}: expected another name of a picture to paint on")
+            image.save(path, "PNG")
+            found.painted[kind] = path
+        return _pictures(tab)
+
+    async def painted(self, request: Request, tab: Tab) -> Response:
+        """Return the painted regions of a picture."""
+        found = _find(tab, request)
+        path = None if found is None else found.painted.get(request.path_params["kind"])
+        return _missing() if path is None else _attached(path, path.name)
+
     async def swap(self, request: Request, tab: Tab) -> Response:
         """Turn the order of the pictures round."""
         tab.pictures = tab.pictures[::-1]
@@ -223,14 +256,24 @@ class Studio:
         chosen = choices.read_choices(asked)
         if chosen.device not in {device["name"] for device in self.devices}:
             raise InputError("device: expected one of those that the page offers")
-        if len(tab.pictures) < 2:
-            raise InputError(f"{len(tab.pictures)} pictures given: expected two or more")
-        if len(tab.pictures) > 2 and chosen.given.get("landmarks"):
-            raise InputError(
-                f"landmarks are for two pictures, but {len(tab.pictures)} are given: morph them "
-                "two at a time"
-            )
-        ask = work.Ask(tab, tuple(tab.pictures), chosen, number)
+        own, count = chosen.kind, len(tab.pictures)
+        if not own.least <= count <= own.most:
+            wanted = str(own.least) if own.least == own.most else f"{own.least} to {own.most}"
+            raise InputError(f"{count} pictures given: expected {wanted}")
+        guides = {"landmarks": chosen.given.get("landmarks"), "painted regions": chosen.painted}
+        for name, given in guides.items():
+            if count > 2 and given:
+                raise InputError(
+                    f"{name} are for two pictures, but {count} are given: morph them two at a time"
+                )
+        painted: list[Path] = []
+        if chosen.painted:
+            pictures = tab.pictures[: choices.painted_pictures(own)]
+            found = [each.painted.get(own.painted) for each in pictures]
+            painted = [path for path in found if path is not None]
+            if len(painted) < len(pictures):
+                raise InputError("painted regions: expected some on each picture that has them")
+        ask = work.Ask(tab, tuple(tab.pictures), chosen, number, tuple(painted))
         preset = await run_in_threadpool(ask.recognized)
         options = chosen.options(preset)
         failed = partial(tab.publish, "error", number=number, of=kind)
@@ -241,12 +284,10 @@ class Studio:
             partial(tab.publish, "cancelled", number=number, of=kind),
         )  # fmt: skip
         before = self.worker.submit(job, ("preview", "run") if kind == "run" else ("preview",))
-        names = [picture.path.name for picture in ask.pictures]
         return JSONResponse(
             {
                 "options": options.outside(), "preset": chosen.named(preset), "before": before,
-                "command": choices.command_line(chosen, preset, names),
-                "python": choices.python_code(chosen, preset, names),
+                **ask.words(preset),
             },
             202,
         )  # fmt: skip
@@ -262,17 +303,18 @@ class Studio:
         if path is None or not path.exists():
             return _missing()
         return FileResponse(
-            path, media_type="text/html", headers={"Content-Security-Policy": FRAMED}
+            path, media_type=MEDIA[path.suffix], headers={"Content-Security-Policy": FRAMED}
         )
 
     async def file(self, request: Request, tab: Tab) -> Response:
         """Write a file of the last run, and return it."""
         ending, result = request.path_params["ending"], tab.result
-        if ending not in choices.DOWNLOADS:
-            return _missing()
         if result is None:
-            raise InputError("nothing to download yet: run the morph first")
-        path = tab.folder / f"morph-{result.number}.{ending}"
+            raise InputError("nothing to download yet: run it first")
+        kind = result.choices.kind
+        if ending not in kind.downloads:
+            return _missing()
+        path = tab.folder / f"{kind.output}-{result.number}.{ending}"
         done: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
         def tell(line: str) -> None:
@@ -289,7 +331,7 @@ class Studio:
         line = await done
         if line:
             return JSONResponse({"line": line}, 400)
-        return _attached(path, f"morph.{ending}")
+        return _attached(path, f"{kind.output}.{ending}")
 
 
 def _settle(done: "asyncio.Future[str]", line: str) -> None:
@@ -335,12 +377,17 @@ def _attached(path: Path, name: str) -> Response:
     return FileResponse(path, media_type=kind, headers={"Content-Disposition": disposition})
 
 
-async def _json(request: Request) -> Mapping[str, Any]:
+async def _body(request: Request, most: int) -> bytes:
     body = b""
     async for part in request.stream():
         body += part
-        if len(body) > MAX_REQUEST:
-            raise InputError(f"the request has more than {MAX_REQUEST} bytes: expected fewer")
+        if len(body) > most:
+            raise InputError(f"the request has more than {most} bytes: expected fewer")
+    return body
+
+
+async def _json(request: Request) -> Mapping[str, Any]:
+    body = await _body(request, MAX_REQUEST)
     try:
         found = json.loads(body)
     except (ValueError, RecursionError):

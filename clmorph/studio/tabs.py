@@ -12,12 +12,11 @@ from typing import Any
 
 from clmorph._shared.printable import printable
 from clmorph.errors import InputError
-from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.result import Morph
 from clmorph.studio.choices import Choices
+from clmorph.studio.making import Made
 
-#: Largest numbers of tabs, and of pictures in a tab.
-MAX_TABS, MAX_PICTURES = 16, 8
+#: Largest number of tabs.
+MAX_TABS = 16
 #: Seconds after which a tab that nobody listens to is closed.
 LEFT = 120.0
 #: Largest number of characters of a picture's name.
@@ -26,26 +25,33 @@ MAX_NAME = 100
 
 @dataclass(frozen=True)
 class Shown:
-    """A picture of a tab: its file, its pixels (H, W, C), and what the page knows of it."""
+    """A picture of a tab: its file, its pixels (H, W, C), and what the page knows of it.
+
+    `painted` are the files with its painted regions, by the kind of these ("labels", "mask").
+    """
 
     path: Path
     pixels: Any = field(repr=False)
     key: str
+    painted: dict[str, Path] = field(default_factory=dict)
 
     @property
     def known(self) -> dict[str, Any]:
         """The description for the page."""
         height, width = self.pixels.shape[:2]
-        return {"key": self.key, "name": self.path.name, "width": width, "height": height}
+        painted = {kind: path.name for kind, path in self.painted.items()}
+        return {
+            "key": self.key, "name": self.path.name, "width": width, "height": height,
+            "painted": painted,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Result:
-    """A finished run: its morphs, and what they were made with."""
+    """A finished run: what was made, and from what."""
 
     number: int
-    morphs: list[Morph]
-    options: MorphOptions
+    made: Made
     parameters: dict[str, Any]
     choices: Choices
 

@@ -1,6 +1,5 @@
-"""What the worker does for a tab: previews in steps, whole morphs, and files of them."""
+"""The work behind the page: previews in steps, whole results, files."""
 
-import itertools
 import json
 import time
 import warnings
@@ -9,27 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from clmorph._shared.options import Options
 from clmorph._shared.printable import MESSAGE, printable, reason_of
 from clmorph._shared.progress import StageProgress
 from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import get_backend
 from clmorph.errors import ClmorphError, ClmorphWarning, ConvergenceWarning, MemoryWarning
-from clmorph.output.save import save
 from clmorph.pipeline.budget import default_memory
-from clmorph.pipeline.morph import morph
-from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import recognized
-from clmorph.pipeline.presets import DRAFT_TOL
 from clmorph.pipeline.recipe import picture_entries, recipe
-from clmorph.pipeline.result import Morph
-from clmorph.studio.choices import Choices
+from clmorph.studio.choices import Choices, command_line, memory_given, python_code
+from clmorph.studio.making import MAKERS, Task, small_tasks
 from clmorph.studio.tabs import Result, Shown, Tab
 
-#: Size and number of frames of each step of a preview: first fast, then finer.
-STEPS = ((40, 5), (96, 12))
-#: Largest number of blocks and of particles of a preview.
-BLOCKS, PARTICLES = 48, 40_000
 #: Seconds between two reports of progress.
 PACE = 0.1
 
@@ -45,14 +37,21 @@ class Ask:
     pictures: tuple[Shown, ...]
     choices: Choices
     number: int
-
-    def options(self) -> MorphOptions:
-        """Return the options of the whole morph."""
-        return self.choices.options(self.recognized())
+    painted: tuple[Path, ...] = ()
 
     def recognized(self) -> str:
         """Return the preset that the pictures choose."""
+        if not self.choices.kind.presets:
+            return ""
         return recognized(picture.pixels for picture in self.pictures)
+
+    def words(self, preset: str) -> dict[str, str]:
+        """Return the command line and the Python code, for the page."""
+        names = [picture.path.name for picture in self.pictures]
+        return {
+            "command": command_line(self.choices, preset, names),
+            "python": python_code(self.choices, preset, names),
+        }
 
 
 def guarded(work: Callable[[], None], failed: Callable[[str], None], line_of: LineOf) -> None:
@@ -70,47 +69,27 @@ def guarded(work: Callable[[], None], failed: Callable[[str], None], line_of: Li
 
 
 def preview(ask: Ask) -> None:
-    """Show small morphs, each finer than the one before."""
-    options = ask.options()
+    """Show small results, each finer than the one before."""
     operations = get_backend(ask.choices.device)
-    for step, (size, frames) in enumerate(STEPS):
-        small = _small(options, size, frames)
-        chain = _chain(ask, small, operations, checking)
+    kind = ask.choices.kind
+    task = _task(ask, ask.choices.options(ask.recognized()), operations)
+    steps = small_tasks(kind.name, task)
+    for step, small in enumerate(steps):
+        made = MAKERS[kind.name](small, checking)
         name = f"preview-{ask.number}-{step}"
-        path = ask.tab.folder / f"{name}.html"
-        save(chain, path, parameters=_parameters(ask, small, operations), progress=checking)
+        path = ask.tab.folder / f"{name}.{'html' if kind.film else 'png'}"
+        made.write(path, _parameters(ask, small.options, operations), checking)
         ask.tab.publish(
             "preview", number=ask.number, step=step, url=ask.tab.view(name, path),
-            last=step == len(STEPS) - 1 or _is_whole(small, options),
+            film=kind.film, last=step == len(steps) - 1,
         )  # fmt: skip
-        if _is_whole(small, options):
-            break
-
-
-def _is_whole(small: MorphOptions, options: MorphOptions) -> bool:
-    """Return whether a further step would show nothing more."""
-    return small.size == options.size and small.n_frames == options.n_frames
-
-
-def _small(options: MorphOptions, size: int, frames: int) -> MorphOptions:
-    """Return the options of a preview, which plays as long as the whole morph."""
-    pace = (options.fps or 20.0) * min(frames, options.n_frames) / options.n_frames
-    return options.replace(
-        size=_least(options.size, size), n_frames=min(options.n_frames, frames),
-        fps=None if options.fps is None else max(pace, 0.1),
-        solve_size=_least(options.solve_size, BLOCKS), tol=max(options.tol, DRAFT_TOL),
-        max_particles=_least(options.max_particles, PARTICLES),
-    )  # fmt: skip
-
-
-def _least(value: int | None, most: int) -> int:
-    return most if value is None else min(value, most)
 
 
 def run(ask: Ask) -> None:
-    """Compute the whole morph, and show it."""
-    tab, began = ask.tab, time.perf_counter()
-    options = ask.options()
+    """Compute the whole result, and show it."""
+    tab, began, kind = ask.tab, time.perf_counter(), ask.choices.kind
+    preset = ask.recognized()
+    options = ask.choices.options(preset)
     report = _Reports(tab, ask.number)
     report("preparation", 0.0)
     operations = get_backend(ask.choices.device)
@@ -118,50 +97,47 @@ def run(ask: Ask) -> None:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", ClmorphWarning)
         warnings.simplefilter("ignore", ConvergenceWarning)
-        chain = _chain(ask, options, operations, report)
-        if options.max_memory is None and any(
-            isinstance(each.message, MemoryWarning) for each in found
-        ):
-            # As on the command line: the recipe holds the limit that reduced the particles.
-            options = options.replace(max_memory=default_memory(operations))
-    result = Result(ask.number, chain, options, _parameters(ask, options, operations), ask.choices)
-    path = tab.folder / f"result-{ask.number}.html"
+        made = MAKERS[kind.name](_task(ask, options, operations), report)
+    words = {}
+    if getattr(options, "max_memory", 0) is None and any(
+        isinstance(each.message, MemoryWarning) for each in found
+    ):
+        # As on the command line: the recipe holds the limit that reduced the particles.
+        options = options.replace(max_memory=default_memory(operations))
+        choices = memory_given(options, ask.choices)
+        words = Ask(tab, ask.pictures, choices, ask.number, ask.painted).words(preset)
+    result = Result(ask.number, made, _parameters(ask, options, operations), ask.choices)
+    path = tab.folder / f"result-{ask.number}.{'html' if kind.film else 'png'}"
     write_file(result, path, report)
     tab.result = result
-    worst = max(chain, key=lambda each: each.potentials.residual)
     tab.publish(
-        "result", number=ask.number, url=tab.view(f"result-{ask.number}", path),
-        seconds=round(time.perf_counter() - began, 2), message=worst.potentials.message,
-        notes=[printable(str(each.message), MESSAGE) for each in found],
+        "result", number=ask.number, url=tab.view(f"result-{ask.number}", path), film=kind.film,
+        seconds=round(time.perf_counter() - began, 2), message=made.message,
+        notes=[printable(str(each.message), MESSAGE) for each in found], **words,
     )  # fmt: skip
 
 
 def write_file(result: Result, path: Path, report: StageProgress) -> None:
-    """Write a file of a finished run, by the same steps as ``clmorph morph``."""
+    """Write a file of a finished run, by the same steps as the command line."""
     if path.suffix == ".json":
         path.write_text(json.dumps(result.parameters, indent=2) + "\n", "utf-8")
         return
-    save(result.morphs, path, parameters=result.parameters, progress=report)
+    result.made.write(path, result.parameters, report)
 
 
-def _chain(
-    ask: Ask, options: MorphOptions, operations: Operations, report: StageProgress
-) -> list[Morph]:
-    images = [picture.pixels for picture in ask.pictures]
-    found = []
-    for number, (one, other) in enumerate(itertools.pairwise(images)):
-        mark = f" {number + 1}" if len(images) > 2 else ""
-
-        def marked(stage: str, share: float, mark: str = mark) -> None:
-            report(f"{stage}{mark}", share)
-
-        found.append(morph(one, other, options, backend=operations, progress=marked))
-    return found
+def _task(ask: Ask, options: Options, operations: Operations) -> Task:
+    pictures = [picture.pixels for picture in ask.pictures]
+    return Task(pictures, ask.painted, options, operations, ask.choices.sides)
 
 
-def _parameters(ask: Ask, options: MorphOptions, operations: Operations) -> dict[str, Any]:
-    entries = picture_entries([picture.path for picture in ask.pictures])
-    return recipe(options, images=entries, device=operations.description)
+def _parameters(ask: Ask, options: Options, operations: Operations) -> dict[str, Any]:
+    kind = ask.choices.kind
+    beside = {kind.painted: picture_entries(ask.painted)} if ask.painted else {}
+    return recipe(
+        options, images=picture_entries([picture.path for picture in ask.pictures]),
+        device=operations.description, beside=beside,
+        mixes=ask.choices.mixes,
+    )  # fmt: skip
 
 
 def checking(stage: str, share: float) -> None:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_integer, shown
 from clmorph.backends.arrays import as_floats
@@ -124,6 +125,34 @@ def grid_layout(n_images: int, grid: Any = None) -> Layout:
     down, along = np.array([(row, k) for row in range(n) for k in range(row + 1)]).T
     weights = np.stack((n - 1 - down, down - along, along), axis=1) / (n - 1)
     return Layout(weights, np.stack((along + 0.5 * (n - 1 - down), down), axis=1), (n, n))
+
+
+def grid_sides(name: str, text: Any) -> int | tuple[int, ...]:
+    """Return the sides of a grid from a text such as 5x5 or 7.
+
+    Parameters
+    ----------
+    name : str
+        What the text is called in an error.
+    text : object
+
+    Raises
+    ------
+    InputError
+        If it is no such text.
+
+    Examples
+    --------
+    >>> grid_sides("grid", "3x5"), grid_sides("grid", "7")
+    ((3, 5), 7)
+    """
+    try:
+        sides = tuple(int(part) for part in str(text).lower().split("x"))
+    except ValueError:
+        sides = ()
+    if not 1 <= len(sides) <= 2:
+        raise InputError(f"{name} {printable(str(text), 40)}: expected rows x columns, such as 5x5")
+    return sides if len(sides) == 2 else sides[0]
 
 
 def path_weights(path: Any, n_images: int) -> Array:

@@ -10,6 +10,7 @@
 function makeLandmarks(changed) {
   let points = [];
   let sides = [];
+  let active = true;
 
   const pairs = () => points.filter((pair) => pair[0] && pair[1]);
   const clamp = (value, most) => Math.min(Math.max(value, 0), most);
@@ -91,9 +92,9 @@ function makeLandmarks(changed) {
     frame.tabIndex = 0;
     frame.setAttribute("role", "group");
     frame.setAttribute("aria-label", `Picture ${"AB"[side]}: Enter sets a landmark in its middle`);
-    frame.addEventListener("click", (event) => add(side, at(side, event)));
+    frame.addEventListener("click", (event) => { if (active) add(side, at(side, event)); });
     frame.addEventListener("keydown", (event) => {
-      if (event.key !== "Enter" || event.target !== frame) return;
+      if (!active || event.key !== "Enter" || event.target !== frame) return;
       add(side, [Math.round(picture.width / 2), Math.round(picture.height / 2)]);
       event.preventDefault();
     });
@@ -102,6 +103,11 @@ function makeLandmarks(changed) {
   return {
     pairs, attach, draw,
     detach() { sides = []; },
+    /** Whether clicks set landmarks; those that are there stay visible as long as they do. */
+    use(now) {
+      active = now;
+      for (const { frame } of sides) frame.classList.toggle("marking", now);
+    },
     clear() { points = []; draw(); },
     get any() { return points.length > 0; },
   };

@@ -5,9 +5,10 @@ const $ = (id) => document.getElementById(id);
 const PAUSE = 60;
 const state = {
   tab: "", pictures: [], number: 0, previewed: 0, running: null, shown: 0, settings: {}, view: null, coming: null,
-  options: {}, timer: 0, ready: null, log: [],
+  options: {}, timer: 0, ready: null, log: [], kind: null, film: true,
 };
 const landmarks = makeLandmarks(() => { marked(); later(); });
+const brush = makeBrush(painted);
 
 function element(name, attributes = {}, ...children) {
   const made = document.createElement(name);
@@ -62,6 +63,7 @@ function took({ pictures }) {
   state.pictures = pictures;
   if (before !== pictures.map(({ key }) => key).join()) landmarks.clear();
   landmarks.detach();
+  brush.detach();
   $("shown").replaceChildren();
   pictures.forEach((picture, index) => {
     const letter = String.fromCharCode(65 + index);
@@ -71,11 +73,14 @@ function took({ pictures }) {
     const remove = element("button", { type: "button", "aria-label": `Remove picture ${letter}`, title: "Remove" }, "×");
     remove.addEventListener("click", () => tell(of(`/pictures/${picture.key}/remove`)));
     $("shown").append(element("li", {}, frame, element("div", { class: "caption" }, link, remove)));
-    if (pictures.length === 2) landmarks.attach(index, frame, picture);
+    if (pictures.length === 2) {
+      landmarks.attach(index, frame, picture);
+      brush.attach(index, frame, picture);
+    }
   });
   $("invitation").hidden = pictures.length >= 2;
   $("swap").disabled = pictures.length < 2;
-  $("mark-help").hidden = pictures.length !== 2;
+  guides();
   marked();
   buttons();
   say("");
@@ -85,36 +90,144 @@ function took({ pictures }) {
 const tell = (path) => ask(path).then(took).catch((error) => fail(error.message));
 
 function marked() {
-  $("unmark").hidden = !landmarks.any;
+  $("unmark").hidden = !landmarks.any || !state.kind.landmarks;
+}
+
+/** Show what guides this kind of work: landmarks, the brush, or both by choice. */
+function guides() {
+  const { kind } = state;
+  const two = state.pictures.length === 2;
+  const both = kind.landmarks && kind.painted !== "";
+  $("guide").hidden = !two || !both;
+  const brushing = two && kind.painted !== "" && (!both || $("use-brush").checked);
+  brush.use(kind.painted, brushing);
+  $("colors").classList.toggle("one", kind.painted === "mask");
+  $("brush").hidden = !brushing;
+  landmarks.use(two && kind.landmarks && !brushing);
+  $("mark-help").hidden = !two || (!brushing && !kind.landmarks);
+  $("mark-help").textContent = !brushing
+    ? "Landmarks: click a point of A, then the point of B where it belongs. Drag a point to move it; Delete removes it."
+    : kind.painted === "mask"
+      ? "Paint what is to be recolored; without paint it is all of the picture."
+      : "Paint what belongs together in one color, on both pictures: each color goes only into itself, and so does what is not painted.";
+}
+
+/** Send painted regions, and show what follows from them. */
+async function painted(side) {
+  const { kind } = state;
+  const picture = state.pictures[side];
+  try {
+    const blank = !brush.any;
+    const sides = kind.painted === "mask" ? [0] : [0, 1];
+    for (const each of sides) {
+      // Both pictures have regions, or none has; an empty canvas is one without paint.
+      if (each !== side && !blank && state.pictures[each].painted[kind.painted]) continue;
+      const body = blank ? "" : await brush.png(each);
+      const path = of(`/pictures/${state.pictures[each].key}/painted/${kind.painted}`);
+      state.pictures.splice(0, state.pictures.length, ...(await ask(path, body)).pictures);
+    }
+    if (picture) files();
+    later();
+  } catch (error) {
+    fail(error.message);
+  }
+}
+
+/** Links to the files with painted regions, which the command needs beside the pictures. */
+function files() {
+  const { kind } = state;
+  $("unpaint").disabled = $("unpaint-last").disabled = !brush.any;
+  $("painted-files").replaceChildren();
+  for (const picture of state.pictures) {
+    const name = kind.painted && picture.painted[kind.painted];
+    if (!name) continue;
+    const path = of(`/pictures/${picture.key}/painted/${kind.painted}`);
+    $("painted-files").append(element("a", { href: path, download: name }, name), " ");
+  }
 }
 
 // Settings
 
-const controls = new Map();
+let controls = new Map();
 
-function build({ presets, options, devices, downloads }) {
+function build({ kinds, devices }) {
   for (const device of devices) $("device").append(element("option", { value: device.name }, device.label));
-  for (const name of Object.keys(presets)) $("preset").append(element("option", { value: name }, name));
-  const help = () => { $("preset-help").textContent = presets[$("preset").value]; };
-  $("preset").addEventListener("change", () => { help(); later(); });
   $("device").addEventListener("change", later);
-  help();
-  let panel = "";
-  for (const option of options) {
-    const control = makeControl(option);
-    controls.set(option.name, control);
-    if (!option.main && option.panel !== panel) {
-      panel = option.panel;
-      $("other-options").append(element("h2", {}, panel));
+  $("preset").addEventListener("change", () => { presetHelp(); later(); });
+  $("grid").addEventListener("input", later);
+  for (const kind of kinds) {
+    kind.controls = new Map();
+    kind.rows = { main: [], other: [] };
+    let panel = "";
+    for (const option of kind.options) {
+      const control = makeControl(option);
+      kind.controls.set(option.name, control);
+      if (!option.main && option.panel !== panel) {
+        panel = option.panel;
+        kind.rows.other.push(element("h2", {}, panel));
+      }
+      kind.rows[option.main ? "main" : "other"].push(control.row);
     }
-    $(option.main ? "main-options" : "other-options").append(control.row);
+    const tab = element("button", { type: "button", role: "tab", id: `kind-${kind.name}`, "aria-controls": "panel" }, kind.title);
+    tab.addEventListener("click", () => choose(kind));
+    tab.addEventListener("keydown", (event) => {
+      const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+      if (!step) return;
+      const next = kinds[(kinds.indexOf(kind) + step + kinds.length) % kinds.length];
+      choose(next);
+      $(`kind-${next.name}`).focus();
+      event.preventDefault();
+    });
+    $("kinds").append(tab);
   }
-  for (const ending of downloads) {
-    const name = ending === "json" ? "Recipe" : ending.toUpperCase();
-    const button = element("button", { type: "button", id: `get-${ending}` }, name);
+  const named = () => kinds.find(({ name }) => `#${name}` === location.hash);
+  window.addEventListener("hashchange", () => choose(named() || kinds[0]));
+  choose(named() || kinds[0]);
+}
+
+const presetHelp = () => { $("preset-help").textContent = state.kind.presets[$("preset").value] || ""; };
+
+/** Go to a tab: its controls take the place of those before; the pictures stay. */
+function choose(kind) {
+  if (state.kind === kind) return;
+  if (state.running !== null) ask(of("/cancel"), undefined).catch(() => {});
+  state.running = null;
+  state.kind = kind;
+  controls = kind.controls;
+  fail("");
+  for (const tab of $("kinds").children) {
+    const chosen = tab.id === `kind-${kind.name}`;
+    tab.setAttribute("aria-selected", String(chosen));
+    tab.tabIndex = chosen ? 0 : -1;
+  }
+  $("panel").setAttribute("aria-label", kind.title);
+  $("kind-help").textContent = kind.help;
+  if (location.hash.slice(1) !== kind.name) history.replaceState(null, "", `#${kind.name}`);
+  $("run").textContent = kind.action;
+  $("main-options").replaceChildren(...kind.rows.main);
+  $("other-options").replaceChildren(...kind.rows.other);
+  const preset = $("preset").value;
+  $("preset").replaceChildren(...Object.keys(kind.presets).map((name) => element("option", { value: name }, name)));
+  if (preset in kind.presets) $("preset").value = preset;
+  $("preset-row").hidden = !Object.keys(kind.presets).length;
+  presetHelp();
+  $("grid-row").hidden = !kind.grid;
+  $("downloads").replaceChildren(...kind.downloads.map((ending) => {
+    const button = element("button", { type: "button", id: `get-${ending}` }, ending === "json" ? "Recipe" : ending.toUpperCase());
     button.addEventListener("click", () => download(ending, button));
-    $("downloads").append(button);
-  }
+    return button;
+  }));
+  $("downloads").hidden = $("copied").hidden = true;
+  state.coming?.remove();
+  state.view?.remove();
+  state.coming = state.view = null;
+  $("empty").hidden = false;
+  guides();
+  marked();
+  files();
+  buttons();
+  say("");
+  later();
 }
 
 /** A control of an option: an empty value is the preset's. */
@@ -125,7 +238,7 @@ function makeControl(option) {
   row.append(element("label", { class: "name", for: id }, option.unit ? `${title} ` : title, ...(option.unit ? [element("small", {}, `(${option.unit})`)] : [])));
   const choices = option.flag ? ["yes", "no"] : option.choices;
   const input = choices ? element("select", { id }) : element("input", { id, type: "text", spellcheck: "false" });
-  if (choices) for (const choice of ["", ...choices]) input.append(element("option", { value: choice }, choice || "preset's"));
+  if (choices) for (const choice of ["", ...choices]) input.append(element("option", { value: choice }, choice || "default"));
   row.append(input);
   let slider = null;
   if (option.slider) {
@@ -170,7 +283,7 @@ function makeControl(option) {
     },
     usual(value) {
       const text = value === true ? "yes" : value === false ? "no" : Array.isArray(value) ? value.join(option.name === "canvas" ? "x" : ",") : String(value ?? "");
-      if (choices) input.options[0].textContent = `preset's: ${text}`;
+      if (choices) input.options[0].textContent = `default: ${text}`;
       else input.placeholder = text;
       if (input.value === "") {
         slider?.place(text);
@@ -188,7 +301,8 @@ function asked(number) {
     if (value !== undefined) settings[name] = value;
   }
   return JSON.stringify({
-    number, settings, preset: $("preset").value, device: $("device").value, landmarks: landmarks.pairs(),
+    number, settings, kind: state.kind.name, preset: $("preset").value || undefined, device: $("device").value,
+    grid: $("grid").value, landmarks: landmarks.pairs(), painted: state.kind.painted !== "" && brush.any,
   });
 }
 
@@ -198,6 +312,8 @@ function later() {
   clearTimeout(state.timer);
   state.timer = setTimeout(preview, PAUSE);
 }
+
+const enough = () => state.pictures.length >= state.kind.least && state.pictures.length <= state.kind.most;
 
 async function preview() {
   if (state.pictures.length < 2) return;
@@ -241,7 +357,7 @@ async function run() {
 
 function buttons() {
   const busy = state.running !== null;
-  $("run").disabled = busy || state.pictures.length < 2;
+  $("run").disabled = busy || !enough();
   $("cancel").hidden = $("progress").hidden = !busy;
   if (busy) $("progress").removeAttribute("value");
 }
@@ -255,14 +371,15 @@ function heard(message) {
     const left = message.left === null ? "" : `, ${message.left} s left`;
     say(`${message.stage} ${Math.round(100 * message.share)} %${message.note ? ` (${message.note})` : ""}${left}`);
   } else if (type === "preview" && number === state.number) {
-    show(message.url, number);
+    show(message, number);
     if (message.last && state.running === null) say("preview");
   } else if (type === "result" && number === state.running) {
     state.running = null;
     buttons();
-    show(message.url, number);
+    show(message, number);
     $("downloads").hidden = false;
-    say([`made in ${message.seconds} s; ${message.message}`, ...message.notes].join("; "));
+    if (message.command) [$("command").value, $("python").value] = [message.command, message.python];
+    say([`made in ${message.seconds} s`, message.message, ...message.notes].filter(Boolean).join("; "));
   } else if (type === "error" && (number === state.number || number === state.running)) {
     if (number === state.running) state.running = null;
     buttons();
@@ -275,37 +392,61 @@ function heard(message) {
   }
 }
 
-/** Show a viewer's page in place of the one before, once it is ready, at the same time of the morph. */
-function show(url, number) {
+/** Show a result in place of the one before, once it is ready; a film at the same time as that. */
+function show({ url, film }, number) {
   state.coming?.remove();
-  const frame = element("iframe", { src: url, title: "Viewer of the morph", class: "coming" });
-  state.coming = frame;
-  frame.addEventListener("load", async () => {
-    const viewer = frame.contentWindow?.clmorph;
-    if (!viewer || state.coming !== frame) return;
-    await viewer.ready;
+  const view = film ? element("iframe", { src: url, title: "Viewer", class: "coming" }) : still(url);
+  state.coming = view;
+  const ready = async () => {
+    const viewer = view.contentWindow?.clmorph;
+    if ((film && !viewer) || state.coming !== view) return;
+    if (film) await viewer.ready;
     const old = state.view?.contentWindow?.clmorph;
-    if (old) {
+    if (film && old) {
       await viewer.seek(old.time);
       for (const name of ["loop", "speed"]) viewer.set(name, old[name]);
       if (!old.playing) viewer.pause();
     }
-    if (state.coming !== frame) return;
-    frame.classList.remove("coming");
+    if (state.coming !== view) return;
+    view.classList.remove("coming");
     state.view?.remove();
-    state.view = frame;
+    state.view = view;
     state.coming = null;
     state.shown = number;
     $("empty").hidden = true;
     const entry = state.log.find((each) => each.number === number && !each.shown);
     if (entry) entry.shown = performance.now();
-  });
-  $("views").append(frame);
+  };
+  (film ? view : view.querySelector("img.result")).addEventListener("load", ready);
+  $("views").append(view);
+}
+
+/** A picture; beside what it was made of, if that has the same place. */
+function still(url) {
+  const box = element("div", { class: "still" });
+  const result = element("img", { src: url, class: "result", alt: `${state.kind.title}: the result` });
+  const view = element("div", { class: "still-view coming" }, box);
+  box.append(result);
+  if (state.kind.name === "recolor") {
+    const [{ width, height }] = state.pictures;
+    box.style.width = `min(100%, calc((100dvh - 13rem) * ${width / height}))`;
+    const before = element("img", { src: of(`/pictures/${state.pictures[0].key}/shown`), class: "before", alt: "Picture A as it was" });
+    const divider = element("input", { type: "range", class: "divider", min: "0", max: "100", value: state.divider ?? "0", "aria-label": "Divider: the picture as it was stands at its left" });
+    const place = () => {
+      state.divider = divider.value;
+      before.style.clipPath = `inset(0 ${100 - Number(divider.value)}% 0 0)`;
+      box.style.setProperty("--at", `${divider.value}%`);
+    };
+    divider.addEventListener("input", place);
+    box.append(before, divider);
+    place();
+  }
+  return view;
 }
 
 async function download(ending, button) {
   button.disabled = true;
-  say(`writing morph.${ending}`);
+  say(`writing the ${ending === "json" ? "recipe" : ending.toUpperCase()}`);
   try {
     const answer = await fetch(of(`/files/${ending}`));
     if (!answer.ok) throw new Error((await answer.json()).line);
@@ -330,6 +471,9 @@ $("choose").addEventListener("change", async () => {
 $("samples").addEventListener("click", () => tell(of("/samples")));
 $("swap").addEventListener("click", () => tell(of("/swap")));
 $("unmark").addEventListener("click", () => { landmarks.clear(); marked(); later(); });
+$("guide").addEventListener("change", guides);
+$("unpaint").addEventListener("click", () => brush.clear());
+$("unpaint-last").addEventListener("click", () => brush.undo());
 $("run").addEventListener("click", run);
 $("cancel").addEventListener("click", () => {
   say("cancelling");
@@ -337,6 +481,7 @@ $("cancel").addEventListener("click", () => {
 });
 $("reset").addEventListener("click", () => {
   for (const control of controls.values()) control.reset();
+  $("grid").value = "";
   later();
 });
 $("controls").addEventListener("submit", (event) => event.preventDefault());
@@ -371,4 +516,4 @@ async function begin() {
 }
 
 /** For scripts and tests: ready, and the state, to be read. */
-window.studio = { ready: begin().catch((error) => fail(error.message)), state, landmarks };
+window.studio = { ready: begin().catch((error) => fail(error.message)), state, landmarks, brush };

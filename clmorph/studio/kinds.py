@@ -1,0 +1,172 @@
+"""The kinds of work that the page offers, each a tab of it: what it needs and how it is named."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from clmorph._shared.options import Option, Options, outside_name, specifications
+from clmorph.pipeline.mixing.weights import MOST_IMAGES
+from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
+from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.recolor_options import RecolorOptions
+
+#: Largest number of pictures in a tab.
+MAX_PICTURES = MOST_IMAGES
+#: Formats of films, and of pictures, with the recipe, that the page offers by their endings.
+FILMS, STILLS = ("gif", "webp", "mp4", "html", "json"), ("png", "json")
+
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of work.
+
+    Attributes
+    ----------
+    name : str
+        The command of the command line that does the same.
+    title, action : str
+        What the page calls it, and what the button says that begins it.
+    help : str
+        What it does, in a sentence.
+    options : type
+        The class of its options, in which its controls are described.
+    main : mapping
+        The options that stand first, each with what it does to the picture.
+    sliders : mapping
+        Ends of their sliders, in the unit outside, and whether a step multiplies.
+    least, most : int
+        Numbers of pictures.
+    downloads : tuple of str
+        Endings of the files that the page offers.
+    output : str
+        The name of the file, without its ending.
+    film : bool
+        Whether the result is a film, and not a picture.
+    presets : bool
+        Whether there are presets.
+    grid : bool
+        Whether it shows a grid, whose sides are asked for.
+    landmarks : bool
+        Whether pairs of points can guide it.
+    painted : str
+        What painted regions are: "labels" of both pictures, a "mask" of the first one, or "".
+    """
+
+    name: str
+    title: str
+    action: str
+    help: str
+    options: type[Options]
+    main: Mapping[str, str]
+    sliders: Mapping[str, tuple[float, float, bool]] = field(default_factory=lambda: _NOTHING)
+    least: int = 2
+    most: int = MAX_PICTURES
+    downloads: tuple[str, ...] = FILMS
+    output: str = "morph"
+    film: bool = True
+    presets: bool = False
+    grid: bool = False
+    landmarks: bool = False
+    painted: str = ""
+
+    def described(self) -> dict[str, Any]:
+        """Return the description of the kind and of its controls, for the page."""
+        return {
+            "name": self.name, "title": self.title, "action": self.action, "help": self.help,
+            "least": self.least, "most": self.most, "downloads": list(self.downloads),
+            "landmarks": self.landmarks, "painted": self.painted, "grid": self.grid,
+            "presets": _presets() if self.presets else {},
+            "options": [
+                self._control(name, known)
+                for name, known in specifications(self.options).items()
+                if not known.kind.several
+            ],
+        }  # fmt: skip
+
+    def _control(self, name: str, known: Option) -> dict[str, Any]:
+        schema = known.kind.schema
+        found: dict[str, Any] = {
+            "name": outside_name(name, known), "help": self.main.get(name, known.help),
+            "unit": known.unit, "panel": known.panel, "word": known.word,
+            "main": name in self.main, "flag": not known.kind.metavar,
+        }  # fmt: skip
+        if "enum" in schema:
+            found["choices"] = [*schema["enum"], *([known.word] if known.word else [])]
+        if name in self.sliders:
+            low, high, multiplies = self.sliders[name]
+            whole = schema.get("type") == "integer"
+            found["slider"] = {"low": low, "high": high, "multiplies": multiplies, "whole": whole}
+        return found
+
+
+def _presets() -> dict[str, str]:
+    return {AUTO: AUTO_HELP, **{name: each.help for name, each in PRESETS.items()}}
+
+
+_MORPH_MAIN = {
+    "blur": "Small: sharp and exact. Large: whole regions move together, softly.",
+    "reach": "How far things may travel. What has no counterpart within it fades.",
+    "color_weight": "High: colors stay and things travel far. Low: things stay and change color.",
+    "size": "Pixels along the longer side. Larger takes longer.",
+}
+_FRAMES = {"n_frames": "Number of frames. More are smoother."}
+_MORPH_SLIDERS = {
+    "blur": (0.003, 0.3, True),
+    "reach": (0.02, 2.0, True),
+    "color_weight": (0.0, 4.0, False),
+    "size": (16, 512, True),
+    "n_frames": (2, 120, False),
+}
+
+KINDS: dict[str, Kind] = {
+    kind.name: kind
+    for kind in (
+        Kind(
+            "morph", "Morph", "Make the morph",
+            "Things of one picture travel to those of the next one, and fade where they have no "
+            "counterpart.",
+            MorphOptions, _MORPH_MAIN | _FRAMES, _MORPH_SLIDERS,
+            presets=True, landmarks=True, painted="labels",
+        ),
+        Kind(
+            "rearrange", "Rearrange", "Rearrange the pixels",
+            "The pixels of picture A, each with its own color, move so that they form picture B.",
+            RearrangeOptions,
+            {
+                "color_weight": "High: the picture is met better. Low: pixels take shorter ways.",
+                "size": "Pixels along the longer side. Larger takes longer.",
+                **_FRAMES,
+            },
+            {name: _MORPH_SLIDERS[name] for name in ("color_weight", "size", "n_frames")},
+            output="rearranged",
+        ),
+        Kind(
+            "recolor", "Recolor", "Recolor the picture",
+            "Picture A takes the colors of picture B, and everything stays in its place.",
+            RecolorOptions,
+            {
+                "strength": "0 keeps the picture, 1 takes the colors of the other one in full.",
+                "blur": "Small: every color moves for itself. Large: like colors stay alike.",
+                "reach": "How far colors may change.",
+            },
+            {
+                "strength": (0.0, 1.0, False),
+                "blur": (0.01, 0.5, True),
+                "reach": (0.05, 2.0, True),
+            },
+            most=2, downloads=STILLS, output="recolored", film=False, painted="mask",
+        ),
+        Kind(
+            "mix", "Mix", "Make the mixes",
+            "A sheet of pictures between two to eight pictures: a row, a triangle, or a grid with "
+            "the pictures at its corners.",
+            MorphOptions, _MORPH_MAIN,
+            {name: ends for name, ends in _MORPH_SLIDERS.items() if name in _MORPH_MAIN},
+            downloads=STILLS, output="mixes", film=False, presets=True, grid=True,
+        ),
+    )
+}  # fmt: skip

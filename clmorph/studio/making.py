@@ -1,0 +1,247 @@
+"""Make what the page asks for, by the same steps as the command line: films, pictures, sheets."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from clmorph._shared.files import atomic_path
+from clmorph._shared.progress import StageProgress
+from clmorph._shared.typing import Array
+from clmorph.backends.interface import Operations
+from clmorph.frames.sequence import FrameSequence
+from clmorph.images.label_maps import read_labels, reduced_labels
+from clmorph.images.pixels import fit
+from clmorph.output.picture import write_picture
+from clmorph.output.save import Output, save
+from clmorph.pipeline.mixing.mix import check_images, mixes_of
+from clmorph.pipeline.mixing.writing import write_sheet
+from clmorph.pipeline.morph import morph
+from clmorph.pipeline.options import MorphOptions
+from clmorph.pipeline.presets import DRAFT_TOL
+from clmorph.pipeline.rearrange import arranged
+from clmorph.pipeline.rearrange_options import RearrangeOptions
+from clmorph.pipeline.recolor import recolored
+
+#: Largest number of blocks and of particles of a preview.
+BLOCKS, PARTICLES = 48, 40_000
+#: Size and number of frames of each step of a preview of a morph: first fast, then finer; of a
+#: rearrangement; size of mixes; and the longer sides of both pictures where one is recolored.
+MORPH_STEPS, REARRANGE_STEPS = ((40, 5), (96, 12)), ((32, 6), (64, 16))
+MIX_STEPS, RECOLOR_SIDES = (24, 48), (320, 128)
+
+
+class Made(Protocol):
+    """What was made; it can be written to a file."""
+
+    @property
+    def message(self) -> str:
+        """How the computation ended, in a line; "" if there is nothing to say."""
+
+    def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
+        """Write it to a file in the format of its ending."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """Morphs, or rearrangements, one after the other."""
+
+    parts: Sequence[FrameSequence]
+
+    @property
+    def message(self) -> str:
+        """How the solve with the largest residual ended."""
+        return max(self.parts, key=lambda each: each.potentials.residual).potentials.message
+
+    def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
+        """Write it to a file in the format of its ending."""
+        save(self.parts, path, parameters=parameters, progress=report)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture: (H, W, 3) or (H, W, 4) array, sRGB in [0, 1]."""
+
+    pixels: Array
+    message: str = ""
+
+    def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
+        """Write it to a file in the format of its ending."""
+        with atomic_path(path) as file:
+            write_picture(self.pixels, parameters, file)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Mixes side by side: (H, W, 3) or (H, W, 4) array in 8 bits."""
+
+    pixels: np.ndarray[Any, np.dtype[np.uint8]]
+    message: str = ""
+
+    def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
+        """Write it to a file in the format of its ending."""
+        write_sheet([Output(path)], self.pixels, parameters)
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be made.
+
+    Attributes
+    ----------
+    pictures : sequence of arrays
+    painted : sequence of Path
+        Files with painted regions, by what `clmorph.studio.kinds.Kind.painted` says.
+    options : Options
+    operations : Operations
+    grid : int, pair of int, or None
+    """
+
+    pictures: Sequence[Array]
+    painted: Sequence[Path]
+    options: Any
+    operations: Operations
+    grid: Any = None
+
+
+def make_morphs(task: Task, report: StageProgress) -> Film:
+    """Morph each picture into the next one."""
+    labels = tuple(read_labels(path) for path in task.painted)
+    found = []
+    for number, (one, other) in enumerate(itertools.pairwise(task.pictures), 1):
+        found.append(
+            morph(
+                one, other, task.options, backend=task.operations,
+                labels=(labels[0], labels[1]) if labels else None,
+                progress=_marked(report, number, len(task.pictures)),
+            )
+        )  # fmt: skip
+    return Film(found)
+
+
+def make_rearrangements(task: Task, report: StageProgress) -> Film:
+    """Move the pixels of the first picture so that they form each next one."""
+    pixels, found = task.pictures[0], []
+    for number, picture in enumerate(task.pictures[1:], 1):
+        marked = _marked(report, number, len(task.pictures))
+        found.append(arranged((pixels, picture), task.options, task.operations, marked))
+        pixels = found[-1][-1].astype(float)
+    return Film(found)
+
+
+def make_recolored(task: Task, report: StageProgress) -> Picture:
+    """Give the first picture the colors of the second one."""
+    mask = None
+    if task.painted:
+        mask = (read_labels(task.painted[0]) > 0).astype(float)
+        if mask.shape != task.pictures[0].shape[:2]:  # of a preview
+            shape = task.pictures[0].shape
+            mask = reduced_labels(mask.astype(np.int64), (shape[0], shape[1])).astype(float)
+    photo, like = task.pictures
+    found = recolored(photo, like, task.options, mask, task.operations, report)
+    changed = 255 * float(np.abs(found - photo)[..., :3].mean())
+    return Picture(found, f"colors changed by {changed:.0f} of 255 on average")
+
+
+def make_mixes(task: Task, report: StageProgress) -> Sheet:
+    """Mix pictures on a sheet."""
+    mixes = mixes_of(
+        check_images(list(task.pictures)), None, task.options, grid=task.grid, preset=None,
+        draft=False, backend=task.operations, progress=report, given={},
+    )  # fmt: skip
+    return Sheet(mixes.sheet(task.options.background), f"{len(mixes)} mixes")
+
+
+def _marked(report: StageProgress, number: int, count: int) -> StageProgress:
+    mark = f" {number}" if count > 2 else ""
+    return lambda stage, share: report(f"{stage}{mark}", share)
+
+
+#: What makes the result of each kind.
+MAKERS: dict[str, Callable[[Task, StageProgress], Made]] = {
+    "morph": make_morphs,
+    "rearrange": make_rearrangements,
+    "recolor": make_recolored,
+    "mix": make_mixes,
+}
+
+
+def small_tasks(kind: str, task: Task) -> list[Task]:
+    """Return tasks for previews, each finer than the one before.
+
+    Parameters
+    ----------
+    kind : str
+        A name of `clmorph.studio.kinds.KINDS`.
+    task : Task
+        The task whose result is previewed.
+    """
+    found: list[Task] = []
+    for small in _SMALLER[kind](task):
+        if not found or small.options != found[-1].options:
+            found.append(small)
+    return found
+
+
+def _with(task: Task, options: Any, pictures: Sequence[Array] | None = None) -> Task:
+    pictures = task.pictures if pictures is None else pictures
+    return Task(pictures, task.painted, options, task.operations, task.grid)
+
+
+def _least(value: int | None, most: int) -> int:
+    return most if value is None else min(value, most)
+
+
+def _slower(options: Any, frames: int) -> dict[str, Any]:
+    """Return the number of frames of a preview, which plays as long as the whole film."""
+    pace = (options.fps or 20.0) * min(frames, options.n_frames) / options.n_frames
+    fps = None if options.fps is None else max(pace, 0.1)
+    return {"n_frames": min(options.n_frames, frames), "fps": fps}
+
+
+def _quick(options: MorphOptions, size: int) -> dict[str, Any]:
+    """Return options for a small and rough solve."""
+    return {
+        "size": _least(options.size, size), "solve_size": _least(options.solve_size, BLOCKS),
+        "tol": max(options.tol, DRAFT_TOL),
+        "max_particles": _least(options.max_particles, PARTICLES),
+    }  # fmt: skip
+
+
+def _small_morphs(task: Task) -> list[Task]:
+    options: MorphOptions = task.options
+    return [
+        _with(task, options.replace(**_quick(options, size), **_slower(options, frames)))
+        for size, frames in MORPH_STEPS
+    ]
+
+
+def _small_rearrangements(task: Task) -> list[Task]:
+    options: RearrangeOptions = task.options
+    return [
+        _with(task, options.replace(size=_least(options.size, size), **_slower(options, frames)))
+        for size, frames in REARRANGE_STEPS
+    ]
+
+
+def _small_recolored(task: Task) -> list[Task]:
+    """Return one task: neither the picture nor the colors that it takes need all pixels."""
+    photo, like = (fit(each, side) for each, side in zip(task.pictures, RECOLOR_SIDES, strict=True))
+    shrunk = max(photo.shape[:2]) / max(task.pictures[0].shape[:2])
+    return [_with(task, task.options.replace(feather=task.options.feather * shrunk), (photo, like))]
+
+
+def _small_mixes(task: Task) -> list[Task]:
+    options: MorphOptions = task.options
+    return [_with(task, options.replace(**_quick(options, size))) for size in MIX_STEPS]
+
+
+_SMALLER: dict[str, Callable[[Task], list[Task]]] = {
+    "morph": _small_morphs,
+    "rearrange": _small_rearrangements,
+    "recolor": _small_recolored,
+    "mix": _small_mixes,
+}
