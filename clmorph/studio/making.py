@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -25,6 +25,7 @@ from clmorph.pipeline.presets import DRAFT_TOL
 from clmorph.pipeline.rearrange import arranged
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recolor import recolored
+from clmorph.studio.overlays import CREATED, DESTROYED, tinted, unmatched_shares
 
 #: Largest number of blocks and of particles of a preview.
 BLOCKS, PARTICLES = 48, 40_000
@@ -41,6 +42,10 @@ class Made(Protocol):
     def message(self) -> str:
         """How the computation ended, in a line; "" if there is nothing to say."""
 
+    @property
+    def unmatched(self) -> list[tuple[str, str]]:
+        """Pictures of destroyed and of created mass for each part, as addresses of data."""
+
     def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
         """Write it to a file in the format of its ending."""
 
@@ -56,6 +61,17 @@ class Film:
         """How the solve with the largest residual ended."""
         return max(self.parts, key=lambda each: each.potentials.residual).potentials.message
 
+    @property
+    def unmatched(self) -> list[tuple[str, str]]:
+        """Pictures of destroyed and of created mass for each morph; none if all mass moves."""
+        shares = [unmatched_shares(part) for part in self.parts]
+        if not any(np.any(share > 0) for both in shares for share in both):
+            return []
+        return [
+            (tinted(destroyed, DESTROYED), tinted(created, CREATED))
+            for destroyed, created in shares
+        ]
+
     def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
         """Write it to a file in the format of its ending."""
         save(self.parts, path, parameters=parameters, progress=report)
@@ -67,6 +83,7 @@ class Picture:
 
     pixels: Array
     message: str = ""
+    unmatched: list[tuple[str, str]] = field(default_factory=list)
 
     def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
         """Write it to a file in the format of its ending."""
@@ -80,6 +97,7 @@ class Sheet:
 
     pixels: np.ndarray[Any, np.dtype[np.uint8]]
     message: str = ""
+    unmatched: list[tuple[str, str]] = field(default_factory=list)
 
     def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
         """Write it to a file in the format of its ending."""

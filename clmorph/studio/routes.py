@@ -42,6 +42,7 @@ PAGE = {
     "/studio.js": ("studio.js", "text/javascript"),
     "/landmarks.js": ("landmarks.js", "text/javascript"),
     "/brush.js": ("brush.js", "text/javascript"),
+    "/compare.js": ("compare.js", "text/javascript"),
 }
 #: Media types of what the page shows.
 MEDIA = {".html": "text/html", ".png": "image/png"}
@@ -309,6 +310,8 @@ class Studio:
     async def file(self, request: Request, tab: Tab) -> Response:
         """Write a file of the last run, and return it."""
         ending, result = request.path_params["ending"], tab.result
+        if all(ending not in kind.downloads for kind in KINDS.values()):
+            return _missing()
         if result is None:
             raise InputError("nothing to download yet: run it first")
         kind = result.choices.kind

@@ -155,15 +155,21 @@ def _address(host: str, port: int) -> str:
 
 def _devices(first: str) -> list[dict[str, str]]:
     """Return the devices for the page, each with its name and its measured speed."""
-    usual = [{"name": first, "label": f"{first}: {get_backend(first).description}"}]
+    operations = get_backend(first)
+    label = f"{first}: {operations.description}{_speed(operations.pairs_per_second)}"
+    usual = [{"name": first, "label": label}]
     found = [
         {
             "name": device.index,
-            "label": f"{device.name} ({device.platform}): "
-            f"{device.pairs_per_second / 1e9:.2g} · 10⁹ pairs/s",
+            "label": f"{device.name} ({device.platform}){_speed(device.pairs_per_second)}",
         }
         for device in find_devices()
         if device.usable
     ]
     numpy = [{"name": "numpy", "label": "NumPy (slow, for checking)"}]
     return usual + [each for each in found + numpy if each["name"] != first]
+
+
+def _speed(pairs_per_second: float) -> str:
+    """Return a measured speed as the end of a label; "" if there is none."""
+    return f": {pairs_per_second / 1e9:.2g} · 10⁹ pairs/s" if pairs_per_second else ""

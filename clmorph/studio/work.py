@@ -81,7 +81,7 @@ def preview(ask: Ask) -> None:
         made.write(path, _parameters(ask, small.options, operations), checking)
         ask.tab.publish(
             "preview", number=ask.number, step=step, url=ask.tab.view(name, path),
-            film=kind.film, last=step == len(steps) - 1,
+            film=kind.film, last=step == len(steps) - 1, unmatched=made.unmatched,
         )  # fmt: skip
 
 
@@ -113,7 +113,8 @@ def run(ask: Ask) -> None:
     tab.publish(
         "result", number=ask.number, url=tab.view(f"result-{ask.number}", path), film=kind.film,
         seconds=round(time.perf_counter() - began, 2), message=made.message,
-        notes=[printable(str(each.message), MESSAGE) for each in found], **words,
+        notes=[printable(str(each.message), MESSAGE) for each in found],
+        unmatched=made.unmatched, **words,
     )  # fmt: skip
 
 

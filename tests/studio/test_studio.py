@@ -2,151 +2,32 @@
 
 import http.client
 import json
-import os
-import re
-import shlex
 import signal
 import struct
-import subprocess
-import sys
 import time
 import zlib
-from contextlib import contextmanager
 
-import numpy as np
-import pytest
-from browsers import chromium
-from PIL import Image
+from studio_pages import (
+    browser,
+    fetched,
+    fill,
+    finished,
+    frame,
+    opened,
+    pictures,
+    place,
+    port,
+    run,
+    same_by,
+    served,
+    take,
+    until,
+)
 
-
-@contextmanager
-def served(tmp, *arguments):
-    """Start the studio with a folder for temporary files; yield its process and port."""
-    tmp.mkdir(exist_ok=True)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "clmorph", "studio", "--port", "0", "--no-browser", *arguments],
-        stderr=subprocess.PIPE, text=True, env=os.environ | {"TMPDIR": str(tmp)},
-    )  # fmt: skip
-    try:
-        line = process.stderr.readline()
-        process.line = line
-        found = re.search(r"http://\S+?:(\d+)/", line)
-        assert found, line + process.stderr.read()
-        yield process, int(found[1])
-    finally:
-        process.kill()
-        process.communicate()
+__all__ = ["browser", "opened", "pictures", "place", "port"]
 
 
-@pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    return tmp_path_factory.mktemp("studio")
-
-
-@pytest.fixture(scope="module")
-def port(place):
-    with served(place / "tmp") as (_, port):
-        yield port
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture
-def opened(browser, port):
-    """Open pages; each must be without errors, and ask nobody but the studio."""
-    bad, contexts = [], []
-
-    def open_page(**options):
-        context = browser.new_context(
-            **({"viewport": {"width": 1280, "height": 900}, "reduced_motion": "reduce"} | options)
-        )
-        contexts.append(context)
-        page = context.new_page()
-        page.on("pageerror", lambda error: bad.append(str(error)))
-        page.on(
-            "request",
-            lambda request: (
-                None
-                if request.url.startswith((f"http://127.0.0.1:{port}/", "data:", "blob:"))
-                else bad.append(request.url)
-            ),
-        )
-        page.goto(f"http://127.0.0.1:{port}/")
-        page.evaluate("studio.ready")
-        return page
-
-    yield open_page
-    for context in contexts:
-        context.close()
-    assert bad == []
-
-
-@pytest.fixture(scope="module")
-def pictures(place):
-    """Two drawn pictures in a folder, one of them with a name that shells take apart."""
-    rng = np.random.default_rng(1)
-    paths = []
-    for name, shape, color in (("a one's.png", (48, 60), 0), ("b.png", (56, 44), 2)):
-        pixels = np.full((*shape, 3), 200, np.uint8)
-        pixels[10:30, 8:28] = 40
-        pixels[10:30, 8:28, color] = 250
-        pixels += rng.integers(0, 6, pixels.shape, dtype=np.uint8)
-        Image.fromarray(pixels).save(place / name)
-        paths.append(place / name)
-    return paths
-
-
-def until(page, condition, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not page.evaluate(f"Boolean({condition})"):
-        assert time.monotonic() < end, (condition, page.inner_text("body"))
-        time.sleep(0.02)
-
-
-def take(page, paths):
-    """Give pictures, and wait for the preview."""
-    page.set_input_files("#choose", [str(path) for path in paths])
-    until(page, "studio.state.shown === studio.state.number && studio.state.shown > 0")
-
-
-def fill(page, **values):
-    """Set options; those that are folded away are unfolded."""
-    page.evaluate("document.getElementById('more').open = true")
-    for name, value in values.items():
-        page.fill(f"#option-{name}", value)
-
-
-def frame(page, time):
-    """The pixels of the viewer's frame at a time, as a digest."""
-    return page.evaluate(
-        """async (time) => { const view = studio.state.view.contentWindow;
-        await view.clmorph.seek(time);
-        return view.document.getElementById("canvas").toDataURL(); }""",
-        time,
-    )
-
-
-def run(page):
-    page.click("#run")
-    finished(page)
-
-
-def finished(page):
-    until(page, "!document.getElementById('downloads').hidden")
-    until(page, "studio.state.shown === studio.state.number")
-
-
-def fetched(page, ending):
-    with page.expect_download() as found:
-        page.click(f"#get-{ending}")
-    return found.value.path().read_bytes()
-
-
-def test_from_two_pictures_to_the_same_file_as_the_command(opened, pictures):
+def test_from_two_pictures_to_the_same_file_as_the_command(opened, pictures, place):
     page = opened()
     # One is dropped, the other one chosen.
     page.evaluate(
@@ -178,27 +59,16 @@ def test_from_two_pictures_to_the_same_file_as_the_command(opened, pictures):
     began = time.monotonic()
     until(page, "document.getElementById('status').textContent === 'cancelled'", 10)
     assert time.monotonic() - began < 5
-    assert page.locator("#views iframe").count() == 1
+    assert page.locator("#views iframe:not(.previous)").count() == 1
     fill(page, frames="6")
     page.select_option("#option-reverse", "yes")
     run(page)
     assert page.evaluate("studio.state.view.contentWindow.clmorph.times.length") == 6
     assert frame(page, 0.2) != frame(page, 0.8)
     gif = fetched(page, "gif")
-    for name, suffix in (("command", ".sh"), ("python", ".py")):
-        folder = pictures[0].parent / name
-        folder.mkdir()
-        for path in pictures:
-            (folder / path.name).write_bytes(path.read_bytes())
-        text = page.input_value(f"#{name}")
-        if suffix == ".py":
-            command = [sys.executable, "-c", text]
-        else:
-            words = shlex.split(text)
-            assert words[:2] == ["clmorph", "morph"]
-            command = [sys.executable, "-m", *words]
-        subprocess.run(command, cwd=folder, check=True, capture_output=True)
-        assert (folder / "morph.gif").read_bytes() == gif, name
+    for which in ("command", "python"):
+        own = [(path, path.name) for path in pictures]
+        assert same_by(page, which, place / which, own, "morph.gif") == gif, which
     recipe = json.loads(fetched(page, "json"))
     assert recipe["options"]["frames"] == 6
     assert [image["file"] for image in recipe["images"]] == [path.name for path in pictures]

@@ -21,6 +21,7 @@ function makeBrush(changed) {
   const kinds = { labels: new Map(), mask: new Map() }; // canvases by the keys of pictures
   let kind = "";
   let painting = false;
+  let strokes = 0;
   const before = [];
 
   LABELS.forEach(([color, name], index) => {
@@ -93,6 +94,7 @@ function makeBrush(changed) {
     const end = () => {
       if (!last) return;
       last = null;
+      strokes += 1;
       changed(sideOf(key));
     };
     canvas.addEventListener("pointerup", end);
@@ -136,6 +138,8 @@ function makeBrush(changed) {
     get any() {
       return sides.length === 2 && Boolean(kind) && sides.some((_, side) => !isBlank(canvasOf(side)));
     },
+    /** The number of changes so far, which tells one state from another. */
+    get strokes() { return strokes; },
     png(side) {
       return new Promise((resolve) => { canvasOf(side).toBlob(resolve, "image/png"); });
     },
@@ -145,12 +149,14 @@ function makeBrush(changed) {
         canvas?.getContext("2d", READ).clearRect(0, 0, canvas.width, canvas.height);
       });
       before.length = 0;
+      strokes += 1;
       changed(0);
     },
     undo() {
       const [key, canvas, data] = before.pop() ?? [];
       if (!key) return;
       canvas.getContext("2d", READ).putImageData(data, 0, 0);
+      strokes += 1;
       changed(Math.max(0, sideOf(key)));
     },
   };

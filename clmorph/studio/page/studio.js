@@ -5,10 +5,15 @@ const $ = (id) => document.getElementById(id);
 const PAUSE = 60;
 const state = {
   tab: "", pictures: [], number: 0, previewed: 0, running: null, shown: 0, settings: {}, view: null, coming: null,
-  options: {}, timer: 0, ready: null, log: [], kind: null, film: true,
+  options: {}, timer: 0, ready: null, log: [], kind: null, asks: new Map(), viewed: null,
 };
 const landmarks = makeLandmarks(() => { marked(); later(); });
 const brush = makeBrush(painted);
+const compare = makeCompare(
+  document.getElementById("views"),
+  () => (state.view?.tagName === "IFRAME" ? state.view : null),
+  () => state.pictures.map(({ key }) => of(`/pictures/${key}/shown`)),
+);
 
 function element(name, attributes = {}, ...children) {
   const made = document.createElement(name);
@@ -61,7 +66,10 @@ async function add(files) {
 function took({ pictures }) {
   const before = state.pictures.map(({ key }) => key).join();
   state.pictures = pictures;
-  if (before !== pictures.map(({ key }) => key).join()) landmarks.clear();
+  if (before !== pictures.map(({ key }) => key).join()) {
+    landmarks.clear();
+    state.viewed = null; // other pictures are no other settings
+  }
   landmarks.detach();
   brush.detach();
   $("shown").replaceChildren();
@@ -221,6 +229,9 @@ function choose(kind) {
   state.coming?.remove();
   state.view?.remove();
   state.coming = state.view = null;
+  state.viewed = null;
+  compare.clear();
+  over(false);
   $("empty").hidden = false;
   guides();
   marked();
@@ -303,7 +314,37 @@ function asked(number) {
   return JSON.stringify({
     number, settings, kind: state.kind.name, preset: $("preset").value || undefined, device: $("device").value,
     grid: $("grid").value, landmarks: landmarks.pairs(), painted: state.kind.painted !== "" && brush.any,
+    strokes: brush.strokes,
   });
+}
+
+/** What is asked, kept by its number until it is shown. */
+function remembered(number) {
+  const body = asked(number);
+  for (const old of state.asks.keys()) if (old < number - 20) state.asks.delete(old);
+  state.asks.set(number, { body, options: {} });
+  return body;
+}
+
+function known(number, { options }) {
+  if (state.asks.has(number)) state.asks.get(number).options = options;
+}
+
+/** The settings that differ, in a few words; "" if none does. */
+function difference(before, now) {
+  if (!before || !now) return "";
+  const [old, other] = [JSON.parse(before.body), JSON.parse(now.body)];
+  const words = [];
+  for (const name of new Set([...Object.keys(old.settings), ...Object.keys(other.settings)])) {
+    if (old.settings[name] === other.settings[name]) continue;
+    const value = old.settings[name] ?? before.options[name] ?? "as usual";
+    words.push(`${name.replaceAll("_", " ")} ${value === true ? "yes" : value === false ? "no" : value}`);
+  }
+  if (old.preset !== other.preset) words.push(`preset ${old.preset}`);
+  if (old.device !== other.device) words.push(`device ${old.device}`);
+  if (JSON.stringify(old.landmarks) !== JSON.stringify(other.landmarks)) words.push("other landmarks");
+  if (old.strokes !== other.strokes) words.push("other regions");
+  return words.length ? `before: ${words.slice(0, 3).join(", ")}` : "";
 }
 
 // Previews and runs
@@ -320,7 +361,8 @@ async function preview() {
   const number = (state.number += 1);
   state.log.push({ number, asked: performance.now() });
   try {
-    const found = await ask(of("/preview"), asked(number));
+    const found = await ask(of("/preview"), remembered(number));
+    known(number, found);
     if (number !== state.number && state.running !== null) return;
     settled(found);
     if (state.running === null) say(found.before ? `waiting for ${found.before} task${found.before > 1 ? "s" : ""} of other tabs` : "preview …");
@@ -345,7 +387,8 @@ async function run() {
   $("downloads").hidden = true;
   buttons();
   try {
-    const found = await ask(of("/run"), asked(number));
+    const found = await ask(of("/run"), remembered(number));
+    known(number, found);
     settled(found);
     if (state.running === number && found.before) say(`waiting for ${found.before} task${found.before > 1 ? "s" : ""} of other tabs`);
   } catch (error) {
@@ -393,7 +436,7 @@ function heard(message) {
 }
 
 /** Show a result in place of the one before, once it is ready; a film at the same time as that. */
-function show({ url, film }, number) {
+function show({ url, film, unmatched }, number) {
   state.coming?.remove();
   const view = film ? element("iframe", { src: url, title: "Viewer", class: "coming" }) : still(url);
   state.coming = view;
@@ -409,8 +452,14 @@ function show({ url, film }, number) {
     }
     if (state.coming !== view) return;
     view.classList.remove("coming");
-    state.view?.remove();
+    const now = state.asks.get(number) ?? null;
+    const label = difference(state.viewed, now);
+    if (film && old && label) compare.keep(state.view, label);
+    else state.view?.remove();
     state.view = view;
+    state.viewed = now;
+    compare.film(number, unmatched);
+    over(film);
     state.coming = null;
     state.shown = number;
     $("empty").hidden = true;
@@ -419,6 +468,16 @@ function show({ url, film }, number) {
   };
   (film ? view : view.querySelector("img.result")).addEventListener("load", ready);
   $("views").append(view);
+}
+
+/** Offer what can be laid over a film. */
+function over(film) {
+  const modes = compare.modes;
+  for (const option of $("over").options) option.disabled = option.value !== "none" && !modes[option.value];
+  if ($("over").selectedOptions[0].disabled) $("over").value = "none";
+  $("over-row").hidden = !film;
+  $("legend").hidden = $("over").value !== "masses";
+  compare.choose(film ? $("over").value : "none");
 }
 
 /** A picture; beside what it was made of, if that has the same place. */
@@ -471,6 +530,7 @@ $("choose").addEventListener("change", async () => {
 $("samples").addEventListener("click", () => tell(of("/samples")));
 $("swap").addEventListener("click", () => tell(of("/swap")));
 $("unmark").addEventListener("click", () => { landmarks.clear(); marked(); later(); });
+$("over").addEventListener("change", () => over(true));
 $("guide").addEventListener("change", guides);
 $("unpaint").addEventListener("click", () => brush.clear());
 $("unpaint-last").addEventListener("click", () => brush.undo());
@@ -516,4 +576,4 @@ async function begin() {
 }
 
 /** For scripts and tests: ready, and the state, to be read. */
-window.studio = { ready: begin().catch((error) => fail(error.message)), state, landmarks, brush };
+window.studio = { ready: begin().catch((error) => fail(error.message)), state, landmarks, brush, compare };
