@@ -2,8 +2,11 @@
 
 import http.client
 import json
+import re
 import signal
 import struct
+import subprocess
+import sys
 import time
 import zlib
 
