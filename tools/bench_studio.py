@@ -77,7 +77,12 @@ def main() -> int:
             page.goto(address[0])
             found = measure(page)
             if arguments.picture:
+                # A whole morph, halfway, beside a plain cross-fade.
+                page.fill("#option-frames", "30")
+                page.click("#run")
+                wait(page, "!document.getElementById('downloads').hidden")
                 page.evaluate("studio.state.view.contentWindow.clmorph.seek(0.5)")
+                page.select_option("#over", "fade")
                 time.sleep(0.5)
                 page.screenshot(path=arguments.picture)
             browser.close()
