@@ -66,12 +66,15 @@ class LastPasses(NamedTuple):
     """What the last two softmins of a large solve leave to a plan of the same potentials."""
 
     operations: Any  #: the backend
+    potentials: tuple[Float64, Float64]  #: f and g, for which these results are
     softmins: tuple[Float64, Float64]  #: T(g) and T(f), cost units
     near: tuple[NearPairs, NearPairs]  #: the pairs that these have summed
 
     def swapped(self) -> "LastPasses":
         """Return those of the problem with source and target exchanged."""
-        return self._replace(softmins=self.softmins[::-1], near=self.near[::-1])
+        return self._replace(
+            potentials=self.potentials[::-1], softmins=self.softmins[::-1], near=self.near[::-1]
+        )
 
 
 class StoredPairs(NamedTuple):

@@ -378,6 +378,7 @@ def check_potentials(name: str, value: Any, sizes: tuple[int, int]) -> Potential
     usable = all(number is not None and number >= 0 for number in floats)
     usable = usable and isinstance(value.status, str) and isinstance(value.message, str)
     usable = usable and isinstance(value.residuals, np.ndarray) and value.residuals.dtype == float
+    usable = usable and isinstance(value.passes, LastPasses | None)
     if not usable or np.isnan(value.residuals).any():
         raise InputError(
             f"{name}: parts of it are not what they should be; expected Potentials as "

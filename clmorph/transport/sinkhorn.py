@@ -222,7 +222,9 @@ def _passes(iteration: Iteration | Multiscale) -> LastPasses | None:
     near = problem.to_rows.near, problem.to_columns.near
     if near[0] is None or near[1] is None:
         return None
-    return LastPasses(problem.operations, (state.t_rows, state.t_columns), (near[0], near[1]))
+    return LastPasses(
+        problem.operations, (state.f, state.g), (state.t_rows, state.t_columns), (near[0], near[1])
+    )
 
 
 def _take_all_pairs(iteration: Iteration | Multiscale, epsilon: float) -> None:

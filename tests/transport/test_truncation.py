@@ -2,6 +2,7 @@
 
 import pickle
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import plain
@@ -235,6 +236,7 @@ def test_a_plan_takes_over_the_pairs_of_the_solve(device, monkeypatch, rng):
         np.testing.assert_allclose(one.sum(axis=0), other.sum(axis=0), rtol=1e-3, atol=1e-5)
     np.testing.assert_allclose(got[0], want[0], rtol=1e-3, atol=1e-9)
     results(fresh)
-    assert len(chosen) == 6
+    results(replace(kept, g=kept.g.copy()))  # other potentials than those of the solve
+    assert len(chosen) == 12
     with pytest.raises(clmorph.InputError, match="other measures"):
         clmorph.sample_plan(pair[0], (pair[1][0], pair[1][1] + 0.1), kept, 4, backend=device)

@@ -49,7 +49,13 @@ def plan_softmin(
     weights = pair[0].weights, pair[1].weights
     result = Softmin(operations, *clouds, weights, potentials.truncation)
     passes = None if potentials.truncation is None else potentials.passes
-    if passes is not None and passes.operations is operations and _are(pair, potentials.measures):
+    if (
+        passes is not None
+        and passes.operations is operations
+        and passes.potentials[0] is potentials.f
+        and passes.potentials[1] is potentials.g
+        and _are(pair, potentials.measures)
+    ):
         known = passes.softmins[0]
         result.take_over(passes.near[0], potentials.g, known, potentials.epsilon)
         return OfRows(result, known)
