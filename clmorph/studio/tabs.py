@@ -82,11 +82,20 @@ class Tab:
             queue.put_nowait(message)
 
     def place(self, name: str) -> Path:
-        """Return the path of a new picture in a folder of its own."""
+        """Return the path of a new picture in a folder of its own.
+
+        Its name differs from those of other pictures even without the ending, because the copied
+        command names all of them, and the files with their painted regions, in one folder.
+        """
         key = secrets.token_hex(8)
         folder = self.folder / key
         folder.mkdir()
-        return folder / safe_name(name)
+        path = folder / safe_name(name)
+        taken, stem, number = {each.path.stem for each in self.pictures}, path.stem, 2
+        while path.stem in taken:
+            path = path.with_stem(f"{stem}-{number}")
+            number += 1
+        return path
 
     def view(self, name: str, path: Path, keep: int = 2) -> str:
         """Let the page read a file; only the newest views of the name's kind are kept."""
