@@ -631,7 +631,7 @@ def demo(device: str | None, backend: str | None) -> None:
 def devices(as_json: bool, again: bool) -> int:
     """List OpenCL devices: which work, why others do not, which one "auto" takes.
 
-    A device that is new is tried in a process of its own: the programs that most morphs use are
+    A device that is new is tried in two processes of its own: the programs that most morphs use are
     built and compared with NumPy, each within 60 s or what CLMORPH_PROBE_SECONDS says (1 to 3600).
     What the trial says of the device is remembered: that it works, that it crashes, computes
     wrong results or is refused. What it says of the moment is not (a lack of time or of memory):

@@ -5,7 +5,7 @@ The page sends texts as the command line takes them, by the options' names outsi
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 from typing import Any
 
@@ -22,6 +22,7 @@ from clmorph._shared.validation import as_float, shown
 from clmorph.errors import InputError
 from clmorph.measures.landmark_options import check_landmarks
 from clmorph.pipeline.mixing.weights import grid_sides
+from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.studio.kinds import KINDS, Kind
 
@@ -114,11 +115,11 @@ def read_choices(asked: Any) -> Choices:
     if not isinstance(asked, Mapping) or not isinstance(asked.get("settings", {}), Mapping):
         raise InputError("settings: expected texts by the names of options")
     name = asked.get("kind", "morph")
-    if name not in KINDS:
+    if not isinstance(name, str) or name not in KINDS:
         raise InputError(f"kind={shown(name)}: expected one of {', '.join(KINDS)}")
     kind = KINDS[name]
     preset, device = asked.get("preset", AUTO), asked.get("device", "auto")
-    if preset not in (AUTO, *PRESETS):
+    if not isinstance(preset, str) or preset not in (AUTO, *PRESETS):
         raise InputError(f"preset={shown(preset)}: expected one of {', '.join((AUTO, *PRESETS))}")
     if not isinstance(device, str):
         raise InputError(f"device={shown(device)}: expected the name of a device")
@@ -173,7 +174,7 @@ def command_line(choices: Choices, recognized: str, names: Sequence[str]) -> str
             continue
         if name == "landmarks":
             for (x, y), (u, v) in value:
-                words += [line, f"{x:g},{y:g}:{u:g},{v:g}"]
+                words += [line, f"{x!r},{y!r}:{u!r},{v!r}"]
             continue
         text = _text(to_outside(known[name], value), name)
         words += [f"{line}={text}"] if text.startswith("-") else [line, text]
@@ -266,9 +267,20 @@ def python_code(choices: Choices, recognized: str, names: Sequence[str]) -> str:
 def memory_given(options: Options, choices: Choices) -> Choices:
     """Return choices that name the memory limit of options, if they have one."""
     limit = getattr(options, "max_memory", None)
-    if limit is None or "max_memory" in choices.given:
+    if limit is None or choices.given.get("max_memory") is not None:
         return choices
-    given = {**choices.given, "max_memory": limit}
-    return Choices(
-        choices.kind, choices.preset, given, choices.device, choices.grid, choices.painted
-    )
+    return replace(choices, given={**choices.given, "max_memory": limit})
+
+
+def with_reach(choices: Choices, recognized: str) -> Choices:
+    """Return choices in which regions of different sizes can go into each other.
+
+    Regions are problems of their own, and in balanced ones masses must be equal. Where a preset is
+    balanced, painted regions therefore bring the usual reach with them.
+    """
+    named = {"reach", "rho"} & set(choices.given)
+    if choices.kind.painted != "labels" or not choices.painted or named:
+        return choices
+    if choices.options(recognized).reach is not None:
+        return choices
+    return replace(choices, given={**choices.given, "reach": MorphOptions.reach})

@@ -77,7 +77,8 @@ class Kind:
         """Return the description of the kind and of its controls, for the page."""
         return {
             "name": self.name, "title": self.title, "action": self.action, "help": self.help,
-            "least": self.least, "most": self.most, "downloads": list(self.downloads),
+            "output": self.output, "downloads": list(self.downloads),
+            "least": self.least, "most": self.most,
             "landmarks": self.landmarks, "painted": self.painted, "grid": self.grid,
             "presets": _presets() if self.presets else {},
             "options": [

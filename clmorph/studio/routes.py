@@ -2,9 +2,10 @@
 
 import asyncio
 import json
+import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -230,9 +231,10 @@ class Studio:
             height, width = found.pixels.shape[:2]
             image = await run_in_threadpool(read_painted, body, (height, width), kind)
             owner = next(each for each in KINDS.values() if each.painted == kind)
-            path = found.path.with_name(choices.painted_name(owner, found.path.name))
-            if path == found.path:
-                raise InputError(f"{path.name}: expected another name of a picture to paint on")
+            # Each version has a folder of its own: work that waits or runs reads an older one.
+            folder = found.path.parent / secrets.token_hex(8)
+            folder.mkdir()
+            path = folder / choices.painted_name(owner, found.path.name)
             image.save(path, "PNG")
             found.painted[kind] = path
         return _pictures(tab)
@@ -276,6 +278,8 @@ class Studio:
                 raise InputError("painted regions: expected some on each picture that has them")
         ask = work.Ask(tab, tuple(tab.pictures), chosen, number, tuple(painted))
         preset = await run_in_threadpool(ask.recognized)
+        chosen = choices.with_reach(chosen, preset)
+        ask = replace(ask, choices=chosen)
         options = chosen.options(preset)
         failed = partial(tab.publish, "error", number=number, of=kind)
         what = partial(work.run if kind == "run" else work.preview, ask)

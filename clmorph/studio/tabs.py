@@ -13,10 +13,13 @@ from typing import Any
 from clmorph._shared.printable import printable
 from clmorph.errors import InputError
 from clmorph.studio.choices import Choices
+from clmorph.studio.kinds import KINDS
 from clmorph.studio.making import Made
 
 #: Largest number of tabs.
 MAX_TABS = 16
+#: Endings of the names of files with painted regions.
+PAINTED = tuple(f"-{kind.painted}" for kind in KINDS.values() if kind.painted)
 #: Seconds after which a tab that nobody listens to is closed.
 LEFT = 120.0
 #: Largest number of characters of a picture's name.
@@ -91,8 +94,10 @@ class Tab:
         folder = self.folder / key
         folder.mkdir()
         path = folder / safe_name(name)
-        taken, stem, number = {each.path.stem for each in self.pictures}, path.stem, 2
-        while path.stem in taken:
+        taken = {each.path.stem for each in self.pictures}
+        taken |= {kind.output for kind in KINDS.values()}  # what the command writes
+        stem, number = path.stem, 2
+        while path.stem in taken or path.stem.endswith(PAINTED):
             path = path.with_stem(f"{stem}-{number}")
             number += 1
         return path

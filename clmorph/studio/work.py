@@ -63,7 +63,7 @@ def guarded(work: Callable[[], None], failed: Callable[[str], None], line_of: Li
     except ClmorphError as error:
         failed(printable(line_of(error), MESSAGE))
     except MemoryError:
-        failed("not enough memory; use a smaller --size")
+        failed("not enough memory; use smaller pictures or a smaller size")
     except Exception as error:  # a driver raises what it likes, and the studio goes on
         failed(printable(f"{type(error).__name__}: {reason_of(error)}", MESSAGE))
 

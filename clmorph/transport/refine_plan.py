@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -127,8 +128,10 @@ def drawn(
     if points is not None:
         i, j = points
         targets, sources = j[targets], i[sources]
-    own, other, mass = _to_pixels(targets, i, by_row, source, target)
-    back, forth, arriving = _to_pixels(sources, j, by_column, target, source)
+    with ThreadPoolExecutor(1) as pool:  # NumPy sorts and searches without Python's lock
+        of_columns = pool.submit(_to_pixels, sources, j, by_column, target, source)
+        own, other, mass = _to_pixels(targets, i, by_row, source, target)
+        back, forth, arriving = of_columns.result()
     rows, columns = np.concatenate((own, forth)), np.concatenate((other, back))
     marginals = np.zeros(sizes[0]), np.zeros(sizes[1])
     marginals[0][i], marginals[1][j] = draws.row_mass, draws.column_mass

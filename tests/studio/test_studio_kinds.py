@@ -1,5 +1,6 @@
 """Test the studio's kinds of work, its brush, and what it lays over a film, in a browser."""
 
+import hashlib
 import io
 import json
 
@@ -122,10 +123,25 @@ def test_painted_regions_go_into_each_other(opened, pictures, place):
     assert [name for _, name in given[2:]] == ["a one's-labels.png", "b-labels.png"]
     for which in ("command", "python"):
         assert same_by(page, which, place / f"labels-{which}", given, "morph.gif") == gif
+    # A change afterwards is said beside the files; they are still those of the run.
+    assert not page.is_visible("#stale")
+    fill(page, frames="5")
+    until(page, "!document.getElementById('stale').hidden")
+    # A balanced preset gets a reach, as these regions are of different sizes.
+    page.select_option("#preset", "balanced")
+    until(page, "document.getElementById('command').value.includes('--reach 0.3')")
+    # Another picture in the place of a painted one: what was painted on the other one stays.
+    page.get_by_role("button", name="Remove picture B").click()
+    third = place / "third.png"
+    Image.open(pictures[1]).save(third)
+    page.set_input_files("#choose", str(third))
+    until(page, "document.getElementById('command').value.includes('s-labels.png')")
+    until(page, "document.getElementById('command').value.includes('third-labels.png')")
+    previewed(page)
+    assert page.inner_text("#failure") == ""
     # Undone strokes, and landmarks, which the brush leaves alone.
     page.click("#unpaint")
-    previewed(page)
-    assert "labels" not in page.input_value("#command")
+    until(page, "!document.getElementById('command').value.includes('labels')")
     assert page.evaluate("studio.landmarks.pairs().length") == 0
 
 
@@ -159,7 +175,7 @@ def test_a_film_beside_a_fade_and_beside_the_settings_before(opened, pictures):
     until(page, "studio.compare.state.previous !== null")
     previewed(page)
     page.select_option("#over", "previous")
-    assert page.inner_text(".right-side") == "before: blur 0.03"
+    until(page, "document.querySelector('.right-side').textContent === 'before: blur 0.03'")
     until(page, "Math.abs(studio.compare.state.previous.contentWindow.clmorph.time - 0.5) < 0.1")
     shown = page.evaluate(
         "studio.compare.state.previous.contentDocument.getElementById('canvas').toDataURL()"
@@ -202,3 +218,32 @@ def test_painted_regions_take_the_size_of_the_picture():
     for wrong in (b"", b"no picture", file.getvalue()[:40]):
         with pytest.raises(clmorph.InputError, match="PNG"):
             read_painted(wrong, (4, 6), "labels")
+
+
+def test_waiting_work_keeps_the_paint_that_it_was_asked_with(opened, pictures):
+    """Two browser tabs of different kinds: one waits for the other, and is painted on meanwhile."""
+    busy, page = opened(), opened()
+    take(busy, pictures)
+    take(page, pictures)
+    page.click("#kind-recolor")
+    previewed(page)
+    stroke(page, 0, (0.3, 0.3), (0.6, 0.3))
+    before = page.evaluate("studio.state.pictures[0].painted.mask")
+    fill(busy, frames="300", size="64")
+    busy.click("#run")
+    page.click("#run")
+    until(page, "document.getElementById('status').textContent.startsWith('waiting')")
+    (first,) = files_of(page, [])
+    box = page.locator("#shown .frame").nth(0).bounding_box()
+    page.mouse.move(box["x"] + 10, box["y"] + 0.8 * box["height"])
+    page.mouse.down()
+    page.mouse.up()
+    until(page, "document.getElementById('unpaint').disabled === false")
+    busy.click("#cancel")
+    until(page, "!document.getElementById('downloads').hidden")
+    recipe = json.loads(fetched(page, "json"))
+    assert recipe["mask"][0]["file"] == before
+    assert recipe["mask"][0]["sha256"] == hashlib.sha256(first[0]).hexdigest()
+    (second,) = files_of(page, [])
+    assert second[0] != first[0]
+    assert busy.evaluate("studio.state.kind.name") == "morph"

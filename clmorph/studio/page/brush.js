@@ -22,6 +22,7 @@ function makeBrush(changed) {
   let kind = "";
   let painting = false;
   let strokes = 0;
+  const filled = new WeakMap();
   const before = [];
 
   LABELS.forEach(([color, name], index) => {
@@ -94,7 +95,7 @@ function makeBrush(changed) {
     const end = () => {
       if (!last) return;
       last = null;
-      strokes += 1;
+      look(canvas);
       changed(sideOf(key));
     };
     canvas.addEventListener("pointerup", end);
@@ -102,7 +103,11 @@ function makeBrush(changed) {
     canvas.addEventListener("click", (event) => event.stopPropagation());
   }
 
-  const isBlank = (canvas) => !canvas || !copied(canvas).data.some((value, index) => index % 4 === 3 && value > 0);
+  /** Look whether a canvas has paint; remembered, because previews ask for it often. */
+  function look(canvas) {
+    filled.set(canvas, new Uint32Array(copied(canvas).data.buffer).some((value) => value !== 0));
+    strokes += 1;
+  }
 
   function arrange() {
     sides.forEach(({ frame, picture }, side) => {
@@ -136,7 +141,7 @@ function makeBrush(changed) {
       arrange();
     },
     get any() {
-      return sides.length === 2 && Boolean(kind) && sides.some((_, side) => !isBlank(canvasOf(side)));
+      return sides.length === 2 && Boolean(kind) && sides.some((_, side) => filled.get(canvasOf(side)));
     },
     /** The number of changes so far, which tells one state from another. */
     get strokes() { return strokes; },
@@ -146,17 +151,18 @@ function makeBrush(changed) {
     clear() {
       sides.forEach((_, side) => {
         const canvas = canvasOf(side);
-        canvas?.getContext("2d", READ).clearRect(0, 0, canvas.width, canvas.height);
+        if (!canvas) return;
+        canvas.getContext("2d", READ).clearRect(0, 0, canvas.width, canvas.height);
+        look(canvas);
       });
       before.length = 0;
-      strokes += 1;
       changed(0);
     },
     undo() {
       const [key, canvas, data] = before.pop() ?? [];
       if (!key) return;
       canvas.getContext("2d", READ).putImageData(data, 0, 0);
-      strokes += 1;
+      look(canvas);
       changed(Math.max(0, sideOf(key)));
     },
   };

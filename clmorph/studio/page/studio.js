@@ -5,7 +5,7 @@ const $ = (id) => document.getElementById(id);
 const PAUSE = 60;
 const state = {
   tab: "", pictures: [], number: 0, previewed: 0, running: null, shown: 0, settings: {}, view: null, coming: null,
-  options: {}, timer: 0, ready: null, log: [], kind: null, asks: new Map(), viewed: null,
+  options: {}, timer: 0, ready: null, log: [], kind: null, asks: new Map(), viewed: null, heard: -1, ran: null,
 };
 const landmarks = makeLandmarks(() => { marked(); later(); });
 const brush = makeBrush(painted);
@@ -89,6 +89,9 @@ function took({ pictures }) {
   $("invitation").hidden = pictures.length >= 2;
   $("swap").disabled = pictures.length < 2;
   guides();
+  const { painted: regions } = state.kind;
+  if (brush.any && pictures.slice(0, regions === "mask" ? 1 : 2).some((each) => !each.painted[regions])) painted(0);
+  files();
   marked();
   buttons();
   say("");
@@ -117,7 +120,7 @@ function guides() {
     ? "Landmarks: click a point of A, then the point of B where it belongs. Drag a point to move it; Delete removes it."
     : kind.painted === "mask"
       ? "Paint what is to be recolored; without paint it is all of the picture."
-      : "Paint what belongs together in one color, on both pictures: each color goes only into itself, and so does what is not painted.";
+      : "Paint what belongs together in one color, on both pictures: each color goes only into itself, and so does what is not painted. Balanced presets get a reach then, as regions differ in size.";
 }
 
 /** Send painted regions, and show what follows from them. */
@@ -179,9 +182,10 @@ function build({ kinds, devices }) {
     const tab = element("button", { type: "button", role: "tab", id: `kind-${kind.name}`, "aria-controls": "panel" }, kind.title);
     tab.addEventListener("click", () => choose(kind));
     tab.addEventListener("keydown", (event) => {
-      const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-      if (!step) return;
-      const next = kinds[(kinds.indexOf(kind) + step + kinds.length) % kinds.length];
+      const at = kinds.indexOf(kind);
+      const to = { ArrowLeft: at - 1, ArrowRight: (at + 1) % kinds.length, Home: 0, End: -1 }[event.key];
+      if (to === undefined) return;
+      const next = kinds.at(to);
       choose(next);
       $(`kind-${next.name}`).focus();
       event.preventDefault();
@@ -220,7 +224,7 @@ function choose(kind) {
   $("preset-row").hidden = !Object.keys(kind.presets).length;
   presetHelp();
   $("grid-row").hidden = !kind.grid;
-  $("downloads").replaceChildren(...kind.downloads.map((ending) => {
+  $("downloads").replaceChildren($("stale"), ...kind.downloads.map((ending) => {
     const button = element("button", { type: "button", id: `get-${ending}` }, ending === "json" ? "Recipe" : ending.toUpperCase());
     button.addEventListener("click", () => download(ending, button));
     return button;
@@ -326,6 +330,12 @@ function remembered(number) {
   return body;
 }
 
+/** Say that the files are those of a run with other settings than the command is for. */
+function stale() {
+  const now = state.asks.get(state.number) ?? null;
+  $("stale").hidden = !difference(state.ran, now);
+}
+
 function known(number, { options }) {
   if (state.asks.has(number)) state.asks.get(number).options = options;
 }
@@ -360,19 +370,20 @@ async function preview() {
   if (state.pictures.length < 2) return;
   const number = (state.number += 1);
   state.log.push({ number, asked: performance.now() });
+  fail("");
   try {
     const found = await ask(of("/preview"), remembered(number));
     known(number, found);
     if (number !== state.number && state.running !== null) return;
     settled(found);
-    if (state.running === null) say(found.before ? `waiting for ${found.before} task${found.before > 1 ? "s" : ""} of other tabs` : "preview …");
+    stale();
+    if (state.running === null && state.heard < number) say(found.before ? `waiting for ${found.before} task${found.before > 1 ? "s" : ""} of other tabs` : "preview …");
   } catch (error) {
     fail(error.message);
   }
 }
 
 function settled(found) {
-  fail("");
   state.options = found.options;
   for (const [name, control] of controls) if (control.value() === undefined) control.usual(found.options[name]);
   $("command").value = found.command;
@@ -385,11 +396,13 @@ async function run() {
   const number = (state.number += 1);
   state.running = number;
   $("downloads").hidden = true;
+  fail("");
   buttons();
   try {
     const found = await ask(of("/run"), remembered(number));
     known(number, found);
-    settled(found);
+    state.ran = state.asks.get(number);
+    if (state.heard < number) settled(found);
     if (state.running === number && found.before) say(`waiting for ${found.before} task${found.before > 1 ? "s" : ""} of other tabs`);
   } catch (error) {
     state.running = null;
@@ -409,6 +422,8 @@ const say = (text) => { $("status").textContent = text; };
 
 function heard(message) {
   const { type, number } = message;
+  // An event can come before the answer to the request that it belongs to.
+  if (type !== "progress") state.heard = Math.max(state.heard, number);
   if (type === "progress" && number === state.running) {
     $("progress").value = message.share;
     const left = message.left === null ? "" : `, ${message.left} s left`;
@@ -421,6 +436,7 @@ function heard(message) {
     buttons();
     show(message, number);
     $("downloads").hidden = false;
+    $("stale").hidden = true;
     if (message.command) [$("command").value, $("python").value] = [message.command, message.python];
     say([`made in ${message.seconds} s`, message.message, ...message.notes].filter(Boolean).join("; "));
   } else if (type === "error" && (number === state.number || number === state.running)) {
@@ -510,10 +526,10 @@ async function download(ending, button) {
     const answer = await fetch(of(`/files/${ending}`));
     if (!answer.ok) throw new Error((await answer.json()).line);
     const url = URL.createObjectURL(await answer.blob());
-    const link = element("a", { href: url, download: `morph.${ending}` });
+    const link = element("a", { href: url, download: `${state.kind.output}.${ending}` });
     link.click();
     setTimeout(() => URL.revokeObjectURL(url), 60000);
-    say(`morph.${ending}`);
+    say(`${state.kind.output}.${ending}`);
   } catch (error) {
     say("");
     fail(error.message);
