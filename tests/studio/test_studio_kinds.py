@@ -139,6 +139,15 @@ def test_painted_regions_go_into_each_other(opened, pictures, place):
     until(page, "document.getElementById('command').value.includes('third-labels.png')")
     previewed(page)
     assert page.inner_text("#failure") == ""
+    # By keyboard: arrow keys move a ring, Enter paints there.
+    count = page.evaluate("studio.brush.strokes")
+    page.focus("#unpaint")
+    canvas = page.get_by_role("application", name="Painted regions of picture B")
+    canvas.focus()
+    for key in ("ArrowLeft", "ArrowUp", "Enter"):
+        page.keyboard.press(key)
+    assert page.evaluate("studio.brush.strokes") == count + 1
+    page.keyboard.press("Tab")
     # Undone strokes, and landmarks, which the brush leaves alone.
     page.click("#unpaint")
     until(page, "!document.getElementById('command').value.includes('labels')")

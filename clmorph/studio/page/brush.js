@@ -92,6 +92,35 @@ function makeBrush(changed) {
         last = next;
       }
     });
+    // By keyboard: arrow keys move a ring, Enter paints there.
+    const ring = Object.assign(document.createElement("span"), { className: "ring", hidden: true });
+    let cursor = [canvas.width / 2, canvas.height / 2];
+    const show = () => {
+      const long = Math.max(canvas.width, canvas.height);
+      ring.style.left = `${(100 * cursor[0]) / canvas.width}%`;
+      ring.style.top = `${(100 * cursor[1]) / canvas.height}%`;
+      ring.style.width = `${(100 * share() * long) / canvas.width}%`;
+      canvas.after(ring);
+      ring.hidden = false;
+    };
+    canvas.addEventListener("focus", () => { if (canvas.matches(":focus-visible")) show(); });
+    canvas.addEventListener("blur", () => { ring.hidden = true; });
+    canvas.addEventListener("keydown", (event) => {
+      const step = Math.max(1, (share() * Math.max(canvas.width, canvas.height)) / 4);
+      const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+      if (way) {
+        const sides = [canvas.width, canvas.height];
+        cursor = cursor.map((each, axis) => Math.min(Math.max(each + step * way[axis], 0), sides[axis]));
+      } else if (event.key === "Enter" || event.key === " ") {
+        before.push([key, canvas, copied(canvas)]);
+        if (before.length > REMEMBERED) before.shift();
+        line(cursor, cursor);
+        look(canvas);
+        changed(sideOf(key));
+      } else return;
+      show();
+      event.preventDefault();
+    });
     const end = () => {
       if (!last) return;
       last = null;
@@ -111,7 +140,7 @@ function makeBrush(changed) {
 
   function arrange() {
     sides.forEach(({ frame, picture }, side) => {
-      for (const old of frame.querySelectorAll("canvas")) old.remove();
+      for (const old of frame.querySelectorAll("canvas, .ring")) old.remove();
       frame.classList.remove("painting");
       if (!kind || (kind === "mask" && side === 1)) return;
       if (!kinds[kind].has(picture.key)) {
@@ -120,7 +149,9 @@ function makeBrush(changed) {
         listen(picture.key, made);
       }
       const canvas = canvasOf(side);
-      canvas.setAttribute("aria-label", `Painted regions of picture ${"AB"[side]}`);
+      canvas.setAttribute("aria-label", `Painted regions of picture ${"AB"[side]}: arrow keys move the brush, Enter paints`);
+      canvas.setAttribute("role", "application");
+      canvas.tabIndex = painting ? 0 : -1;
       frame.append(canvas);
       frame.classList.toggle("painting", painting);
     });
