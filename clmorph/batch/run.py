@@ -11,9 +11,10 @@ from clmorph.errors import DeviceError
 
 #: Jobs that wait at the scheduler for each thread of its workers, and at least.
 AHEAD, LEAST = 2, 8
+#: What is said when the scheduler has gone; the reason is in parentheses.
 GONE = (
-    "the scheduler has gone, or has dropped the jobs; start the same command again: only what is "
-    "missing is done"
+    "the scheduler has gone, or has dropped the jobs{}; start the same command again: only what "
+    "is missing is done"
 )
 
 
@@ -79,8 +80,8 @@ def _reaching_the_scheduler() -> Iterator[None]:
     """Say that the scheduler has gone: the client notices it in errors of many classes."""
     try:
         yield
-    except Exception:
-        raise DeviceError(GONE) from None
+    except Exception as error:
+        raise DeviceError(GONE.format(f" ({reason_of(error)})")) from None
 
 
 def _ahead(client: Any) -> int:
@@ -99,7 +100,7 @@ def _record(future: Any, job: Job, key: str) -> dict[str, Any]:
     if future.status == "finished":
         return future.result()
     if future.status != "error":
-        raise DeviceError(GONE)
+        raise DeviceError(GONE.format(""))
     error = future.exception()
     if _was_given_up(future):
         line = "the workers that tried it ended: out of memory, perhaps; use a smaller size"

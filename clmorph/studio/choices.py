@@ -6,7 +6,6 @@ The page sends texts as the command line takes them, by the options' names outsi
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import PurePath
 from typing import Any
 
 from clmorph._shared.options import (
@@ -24,7 +23,7 @@ from clmorph.measures.landmark_options import check_landmarks
 from clmorph.pipeline.mixing.weights import grid_sides
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
-from clmorph.studio.kinds import KINDS, Kind
+from clmorph.studio.kinds import KINDS, PAINTED, Kind, painted_name
 
 
 @dataclass(frozen=True)
@@ -78,23 +77,8 @@ class Choices:
         """Return the names of the files that hold painted regions, by those of the pictures."""
         if not self.painted:
             return []
-        return [painted_name(self.kind, name) for name in names[: painted_pictures(self.kind)]]
-
-
-def painted_pictures(kind: Kind) -> int:
-    """Return the number of pictures that can be painted."""
-    return {"labels": 2, "mask": 1}.get(kind.painted, 0)
-
-
-def painted_name(kind: Kind, name: str) -> str:
-    """Return the name of the file that holds the painted regions of a picture.
-
-    Examples
-    --------
-    >>> painted_name(KINDS["morph"], "a.png"), painted_name(KINDS["recolor"], "b.jpg")
-    ('a-labels.png', 'b-mask.png')
-    """
-    return f"{PurePath(name).stem}-{kind.painted}.png"
+        painted = self.kind.painted
+        return [painted_name(painted, name) for name in names[: PAINTED[painted]]]
 
 
 def read_choices(asked: Any) -> Choices:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import PurePath
 from types import MappingProxyType
 from typing import Any
 
@@ -12,8 +13,10 @@ from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recolor_options import RecolorOptions
 
-#: Largest number of pictures in a tab.
-MAX_PICTURES = MOST_IMAGES
+#: Smallest number of pictures of any work, and largest in a tab.
+MIN_PICTURES, MAX_PICTURES = 2, MOST_IMAGES
+#: What painted regions can be, each with the number of pictures that have them: the first ones.
+PAINTED = {"labels": 2, "mask": 1}
 #: Formats of films, and of pictures, with the recipe, that the page offers by their endings.
 FILMS, STILLS = ("gif", "webp", "mp4", "html", "json"), ("png", "json")
 
@@ -38,8 +41,8 @@ class Kind:
         The options that stand first, each with what it does to the picture.
     sliders : mapping
         Ends of their sliders, in the unit outside, and whether a step multiplies.
-    least, most : int
-        Numbers of pictures.
+    most : int
+        Largest number of pictures.
     downloads : tuple of str
         Endings of the files that the page offers.
     output : str
@@ -53,7 +56,7 @@ class Kind:
     landmarks : bool
         Whether pairs of points can guide it.
     painted : str
-        What painted regions are: "labels" of both pictures, a "mask" of the first one, or "".
+        What painted regions are, a key of `PAINTED`, or "" if nothing is painted.
     """
 
     name: str
@@ -63,7 +66,6 @@ class Kind:
     options: type[Options]
     main: Mapping[str, str]
     sliders: Mapping[str, tuple[float, float, bool]] = field(default_factory=lambda: _NOTHING)
-    least: int = 2
     most: int = MAX_PICTURES
     downloads: tuple[str, ...] = FILMS
     output: str = "morph"
@@ -78,7 +80,7 @@ class Kind:
         return {
             "name": self.name, "title": self.title, "action": self.action, "help": self.help,
             "output": self.output, "downloads": list(self.downloads),
-            "least": self.least, "most": self.most,
+            "most": self.most,
             "landmarks": self.landmarks, "painted": self.painted, "grid": self.grid,
             "presets": _presets() if self.presets else {},
             "options": [
@@ -102,6 +104,23 @@ class Kind:
             whole = schema.get("type") == "integer"
             found["slider"] = {"low": low, "high": high, "multiplies": multiplies, "whole": whole}
         return found
+
+
+def painted_name(painted: str, name: str) -> str:
+    """Return the name of the file that holds the painted regions of a picture.
+
+    Parameters
+    ----------
+    painted : {"labels", "mask"}
+    name : str
+        The name of the picture's file.
+
+    Examples
+    --------
+    >>> painted_name("labels", "a.png"), painted_name("mask", "b.jpg")
+    ('a-labels.png', 'b-mask.png')
+    """
+    return f"{PurePath(name).stem}-{painted}.png"
 
 
 def _presets() -> dict[str, str]:

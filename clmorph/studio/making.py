@@ -1,10 +1,11 @@
 """Make what the page asks for, by the same steps as the command line: films, pictures, sheets."""
 
 import itertools
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -35,23 +36,26 @@ MORPH_STEPS, REARRANGE_STEPS = ((40, 5), (96, 12)), ((32, 6), (64, 16))
 MIX_STEPS, RECOLOR_SIDES = (24, 48), (320, 128)
 
 
-class Made(Protocol):
+class Made(ABC):
     """What was made; it can be written to a file."""
 
     @property
+    @abstractmethod
     def message(self) -> str:
         """How the computation ended, in a line; "" if there is nothing to say."""
 
     @property
     def unmatched(self) -> list[tuple[str, str]]:
         """Pictures of destroyed and of created mass for each part, as addresses of data."""
+        return []
 
+    @abstractmethod
     def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
         """Write it to a file in the format of its ending."""
 
 
 @dataclass(frozen=True)
-class Film:
+class Film(Made):
     """Morphs, or rearrangements, one after the other."""
 
     parts: Sequence[FrameSequence]
@@ -78,12 +82,19 @@ class Film:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture: (H, W, 3) or (H, W, 4) array, sRGB in [0, 1]."""
+class Picture(Made):
+    """A recolored picture, sRGB in [0, 1]: (H, W, 3) or (H, W, 4) array.
+
+    `changed` is the mean change of its colors, in 255ths.
+    """
 
     pixels: Array
-    message: str = ""
-    unmatched: list[tuple[str, str]] = field(default_factory=list)
+    changed: float
+
+    @property
+    def message(self) -> str:
+        """How much the colors changed."""
+        return f"colors changed by {self.changed:.0f} of 255 on average"
 
     def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
         """Write it to a file in the format of its ending."""
@@ -92,12 +103,16 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """Mixes side by side: (H, W, 3) or (H, W, 4) array in 8 bits."""
+class Sheet(Made):
+    """Mixes side by side, in 8 bits: (H, W, 3) or (H, W, 4) array; `count` is their number."""
 
     pixels: np.ndarray[Any, np.dtype[np.uint8]]
-    message: str = ""
-    unmatched: list[tuple[str, str]] = field(default_factory=list)
+    count: int
+
+    @property
+    def message(self) -> str:
+        """How many mixes there are."""
+        return f"{self.count} mixes"
 
     def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
         """Write it to a file in the format of its ending."""
@@ -160,8 +175,7 @@ def make_recolored(task: Task, report: StageProgress) -> Picture:
             mask = reduced_labels(mask.astype(np.int64), (shape[0], shape[1])).astype(float)
     photo, like = task.pictures
     found = recolored(photo, like, task.options, mask, task.operations, report)
-    changed = 255 * float(np.abs(found - photo)[..., :3].mean())
-    return Picture(found, f"colors changed by {changed:.0f} of 255 on average")
+    return Picture(found, 255 * float(np.abs(found - photo)[..., :3].mean()))
 
 
 def make_mixes(task: Task, report: StageProgress) -> Sheet:
@@ -170,7 +184,7 @@ def make_mixes(task: Task, report: StageProgress) -> Sheet:
         check_images(list(task.pictures)), None, task.options, grid=task.grid, preset=None,
         draft=False, backend=task.operations, progress=report, given={},
     )  # fmt: skip
-    return Sheet(mixes.sheet(task.options.background), f"{len(mixes)} mixes")
+    return Sheet(mixes.sheet(task.options.background), len(mixes))
 
 
 def _marked(report: StageProgress, number: int, count: int) -> StageProgress:

@@ -9,7 +9,7 @@ from PIL import Image
 from clmorph.errors import InputError
 
 #: Largest number of labels of the brush; the page draws label k in red level k LEVEL.
-LABELS, LEVEL = 4, 60
+LABELS, LEVEL = 3, 60
 #: Largest number of pixels of the canvas on which the page paints.
 MAX_CANVAS = 4096 * 4096
 

@@ -25,7 +25,7 @@ from clmorph.errors import ClmorphError, FileError, InputError
 from clmorph.images.pixels import MAX_PIXELS, as_rgb, fit, read_image, to_bytes
 from clmorph.studio import choices, work
 from clmorph.studio.guard import FRAMED
-from clmorph.studio.kinds import KINDS, MAX_PICTURES
+from clmorph.studio.kinds import KINDS, MAX_PICTURES, MIN_PICTURES, PAINTED, painted_name
 from clmorph.studio.painting import read_painted
 from clmorph.studio.tabs import Shown, Tab, Tabs
 from clmorph.studio.worker import Job, Worker
@@ -222,7 +222,7 @@ class Studio:
     async def paint(self, request: Request, tab: Tab) -> Response:
         """Take the painted regions of a picture, a PNG; without a body there are none any more."""
         found, kind = _find(tab, request), request.path_params["kind"]
-        if found is None or kind not in {each.painted for each in KINDS.values()} - {""}:
+        if found is None or kind not in PAINTED:
             return _missing()
         body = await _body(request, MAX_UPLOAD)
         if not body:
@@ -230,11 +230,10 @@ class Studio:
         else:
             height, width = found.pixels.shape[:2]
             image = await run_in_threadpool(read_painted, body, (height, width), kind)
-            owner = next(each for each in KINDS.values() if each.painted == kind)
             # Each version has a folder of its own: work that waits or runs reads an older one.
             folder = found.path.parent / secrets.token_hex(8)
             folder.mkdir()
-            path = folder / choices.painted_name(owner, found.path.name)
+            path = folder / painted_name(kind, found.path.name)
             image.save(path, "PNG")
             found.painted[kind] = path
         return _pictures(tab)
@@ -260,8 +259,8 @@ class Studio:
         if chosen.device not in {device["name"] for device in self.devices}:
             raise InputError("device: expected one of those that the page offers")
         own, count = chosen.kind, len(tab.pictures)
-        if not own.least <= count <= own.most:
-            wanted = str(own.least) if own.least == own.most else f"{own.least} to {own.most}"
+        if not MIN_PICTURES <= count <= own.most:
+            wanted = f"{MIN_PICTURES} to {own.most}" if own.most > MIN_PICTURES else str(own.most)
             raise InputError(f"{count} pictures given: expected {wanted}")
         guides = {"landmarks": chosen.given.get("landmarks"), "painted regions": chosen.painted}
         for name, given in guides.items():
@@ -271,7 +270,7 @@ class Studio:
                 )
         painted: list[Path] = []
         if chosen.painted:
-            pictures = tab.pictures[: choices.painted_pictures(own)]
+            pictures = tab.pictures[: PAINTED[own.painted]]
             found = [each.painted.get(own.painted) for each in pictures]
             painted = [path for path in found if path is not None]
             if len(painted) < len(pictures):

@@ -13,13 +13,11 @@ from typing import Any
 from clmorph._shared.printable import printable
 from clmorph.errors import InputError
 from clmorph.studio.choices import Choices
-from clmorph.studio.kinds import KINDS
+from clmorph.studio.kinds import KINDS, PAINTED
 from clmorph.studio.making import Made
 
 #: Largest number of tabs.
 MAX_TABS = 16
-#: Endings of the names of files with painted regions.
-PAINTED = tuple(f"-{kind.painted}" for kind in KINDS.values() if kind.painted)
 #: Seconds after which a tab that nobody listens to is closed.
 LEFT = 120.0
 #: Largest number of characters of a picture's name.
@@ -97,7 +95,7 @@ class Tab:
         taken = {each.path.stem for each in self.pictures}
         taken |= {kind.output for kind in KINDS.values()}  # what the command writes
         stem, number = path.stem, 2
-        while path.stem in taken or path.stem.endswith(PAINTED):
+        while path.stem in taken or path.stem.endswith(tuple(PAINTED)):
             path = path.with_stem(f"{stem}-{number}")
             number += 1
         return path

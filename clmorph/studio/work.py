@@ -4,7 +4,7 @@ import json
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +105,7 @@ def run(ask: Ask) -> None:
         # As on the command line: the recipe holds the limit that reduced the particles.
         options = options.replace(max_memory=default_memory(operations))
         choices = memory_given(options, ask.choices)
-        words = Ask(tab, ask.pictures, choices, ask.number, ask.painted).words(preset)
+        words = replace(ask, choices=choices).words(preset)
     result = Result(ask.number, made, _parameters(ask, options, operations), ask.choices)
     path = tab.folder / f"result-{ask.number}.{'html' if kind.film else 'png'}"
     write_file(result, path, report)

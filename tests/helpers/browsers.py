@@ -2,6 +2,7 @@
 
 from contextlib import contextmanager
 
+import pytest
 from programs import program
 
 FLAGS = [
@@ -20,3 +21,40 @@ def chromium():
         browser = driver.chromium.launch(executable_path=path, args=FLAGS)
         yield browser
         browser.close()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as browser:
+        yield browser
+
+
+@contextmanager
+def watched(browser):
+    """Yield a function that opens pages in contexts of their own, and a list of what goes wrong.
+
+    A page may ask for nothing but addresses that begin with one of `own`. At the end the contexts
+    are closed.
+    """
+    bad, contexts = [], []
+
+    def open_page(address, own, before="", **options):
+        context = browser.new_context(**({"reduced_motion": "reduce"} | options))
+        contexts.append(context)
+        page = context.new_page()
+        page.add_init_script(before)
+        page.on("console", lambda message: bad.append(message.text))
+        page.on("pageerror", lambda error: bad.append(str(error)))
+        page.on("dialog", lambda dialog: bad.append(dialog.message))
+
+        def asked(request):
+            if not request.url.startswith((*own, "data:", "blob:", "about:srcdoc")):
+                bad.append(request.url)
+
+        page.on("request", asked)
+        page.goto(address)
+        return page
+
+    yield open_page, bad
+    for context in contexts:
+        context.close()

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from browsers import chromium
+from browsers import browser, watched
 from PIL import Image
 from plain import morph
 
@@ -18,6 +18,8 @@ from clmorph.measures.landmark_options import check_landmarks, read_landmarks
 from clmorph.output.html import Curve, Field, Marks, Scene, page, repr_html, scene_of
 from clmorph.output.save import save
 
+__all__ = ["browser"]
+
 DESK = {"width": 1280, "height": 800}
 PHONE = {
     "viewport": {"width": 360, "height": 740},
@@ -27,45 +29,21 @@ PHONE = {
 }
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
-
-
 @pytest.fixture
 def show(browser, tmp_path):
     """Open a scene, or text of a page, from a file; watch for requests, errors, messages."""
-    contexts, bad = [], []
+    with watched(browser) as (open_page, bad):
 
-    def open_page(scene, name="page.html", before="", **options):
-        path = tmp_path / name
-        path.write_text(scene if isinstance(scene, str) else page(scene), encoding="utf-8")
-        settings = {"viewport": DESK, "reduced_motion": "reduce", "color_scheme": "light"}
-        context = browser.new_context(**(settings | options))
-        contexts.append(context)
-        opened = context.new_page()
-        opened.add_init_script(before)
-        opened.on("console", lambda message: bad.append(message.text))
-        opened.on("pageerror", lambda error: bad.append(str(error)))
-        opened.on("dialog", lambda dialog: bad.append(dialog.message))
-        opened.on(
-            "request",
-            lambda request: (
-                None
-                if request.url.startswith((path.as_uri(), "data:", "blob:", "about:srcdoc"))
-                else bad.append(request.url)
-            ),
-        )
-        opened.goto(path.as_uri())
-        if not options.get("java_script_enabled", True) or name == "notebook.html":
+        def shown(scene, name="page.html", before="", **options):
+            path = tmp_path / name
+            path.write_text(scene if isinstance(scene, str) else page(scene), encoding="utf-8")
+            settings = {"viewport": DESK, "color_scheme": "light"} | options
+            opened = open_page(path.as_uri(), [path.as_uri()], before, **settings)
+            if options.get("java_script_enabled", True) and name != "notebook.html":
+                opened.evaluate("clmorph.ready")
             return opened
-        opened.evaluate("clmorph.ready")
-        return opened
 
-    yield open_page
-    for context in contexts:
-        context.close()
+        yield shown
     # That warning is about these tests, which read the canvas.
     assert [text for text in bad if "Multiple readback" not in text] == []
 

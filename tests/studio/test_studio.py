@@ -10,8 +10,8 @@ import sys
 import time
 import zlib
 
+from browsers import browser
 from studio_pages import (
-    browser,
     fetched,
     fill,
     finished,

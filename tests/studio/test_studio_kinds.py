@@ -6,9 +6,9 @@ import json
 
 import numpy as np
 import pytest
+from browsers import browser
 from PIL import Image
 from studio_pages import (
-    browser,
     fetched,
     fill,
     frame,

@@ -4,9 +4,9 @@ import io
 
 import numpy as np
 import pytest
+from browsers import browser
 from PIL import Image
 from studio_pages import (
-    browser,
     fetched,
     fill,
     opened,

@@ -8,20 +8,14 @@
  * view(): the frame that is shown, an iframe or null; pictures(): addresses of the pictures.
  */
 function makeCompare(host, view, pictures) {
-  const made = (name, attributes, ...children) => {
-    const element = document.createElement(name);
-    for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-    element.append(...children);
-    return element;
-  };
-  const sum = made("div", { class: "sum" });
-  const fade = made("div", { class: "fade" }, sum);
-  const right = made("div", { class: "right" }, fade);
-  const masses = made("div", { class: "masses" });
-  const divider = made("div", { class: "cut", role: "slider", tabindex: "0", "aria-label": "Divider of the comparison", "aria-valuemin": "0", "aria-valuemax": "100", "aria-orientation": "horizontal" });
-  const names = [made("span", { class: "side left-side" }), made("span", { class: "side right-side" })];
-  const stage = made("div", { class: "over" }, masses, right, ...names, divider);
-  const layer = made("div", { class: "compare", hidden: "" }, stage);
+  const sum = element("div", { class: "sum" });
+  const fade = element("div", { class: "fade" }, sum);
+  const right = element("div", { class: "right" }, fade);
+  const masses = element("div", { class: "masses" });
+  const divider = element("div", { class: "cut", role: "slider", tabindex: "0", "aria-label": "Divider of the comparison", "aria-valuemin": "0", "aria-valuemax": "100", "aria-orientation": "horizontal" });
+  const names = [element("span", { class: "side left-side" }), element("span", { class: "side right-side" })];
+  const stage = element("div", { class: "over" }, masses, right, ...names, divider);
+  const layer = element("div", { class: "compare", hidden: "" }, stage);
   host.append(layer);
 
   const state = { mode: "none", at: 50, previous: null, label: "", unmatched: [], shown: "", running: false };
@@ -51,7 +45,7 @@ function makeCompare(host, view, pictures) {
   /** The two pictures of a cross-fade at a time of the film, or the masses of its part. */
   function two(parent, addresses, key) {
     if (parent.dataset.key === key) return parent.children;
-    parent.replaceChildren(...addresses.map((src) => made("img", { src, alt: "", draggable: "false" })));
+    parent.replaceChildren(...addresses.map((src) => element("img", { src, alt: "", draggable: "false" })));
     parent.dataset.key = key;
     return parent.children;
   }

@@ -4,8 +4,8 @@ const $ = (id) => document.getElementById(id);
 /** Milliseconds without a change before a preview is asked for. */
 const PAUSE = 60;
 const state = {
-  tab: "", pictures: [], number: 0, previewed: 0, running: null, shown: 0, settings: {}, view: null, coming: null,
-  options: {}, timer: 0, ready: null, log: [], kind: null, asks: new Map(), viewed: null, heard: -1, ran: null,
+  tab: "", pictures: [], number: 0, running: null, shown: 0, view: null, coming: null, timer: 0, log: [],
+  kind: null, asks: new Map(), viewed: null, heard: -1, ran: null,
 };
 const landmarks = makeLandmarks(() => { marked(); later(); });
 const brush = makeBrush(painted);
@@ -69,6 +69,9 @@ function took({ pictures }) {
   if (before !== pictures.map(({ key }) => key).join()) {
     landmarks.clear();
     state.viewed = null; // other pictures are no other settings
+    $("stale").hidden = state.ran === null;
+    compare.clear();
+    over(state.view?.tagName === "IFRAME");
   }
   landmarks.detach();
   brush.detach();
@@ -123,25 +126,26 @@ function guides() {
       : "Paint what belongs together in one color, on both pictures: each color goes only into itself, and so does what is not painted. Balanced presets get a reach then, as regions differ in size.";
 }
 
-/** Send painted regions, and show what follows from them. */
-async function painted(side) {
-  const { kind } = state;
-  const picture = state.pictures[side];
-  try {
-    const blank = !brush.any;
-    const sides = kind.painted === "mask" ? [0] : [0, 1];
-    for (const each of sides) {
+/** Painted regions are sent one after the other; previews and runs wait for them. */
+let sent = Promise.resolve();
+
+/** Send painted regions as they are now, and show what follows from them. */
+function painted(side) {
+  const regions = state.kind.painted;
+  const blank = !brush.any;
+  const sides = state.pictures.slice(0, regions === "mask" ? 1 : 2)
+    .map(({ key }, index) => ({ key, changed: index === side, body: blank ? "" : brush.png(index) }));
+  sent = sent.then(async () => {
+    for (const { key, changed, body } of sides) {
+      const picture = state.pictures.find((each) => each.key === key);
       // Both pictures have regions, or none has; an empty canvas is one without paint.
-      if (each !== side && !blank && state.pictures[each].painted[kind.painted]) continue;
-      const body = blank ? "" : await brush.png(each);
-      const path = of(`/pictures/${state.pictures[each].key}/painted/${kind.painted}`);
-      state.pictures.splice(0, state.pictures.length, ...(await ask(path, body)).pictures);
+      if (!picture || (!changed && !blank && picture.painted[regions])) continue;
+      const { pictures } = await ask(of(`/pictures/${key}/painted/${regions}`), await body);
+      picture.painted = pictures.find((each) => each.key === key)?.painted ?? {};
     }
-    if (picture) files();
+    files();
     later();
-  } catch (error) {
-    fail(error.message);
-  }
+  }).catch((error) => fail(error.message));
 }
 
 /** Links to the files with painted regions, which the command needs beside the pictures. */
@@ -204,6 +208,7 @@ function choose(kind) {
   if (state.kind === kind) return;
   if (state.running !== null) ask(of("/cancel"), undefined).catch(() => {});
   state.running = null;
+  state.number += 1; // what is on its way for the tab before is not shown
   state.kind = kind;
   controls = kind.controls;
   fail("");
@@ -245,7 +250,7 @@ function choose(kind) {
   later();
 }
 
-/** A control of an option: an empty value is the preset's. */
+/** A control of an option; an empty value is the default. */
 function makeControl(option) {
   const id = `option-${option.name}`;
   const title = option.name.replaceAll("_", " ").replace(/^./, (letter) => letter.toUpperCase());
@@ -326,11 +331,11 @@ function asked(number) {
 function remembered(number) {
   const body = asked(number);
   for (const old of state.asks.keys()) if (old < number - 20) state.asks.delete(old);
-  state.asks.set(number, { body, options: {} });
+  state.asks.set(number, { body, options: {}, pictures: state.pictures.map(({ key }) => key).join() });
   return body;
 }
 
-/** Say that the files are those of a run with other settings than the command is for. */
+/** Say whether the files are those of a run with other settings or pictures than the command. */
 function stale() {
   const now = state.asks.get(state.number) ?? null;
   $("stale").hidden = !difference(state.ran, now);
@@ -350,6 +355,8 @@ function difference(before, now) {
     const value = old.settings[name] ?? before.options[name] ?? "as usual";
     words.push(`${name.replaceAll("_", " ")} ${value === true ? "yes" : value === false ? "no" : value}`);
   }
+  if (before.pictures !== now.pictures) words.push("other pictures");
+  if (old.grid !== other.grid) words.push(`grid ${old.grid || "as usual"}`);
   if (old.preset !== other.preset) words.push(`preset ${old.preset}`);
   if (old.device !== other.device) words.push(`device ${old.device}`);
   if (JSON.stringify(old.landmarks) !== JSON.stringify(other.landmarks)) words.push("other landmarks");
@@ -364,7 +371,7 @@ function later() {
   state.timer = setTimeout(preview, PAUSE);
 }
 
-const enough = () => state.pictures.length >= state.kind.least && state.pictures.length <= state.kind.most;
+const enough = () => state.pictures.length >= 2 && state.pictures.length <= state.kind.most;
 
 async function preview() {
   if (state.pictures.length < 2) return;
@@ -372,6 +379,8 @@ async function preview() {
   state.log.push({ number, asked: performance.now() });
   fail("");
   try {
+    await sent;
+    if (number !== state.number) return;
     const found = await ask(of("/preview"), remembered(number));
     known(number, found);
     if (number !== state.number && state.running !== null) return;
@@ -384,7 +393,6 @@ async function preview() {
 }
 
 function settled(found) {
-  state.options = found.options;
   for (const [name, control] of controls) if (control.value() === undefined) control.usual(found.options[name]);
   $("command").value = found.command;
   $("python").value = found.python;
@@ -399,6 +407,9 @@ async function run() {
   fail("");
   buttons();
   try {
+    await sent;
+    if (state.running !== number) return; // another tab was chosen
+    clearTimeout(state.timer);
     const found = await ask(of("/run"), remembered(number));
     known(number, found);
     state.ran = state.asks.get(number);

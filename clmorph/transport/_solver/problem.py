@@ -137,14 +137,14 @@ class Problem:
         return source, target
 
     def softmin_rows(self, g: Array, epsilon: float, precise: bool, bounded: bool = False) -> Array:
-        """Return T(g), (N,) array (paper, 3.1; math: softmin)."""
+        """Return T(g), (N,) array; flags as in `Softmin` (paper, 3.1; math: softmin)."""
         self.n_softmin += 1
         return self.to_rows(g, epsilon, precise, bounded)
 
     def softmin_columns(
         self, f: Array, epsilon: float, precise: bool, bounded: bool = False
     ) -> Array:
-        """Return T(f), (M,) array (paper, 3.1; math: softmin)."""
+        """Return T(f), (M,) array; flags as in `Softmin` (paper, 3.1; math: softmin)."""
         self.n_softmin += 1
         return self.to_columns(f, epsilon, precise, bounded)
 

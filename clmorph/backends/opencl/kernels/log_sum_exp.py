@@ -14,6 +14,8 @@ from clmorph.backends.records import Float64, NearPairs
 PAIRS_ERRORS = 2.0**-45, 2.0**-31
 #: Relative errors of float32: of an operation, and of a power of two (by a polynomial or built in).
 FLOAT32_ERRORS = 2.0**-24, 2.0**-21
+#: No power is less than this, see ``exp2_nonpositive`` of ``cl_kernels/common.cl``.
+SMALLEST_POWER = 2.0**-124
 #: The error bound holds if a row's maximum (log2) is at most the first number, because float32
 #: rounds larger ones too coarsely. A sum is then larger than the second number.
 LARGEST_MAXIMUM, SMALLEST_SUM = 2.0**28, 2.0**-70
@@ -61,15 +63,18 @@ class LogSumExp:
         maxima, sums, offsets = self._log_sum_exp(
             rows, columns, potential, epsilon, True, near, bounded
         )
-        error = self._error_bound(rows, columns, potential, epsilon, bounded)
-        if not (np.abs(maxima).max() <= LARGEST_MAXIMUM and sums.min() > SMALLEST_SUM):
-            error = np.inf
+        error = np.inf
+        smallest = float(sums.min())
+        if np.abs(maxima).max() <= LARGEST_MAXIMUM and smallest > SMALLEST_SUM:
+            error = self._error_bound(rows, columns, potential, epsilon)
+            if min(bounded, self._loop.constants.precise) == 2:
+                error += float32_powers_bound(columns.stride, smallest)
         with np.errstate(invalid="ignore", divide="ignore"):
             softmin = -epsilon / LOG2_E * (maxima + offsets + np.log2(sums))
         return unsort(rows, softmin), error
 
     def _error_bound(
-        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, bounded: int
+        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float
     ) -> float:
         """Return the bound of `bounded_softmin` in nats."""
         k = LOG2_E / epsilon
@@ -82,7 +87,7 @@ class LogSumExp:
         return float(
             rounding_bound(
                 self._loop.constants, columns.centers.shape[1], costs, float(np.ptp(values)),
-                largest, len(columns.centers), bounded,
+                largest, len(columns.centers),
             )
         )  # fmt: skip
 
@@ -162,18 +167,12 @@ def rounding_bound(
     spread: Any,
     largest: Any,
     n_tiles: Any,
-    bounded: int = 1,
 ) -> Any:
     """Return a bound of a log-sum-exp in nats, with every rounding error at its largest.
 
     An exponent is a sum of products no larger than `size`, formed in 3 D + 6 operations from
     numbers that pairs of float32 hold to 2^-49. The constant of a row is at most `of_row`
     and is formed in float64. See ``cl_kernels/sums.cl`` for powers and additions.
-
-    Where powers are float32, so are the distances x_j <= 0 of exponents from their reference, and
-    sum_j w_j |x_j| multiplies their relative error, where w_j = 2^x_j / S are the shares of the sum
-    S. It is the entropy of w less log2 S, and therefore at most the logarithm of the number of
-    columns plus 1, because the largest term of S is not less than about 1/2.
 
     Parameters
     ----------
@@ -187,15 +186,30 @@ def rounding_bound(
         the rows' offsets added.
     n_tiles : int
         Number of column tiles.
-    bounded : {1, 2}
-        See `BuildConstants.row_macros`.
     """
     operation, power = (2.0**-53, 2.0**-44) if constants.precise == 2 else PAIRS_ERRORS
     size, of_row = 8 * costs + 2 * spread, costs + largest
     exponents = size * ((3 * dimension + 6) * operation + 2.0**-47) + 2.0**-49 * of_row
     sums = power + (constants.tile + n_tiles) * operation + 2.0**-46
-    if min(bounded, constants.precise) == 2:
-        operation, power = FLOAT32_ERRORS
-        exponents = exponents + operation * (np.log2(constants.tile * n_tiles) + 2)
-        sums = sums + 1.01 * (power + PRECISE_UNROLL * operation)
     return np.log(2) * exponents + sums
+
+
+def float32_powers_bound(n_columns: int, smallest: float) -> float:
+    """Return what float32 powers add to the bound of a log-sum-exp, in nats.
+
+    The distances x_j <= 0 of exponents from their reference are rounded to float32. This changes
+    the logarithm of the sum S = sum_j 2^x_j by at most ln 2 times the relative error of float32
+    times sum_j w_j |x_j|, where w_j = 2^x_j / S. The latter sum is the entropy of w less log2 S.
+
+    Parameters
+    ----------
+    n_columns : int
+        Number of terms of a sum.
+    smallest : float
+        The smallest sum of a row.
+    """
+    operation, power = FLOAT32_ERRORS
+    distances = np.log2(n_columns) - min(0.0, np.log2(smallest)) + 1.0
+    clipped = n_columns * SMALLEST_POWER / smallest
+    added = np.log(2) * operation * distances + power + PRECISE_UNROLL * operation + clipped
+    return float(1.01 * added)
