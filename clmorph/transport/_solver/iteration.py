@@ -244,6 +244,7 @@ class Iteration:
                 elif stalled:
                     self.status = "precision"
                 return steps.reached(residual)
+            problem.settle(residual)
             floor = steps.column_dual
             # An extrapolation can cost one softmin more, which the limit must allow.
             extrapolated = steps.go_on(self.n_iter + 1 < limit and self._max_iter >= SHORT)

@@ -43,17 +43,20 @@ from clmorph.transport._solver.state import (
 #: Candidate sides of the clusters at the last blur, in units of this blur, and a bound for each:
 #: the number of pairs of clusters as a share of the number of pairs of points. The first side
 #: within its bound is used.
-SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.5)
+SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.4)
 #: Residual to reach over the clusters before the first iteration over the points.
 FIRST_TOLERANCE = 1e-2
 #: Share of the truncation for which near pairs are chosen where the guess of the softmin is rough.
 ROUGH_RESERVE = 1e-6
+#: Nats that the softmins may miss which prolong the changes of coarse potentials, at least: two of them
+#: are subtracted, and they miss the same pairs.
+PROLONGATION_TRUNCATION = 3e-3
 #: Residual to reach in the coarse problem: this share of the residual over the points, and at
 #: least this share of `tol`.
-CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.3
+CYCLE_SHARE, CYCLE_FLOOR = 0.05, 0.3
 #: A coarse problem is kept as long as a cycle leaves at most this share of the residual. After
 #: this many cycles that left more, only iterations over the points follow.
-PROGRESS, FAILURES = 0.5, 12
+PROGRESS, FAILURES = 0.4, 12
 #: Stored pairs are also kept while the residual over the points is at most this many times theirs.
 AGREEMENT = 2.0
 #: Largest number of stored pairs: for each point, and a number that is always allowed.
@@ -133,8 +136,9 @@ class Multiscale:
         clusters = source.measure, target.measure
         few = len(clusters[0]) * len(clusters[1]) < MANY_PAIRS
         problem = CorrectedProblem.between(operations, *clusters, rho, None if few else truncation)
+        missing = None if truncation is None else max(truncation, PROLONGATION_TRUNCATION)
         prolongations = [
-            Softmin(operations, rows, columns, weights, truncation)
+            Softmin(operations, rows, columns, weights, missing)
             for rows, columns, weights in (
                 (points.columns, problem.rows, (points.b, clusters[0].weights)),
                 (points.rows, problem.columns, (points.a, clusters[1].weights)),

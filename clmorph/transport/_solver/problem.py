@@ -221,6 +221,11 @@ class Problem:
         t_rows = self.to_rows(g, epsilon, bounded=True)
         return t_rows, self.to_columns(f, epsilon, bounded=True)
 
+    def settle(self, residual: float) -> None:
+        """Let the softmins know the residual that was reached; see `Softmin.settle`."""
+        self.to_rows.settle(residual)
+        self.to_columns.settle(residual)
+
     def residual(self, f: Array, g: Array, t_rows: Array, t_columns: Array, epsilon: float) -> Any:
         """Return max(|f - Delta T(g)|, |g - Delta T(f)|) / epsilon over points of positive mass.
 

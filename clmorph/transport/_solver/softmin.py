@@ -17,6 +17,9 @@ MANY_PAIRS = 1 << 27
 #: move. The constants are the first share, its factor after each move that was too far, and the
 #: least share.
 RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-24
+#: Once the residual is this small, potentials have little way left, and near pairs that are valid for
+#: far moves are chosen anew, once, for at least this share: half as many pairs are left then.
+SETTLED, SETTLED_RESERVE = 3e-2, 1e-6
 #: After this many successive choices that leave out too much, all pairs are summed.
 ATTEMPTS = 3
 
@@ -73,7 +76,7 @@ class Softmin:
         self._massive = weights[1] > 0
         self._pairs = len(weights[0]) * len(weights[1])
         self.reserve = RESERVE
-        self.proven = True
+        self.proven, self._settled = True, False
         self._near: NearPairs | None = None
         self._chosen_for: tuple[float, Array] = (0.0, np.zeros(0))
         self.guess: Array | None = None
@@ -127,6 +130,18 @@ class Softmin:
         """Take over pairs that another softmin has summed at this potential, with their result."""
         self._near = self.near = near
         self._chosen_for, self.guess = (epsilon, potential), softmin
+
+    def settle(self, residual: float) -> None:
+        """Choose near pairs anew if potentials will hardly move, and the pairs are for far moves.
+
+        Parameters
+        ----------
+        residual : float
+            The residual that was reached, in units of epsilon.
+        """
+        far = self._near is not None and self.reserve < SETTLED_RESERVE
+        if far and residual <= SETTLED and not self._settled:
+            self.reserve, self._near, self._settled = SETTLED_RESERVE, None, True
 
     def release(self) -> None:
         """Sum over all pairs from now on."""
