@@ -7,7 +7,7 @@
 //
 // Launch: as in row_loop.cl; get_global_id(1) is a share of the column tiles.
 //
-// -D BOUNDED 1: powers and sums have a proven error bound: see sums.cl
+// -D BOUNDED 1, 2: powers and sums have a proven error bound: see sums.cl
 
 #include "row_loop.cl"
 #include "sums.cl"
@@ -16,7 +16,11 @@
 // of this share; the host joins the shares.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void log_sum_exp(
-    CLOUD_ARGUMENTS, const uint n_rows,
+    CLOUD_ARGUMENTS,
+#if BOUNDED == 2
+    const __global uchar* restrict in_float32, // (n_listed,) whether exponents are float32
+#endif
+    const uint n_rows,
     __global float* restrict maxima, // (shares, n_rows)
     __global float* restrict sums)   // (SUM_PLANES, shares, n_rows)
 {
@@ -25,8 +29,22 @@ void log_sum_exp(
     // Above columns without mass: the difference of two sentinels is no exponent.
     vreal m = (vreal)(0.5f * SENTINEL);
     sreal s = NO_SUM;
+#if BOUNDED == 2
+    __local float rounded[(DIM + 1) * TILE];
+    vreal u_rounded[DIM];
+    for (int d = 0; d < DIM; ++d)
+        u_rounded[d] = e_nearest(u[d]);
+#endif
     for (uint n = n_begin; n < n_end; ++n) {
         STAGE_TILE(n);
+#if BOUNDED == 2
+        if (in_float32[n]) {
+            stage_in_float32(staged, rounded);
+            const sreal s_few = add_tile_in_float32(u_rounded, rounded, &m, &s);
+            s = sum_of(s, s_few);
+            continue;
+        }
+#endif
         const sreal s_tile = add_tile(u, staged, &m, &s);
         s = sum_of(s, s_tile);
     }

@@ -8,7 +8,9 @@
 //            two float32 to 2^-31 and to 2^-45. The reference m of the powers is a whole number,
 //            so that sums for another one are rescaled without an error.
 //            2: exponents in float64 (PRECISE must be 2), their distances from m, the powers, and
-//            sums of UNROLL powers in float32, and all other sums in float64.
+//            sums of UNROLL powers in float32, and all other sums in float64. Between pairs of
+//            tiles that the host chooses, exponents are float32 too (add_tile_in_float32).
+// -D FLOAT32_UNROLL  columns taken together where exponents are float32, divides TILE
 
 #ifndef BOUNDED
 #define BOUNDED 0
@@ -218,3 +220,50 @@ static inline sreal add_tile(
     *sum = s;
     return s_tile;
 }
+
+#if BOUNDED == 2
+#ifndef FLOAT32_UNROLL
+#error "FLOAT32_UNROLL (columns taken together where exponents are float32) must be given"
+#endif
+
+// The staged columns, rounded to float32.
+static inline void stage_in_float32(const __local staged_real* staged, __local float* rounded)
+{
+    for (uint i = get_local_id(0) * WIDTH; i < (DIM + 1) * TILE; i += GROUP * WIDTH)
+        VSTORE(TO_VREAL(VLOAD(0, staged + i)), 0, rounded + i);
+    GROUP_BARRIER();
+}
+
+// As add_tile, with exponents in float32. The products with u come first: their sum and the rest
+// are often large and of opposite signs, so that adding the rest first would round more.
+static inline sreal add_tile_in_float32(
+    const vreal* u, const __local float* staged, vreal* maximum, sreal* sum)
+{
+    vreal m = *maximum;
+    sreal s_tile = NO_SUM;
+    for (uint j = 0; j < TILE; j += FLOAT32_UNROLL) {
+        vreal e[FLOAT32_UNROLL];
+        vreal highest = (vreal)(0.5f * SENTINEL);
+#pragma unroll
+        for (int c = 0; c < FLOAT32_UNROLL; ++c) {
+            vreal products = u[0] * staged[j + c];
+#pragma unroll
+            for (int d = 1; d < DIM; ++d)
+                products += u[d] * staged[d * TILE + j + c];
+            e[c] = products + staged[DIM * TILE + j + c];
+            highest = max(highest, e[c]);
+        }
+        const vreal m_new = max(m, whole_above(highest));
+        *sum = rescaled(*sum, m - m_new);
+        s_tile = rescaled(s_tile, m - m_new);
+        vreal few = (vreal)(0.0f);
+#pragma unroll
+        for (int c = 0; c < FLOAT32_UNROLL; ++c)
+            few += exp2_nonpositive(e[c] - m_new);
+        s_tile += TO_EREAL(few);
+        m = m_new;
+    }
+    *maximum = m;
+    return s_tile;
+}
+#endif

@@ -169,6 +169,7 @@ class Operations(Protocol):
         potential: Float64,
         epsilon: float,
         near: NearPairs | None = None,
+        enough: float = 0.0,
     ) -> tuple[Float64, float]:
         """Return the soft minimum with a proven bound of its rounding error.
 
@@ -180,6 +181,9 @@ class Operations(Protocol):
         ----------
         rows, columns, potential, epsilon, near
             As in `softmin`.
+        enough : float
+            A rounding error, in nats, that need not be undercut: float32 is used over near pairs
+            where its error is proven to be within it.
 
         Returns
         -------

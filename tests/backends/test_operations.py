@@ -8,6 +8,7 @@ from clouds import PAIRS
 
 from clmorph.backends.comparison import UNIT, splat_excess, splat_tolerance
 from clmorph.backends.interface import KERNEL_ERROR, Operations
+from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import MOMENT_CHUNK
 from clmorph.backends.opencl.kernels.gauss_transform import cell_side, make_cells, moments_pay
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
@@ -107,11 +108,17 @@ def test_bounded_softmin_in_any_dimension_and_over_near_pairs(variant, rng, dime
         got, error = backend.bounded_softmin(*clouds, g, epsilon)
         assert np.abs(got - want).max() / epsilon <= error
         near = backend.near_pairs(*clouds, g, got, epsilon, 1e-3)
-        got, error = backend.bounded_softmin(*clouds, g, epsilon, near)
-        missing = (got - want) / epsilon
-        assert error <= 3e-6
-        assert missing.min() >= -error
-        assert np.all(missing <= 1.01 * near.skipped + error)
+        errors = []
+        for enough in (0.0, 1e-5, 3e-5, 1e-3, 1.0):
+            got, error = backend.bounded_softmin(*clouds, g, epsilon, near, enough)
+            missing = (got - want) / epsilon
+            assert error <= enough + 3e-6
+            assert missing.min() >= -error
+            assert np.all(missing <= 1.01 * near.skipped + error)
+            errors.append(error)
+        assert errors == sorted(errors)
+        if isinstance(backend, OpenCLOperations) and backend.constants.precise == 2:
+            assert errors[-1] > errors[1] > errors[0]  # float32 is used where it is allowed
 
 
 @pytest.mark.parametrize("epsilon", [1.0, 1e-3])

@@ -84,6 +84,7 @@ class NumPyOperations:
         potential: Float64,
         epsilon: float,
         near: NearPairs | None = None,
+        enough: float = 0.0,
     ) -> tuple[Float64, float]:
         """Return T(g) and a bound of its rounding error in nats."""
         softmin = self.softmin(rows, columns, potential, epsilon, near=near)

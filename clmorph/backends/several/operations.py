@@ -166,13 +166,14 @@ class SeveralDevices:
         potential: Float64,
         epsilon: float,
         near: NearPairs | None = None,
+        enough: float = 0.0,
     ) -> tuple[Float64, float]:
         """Return the soft minimum, and the largest of the devices' bounds of its rounding error."""
 
         def of_part(member: Operations, part: Part, place: int) -> tuple[Float64, float]:
             whole = columns.whole[part.member]
             return member.bounded_softmin(
-                part.cloud, whole, potential, epsilon, own_pairs(near, place)
+                part.cloud, whole, potential, epsilon, own_pairs(near, place), enough
             )
 
         found = self._team.over_parts(rows, of_part)

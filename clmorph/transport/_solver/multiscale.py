@@ -48,12 +48,12 @@ SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.4)
 FIRST_TOLERANCE = 1e-2
 #: Share of the truncation for which near pairs are chosen where the guess of the softmin is rough.
 ROUGH_RESERVE = 1e-6
-#: Nats that the softmins may miss which prolong the changes of coarse potentials, at least: two of them
+#: Nats that the softmins which prolong changes of coarse potentials may miss, at least: two of them
 #: are subtracted, and they miss the same pairs.
 PROLONGATION_TRUNCATION = 3e-3
 #: Residual to reach in the coarse problem: this share of the residual over the points, and at
 #: least this share of `tol`.
-CYCLE_SHARE, CYCLE_FLOOR = 0.05, 0.3
+CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.2
 #: A coarse problem is kept as long as a cycle leaves at most this share of the residual. After
 #: this many cycles that left more, only iterations over the points follow.
 PROGRESS, FAILURES = 0.4, 12

@@ -17,9 +17,11 @@ MANY_PAIRS = 1 << 27
 #: move. The constants are the first share, its factor after each move that was too far, and the
 #: least share.
 RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-24
-#: Once the residual is this small, potentials have little way left, and near pairs that are valid for
-#: far moves are chosen anew, once, for at least this share: half as many pairs are left then.
+#: Once the residual is this small, potentials have little way left. Near pairs that are valid for
+#: far moves are then chosen anew, once, for this share: half as many pairs are left.
 SETTLED, SETTLED_RESERVE = 3e-2, 1e-6
+#: Rounding may be this share of the truncation where its bound is computed.
+ROUNDING_SHARE = 0.3
 #: After this many successive choices that leave out too much, all pairs are summed.
 ATTEMPTS = 3
 
@@ -172,7 +174,8 @@ class Softmin:
         arguments = self.rows, self.columns, potential, epsilon
         self.roundoff = 0.0
         if bounded:
-            softmin, self.roundoff = self.operations.bounded_softmin(*arguments, near)
+            enough = 0.0 if self.truncation is None else ROUNDING_SHARE * self.truncation
+            softmin, self.roundoff = self.operations.bounded_softmin(*arguments, near, enough)
         elif near is None:
             softmin = self.operations.softmin(*arguments, precise)
         else:

@@ -92,10 +92,13 @@ class BuildConstants:
             Whether the loop covers listed column tiles only.
         bounded : {0, 1, 2}
             Whether sums have a proven error bound, which needs precise exponents, and how: as
-            exact as the exponents (1), or with powers in float32 (2). Without float64, 2 is 1.
+            exact as the exponents (1), or with powers in float32, and with exponents in float32
+            between chosen pairs of tiles (2). Without float64, 2 is 1.
         """
+        bounded = min(int(bounded), self.precise)
         return {
-            "BOUNDED": min(int(bounded), self.precise),
+            "BOUNDED": bounded,
+            **({"FLOAT32_UNROLL": self.unroll} if bounded == 2 else {}),
             "DIM": dimension,
             "EXP2_BUILTIN": self.exp2_builtin,
             "GROUP": self.group,

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.clouds import Cloud, split
 from clmorph.backends.opencl.kernels.launches import Workspace
-from clmorph.backends.opencl.kernels.log_sum_exp import (
+from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
+from clmorph.backends.opencl.kernels.rounding_bounds import (
     LARGEST_MAXIMUM,
     SMALLEST_SUM,
-    LogSumExp,
     rounding_bound,
 )
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop

@@ -1,24 +1,20 @@
 """The log-sum-exp of ``cl_kernels/log_sum_exp.cl``: soft minima and the rows' maxima."""
 
-from typing import Any
-
 import numpy as np
 
-from clmorph.backends.opencl.build.constants import PRECISE_UNROLL, SENTINEL, BuildConstants
+from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
+from clmorph.backends.opencl.kernels.rounding_bounds import (
+    LARGEST_MAXIMUM,
+    SMALLEST_SUM,
+    USUAL_SUM,
+    Float32Pairs,
+    float32_powers_bound,
+    rounding_bound,
+)
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64, NearPairs
-
-#: Relative errors of an operation, and of a power of two, in pairs of float32.
-PAIRS_ERRORS = 2.0**-45, 2.0**-31
-#: Relative errors of float32: of an operation, and of a power of two (by a polynomial or built in).
-FLOAT32_ERRORS = 2.0**-24, 2.0**-21
-#: No power is less than this, see ``exp2_nonpositive`` of ``cl_kernels/common.cl``.
-SMALLEST_POWER = 2.0**-124
-#: The error bound holds if a row's maximum (log2) is at most the first number, because float32
-#: rounds larger ones too coarsely. A sum is then larger than the second number.
-LARGEST_MAXIMUM, SMALLEST_SUM = 2.0**28, 2.0**-70
 
 
 class LogSumExp:
@@ -54,21 +50,30 @@ class LogSumExp:
         potential: Float64,
         epsilon: float,
         near: NearPairs | None = None,
+        enough: float = 0.0,
     ) -> tuple[Float64, float]:
         """Return T(g) with a proven bound of its rounding error, in nats.
 
-        Over near pairs powers are float32: their error is less than that of the pairs left out.
+        Over near pairs powers are float32 if that is enough, and so are the exponents between tiles
+        where that is enough, too.
         """
-        bounded = 1 if near is None else 2
-        maxima, sums, offsets = self._log_sum_exp(
-            rows, columns, potential, epsilon, True, near, bounded
+        constants, k = self._loop.constants, LOG2_E / epsilon
+        pairs, float32 = None if near is None else near.pairs, None
+        if pairs is not None and constants.precise == 2:
+            powers = float32_powers_bound(columns.stride, USUAL_SUM, constants.unroll)
+            if powers <= enough:
+                values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
+                float32 = Float32Pairs(rows, columns, pairs, values, k, enough - powers)
+        maxima, sums, offsets = self.of_sorted(
+            rows, columns, potential, epsilon, True, pairs, 2 if float32 else 1, float32
         )
         error = np.inf
         smallest = float(sums.min())
         if np.abs(maxima).max() <= LARGEST_MAXIMUM and smallest > SMALLEST_SUM:
             error = self._error_bound(rows, columns, potential, epsilon)
-            if min(bounded, self._loop.constants.precise) == 2:
-                error += float32_powers_bound(columns.stride, smallest)
+            if float32 is not None:
+                error += float32_powers_bound(columns.stride, smallest, constants.unroll)
+                error += float32.largest
         with np.errstate(invalid="ignore", divide="ignore"):
             softmin = -epsilon / LOG2_E * (maxima + offsets + np.log2(sums))
         return unsort(rows, softmin), error
@@ -111,10 +116,9 @@ class LogSumExp:
         epsilon: float,
         precise: bool,
         near: NearPairs | None = None,
-        bounded: int = 0,
     ) -> tuple[Float64, Float64, Float64]:
         pairs = None if near is None else near.pairs
-        return self.of_sorted(rows, columns, potential, epsilon, precise, pairs, bounded)
+        return self.of_sorted(rows, columns, potential, epsilon, precise, pairs)
 
     def of_sorted(
         self,
@@ -125,10 +129,12 @@ class LogSumExp:
         precise: bool,
         pairs: TilePairs | None = None,
         bounded: int = 0,
+        float32: Float32Pairs | None = None,
     ) -> tuple[Float64, Float64, Float64]:
         """Return maximum, sum and offset of every sorted row.
 
-        The row's log-sum-exp, to base 2, is maximum + offset + log2(sum).
+        The row's log-sum-exp, to base 2, is maximum + offset + log2(sum). If `bounded` is 2,
+        `float32` chooses the pairs of tiles whose exponents are float32.
         """
         loop, tile = self._loop, self._loop.constants.tile
         kernel = loop.kernel(
@@ -143,8 +149,12 @@ class LogSumExp:
             # The buffer holds the sums and the rounding errors of their nearest float32.
             planes = np.empty((2 if bounded else 1, shares, n_rows), np.float32)
             buffers = loop.work.empty(found.nbytes), loop.work.empty(planes.nbytes)
+            chosen = []
+            if float32 is not None:
+                flags = float32.chosen(part, exponents.row_level, exponents.tile_max)
+                chosen = [loop.work.buffer(flags, np.uint8)]
             loop.launch(
-                kernel, rows, columns, exponents, part, np.uint32(n_rows), *buffers,
+                kernel, rows, columns, exponents, part, *chosen, np.uint32(n_rows), *buffers,
                 shares=shares, precise=precise, pairs=pairs,
                 results=tuple(zip((found, planes), buffers, strict=True)),
             )  # fmt: skip
@@ -158,58 +168,3 @@ class LogSumExp:
             sums[section] = np.sum(of_shares * np.exp2(found - m), axis=0)
         n = len(rows)
         return maxima[:n], sums[:n], loop.row_offsets(rows, exponents)
-
-
-def rounding_bound(
-    constants: BuildConstants,
-    dimension: int,
-    costs: Any,
-    spread: Any,
-    largest: Any,
-    n_tiles: Any,
-) -> Any:
-    """Return a bound of a log-sum-exp in nats, with every rounding error at its largest.
-
-    An exponent is a sum of products no larger than `size`, formed in 3 D + 6 operations from
-    numbers that pairs of float32 hold to 2^-49. The constant of a row is at most `of_row`
-    and is formed in float64. See ``cl_kernels/sums.cl`` for powers and additions.
-
-    Parameters
-    ----------
-    constants : BuildConstants
-    dimension : int
-        Dimension of the points.
-    costs : float, or an array of them
-        k times the largest cost.
-    spread, largest : float
-        Range of k g_j + log2 b_j over the columns with mass, and their largest absolute value, with
-        the rows' offsets added.
-    n_tiles : int
-        Number of column tiles.
-    """
-    operation, power = (2.0**-53, 2.0**-44) if constants.precise == 2 else PAIRS_ERRORS
-    size, of_row = 8 * costs + 2 * spread, costs + largest
-    exponents = size * ((3 * dimension + 6) * operation + 2.0**-47) + 2.0**-49 * of_row
-    sums = power + (constants.tile + n_tiles) * operation + 2.0**-46
-    return np.log(2) * exponents + sums
-
-
-def float32_powers_bound(n_columns: int, smallest: float) -> float:
-    """Return what float32 powers add to the bound of a log-sum-exp, in nats.
-
-    The distances x_j <= 0 of exponents from their reference are rounded to float32. This changes
-    the logarithm of the sum S = sum_j 2^x_j by at most ln 2 times the relative error of float32
-    times sum_j w_j |x_j|, where w_j = 2^x_j / S. The latter sum is the entropy of w less log2 S.
-
-    Parameters
-    ----------
-    n_columns : int
-        Number of terms of a sum.
-    smallest : float
-        The smallest sum of a row.
-    """
-    operation, power = FLOAT32_ERRORS
-    distances = np.log2(n_columns) - min(0.0, np.log2(smallest)) + 1.0
-    clipped = n_columns * SMALLEST_POWER / smallest
-    added = np.log(2) * operation * distances + power + PRECISE_UNROLL * operation + clipped
-    return float(1.01 * added)

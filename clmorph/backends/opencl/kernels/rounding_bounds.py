@@ -1,0 +1,147 @@
+"""Bounds of the rounding errors in the log-sum-exp of ``cl_kernels/log_sum_exp.cl``."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
+from clmorph.backends.opencl.kernels.clouds import Cloud
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
+from clmorph.backends.records import Float64
+
+#: Relative errors of an operation, and of a power of two, in pairs of float32.
+PAIRS_ERRORS = 2.0**-45, 2.0**-31
+#: Relative errors of float32: of an operation, and of a power of two (by a polynomial or built in).
+FLOAT32_ERRORS = 2.0**-24, 2.0**-21
+#: No power is less than this, see ``exp2_nonpositive`` of ``cl_kernels/common.cl``.
+SMALLEST_POWER = 2.0**-124
+#: The error bound holds if a row's maximum (log2) is at most the first number, because float32
+#: rounds larger ones too coarsely. A sum is then larger than the second number.
+LARGEST_MAXIMUM, SMALLEST_SUM = 2.0**28, 2.0**-70
+#: Sums of powers are not smaller than this, as the largest power of a row is at least 1/2 but for
+#: rounding: a sum has a bound before it is known.
+USUAL_SUM = 0.25
+
+
+def rounding_bound(
+    constants: BuildConstants,
+    dimension: int,
+    costs: Any,
+    spread: Any,
+    largest: Any,
+    n_tiles: Any,
+) -> Any:
+    """Return a bound of a log-sum-exp in nats, with every rounding error at its largest.
+
+    An exponent is a sum of products no larger than `size`, formed in 3 D + 6 operations from
+    numbers that pairs of float32 hold to 2^-49. The constant of a row is at most `of_row`
+    and is formed in float64. See ``cl_kernels/sums.cl`` for powers and additions.
+
+    Parameters
+    ----------
+    constants : BuildConstants
+    dimension : int
+        Dimension of the points.
+    costs : float, or an array of them
+        k times the largest cost.
+    spread, largest : float
+        Range of k g_j + log2 b_j over the columns with mass, and their largest absolute value, with
+        the rows' offsets added.
+    n_tiles : int
+        Number of column tiles.
+    """
+    operation, power = (2.0**-53, 2.0**-44) if constants.precise == 2 else PAIRS_ERRORS
+    size, of_row = 8 * costs + 2 * spread, costs + largest
+    exponents = size * ((3 * dimension + 6) * operation + 2.0**-47) + 2.0**-49 * of_row
+    sums = power + (constants.tile + n_tiles) * operation + 2.0**-46
+    return np.log(2) * exponents + sums
+
+
+def float32_powers_bound(n_columns: int, smallest: float, n_added: int) -> float:
+    """Return what float32 powers add to the bound of a log-sum-exp, in nats.
+
+    The distances x_j <= 0 of exponents from their reference are rounded to float32. This changes
+    the logarithm of the sum S = sum_j 2^x_j by at most ln 2 times the relative error of float32
+    times sum_j w_j |x_j|, where w_j = 2^x_j / S. The latter sum is the entropy of w less log2 S.
+
+    Parameters
+    ----------
+    n_columns : int
+        Number of terms of a sum.
+    smallest : float
+        The smallest sum of a row.
+    n_added : int
+        Number of powers that are added in float32.
+    """
+    operation, power = FLOAT32_ERRORS
+    distances = np.log2(n_columns) - min(0.0, np.log2(smallest)) + 1.0
+    clipped = n_columns * SMALLEST_POWER / smallest
+    added = np.log(2) * operation * distances + power + n_added * operation + clipped
+    return float(1.01 * added)
+
+
+class Float32Pairs:
+    """Chooses the pairs of tiles between which exponents are exact enough in float32.
+
+    Staged columns are formed in float64 and rounded once; the rows' shifts u are rounded, too. With
+    s, the vector between the centers of the tiles, W >= sum_d |u_d| |staged_d| and S, the largest
+    size of the staged part without u, an exponent u . staged + S is off by at most 2^-24 times
+    (DIM + 4) W + 2 S: two roundings of the factors, DIM of products, DIM - 1 of their sums, and two
+    of the last sum, see ``add_tile_in_float32`` in ``cl_kernels/sums.cl``.
+
+    Parameters
+    ----------
+    rows, columns : Cloud
+    pairs : TilePairs
+    values : (M,) array
+        k g_j + log2 b_j of the sorted columns.
+    k : float
+    limit : float
+        The error, in nats, that exponents may have.
+
+    Attributes
+    ----------
+    largest : float
+        The largest bound of a chosen pair, in nats.
+    """
+
+    def __init__(
+        self, rows: Cloud, columns: Cloud, pairs: TilePairs, values: Float64, k: float, limit: float
+    ) -> None:
+        self._rows, self._columns, self._pairs, self._k = rows, columns, pairs, k
+        self._limit, self.largest = limit, 0.0
+        tiles, tile, self._dimension = columns.shifts.shape
+        massive = values > 0.5 * SENTINEL
+        lowest = np.full(tiles * tile, np.inf)
+        lowest[: len(values)][massive] = values[massive]
+        highest = np.full(tiles * tile, -np.inf)
+        highest[: len(values)][massive] = values[massive]
+        lowest, highest = lowest.reshape(-1, tile).min(1), highest.reshape(-1, tile).max(1)
+        # Tiles without mass have levels so low that they are not chosen.
+        self._spreads = np.where(np.isinf(highest), 0.0, highest - lowest)
+
+    def chosen(self, part: range, row_level: Float64, tile_max: Float64) -> NDArray[np.uint8]:
+        """Return for each listed pair of some row tiles whether it is chosen.
+
+        Parameters
+        ----------
+        part : range
+        row_level, tile_max : arrays
+            See `clmorph.backends.opencl.kernels.row_loop.Exponents`.
+        """
+        starts, tiles, levels = self._pairs.levels(part, tile_max, self._k)
+        section = slice(part.start, part.stop)
+        lengths = np.diff(starts)
+        levels -= np.repeat(row_level[section], lengths)
+        own = np.repeat(self._rows.radii[section], lengths)
+        radii = self._columns.radii[tiles]
+        listed = slice(self._pairs.starts[part.start], self._pairs.starts[part.stop])
+        apart = np.sqrt(2 * self._pairs.distances[listed])
+        products = self._k * own * (radii + apart)
+        rest = np.abs(levels) + self._spreads[tiles] + self._k * radii * (apart + 0.5 * radii)
+        bounds = (self._dimension + 4) * products + 2 * rest
+        bounds *= 1.01 * np.log(2) * FLOAT32_ERRORS[0]
+        chosen = bounds <= self._limit
+        self.largest = max(self.largest, float(bounds[chosen].max(initial=0.0)))
+        return chosen.astype(np.uint8)
