@@ -4,15 +4,16 @@ r"""Time whole morphs from thousands of points to a million.
     python tools/bench_scale.py --sides 128 256 512 1024 --odd --geomloss
 
 Two photographs, enlarged where need be, reach 0.3, residual 10^-3 epsilon; blur 0.05 at color
-weights 2 and 0.5, and a blur of 2 pixels at color weight 2. Every morph has a process of its own,
-which builds its kernels in a small one before. "Solve" is the transport alone. "Pairs" is the
-share of all pairs of points that each of the last softmins summed, "work" all pairs that were
-summed in the whole solve, in units of N M: one iteration without truncation takes 2. "Plan" is
-what frames are made of: all kept pairs if they are few, else about 1.5 million draws, at least
-one a pixel (the command line's default); and the time that this takes. A frame is that at
-t = 0.5, after another one; memory is the largest over all of this. GeomLoss (online, KeOps,
-scaling 0.9) is timed where it has fewer points than `--patience`, and is else extrapolated as N^2,
-marked "~". `--verify` takes the residual over all pairs too, which takes two sums over N M.
+weights 2 and 0.5, and a blur of 2 pixels at color weight 2; `--settings` names these and blurs of
+more pixels. Every morph has a process of its own, which builds its kernels in a small one before.
+"Solve" is the transport alone. "Pairs" is the share of all pairs of points that each of the last
+softmins summed, "work" all pairs that were summed in the whole solve, in units of N M: one
+iteration without truncation takes 2. "Plan" is what frames are made of: all kept pairs if they are
+few, else about 1.5 million draws, at least one a pixel (the command line's default); and the time
+that this takes. A frame is that at t = 0.5, after another one; memory is the largest over all of
+this. GeomLoss (online, KeOps, scaling 0.9) is timed where it has fewer points than `--patience`,
+and is else extrapolated as N^2, marked "~". `--verify` takes the residual over all pairs too, which
+takes two sums over N M.
 
 `--drawn` times morphs of large pictures with the default options in place of all that: up to the
 plan, the first frame, which divides and registers the images, and the least of two more.
@@ -39,7 +40,12 @@ from clmorph.transport.plan import Plan
 
 REACH = 0.3
 #: Blur (a length, or in pixels) and color weight.
-SETTINGS = {"0.05": (0.05, 2.0), "0.05, photo": (0.05, 0.5), "2 px": ("2", 2.0)}
+SETTINGS: dict[str, tuple[float | str, float]] = {
+    "0.05": (0.05, 2.0), "0.05, photo": (0.05, 0.5),
+    **{f"{pixels} px": (str(pixels), 2.0) for pixels in (2, 4, 6, 8, 10, 14)},
+}  # fmt: skip
+#: The settings of the table of all sizes.
+USUAL = ["0.05", "0.05, photo", "2 px"]
 #: As many as the command line draws at most, but for one a pixel.
 PARTICLES = 1_500_000
 #: Sizes that divide nothing evenly, beside the squares: 48,896 and 157,000 points.
@@ -136,12 +142,7 @@ def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> No
     (begun, _), (solved, pairs), (planned, _) = (
         marks[name] for name in ("transport 0", "plan 0", "plan 1")
     )
-    kind = "means"
-    if isinstance(result.plan, Plan):
-        # Masses drawn from a row are multiples of one.
-        first = result.plan.mass[: result.plan.indptr[1]]
-        shares = first / first.min()
-        kind = "draws" if np.allclose(shares, np.round(shares)) else "pairs"
+    kind = kind_of(result) if isinstance(result.plan, Plan) else "means"
     record = {
         "points": n, "seconds": solved - begun,
         "iterations": found.n_iter, "residual": found.residual, "status": found.status,
@@ -160,6 +161,16 @@ def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> No
         ]
         record["verified"] = problem.residual(found.f, found.g, *softmins, epsilon)
     print(json.dumps(record))
+
+
+def kind_of(result: Any) -> str:
+    """Say whether particles are kept pairs of the plan or draws: only pairs have its masses."""
+    plan, source, target, found = result.plan, result.source, result.target, result.potentials
+    columns = plan.indices[: plan.indptr[1]]
+    cost = 0.5 * ((source.points[0] - target.points[columns]) ** 2).sum(axis=1)
+    exponents = (found.f[0] + found.g[columns] - cost) / found.epsilon
+    masses = source.weights[0] * target.weights[columns] * np.exp(exponents)
+    return "pairs" if np.allclose(plan.mass[: len(columns)], masses, rtol=1e-2) else "draws"
 
 
 def drawn(device: str, side: int) -> None:
@@ -233,7 +244,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sides", type=int, nargs="*", default=[128, 256, 512])
     parser.add_argument("--odd", action="store_true", help="48,896 and 157,000 points too")
-    parser.add_argument("--settings", nargs="*", default=list(SETTINGS), choices=SETTINGS)
+    parser.add_argument("--settings", nargs="*", default=USUAL, choices=SETTINGS)
     parser.add_argument("--device", default="auto")
     parser.add_argument("--verify", action="store_true", help="residual over all pairs too")
     parser.add_argument("--geomloss", action="store_true", help="time GeomLoss beside")

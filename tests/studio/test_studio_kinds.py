@@ -127,6 +127,14 @@ def test_painted_regions_go_into_each_other(opened, pictures, place):
     assert not page.is_visible("#stale")
     fill(page, frames="5")
     until(page, "!document.getElementById('stale').hidden")
+    fill(page, frames="4")
+    until(page, "document.getElementById('stale').hidden")
+    # Other pictures, too; in the order of the run the files are again those of the command.
+    for hidden in ("false", "true"):
+        page.click("#swap")
+        until(page, f"document.getElementById('stale').hidden === {hidden}")
+        previewed(page)
+    assert page.is_visible("#downloads")
     # A balanced preset gets a reach, as these regions are of different sizes.
     page.select_option("#preset", "balanced")
     until(page, "document.getElementById('command').value.includes('--reach 0.3')")
