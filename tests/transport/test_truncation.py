@@ -13,7 +13,7 @@ from plain import sinkhorn
 
 import clmorph
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import Softmin
+from clmorph.transport._solver.softmin import LEAST_RESERVE, Softmin
 from clmorph.transport.regularization import regularization
 
 MANY = settings(max_examples=60, deadline=None, derandomize=True)
@@ -154,6 +154,29 @@ def test_lists_serve_until_potentials_have_moved_too_far(rng):
     count = len(made)
     softmin(potential, epsilon)  # the same again: nothing moved
     assert len(made) == count
+
+
+def test_settled_potentials_have_fewer_near_pairs(rng):
+    """Pairs for far moves are chosen anew once, for near ones; both leave out what they say."""
+    backend = clmorph.get_backend("numpy")
+    (a, x), (b, y) = pair_of("picture", rng, 300, 400)
+    clouds, epsilon, budget = (backend.upload(x, a), backend.upload(y, b)), 0.0004, 1e-3
+    g = backend.softmin(*clouds[::-1], np.zeros(300), epsilon)
+    want = backend.softmin(*clouds, g, epsilon)
+    softmin = Softmin(backend, *clouds, (a, b), budget)
+    softmin.reserve = LEAST_RESERVE
+    counts = []
+    for residual in (1.0, 0.5, 0.01, 0.001):
+        got = softmin(g, epsilon)
+        missing = (got - want) / epsilon
+        assert -1e-12 <= missing.min() <= missing.max() <= softmin.left_out + 1e-12
+        assert softmin.left_out <= budget
+        assert softmin.near is not None
+        counts.append(softmin.near.n_pairs)
+        softmin.settle(residual)
+    assert counts[0] == counts[1] == counts[2] > counts[3]
+    softmin(g, epsilon)
+    assert softmin.near.n_pairs == counts[3]  # not again
 
 
 def test_plans_of_truncated_potentials(device, monkeypatch, rng):
