@@ -166,11 +166,12 @@ def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> No
 def kind_of(result: Any) -> str:
     """Say whether particles are kept pairs of the plan or draws: only pairs have its masses."""
     plan, source, target, found = result.plan, result.source, result.target, result.potentials
-    columns = plan.indices[: plan.indptr[1]]
-    cost = 0.5 * ((source.points[0] - target.points[columns]) ** 2).sum(axis=1)
-    exponents = (found.f[0] + found.g[columns] - cost) / found.epsilon
-    masses = source.weights[0] * target.weights[columns] * np.exp(exponents)
-    return "pairs" if np.allclose(plan.mass[: len(columns)], masses, rtol=1e-2) else "draws"
+    some = slice(0, 10_000)
+    rows, columns = plan.rows[some], plan.indices[some]
+    cost = 0.5 * ((source.points[rows] - target.points[columns]) ** 2).sum(axis=1)
+    exponents = (found.f[rows] + found.g[columns] - cost) / found.epsilon
+    masses = source.weights[rows] * target.weights[columns] * np.exp(exponents)
+    return "pairs" if np.allclose(plan.mass[some], masses, rtol=1e-2, atol=0) else "draws"
 
 
 def drawn(device: str, side: int) -> None:
