@@ -120,7 +120,12 @@ def painted_name(painted: str, name: str) -> str:
     >>> painted_name("labels", "a.png"), painted_name("mask", "b.jpg")
     ('a-labels.png', 'b-mask.png')
     """
-    return f"{PurePath(name).stem}-{painted}.png"
+    return f"{PurePath(name).stem}{painted_ending(painted)}.png"
+
+
+def painted_ending(painted: str) -> str:
+    """Return how the names of files with painted regions end, without the file's ending."""
+    return f"-{painted}"
 
 
 def _presets() -> dict[str, str]:

@@ -13,7 +13,7 @@ from typing import Any
 from clmorph._shared.printable import printable
 from clmorph.errors import InputError
 from clmorph.studio.choices import Choices
-from clmorph.studio.kinds import KINDS, PAINTED
+from clmorph.studio.kinds import KINDS, PAINTED, painted_ending
 from clmorph.studio.making import Made
 
 #: Largest number of tabs.
@@ -94,8 +94,9 @@ class Tab:
         path = folder / safe_name(name)
         taken = {each.path.stem for each in self.pictures}
         taken |= {kind.output for kind in KINDS.values()}  # what the command writes
+        endings = tuple(map(painted_ending, PAINTED))
         stem, number = path.stem, 2
-        while path.stem in taken or path.stem.endswith(tuple(PAINTED)):
+        while path.stem in taken or path.stem.endswith(endings):
             path = path.with_stem(f"{stem}-{number}")
             number += 1
         return path

@@ -27,6 +27,8 @@ from studio_pages import (
     until,
 )
 
+from clmorph.studio.tabs import Tab
+
 __all__ = ["browser", "opened", "pictures", "place", "port"]
 
 
@@ -241,3 +243,12 @@ def test_nothing_is_left_at_the_end(tmp_path, pictures):
         assert process.wait(20) == 128 + signal.SIGTERM
         assert "Traceback" not in process.stderr.read()
     assert list(tmp.iterdir()) == []
+
+
+def test_names_of_pictures_differ_from_those_of_painted_regions(tmp_path):
+    tab = Tab("key", tmp_path, None)
+    for name, wanted in (
+        ("a-mask.png", "a-mask-2.png"), ("a-labels.jpg", "a-labels-2.jpg"),
+        ("mask.png", "mask.png"), ("unlabels.png", "unlabels.png"), ("morph.png", "morph-2.png"),
+    ):  # fmt: skip
+        assert tab.place(name).name == wanted

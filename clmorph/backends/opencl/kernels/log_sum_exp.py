@@ -65,7 +65,7 @@ class LogSumExp:
                 values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
                 float32 = Float32Pairs(rows, columns, pairs, values, k, enough - powers)
         maxima, sums, offsets = self.of_sorted(
-            rows, columns, potential, epsilon, True, pairs, 2 if float32 else 1, float32
+            rows, columns, potential, epsilon, True, pairs, True, float32
         )
         error = np.inf
         smallest = float(sums.min())
@@ -128,18 +128,19 @@ class LogSumExp:
         epsilon: float,
         precise: bool,
         pairs: TilePairs | None = None,
-        bounded: int = 0,
+        bounded: bool = False,
         float32: Float32Pairs | None = None,
     ) -> tuple[Float64, Float64, Float64]:
         """Return maximum, sum and offset of every sorted row.
 
-        The row's log-sum-exp, to base 2, is maximum + offset + log2(sum). If `bounded` is 2,
-        `float32` chooses the pairs of tiles whose exponents are float32.
+        The row's log-sum-exp, to base 2, is maximum + offset + log2(sum). With `float32`, which
+        needs `bounded`, powers are float32, and so are exponents between the tiles it chooses.
         """
         loop, tile = self._loop, self._loop.constants.tile
         kernel = loop.kernel(
-            "log_sum_exp.cl", "log_sum_exp", rows, precise, pairs is not None, bounded
-        )
+            "log_sum_exp.cl", "log_sum_exp", rows, precise, pairs is not None,
+            2 if float32 else int(bounded),
+        )  # fmt: skip
         exponents = loop.exponents(rows, columns, potential, epsilon, pairs, precise=precise)
         shares = loop.column_shares(rows, columns, pairs)
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)

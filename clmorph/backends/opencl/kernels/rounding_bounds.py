@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
-from clmorph.backends.opencl.kernels.clouds import Cloud
+from clmorph.backends.opencl.kernels.clouds import Cloud, pad
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64
 
@@ -112,14 +112,12 @@ class Float32Pairs:
         self._rows, self._columns, self._pairs, self._k = rows, columns, pairs, k
         self._limit, self.largest = limit, 0.0
         tiles, tile, self._dimension = columns.shifts.shape
-        massive = values > 0.5 * SENTINEL
-        lowest = np.full(tiles * tile, np.inf)
-        lowest[: len(values)][massive] = values[massive]
-        highest = np.full(tiles * tile, -np.inf)
-        highest[: len(values)][massive] = values[massive]
-        lowest, highest = lowest.reshape(-1, tile).min(1), highest.reshape(-1, tile).max(1)
+        padded = pad(values, tiles * tile, SENTINEL).reshape(tiles, tile)
+        massive = padded > 0.5 * SENTINEL
+        highest = np.where(massive, padded, -np.inf).max(axis=1)
+        lowest = np.where(massive, padded, np.inf).min(axis=1)
         # Tiles without mass have levels so low that they are not chosen.
-        self._spreads = np.where(np.isinf(highest), 0.0, highest - lowest)
+        self._spreads = np.where(massive.any(axis=1), highest - lowest, 0.0)
 
     def chosen(self, part: range, row_level: Float64, tile_max: Float64) -> NDArray[np.uint8]:
         """Return for each listed pair of some row tiles whether it is chosen.
