@@ -84,11 +84,11 @@ def float32_powers_bound(n_columns: int, smallest: float, n_added: int) -> float
 class Float32Pairs:
     """Chooses the pairs of tiles between which exponents are exact enough in float32.
 
-    Staged columns are formed in float64 and rounded once; the rows' shifts u are rounded, too. With
-    s, the vector between the centers of the tiles, W >= sum_d |u_d| |staged_d| and S, the largest
-    size of the staged part without u, an exponent u . staged + S is off by at most 2^-24 times
-    (DIM + 4) W + 2 S: two roundings of the factors, DIM of products, DIM - 1 of their sums, and two
-    of the last sum, see ``add_tile_in_float32`` in ``cl_kernels/sums.cl``.
+    An exponent is u . v + c, where u is a shift of a row, v and c are staged for a column. They are
+    formed in float64 and rounded once to float32. If W bounds sum_d |u_d v_d| and S bounds |c|, the
+    exponent is off by at most 2^-24 ((DIM + 4) W + 2 S): both factors, each product, DIM - 1 sums
+    of products, c, and the last sum are rounded; see ``add_tile_in_float32`` in
+    ``cl_kernels/sums.cl``.
 
     Parameters
     ----------
