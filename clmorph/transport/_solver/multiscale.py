@@ -56,7 +56,7 @@ PROLONGATION_TRUNCATION = 3e-3
 CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.2
 #: A coarse problem is kept as long as a cycle leaves at most this share of the residual. After
 #: this many cycles that left more, only iterations over the points follow.
-PROGRESS, FAILURES = 0.4, 12
+PROGRESS, FAILURES = 0.3, 12
 #: Stored pairs are also kept while the residual over the points is at most this many times theirs.
 AGREEMENT = 2.0
 #: Largest number of stored pairs: for each point, and a number that is always allowed.
