@@ -19,8 +19,13 @@
 
 // Helpers take and return vectors wider than a processor's registers may be. Clang warns that such
 // calls depend on the processor; these are all inlined, so no call is left.
+// A call would be wrong on PoCL, where caller and callee can disagree about the registers: the compiler must
+// not choose.
 #ifdef __clang__
 #pragma clang diagnostic ignored "-Wpsabi"
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
 #endif
 
 #define CONCAT_(a, b) a##b
@@ -48,7 +53,7 @@ typedef CONCAT(int, WIDTH) vint;
 // every sum this feeds holds a term 1, or is compared with one.
 // Polynomial: degree 5, minimax in relative error (2.3e-7 in float32) on [-1/2, 1/2];
 // the nearest integer comes from adding 1.5 * 2^23, whose low bits then are that integer.
-static inline vreal exp2_nonpositive(vreal x)
+INLINE vreal exp2_nonpositive(vreal x)
 {
 #if EXP2_BUILTIN
     return exp2(x);

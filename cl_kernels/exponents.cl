@@ -6,7 +6,7 @@
 //             float64; 4 times the time. Dekker 1971; Ogita, Rump, Oishi 2005 (Dot2).
 //             2: float64; on CPUs 2.3 times the time.
 // Inputs are float32 in all: PLANES of them, the second with what the first rounds off.
-// -D DIM, TILE  see row_loop.cl
+// -D DIM, TILE, MASKED  see row_loop.cl
 
 #ifndef PRECISE
 #define PRECISE 0
@@ -53,11 +53,19 @@ typedef vreal ereal;
 #define TO_VREAL(v) (v)
 #endif
 
-#define STAGED_SIZE (STAGED_PLANES * (DIM + 1) * TILE)
+// Staged numbers of a coordinate. After the columns of a tile there is one without mass, MASKED alone
+// reads it.
+#if MASKED
+#define STAGED_ROW (TILE + WIDTH)
+#else
+#define STAGED_ROW TILE
+#endif
+#define STAGED_PLANE ((DIM + 1) * STAGED_ROW)
+#define STAGED_SIZE (STAGED_PLANES * STAGED_PLANE)
 
 // --- WIDTH exponents at a time: load, sum, difference, product
 
-static inline ereal e_load(const __global float* p, const size_t plane)
+INLINE ereal e_load(const __global float* p, const size_t plane)
 {
 #if PRECISE == 0
     return VLOAD(0, p);
@@ -72,7 +80,7 @@ static inline ereal e_load(const __global float* p, const size_t plane)
 }
 
 #if PRECISE == 1
-static inline ereal e_sum(const ereal a, const ereal b)
+INLINE ereal e_sum(const ereal a, const ereal b)
 {
     ereal s;
     HIGH(s) = HIGH(a) + HIGH(b);
@@ -81,7 +89,7 @@ static inline ereal e_sum(const ereal a, const ereal b)
     return s;
 }
 
-static inline ereal e_product(const ereal a, const ereal b)
+INLINE ereal e_product(const ereal a, const ereal b)
 {
     ereal p;
     HIGH(p) = HIGH(a) * HIGH(b);
@@ -89,7 +97,7 @@ static inline ereal e_product(const ereal a, const ereal b)
     return p;
 }
 
-static inline ereal e_negative(const ereal a)
+INLINE ereal e_negative(const ereal a)
 {
     ereal n;
     HIGH(n) = -HIGH(a);
@@ -97,7 +105,7 @@ static inline ereal e_negative(const ereal a)
     return n;
 }
 
-static inline ereal e_constant(const float high, const float low)
+INLINE ereal e_constant(const float high, const float low)
 {
     ereal e;
     HIGH(e) = (vreal)(high);
@@ -105,10 +113,10 @@ static inline ereal e_constant(const float high, const float low)
     return e;
 }
 #else
-static inline ereal e_sum(const ereal a, const ereal b) { return a + b; }
-static inline ereal e_product(const ereal a, const ereal b) { return a * b; }
-static inline ereal e_negative(const ereal a) { return -a; }
-static inline ereal e_constant(const float high, const float low)
+INLINE ereal e_sum(const ereal a, const ereal b) { return a + b; }
+INLINE ereal e_product(const ereal a, const ereal b) { return a * b; }
+INLINE ereal e_negative(const ereal a) { return -a; }
+INLINE ereal e_constant(const float high, const float low)
 {
 #if PRECISE == 2
     return (ereal)((double)high + (double)low);
@@ -119,7 +127,7 @@ static inline ereal e_constant(const float high, const float low)
 #endif
 
 // Nearest float32 of e; and e - m for a float32 m near it, to float32's own precision.
-static inline vreal e_nearest(const ereal e)
+INLINE vreal e_nearest(const ereal e)
 {
 #if PRECISE == 1
     return HIGH(e) + LOW(e);
@@ -128,7 +136,7 @@ static inline vreal e_nearest(const ereal e)
 #endif
 }
 
-static inline vreal e_above(const ereal e, const vreal m)
+INLINE vreal e_above(const ereal e, const vreal m)
 {
 #if PRECISE == 1
     return (HIGH(e) - m) + LOW(e);
@@ -139,32 +147,34 @@ static inline vreal e_above(const ereal e, const vreal m)
 
 // --- columns in local memory, read by all rows of a group
 
-static inline void e_stage(const ereal e, __local staged_real* p)
+INLINE void e_stage(const ereal e, __local staged_real* p)
 {
 #if PRECISE == 0
     VSTORE(e, 0, p);
 #elif PRECISE == 1
     VSTORE(HIGH(e), 0, p);
-    VSTORE(LOW(e), 0, p + (DIM + 1) * TILE);
+    VSTORE(LOW(e), 0, p + STAGED_PLANE);
 #else
     VSTORE(e, 0, p);
 #endif
 }
 
 // e_ij of WIDTH rows and staged column j: staged[DIM][j] + sum_d u[d] staged[d][j].
-static inline ereal exponent(const ereal* u, const __local staged_real* staged, const uint j)
+INLINE ereal exponent(const ereal* u, const __local staged_real* staged, const uint j)
 {
 #if PRECISE == 1
-    const __local float* low = staged + (DIM + 1) * TILE;
-    ereal e = e_constant(staged[DIM * TILE + j], low[DIM * TILE + j]);
+    const __local float* low = staged + STAGED_PLANE;
+    ereal e = e_constant(staged[DIM * STAGED_ROW + j], low[DIM * STAGED_ROW + j]);
 #pragma unroll
     for (int d = 0; d < DIM; ++d)
-        e = e_sum(e, e_product(u[d], e_constant(staged[d * TILE + j], low[d * TILE + j])));
+        e = e_sum(e, e_product(u[d], e_constant(staged[d * STAGED_ROW + j],
+                                                low[d * STAGED_ROW + j])));
 #else
-    ereal e = u[0] * staged[j] + staged[DIM * TILE + j];
+    ereal e = u[0] * staged[j];
 #pragma unroll
     for (int d = 1; d < DIM; ++d)
-        e += u[d] * staged[d * TILE + j];
+        e += u[d] * staged[d * STAGED_ROW + j];
+    e += staged[DIM * STAGED_ROW + j];
 #endif
     return e;
 }

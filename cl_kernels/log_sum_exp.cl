@@ -17,6 +17,9 @@
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void log_sum_exp(
     CLOUD_ARGUMENTS,
+#if MASKED
+    const __global ulong* restrict column_masks, // (n_listed, GROUPS_OF_TILE, MASK_WORDS)
+#endif
 #if BOUNDED == 2
     const __global uchar* restrict in_float32, // (n_listed,) whether exponents are float32
 #endif
@@ -30,22 +33,32 @@ void log_sum_exp(
     vreal m = (vreal)(0.5f * SENTINEL);
     sreal s = NO_SUM;
 #if BOUNDED == 2
-    __local float rounded[(DIM + 1) * TILE];
+    __local float rounded[STAGED_PLANE];
     vreal u_rounded[DIM];
     for (int d = 0; d < DIM; ++d)
         u_rounded[d] = e_nearest(u[d]);
 #endif
+#if MASKED
+    stage_empty_column(staged);
+#define MASK_AND_SUMS OWN_MASK(n), &m, &s
+#else
+#define MASK_AND_SUMS &m, &s
+#endif
     for (uint n = n_begin; n < n_end; ++n) {
+#if MASKED
+        if (is_empty(OWN_MASK(n)))
+            continue;
+#endif
         STAGE_TILE(n);
 #if BOUNDED == 2
         if (in_float32[n]) {
             stage_in_float32(staged, rounded);
-            const sreal s_few = add_tile_in_float32(u_rounded, rounded, &m, &s);
+            const sreal s_few = add_tile_in_float32(u_rounded, rounded, MASK_AND_SUMS);
             s = sum_of(s, s_few);
             continue;
         }
 #endif
-        const sreal s_tile = add_tile(u, staged, &m, &s);
+        const sreal s_tile = add_tile(u, staged, MASK_AND_SUMS);
         s = sum_of(s, s_tile);
     }
     VSTORE(m, (size_t)share * n_rows + local_row, maxima);

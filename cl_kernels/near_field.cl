@@ -1,94 +1,93 @@
-// What each listed column tile has in the sums of a row tile, as a share of the rows' sums:
+// Which columns of each listed tile have a notable share in the sum of a row:
 //
-//     share_iq = sum_j 2^(e_ij + offset_i) over the columns j of tile q,
+//     e_ij > limit_i,   limit_i = log2(threshold) + log2 of about the sum of row i,
 //
-// with e_ij as row_loop.cl has it, and 2^(-offset_i) about the whole sum of row i. The host leaves out
-// tiles with small shares, and knows what they hold.
+// with e_ij as row_loop.cl has it, for at least one row i of a work-group. The host knows what all other
+// columns can hold, and later sums leave them out (MASKED).
 //
 // Launch: as in row_loop.cl.
 //
-// -D LISTED         must be 1
-// -D LARGEST_SHARE  log2 of the largest share that is told from larger ones
+// -D LISTED        must be 1
+// -D MANY_EIGHTHS  a mask with more than this many eighths of its bits gets all of them (speed only)
 
 #include "row_loop.cl"
-#include "sums.cl"
 
 #if !LISTED
-#error "LISTED must be 1: shares are those of listed tiles"
-#endif
-#ifndef LARGEST_SHARE
-#error "LARGEST_SHARE (log2 of the largest share that measure_tiles tells apart) must be given"
+#error "LISTED must be 1: columns are those of listed tiles"
 #endif
 
-// Largest of the WIDTH * GROUP lanes of a work-group, for the first work-item.
-static inline float largest_lane(const vreal values, __local float* of_items)
+// A comparison is 1 for a scalar, and has all bits in each lane of a vector.
+#if WIDTH == 1
+#define IS_TRUE(comparison) (-(comparison))
+#else
+#define IS_TRUE(comparison) (comparison)
+#endif
+
+// Bits of the columns first + j, 0 <= j < 32, whose exponent is above a limit in one of WIDTH rows. They are
+// collected lane by lane, because to ask each time whether any lane is above it takes longer.
+INLINE ulong columns_above(
+    const ereal* u, const __local staged_real* staged, const uint first, const vreal limit)
 {
-    float lanes[WIDTH];
-    VSTORE(values, 0, lanes);
-    float largest = lanes[0];
-    for (int lane = 1; lane < WIDTH; ++lane)
-        largest = max(largest, lanes[lane]);
+    vint of_lanes = 0;
+#pragma unroll
+    for (uint j = 0; j < (TILE < 32 ? TILE : 32); ++j) {
+        const vint above = IS_TRUE(e_nearest(exponent(u, staged, first + j)) > limit);
+        of_lanes |= above & (vint)(1 << j);
+    }
+#if WIDTH == 1
+    return (uint)of_lanes;
+#else
+    int lanes[WIDTH];
+    VSTORE(of_lanes, 0, lanes);
+    uint bits = 0;
+    for (int lane = 0; lane < WIDTH; ++lane)
+        bits |= (uint)lanes[lane];
+    return bits;
+#endif
+}
+
+// The union of the bits of a group's work-items, for the first of them.
+INLINE ulong united(const ulong bits, __local ulong* of_items)
+{
 #if GROUP > 1
-    of_items[get_local_id(0)] = largest;
     GROUP_BARRIER();
+    of_items[get_local_id(0)] = bits;
+    GROUP_BARRIER();
+    ulong all = bits;
     if (get_local_id(0) == 0)
         for (int item = 1; item < GROUP; ++item)
-            largest = max(largest, of_items[item]);
+            all |= of_items[item];
+    return all;
+#else
+    return bits;
 #endif
-    return largest;
 }
 
-// Log2 of the largest share that a column of each listed tile has in the sum of a row, as far as
-// these are known: 2^(-offset_i) is about the sum of row i. Without exponentials, unlike measure_tiles.
+#ifndef MANY_EIGHTHS
+#define MANY_EIGHTHS 5
+#endif
+
+// Bit j of a listed tile's mask: whether column j is notable.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void largest_shares(
+void mark_columns(
     CLOUD_ARGUMENTS,
-    const __global float* restrict row_offsets, // (n_rows,) of this launch
-    __global float* restrict log2_shares)       // (work-groups of a row tile, n_listed)
+    const __global float* restrict row_limits, // (n_rows,) of this launch
+    __global ulong* restrict column_masks)     // (n_listed, GROUPS_OF_TILE, MASK_WORDS)
 {
-    __local float of_items[GROUP];
+    __local ulong of_items[GROUP];
     ROW_SETUP;
-    const uint part = (row - row_tile * TILE) / (GROUP * WIDTH);
-    const vreal offset = VLOAD(local_row, row_offsets);
+    const vreal limit = VLOAD(local_row, row_limits);
     for (uint n = first_tile; n < end_tile; ++n) {
         STAGE_TILE(n);
-        vreal m = (vreal)(SENTINEL);
-        for (uint j = 0; j < TILE; j += UNROLL) {
-#pragma unroll
-            for (int c = 0; c < UNROLL; ++c)
-                m = max(m, e_nearest(exponent(u, staged, j + c)));
+        __global ulong* mask = column_masks + ((size_t)n * GROUPS_OF_TILE + GROUP_OF_TILE) * MASK_WORDS;
+        for (uint w = 0; w < MASK_WORDS; ++w) {
+            ulong bits = columns_above(u, staged, 64 * w, limit);
+            if (TILE >= 64)
+                bits |= columns_above(u, staged, 64 * w + 32, limit) << 32;
+            bits = united(bits, of_items);
+            // Where most columns are notable, all of them take less time than these alone.
+            if (get_local_id(0) == 0)
+                mask[w] = 8 * (int)popcount(bits) > MANY_EIGHTHS * 64 ? ALL_COLUMNS : bits;
         }
-        const float largest = largest_lane(m + offset, of_items);
-        if (get_local_id(0) == 0)
-            log2_shares[(size_t)part * n_listed + n] = largest;
     }
-}
-
-// The sums of log_sum_exp, and the largest share that each listed tile as a whole has in one.
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void measure_tiles(
-    CLOUD_ARGUMENTS,
-    const __global float* restrict row_offsets, // (n_rows,) of this launch
-    __global float* restrict maxima,            // (n_rows,)
-    __global float* restrict sums,              // (n_rows,)
-    __global float* restrict shares)            // (work-groups of a row tile, n_listed)
-{
-    __local float of_items[GROUP];
-    ROW_SETUP;
-    const uint part = (row - row_tile * TILE) / (GROUP * WIDTH);
-    const vreal offset = VLOAD(local_row, row_offsets);
-    vreal m = tiles_before ? VLOAD(local_row, maxima) : (vreal)(0.5f * SENTINEL);
-    vreal s = tiles_before ? VLOAD(local_row, sums) : (vreal)(0.0f);
-    for (uint n = first_tile; n < end_tile; ++n) {
-        STAGE_TILE(n);
-        const vreal s_tile = add_tile(u, staged, &m, &s);
-        s += s_tile;
-        // Above LARGEST_SHARE the host keeps the tile; its product with a sum is still finite.
-        const vreal share = s_tile * exp2_nonpositive(min(m + offset, (vreal)((float)LARGEST_SHARE)));
-        const float largest = largest_lane(share, of_items);
-        if (get_local_id(0) == 0)
-            shares[(size_t)part * n_listed + n] = largest;
-    }
-    VSTORE(m, local_row, maxima);
-    VSTORE(s, local_row, sums);
 }

@@ -38,6 +38,8 @@
 // -D PRECISE arithmetic of the exponents, and PLANES of their inputs: see exponents.cl
 // -D LISTED  0 (default): rows see all column tiles; 1: those listed for their own tile, the
 //            levels in the list's order
+// -D MASKED  1: of the listed tiles, a work-group sees only the columns whose bits are set in the kernel's
+//            argument `column_masks`, (n_listed, GROUPS_OF_TILE, MASK_WORDS): see FOR_COLUMNS_OF. Default 0.
 
 #include "common.cl"
 
@@ -57,6 +59,17 @@
 #ifndef LISTED
 #define LISTED 0
 #endif
+
+#ifndef MASKED
+#define MASKED 0
+#endif
+#if MASKED && !LISTED
+#error "MASKED needs LISTED: masks are those of listed tiles"
+#endif
+
+#define GROUPS_OF_TILE (TILE / (GROUP * WIDTH)) // work-groups of the rows of a tile
+#define MASK_WORDS ((TILE + 63) / 64)           // words of 64 bits, one for each column of a tile
+#define ALL_COLUMNS (~0ul >> (TILE < 64 ? 64 - TILE : 0))
 
 #include "exponents.cl"
 
@@ -113,11 +126,14 @@
 // staged[d][j] = k (v - (p - q))_d for d < DIM, staged[DIM][j] = the part without u.
 // The first barrier waits for the readers of the tile before, the last one for the writers.
 // Returns q.
-static inline uint stage_columns(
+INLINE uint stage_columns(
     const uint q, const uint row_tile, const uint column_stride, const uint level_plane,
     const ereal k, const __global float* row_centers,
     const __global float* column_shifts, const __global float* column_centers,
     const __global float* column_logits, const __global float* level,
+#if MASKED
+    const __global ulong* mask,
+#endif
     __local staged_real* staged)
 {
     GROUP_BARRIER();
@@ -127,22 +143,26 @@ static inline uint stage_columns(
                          e_constant(-column_centers[q * DIM + d], 0.0f));
     const ereal level_pq = e_constant(level[0], level[(PLANES - 1) * level_plane]);
     for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
+#if MASKED
+        if (!((mask[j / 64] >> (j % 64)) & ((1ul << WIDTH) - 1ul)))
+            continue;
+#endif
         ereal quadratic = e_constant(0.0f, 0.0f);
         for (int d = 0; d < DIM; ++d) {
             const ereal v = e_load(column_shifts + (size_t)d * column_stride + q * TILE + j,
                                    (size_t)DIM * column_stride);
             const ereal half_v = e_product(e_constant(-0.5f, 0.0f), v);
             quadratic = e_sum(quadratic, e_product(v, e_sum(shift[d], half_v)));
-            e_stage(e_product(k, e_sum(v, e_negative(shift[d]))), staged + d * TILE + j);
+            e_stage(e_product(k, e_sum(v, e_negative(shift[d]))), staged + d * STAGED_ROW + j);
         }
         const ereal h = e_load(column_logits + q * TILE + j, column_stride);
-        e_stage(e_sum(e_sum(h, level_pq), e_product(k, quadratic)), staged + DIM * TILE + j);
+        e_stage(e_sum(e_sum(h, level_pq), e_product(k, quadratic)), staged + DIM * STAGED_ROW + j);
     }
     GROUP_BARRIER();
     return q;
 }
 
-static inline void load_rows(
+INLINE void load_rows(
     const __global float* row_shifts, const uint row_stride, const uint row, ereal* u)
 {
     for (int d = 0; d < DIM; ++d)
@@ -162,15 +182,63 @@ static inline void load_rows(
     ereal u[DIM];                                                                              \
     load_rows(row_shifts, row_stride, row, u)
 
+// Number of the work-group among those of its row tile.
+#define GROUP_OF_TILE ((row - row_tile * TILE) / (GROUP * WIDTH))
+
 // Stage the n-th column tile of the row tile, and return its number.
+#if MASKED
+#define OWN_MASK(n) (column_masks + ((size_t)(n) * GROUPS_OF_TILE + GROUP_OF_TILE) * MASK_WORDS)
+#define STAGE_TILE(n)                                                                          \
+    stage_columns(TILE_AT(n), row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),      \
+                  row_centers, column_shifts, column_centers, column_logits,                   \
+                  own_levels + (n), OWN_MASK(n), staged)
+#else
 #define STAGE_TILE(n)                                                                          \
     stage_columns(TILE_AT(n), row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),      \
                   row_centers, column_shifts, column_centers, column_logits,                   \
                   own_levels + (n), staged)
+#endif
+
+#if MASKED
+// Whether no column of a listed tile is needed, or all are: the same for all work-items of a group.
+INLINE bool is_empty(const __global ulong* mask)
+{
+    ulong bits = 0;
+    for (int w = 0; w < MASK_WORDS; ++w)
+        bits |= mask[w];
+    return !bits;
+}
+
+INLINE bool is_full(const __global ulong* mask)
+{
+    ulong bits = ALL_COLUMNS;
+    for (int w = 0; w < MASK_WORDS; ++w)
+        bits &= mask[w];
+    return bits == ALL_COLUMNS;
+}
+
+// The place of the lowest bit of a word of a mask, which is then cleared; without a bit the column that
+// has no mass.
+INLINE uint take_column(ulong* bits, const uint first)
+{
+    const uint j = *bits ? first + 63u - (uint)clz(*bits & -*bits) : TILE;
+    *bits &= *bits - 1ul;
+    return j;
+}
+
+// Stage the column without mass, which stays.
+INLINE void stage_empty_column(__local staged_real* staged)
+{
+    if (get_local_id(0) == 0) {
+        for (int i = 0; i < STAGED_PLANES * (DIM + 1); ++i)
+            staged[i * STAGED_ROW + TILE] = i == DIM ? SENTINEL : 0;
+    }
+}
+#endif
 
 // e_ij + offset_i, such as log2 of a mass pi_ij of the plan: a small number where it matters, unlike both
 // its terms. The offset comes as two float32: the nearest, and what that rounds off.
-static inline vreal with_offset(const ereal e, const vreal offset, const vreal offset_low)
+INLINE vreal with_offset(const ereal e, const vreal offset, const vreal offset_low)
 {
     return e_above(e, -offset) + offset_low;
 }

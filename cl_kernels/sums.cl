@@ -11,9 +11,14 @@
 //            sums of UNROLL powers in float32, and all other sums in float64. Between pairs of
 //            tiles that the host chooses, exponents are float32 too (add_tile_in_float32).
 // -D FLOAT32_UNROLL  columns taken together where exponents are float32, divides TILE
+// -D MASKED_UNROLL   columns taken together of those that a mask has chosen, at most UNROLL (MASKED alone, see
+//                    row_loop.cl)
 
 #ifndef BOUNDED
 #define BOUNDED 0
+#endif
+#if MASKED && !defined(MASKED_UNROLL)
+#error "MASKED_UNROLL (columns of a mask taken together) must be given"
 #endif
 
 #if !BOUNDED
@@ -22,29 +27,29 @@ typedef vreal sreal;
 #define SUM_PLANES 1
 
 // What powers of e are taken from, at least: e itself.
-static inline vreal reference_of(const ereal e)
+INLINE vreal reference_of(const ereal e)
 {
     return e_nearest(e);
 }
 
 // 2^(e - m) for e up to m.
-static inline sreal power_above(const ereal e, const vreal m)
+INLINE sreal power_above(const ereal e, const vreal m)
 {
     return exp2_nonpositive(e_above(e, m));
 }
 
 // s 2^n for n <= 0.
-static inline sreal rescaled(const sreal s, const vreal n)
+INLINE sreal rescaled(const sreal s, const vreal n)
 {
     return s * exp2_nonpositive(n);
 }
 
-static inline sreal sum_of(const sreal a, const sreal b)
+INLINE sreal sum_of(const sreal a, const sreal b)
 {
     return a + b;
 }
 
-static inline void store_sum(const sreal s, const size_t at, const size_t plane, __global float* p)
+INLINE void store_sum(const sreal s, const size_t at, const size_t plane, __global float* p)
 {
     VSTORE(s, at, p);
 }
@@ -64,13 +69,13 @@ typedef ereal sreal;
 #endif
 
 // A whole number not under x, but for a rounding of x.
-static inline vreal whole_above(const vreal x)
+INLINE vreal whole_above(const vreal x)
 {
     return ceil(x + fabs(x) * 2.3841858e-7f);
 }
 
 // What powers of e are taken from, at least: a whole number not under e, but for a rounding.
-static inline vreal reference_of(const ereal e)
+INLINE vreal reference_of(const ereal e)
 {
 #if PRECISE == 2
     return whole_above(TO_VREAL(e));
@@ -80,7 +85,7 @@ static inline vreal reference_of(const ereal e)
 }
 
 // 2^n for a whole n <= 0; under -125 it is 2^-125.
-static inline vreal whole_power(const vreal n)
+INLINE vreal whole_power(const vreal n)
 {
     const float magic = 12582912.0f; // 1.5 * 2^23: its low bits then hold n
     const vreal shifted = max(n, (vreal)(-125.0f)) + magic;
@@ -89,7 +94,7 @@ static inline vreal whole_power(const vreal n)
 
 // 2^(e - m) for e up to about m: the series of the exponential, to the term that the width can
 // still tell, in the distance from the nearest whole number.
-static inline sreal power_above(const ereal e, const vreal m)
+INLINE sreal power_above(const ereal e, const vreal m)
 {
 #if PRECISE == 2
     const double magic = 6755399441055744.0; // 1.5 * 2^52
@@ -145,7 +150,7 @@ static inline sreal power_above(const ereal e, const vreal m)
 }
 
 // s 2^n for a whole n <= 0.
-static inline sreal rescaled(const sreal s, const vreal n)
+INLINE sreal rescaled(const sreal s, const vreal n)
 {
 #if PRECISE == 2
     return s * TO_EREAL(whole_power(n));
@@ -157,13 +162,13 @@ static inline sreal rescaled(const sreal s, const vreal n)
 #endif
 }
 
-static inline sreal sum_of(const sreal a, const sreal b)
+INLINE sreal sum_of(const sreal a, const sreal b)
 {
     return e_sum(a, b);
 }
 
 // Both parts of s as float32: the nearest, and in the next plane what it rounds off.
-static inline void store_sum(const sreal s, const size_t at, const size_t plane, __global float* p)
+INLINE void store_sum(const sreal s, const size_t at, const size_t plane, __global float* p)
 {
     const vreal high = e_nearest(s);
     VSTORE(high, at, p);
@@ -175,46 +180,105 @@ static inline void store_sum(const sreal s, const size_t at, const size_t plane,
 }
 #endif // BOUNDED
 
-// Add the staged columns (see row_loop.cl) to m = max_j reference_of(e_ij) and s = sum_j 2^(e_ij - m), but for the
-// sum over these columns themselves, which is returned: sums of sums round less than one long sum.
-static inline sreal add_tile(
-    const ereal* u, const __local staged_real* staged, vreal* maximum, sreal* sum)
+// What a reference is set above the largest exponent, so that it is seldom set anew.
+#define AHEAD 8.0f
+
+// Few columns are taken together with MASKED, so that a look whether the maximum has grown is worth it.
+#if MASKED
+#define RESCALE_BY(n)                                                                          \
+    if (ANY((n) < 0.0f)) {                                                                     \
+        *sum = rescaled(*sum, n);                                                              \
+        s_tile = rescaled(s_tile, n);                                                          \
+    }
+#else
+#define RESCALE_BY(n)                                                                          \
+    *sum = rescaled(*sum, n);                                                                  \
+    s_tile = rescaled(s_tile, n)
+#endif
+
+// Add some staged columns (see row_loop.cl), UNROLL at most, to m = max_j reference_of(e_ij), to s = sum_j 2^(e_ij - m), which
+// has no column of their tile, and to the sum of their tile.
+INLINE void add_columns(
+    const ereal* u, const __local staged_real* staged, const uint* columns, const int count,
+    vreal* maximum, sreal* sum, sreal* of_tile)
+{
+    ereal e[UNROLL];
+    const vreal m = *maximum;
+    vreal m_new = m;
+#if BOUNDED == 2
+    vreal highest = (vreal)(0.5f * SENTINEL);
+#pragma unroll
+    for (int c = 0; c < count; ++c) {
+        e[c] = exponent(u, staged, columns[c]);
+        highest = max(highest, TO_VREAL(e[c]));
+    }
+    m_new = max(m, whole_above(highest));
+#else
+    vreal highest = (vreal)(0.5f * SENTINEL);
+#pragma unroll
+    for (int c = 0; c < count; ++c) {
+        e[c] = exponent(u, staged, columns[c]);
+        highest = max(highest, reference_of(e[c]));
+    }
+#if MASKED && !BOUNDED
+    m_new = select(m, highest + AHEAD, highest > m);
+#else
+    m_new = max(m, highest);
+#endif
+#endif
+    sreal s_tile = *of_tile;
+    RESCALE_BY(m - m_new);
+#if BOUNDED == 2
+    vreal few = (vreal)(0.0f);
+#pragma unroll
+    for (int c = 0; c < count; ++c)
+        few += exp2_nonpositive(e_above(e[c], m_new));
+    s_tile += TO_EREAL(few);
+#else
+    sreal few = NO_SUM;
+#pragma unroll
+    for (int c = 0; c < count; ++c)
+        few = sum_of(few, power_above(e[c], m_new));
+    s_tile = sum_of(s_tile, few);
+#endif
+    *of_tile = s_tile;
+    *maximum = m_new;
+}
+
+// Add the staged columns to m and s, but for the sum over these columns themselves, which is returned:
+// sums of sums round less than one long sum.
+INLINE sreal add_tile(
+    const ereal* u, const __local staged_real* staged,
+#if MASKED
+    const __global ulong* mask,
+#endif
+    vreal* maximum, sreal* sum)
 {
     vreal m = *maximum;
     sreal s = *sum;
     sreal s_tile = NO_SUM;
+#if MASKED
+    if (!is_full(mask)) {
+        for (uint w = 0; w < MASK_WORDS; ++w) {
+            for (ulong bits = mask[w]; bits;) {
+                uint columns[MASKED_UNROLL];
+#pragma unroll
+                for (int c = 0; c < MASKED_UNROLL; ++c)
+                    columns[c] = take_column(&bits, 64 * w);
+                add_columns(u, staged, columns, MASKED_UNROLL, &m, &s, &s_tile);
+            }
+        }
+        *maximum = m;
+        *sum = s;
+        return s_tile;
+    }
+#endif
     for (uint j = 0; j < TILE; j += UNROLL) {
-        ereal e[UNROLL];
-        vreal m_new = m;
-#if BOUNDED == 2
-        vreal highest = (vreal)(0.5f * SENTINEL);
-#pragma unroll
-        for (int c = 0; c < UNROLL; ++c) {
-            e[c] = exponent(u, staged, j + c);
-            highest = max(highest, TO_VREAL(e[c]));
-        }
-        m_new = max(m, whole_above(highest));
-#else
-#pragma unroll
-        for (int c = 0; c < UNROLL; ++c) {
-            e[c] = exponent(u, staged, j + c);
-            m_new = max(m_new, reference_of(e[c]));
-        }
-#endif
-        s = rescaled(s, m - m_new);
-        s_tile = rescaled(s_tile, m - m_new);
-#if BOUNDED == 2
-        vreal few = (vreal)(0.0f);
+        uint columns[UNROLL];
 #pragma unroll
         for (int c = 0; c < UNROLL; ++c)
-            few += exp2_nonpositive(e_above(e[c], m_new));
-        s_tile += TO_EREAL(few);
-#else
-#pragma unroll
-        for (int c = 0; c < UNROLL; ++c)
-            s_tile = sum_of(s_tile, power_above(e[c], m_new));
-#endif
-        m = m_new;
+            columns[c] = j + c;
+        add_columns(u, staged, columns, UNROLL, &m, &s, &s_tile);
     }
     *maximum = m;
     *sum = s;
@@ -227,43 +291,74 @@ static inline sreal add_tile(
 #endif
 
 // The staged columns, rounded to float32.
-static inline void stage_in_float32(const __local staged_real* staged, __local float* rounded)
+INLINE void stage_in_float32(const __local staged_real* staged, __local float* rounded)
 {
-    for (uint i = get_local_id(0) * WIDTH; i < (DIM + 1) * TILE; i += GROUP * WIDTH)
+    for (uint i = get_local_id(0) * WIDTH; i < STAGED_PLANE; i += GROUP * WIDTH)
         VSTORE(TO_VREAL(VLOAD(0, staged + i)), 0, rounded + i);
     GROUP_BARRIER();
 }
 
-// As add_tile, with exponents in float32. The products with u come first: their sum and the rest
-// are often large and of opposite signs, so that adding the rest first would round more.
-static inline sreal add_tile_in_float32(
-    const vreal* u, const __local float* staged, vreal* maximum, sreal* sum)
+// As add_columns, with exponents in float32. The products with u come first: their sum and the rest are
+// often large and of opposite signs, so that adding the rest first would round more.
+INLINE void add_columns_in_float32(
+    const vreal* u, const __local float* staged, const uint* columns, const int count,
+    vreal* maximum, sreal* sum, sreal* of_tile)
+{
+    vreal e[FLOAT32_UNROLL];
+    vreal highest = (vreal)(0.5f * SENTINEL);
+#pragma unroll
+    for (int c = 0; c < count; ++c) {
+        vreal products = u[0] * staged[columns[c]];
+#pragma unroll
+        for (int d = 1; d < DIM; ++d)
+            products += u[d] * staged[d * STAGED_ROW + columns[c]];
+        e[c] = products + staged[DIM * STAGED_ROW + columns[c]];
+        highest = max(highest, e[c]);
+    }
+    const vreal m = *maximum;
+    const vreal m_new = max(m, whole_above(highest));
+    sreal s_tile = *of_tile;
+    RESCALE_BY(m - m_new);
+    vreal few = (vreal)(0.0f);
+#pragma unroll
+    for (int c = 0; c < count; ++c)
+        few += exp2_nonpositive(e[c] - m_new);
+    *of_tile = s_tile + TO_EREAL(few);
+    *maximum = m_new;
+}
+
+// As add_tile, with exponents in float32.
+INLINE sreal add_tile_in_float32(
+    const vreal* u, const __local float* staged,
+#if MASKED
+    const __global ulong* mask,
+#endif
+    vreal* maximum, sreal* sum)
 {
     vreal m = *maximum;
+    sreal s = *sum;
     sreal s_tile = NO_SUM;
-    for (uint j = 0; j < TILE; j += FLOAT32_UNROLL) {
-        vreal e[FLOAT32_UNROLL];
-        vreal highest = (vreal)(0.5f * SENTINEL);
+    uint columns[FLOAT32_UNROLL];
+#if MASKED
+    if (!is_full(mask)) {
+        for (uint w = 0; w < MASK_WORDS; ++w) {
+            for (ulong bits = mask[w]; bits;) {
 #pragma unroll
-        for (int c = 0; c < FLOAT32_UNROLL; ++c) {
-            vreal products = u[0] * staged[j + c];
-#pragma unroll
-            for (int d = 1; d < DIM; ++d)
-                products += u[d] * staged[d * TILE + j + c];
-            e[c] = products + staged[DIM * TILE + j + c];
-            highest = max(highest, e[c]);
+                for (int c = 0; c < MASKED_UNROLL; ++c)
+                    columns[c] = take_column(&bits, 64 * w);
+                add_columns_in_float32(u, staged, columns, MASKED_UNROLL, &m, &s, &s_tile);
+            }
         }
-        const vreal m_new = max(m, whole_above(highest));
-        *sum = rescaled(*sum, m - m_new);
-        s_tile = rescaled(s_tile, m - m_new);
-        vreal few = (vreal)(0.0f);
+    } else
+#endif
+    for (uint j = 0; j < TILE; j += FLOAT32_UNROLL) {
 #pragma unroll
         for (int c = 0; c < FLOAT32_UNROLL; ++c)
-            few += exp2_nonpositive(e[c] - m_new);
-        s_tile += TO_EREAL(few);
-        m = m_new;
+            columns[c] = j + c;
+        add_columns_in_float32(u, staged, columns, FLOAT32_UNROLL, &m, &s, &s_tile);
     }
     *maximum = m;
+    *sum = s;
     return s_tile;
 }
 #endif

@@ -102,7 +102,8 @@ class OpenCLOperations:
         """Create the parts, and make their methods the operations of this object."""
         loop = RowLoop(self.work, self.constants, self.programs)
         clouds = CloudStore(self.work, self.constants.tile)
-        log_sum_exp, near_field = LogSumExp(loop), NearField(loop)
+        log_sum_exp = LogSumExp(loop)
+        near_field = NearField(loop, log_sum_exp)
         batches = BatchLogSumExp(loop, log_sum_exp)
         plan_rows, plan_shares = PlanRowReductions(loop), PlanShares(loop)
         projection = BarycentricProjection(loop)

@@ -13,13 +13,12 @@ from clmorph.backends.width_levels import WIDTH_LEVELS
 #: The number that represents minus infinity in float32 exponents. It is far below all of them, yet
 #: the sum of a few is finite. It is exact in float32, hence the same number in any precision.
 SENTINEL = float(np.float32(-1e30))
-#: Log2 at which the shares of tiles are clipped. They are so large if the estimate of a row's sum
-#: is far too small. With the clip, the share of a whole tile is within the range of float32.
-LARGEST_SHARE = 110
 #: The number of particles of a bin whose moments are summed before they are added to the total.
 MOMENT_CHUNK = 1024
 #: The number of columns handled together if an exponent fills two registers.
 PRECISE_UNROLL = 4
+#: The number of columns handled together if a mask has chosen them: few of a tile may be left.
+MASKED_UNROLL = 4
 #: The number of stored pairs of a row that are handled together.
 STORED_UNROLL = 4
 
@@ -79,6 +78,7 @@ class BuildConstants:
         precise: bool = False,
         listed: bool = False,
         bounded: int = 0,
+        masked: bool = False,
     ) -> dict[str, int | float]:
         """Return the macros of ``row_loop.cl`` and ``sums.cl``.
 
@@ -94,11 +94,15 @@ class BuildConstants:
             Whether sums have a proven error bound, which needs precise exponents, and how: as
             exact as the exponents (1), or with powers in float32, and with exponents in float32
             between chosen pairs of tiles (2). Without float64, 2 is 1.
+        masked : bool
+            Whether the loop covers those columns of the listed tiles that masks choose.
         """
         bounded = min(int(bounded), self.precise)
+        few = PRECISE_UNROLL if precise else MASKED_UNROLL
         return {
             "BOUNDED": bounded,
             **({"FLOAT32_UNROLL": self.unroll} if bounded == 2 else {}),
+            **({"MASKED": 1, "MASKED_UNROLL": min(self.unroll, few)} if masked else {}),
             "DIM": dimension,
             "EXP2_BUILTIN": self.exp2_builtin,
             "GROUP": self.group,
@@ -109,10 +113,6 @@ class BuildConstants:
             "UNROLL": min(self.unroll, PRECISE_UNROLL) if precise else self.unroll,
             "WIDTH": self.width,
         }
-
-    def near_field_macros(self) -> dict[str, int | float]:
-        """Return the macros of ``near_field.cl`` that are not those of the row loop."""
-        return {"LARGEST_SHARE": LARGEST_SHARE}
 
     def sliced_ellpack_macros(self) -> dict[str, int | float]:
         """Return the macros of ``sliced_ellpack.cl``."""

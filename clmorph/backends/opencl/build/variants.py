@@ -20,6 +20,8 @@ class Variant:
         See `BuildConstants.row_macros`.
     bounded : {0, 1, 2}
         See `BuildConstants.row_macros`.
+    masked : bool
+        See `BuildConstants.row_macros`.
     balanced : int
         See `BuildConstants.half_step_macros`.
     """
@@ -29,6 +31,7 @@ class Variant:
     precise: bool = False
     listed: bool = False
     bounded: int = 0
+    masked: bool = False
     balanced: int = 0
 
     def macros(self, constants: BuildConstants) -> dict[str, int | float]:
@@ -44,10 +47,9 @@ class Variant:
             return constants.half_step_macros(self.balanced)
         if self.file in of_files:
             return of_files[self.file]()
-        macros = constants.row_macros(self.dimension, self.precise, self.listed, self.bounded)
-        if self.file == "near_field.cl":
-            macros |= constants.near_field_macros()
-        return macros
+        return constants.row_macros(
+            self.dimension, self.precise, self.listed, self.bounded, self.masked
+        )
 
     def suits(self, constants: BuildConstants) -> bool:
         """Return whether a device with these constants has what the file needs.
@@ -60,7 +62,7 @@ class Variant:
 
     def __str__(self) -> str:
         words = [f"dimension {self.dimension}"] if self.dimension else []
-        words += [name for name in ("precise", "listed", "bounded") if getattr(self, name)]
+        words += [name for name in ("precise", "listed", "masked", "bounded") if getattr(self, name)]
         words += ["powers in float32"] if self.bounded == 2 else []
         words += [f"balanced {self.balanced}"] if self.balanced else []
         return f"{self.file} ({', '.join(words)})" if words else self.file
@@ -90,9 +92,9 @@ def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
     """Return the variants that photographs and drawings use beside the usual ones."""
     return (
         Variant("near_field.cl", dimension, listed=True),
-        Variant("log_sum_exp.cl", dimension, listed=True),
+        Variant("log_sum_exp.cl", dimension, listed=True, masked=True),
         Variant("log_sum_exp.cl", dimension, precise=True),
-        Variant("log_sum_exp.cl", dimension, precise=True, listed=True, bounded=2),
+        Variant("log_sum_exp.cl", dimension, precise=True, listed=True, bounded=2, masked=True),
         Variant("plan_shares.cl", dimension, listed=True),
         Variant("half_steps.cl", balanced=3),
         Variant("plan_rows.cl", dimension, listed=True),

@@ -137,9 +137,10 @@ class LogSumExp:
         needs `bounded`, powers are float32, and so are exponents between the tiles it chooses.
         """
         loop, tile = self._loop, self._loop.constants.tile
+        masks = None if pairs is None else pairs.masks
         kernel = loop.kernel(
             "log_sum_exp.cl", "log_sum_exp", rows, precise, pairs is not None,
-            2 if float32 else int(bounded),
+            2 if float32 else int(bounded), masks is not None,
         )  # fmt: skip
         exponents = loop.exponents(rows, columns, potential, epsilon, pairs, precise=precise)
         shares = loop.column_shares(rows, columns, pairs)
@@ -151,9 +152,11 @@ class LogSumExp:
             planes = np.empty((2 if bounded else 1, shares, n_rows), np.float32)
             buffers = loop.work.empty(found.nbytes), loop.work.empty(planes.nbytes)
             chosen = []
+            if pairs is not None and masks is not None:
+                chosen = [loop.work.buffer(masks[pairs.section(part)], np.uint64)]
             if float32 is not None:
                 flags = float32.chosen(part, exponents.row_level, exponents.tile_max)
-                chosen = [loop.work.buffer(flags, np.uint8)]
+                chosen.append(loop.work.buffer(flags, np.uint8))
             loop.launch(
                 kernel, rows, columns, exponents, part, *chosen, np.uint32(n_rows), *buffers,
                 shares=shares, precise=precise, pairs=pairs,

@@ -1,25 +1,25 @@
-"""Find the pairs of tiles that contribute to sums, and bound the share of all others."""
+"""Find the columns that contribute to sums, and bound the share of all others."""
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph.backends.opencl.build.constants import LARGEST_SHARE, SENTINEL
-from clmorph.backends.opencl.kernels.candidates import candidates, kept_shares
+from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.kernels.candidates import candidates
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
+from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64, NearPairs
 
 #: Share of the budget that is available for the tiles that bounds alone exclude.
 UNSEEN = 0.5
-#: The search for tiles with small terms only ends if it leaves more than this share of the tiles.
-WORTHWHILE = 0.5
 #: Rounding errors of a measured share in float32: a factor, and an error in log2 for each unit of
 #: the exponent's size.
 MARGIN, EXPONENT_ERROR = 1.05, 2.0**-22
+#: The number of bits of each byte.
+BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1).astype(np.uint8)
 
 
 class _Clouds(NamedTuple):
@@ -32,15 +32,17 @@ class _Clouds(NamedTuple):
 
 
 class NearField:
-    """Finds the pairs of tiles that contribute to the rows' sums.
+    """Finds the pairs that contribute to the rows' sums.
 
     Parameters
     ----------
     loop : RowLoop
+    log_sum_exp : LogSumExp
+        The object that sums the pairs.
     """
 
-    def __init__(self, loop: RowLoop) -> None:
-        self._loop = loop
+    def __init__(self, loop: RowLoop, log_sum_exp: LogSumExp) -> None:
+        self._loop, self._log_sum_exp = loop, log_sum_exp
 
     def near_pairs(
         self,
@@ -53,8 +55,9 @@ class NearField:
     ) -> NearPairs:
         """Find the pairs that contribute to the rows' sums.
 
-        Bounds over pairs of tiles exclude most pairs. The others are summed once, and a tile whose
-        measured share is small in all rows is excluded too.
+        Bounds over pairs of tiles exclude most pairs. Of the other tiles each group of rows takes
+        the columns whose exponent is above a threshold in one of its rows. The threshold is such
+        that all columns of these tiles below it together are within the budget.
         """
         k, tile, n = LOG2_E / epsilon, self._loop.constants.tile, len(rows)
         values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
@@ -63,116 +66,118 @@ class NearField:
         logits, tile_max = self._loop.column_logits(columns, potential, k)
         # The level of each row tile is set by the pairs that a launch visits.
         exponents = Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
-        found, skipped = np.empty(rows.stride), np.empty(len(rows.centers))
-        kept: list[TilePairs] = []
         clouds = _Clouds(rows, columns, exponents, guess)
-        worthwhile = True
-        for part, pairs, unseen in candidates(
-            rows, columns, guess, values, k, 0.5 * UNSEEN * budget
-        ):
-            if worthwhile:
-                before = len(pairs.tiles)
-                pairs, more = self._without_small(clouds, pairs, part, 0.5 * UNSEEN * budget)
-                unseen = unseen + more
-                worthwhile = len(pairs.tiles) <= WORTHWHILE * before
-            section = slice(part.start * tile, part.stop * tile)
-            sums, shares = self._measured(clouds, pairs, part)
-            found[section] = sums
-            # The largest and smallest difference of guess and sum (log2) in each row tile.
-            off = np.full((2, len(sums)), [[-np.inf], [np.inf]])
-            off[:, : n - section.start] = guess[section] - sums[: n - section.start]
-            above, below = off.reshape(2, len(part), tile)
-            off_by = EXPONENT_ERROR * k * _largest_cost(rows, columns, pairs, part)
-            factor = MARGIN * np.exp2(np.clip(above.max(axis=1) + off_by, -900.0, 600.0))
+        left = np.empty(len(rows.centers))
+        kept: list[TilePairs] = []
+        columns_of: list[NDArray[np.int64]] = []
+        for part, pairs, unseen in candidates(rows, columns, guess, values, k, UNSEEN * budget):
             starts = pairs.starts[part.start : part.stop + 1]
-            shares *= np.repeat(factor, np.diff(starts))
-            # If the guess is far below the sum of a row, shares were clipped, so all are kept.
-            shares[np.repeat(below.min(axis=1) < -LARGEST_SHARE, np.diff(starts))] = 1.0
-            keep, left = kept_shares(starts, shares, (1 - UNSEEN) * budget)
-            left += factor * unseen
-            with np.errstate(divide="ignore"):
-                left = np.where(left < 1.0, left / np.maximum(1.0 - left, 0.0), np.inf)
-            skipped[part.start : part.stop] = left
-            lengths = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
-            kept.append(TilePairs(lengths, pairs.tiles[keep], pairs.distances[keep]))
-        lengths, tiles, distances = (np.concatenate(arrays) for arrays in zip(*kept, strict=True))
+            lengths = np.diff(starts)
+            threshold = (1 - UNSEEN) * budget / (tile * lengths)
+            masks = self._marked(clouds, pairs, part, np.log2(threshold))
+            _complete(masks, starts, pairs.distances, tile)
+            marked = _count(masks)
+            keep = marked.any(axis=1)
+            of_groups = np.add.reduceat(marked, starts[:-1], axis=0, dtype=np.int64)
+            below = tile * lengths - of_groups.min(axis=1)
+            left[part.start : part.stop] = unseen + below * threshold
+            each = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
+            kept.append(TilePairs(each, pairs.tiles[keep], pairs.distances[keep], masks[keep]))
+            columns_of.append(of_groups)
+        lengths, tiles, distances, chosen = (
+            np.concatenate(arrays)
+            for arrays in zip(*((own[:3] + (own.masks,)) for own in kept), strict=True)
+        )
         starts = np.concatenate(([0], np.cumsum(lengths)))
-        listed = TilePairs(starts, tiles, distances)
+        counts = np.concatenate(columns_of)
+        rows_of_group = tile // counts.shape[1]
+        # To stage a tile takes about as long as a column for each row of the tile.
+        work = rows_of_group * counts.sum(axis=1) + tile * lengths
+        listed = TilePairs(
+            starts, tiles, distances, chosen, np.concatenate(([0], np.cumsum(work)))
+        )
+        maxima, sums, offsets = self._log_sum_exp.of_sorted(
+            rows, columns, potential, epsilon, False, listed
+        )
+        largest = _largest_cost(rows, columns, listed)
+        with np.errstate(over="ignore", divide="ignore"):
+            found = maxima + offsets + np.log2(sums)
+            off = guess - k * rows.offsets - found + EXPONENT_ERROR * k * largest
+            skipped = MARGIN * np.exp2(np.minimum(off, 1e4)) * np.repeat(left, tile)[:n]
         return NearPairs(
             listed,
-            unsort(rows, -found[:n] / k + rows.offsets),
-            unsort(rows, np.repeat(skipped, tile)[:n]),
-            len(tiles) * tile**2,
-            int(lengths.max()) * tile,
-            _largest_cost(rows, columns, listed, range(len(rows.centers))),
+            unsort(rows, -found / k),
+            unsort(rows, skipped),
+            int(rows_of_group * counts.sum()),
+            int(counts.max()),
+            largest,
         )
 
-    def _measured(self, clouds: _Clouds, pairs: TilePairs, part: range) -> tuple[Float64, Float64]:
-        """Return log2 of the sums of a part's rows, and each pair's largest share by the guess."""
-        sums, shares = np.empty(len(part) * self._loop.constants.tile), np.empty(len(pairs.tiles))
-        for own, section, constants, out in self._looks("measure_tiles", 2, clouds, pairs, part):
-            with np.errstate(divide="ignore"):
-                sums[own] = out[0] + np.log2(out[1].astype(float)) + constants
-            shares[section] = out[2]
-        return sums, shares
+    def _marked(
+        self, clouds: _Clouds, pairs: TilePairs, part: range, log2_threshold: Float64
+    ) -> NDArray[np.uint64]:
+        """Return the masks of the columns above a threshold, for the pairs of a part's rows.
 
-    def _without_small(
-        self, clouds: _Clouds, pairs: TilePairs, part: range, budget: float
-    ) -> tuple[TilePairs, Float64]:
-        """Exclude tiles with small terms only; return the other tiles and the excluded share."""
-        largest = np.empty(len(pairs.tiles))
-        for _, section, _, out in self._looks("largest_shares", 0, clouds, pairs, part):
-            largest[section] = out[0]
-        shares = MARGIN * self._loop.constants.tile * np.exp2(np.minimum(largest, LARGEST_SHARE))
-        starts = pairs.starts[part.start : part.stop + 1]
-        keep, left = kept_shares(starts, shares, budget)
-        lengths = np.zeros(len(pairs.starts) - 1, np.int64)
-        lengths[part.start : part.stop] = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
-        starts = np.concatenate(([0], np.cumsum(lengths)))
-        return TilePairs(starts, pairs.tiles[keep], pairs.distances[keep]), left
-
-    def _looks(
-        self, name: str, of_rows: int, clouds: _Clouds, pairs: TilePairs, part: range
-    ) -> Iterator[tuple[slice, slice, Float64, list[NDArray[np.float32]]]]:
-        """Run a kernel over the pairs of a part's rows, in launches.
-
-        For every launch, the method yields the indices of its rows in the part, the indices of its
-        pairs, the offsets of its rows, and the kernel's results: `of_rows` numbers for each row,
-        and one number for each pair.
+        Parameters
+        ----------
+        clouds : _Clouds
+        pairs : TilePairs
+        part : range
+            Row tiles.
+        log2_threshold : (row tiles of the part,) array
+            Logarithm of the share of a row's sum, as far as the sum is known.
         """
         (rows, columns, exponents, guess), loop, n = clouds, self._loop, len(clouds.rows)
         tile_max, row_level, k = exponents.tile_max, exponents.row_level, exponents.k
-        kernel, tile = loop.kernel("near_field.cl", name, rows, listed=True), loop.constants.tile
-        groups = tile // (loop.constants.group * loop.constants.width)
+        kernel = loop.kernel("near_field.cl", "mark_columns", rows, listed=True)
+        tile = loop.constants.tile
+        shape = tile // (loop.constants.group * loop.constants.width), -(-tile // 64)
+        masks = np.empty((len(pairs.tiles), *shape), np.uint64)
         for launch in loop.parts(kernel, rows, columns, pairs=pairs, within=part):
             starts, _, levels = pairs.levels(launch, tile_max, k)
             row_level[launch.start : launch.stop] = np.maximum.reduceat(levels, starts[:-1])
             section = slice(launch.start * tile, min(n, launch.stop * tile))
-            constants = np.repeat(row_level[launch.start : launch.stop], tile)
-            constants[: section.stop - section.start] -= k * (
-                rows.own_costs[section] - rows.offsets[section]
-            )
-            offsets = np.full(len(constants), SENTINEL)
-            offsets[: section.stop - section.start] = -guess[section]
-            offset_buffer = loop.work.buffer(np.maximum(offsets + constants, SENTINEL))
-            out = [np.empty(len(constants), np.float32) for _ in range(of_rows)]
-            out.append(np.empty((groups, len(levels)), np.float32))
-            buffers = [loop.work.empty(values.nbytes) for values in out]
+            own = slice(launch.start - part.start, launch.stop - part.start)
+            # No column counts for the rows of the padding.
+            limits = np.full(len(launch) * tile, -SENTINEL)
+            some = slice(section.stop - section.start)
+            limits[some] = np.repeat(log2_threshold[own], tile)[some] + guess[section]
+            limits[some] += k * (rows.own_costs[section] - rows.offsets[section])
+            limits[some] -= np.repeat(row_level[launch.start : launch.stop], tile)[some]
+            found = masks[pairs.section(launch)]
+            buffer = loop.work.empty(found.nbytes)
             loop.launch(
-                kernel, rows, columns, exponents, launch, offset_buffer, *buffers, pairs=pairs,
-                results=tuple(zip(out, buffers, strict=True)),
+                kernel, rows, columns, exponents, launch,
+                loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), buffer, pairs=pairs,
+                results=((found, buffer),),
             )  # fmt: skip
-            out[-1] = out[-1].max(axis=0)
-            own = (launch.start - part.start) * tile
-            first = int(pairs.starts[launch.start])
-            yield (
-                slice(own, own + len(constants)), slice(first, first + len(levels)), constants, out
-            )  # fmt: skip
+        return masks
 
 
-def _largest_cost(rows: Cloud, columns: Cloud, pairs: TilePairs, part: range) -> float:
-    """Return a bound of the cost of all pairs of points in the pairs of tiles of a part."""
-    starts = pairs.starts[part.start : part.stop + 1]
-    own = np.repeat(rows.radii[part.start : part.stop], np.diff(starts))
+def _count(masks: NDArray[np.uint64]) -> NDArray[np.int64]:
+    """Return the number of bits of each group's masks: (pairs, groups) array."""
+    pairs, groups, _ = masks.shape
+    of_bytes = BITS[masks.view(np.uint8).reshape(pairs, groups, -1)]
+    return of_bytes.sum(axis=2, dtype=np.int64)
+
+
+def _complete(
+    masks: NDArray[np.uint64], starts: NDArray[np.int64], distances: Float64, tile: int
+) -> None:
+    """Give the groups of rows without any column all columns of the nearest tile.
+
+    The estimates of their sums are then far too large, and the sums of these columns are better
+    ones.
+    """
+    empty = np.maximum.reduceat(masks.any(axis=2), starts[:-1], axis=0) == 0
+    for row_tile, group in np.argwhere(empty):
+        own = slice(starts[row_tile], starts[row_tile + 1])
+        nearest = starts[row_tile] + int(np.argmin(distances[own]))
+        masks[nearest, group] = (1 << min(tile, 64)) - 1
+
+
+def _largest_cost(rows: Cloud, columns: Cloud, pairs: TilePairs) -> float:
+    """Return a bound of the cost of all pairs of points in the pairs of tiles."""
+    own = np.repeat(rows.radii, np.diff(pairs.starts))
     farthest = np.sqrt(2 * pairs.distances) + own + columns.radii[pairs.tiles]
     return 0.5 * float(farthest.max(initial=0.0)) ** 2

@@ -59,6 +59,7 @@ class RowLoop:
         precise: bool = False,
         listed: bool = False,
         bounded: int = 0,
+        masked: bool = False,
     ) -> cl.Kernel:
         """Return a kernel for the dimension of some rows; its file is built at the first call.
 
@@ -71,8 +72,10 @@ class RowLoop:
             See `BuildConstants.row_macros`.
         bounded : {0, 1, 2}
             See `BuildConstants.row_macros`.
+        masked : bool
+            See `BuildConstants.row_macros`.
         """
-        variant = Variant(file, rows.centers.shape[1], precise, listed, bounded)
+        variant = Variant(file, rows.centers.shape[1], precise, listed, bounded, masked)
         if variant not in self._kernels:
             self._kernels[variant] = self.programs.kernels(variant)
         return self._kernels[variant][name]
@@ -197,8 +200,8 @@ class RowLoop:
             if pairs is None:
                 stop = first + max(1, int(budget // (tile * columns.stride)))
             else:
-                last = pairs.starts[first] + budget // tile**2
-                stop = int(np.searchsorted(pairs.starts, last, side="right")) - 1
+                done = pairs.done(tile)
+                stop = int(np.searchsorted(done, done[first] + budget, side="right")) - 1
             stop = min(end, max(stop, first + 1))
             if kept is not None:
                 before = kept[first - 1] if first else 0
@@ -254,7 +257,8 @@ class RowLoop:
         else:
             starts, listed, levels = pairs.levels(part, tile_max, k)
             levels -= np.repeat(row_level[section], np.diff(starts))
-            work = self.constants.tile**2 * len(listed)
+            done = pairs.done(self.constants.tile)
+            work = int(done[part.stop] - done[part.start])
             lists = (
                 np.uint32(len(listed)), self.work.buffer(starts, np.uint32),
                 self.work.buffer(listed, np.uint32),

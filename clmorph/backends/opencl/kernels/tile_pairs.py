@@ -34,11 +34,35 @@ ROUNDOFF = 2.0**-20
 
 
 class TilePairs(NamedTuple):
-    """Column tiles of every row tile."""
+    """Column tiles of every row tile, and perhaps some columns of each.
 
-    starts: NDArray[np.int64]  #: (row tiles + 1,)
-    tiles: NDArray[np.uint32]  #: (pairs,) ascending for each row tile
-    distances: Float64  #: (pairs,) half the squared distance of the tiles' centers
+    Attributes
+    ----------
+    starts : (row tiles + 1,) array
+    tiles : (pairs,) array
+        Ascending for each row tile.
+    distances : (pairs,) array
+        Half the squared distance of the tiles' centers.
+    masks : (pairs, groups, words) array, optional
+        The columns that each group of rows of the row tile needs, as the bits of words; all if not
+        given.
+    work : (row tiles + 1,) array, optional
+        The number of pairs of points of the masks, summed over the row tiles before.
+    """
+
+    starts: NDArray[np.int64]
+    tiles: NDArray[np.uint32]
+    distances: Float64
+    masks: NDArray[np.uint64] | None = None
+    work: NDArray[np.int64] | None = None
+
+    def section(self, part: range) -> slice:
+        """Return the indices of the pairs of some row tiles."""
+        return slice(int(self.starts[part.start]), int(self.starts[part.stop]))
+
+    def done(self, tile: int) -> NDArray[np.int64]:
+        """Return the work of all row tiles before each one, in pairs of points."""
+        return self.starts * tile**2 if self.work is None else self.work
 
     def levels(
         self, part: range, tile_max: Float64, k: float
