@@ -72,6 +72,7 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void mark_columns(
     CLOUD_ARGUMENTS,
     const __global float* restrict row_limits, // (n_rows,) of this launch
+    __global ushort* restrict counts,          // (n_listed, GROUPS_OF_TILE) bits of each mask
     __global ulong* restrict column_masks)     // (n_listed, GROUPS_OF_TILE, MASK_WORDS)
 {
     __local ulong of_items[GROUP];
@@ -80,14 +81,20 @@ void mark_columns(
     for (uint n = first_tile; n < end_tile; ++n) {
         STAGE_TILE(n);
         __global ulong* mask = column_masks + ((size_t)n * GROUPS_OF_TILE + GROUP_OF_TILE) * MASK_WORDS;
+        uint count = 0;
         for (uint w = 0; w < MASK_WORDS; ++w) {
             ulong bits = columns_above(u, staged, 64 * w, limit);
             if (TILE >= 64)
                 bits |= columns_above(u, staged, 64 * w + 32, limit) << 32;
             bits = united(bits, of_items);
             // Where most columns are notable, all of them take less time than these alone.
+            if (8 * (int)popcount(bits) > MANY_EIGHTHS * (TILE < 64 ? TILE : 64))
+                bits = ALL_COLUMNS;
+            count += popcount(bits);
             if (get_local_id(0) == 0)
-                mask[w] = 8 * (int)popcount(bits) > MANY_EIGHTHS * 64 ? ALL_COLUMNS : bits;
+                mask[w] = bits;
         }
+        if (get_local_id(0) == 0)
+            counts[(size_t)n * GROUPS_OF_TILE + GROUP_OF_TILE] = count;
     }
 }

@@ -1,5 +1,6 @@
 """Find the columns that contribute to sums, and bound the share of all others."""
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +19,6 @@ UNSEEN = 0.5
 #: Rounding errors of a measured share in float32: a factor, and an error in log2 for each unit of
 #: the exponent's size.
 MARGIN, EXPONENT_ERROR = 1.05, 2.0**-22
-#: The number of bits of each byte.
-BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1).astype(np.uint8)
 
 
 class _Clouds(NamedTuple):
@@ -74,11 +73,10 @@ class NearField:
             starts = pairs.starts[part.start : part.stop + 1]
             lengths = np.diff(starts)
             threshold = (1 - UNSEEN) * budget / (tile * lengths)
-            masks = self._marked(clouds, pairs, part, np.log2(threshold))
-            _complete(masks, starts, pairs.distances, tile)
-            marked = _count(masks)
-            keep = marked.any(axis=1)
+            masks, marked = self._marked(clouds, pairs, part, np.log2(threshold))
             of_groups = np.add.reduceat(marked, starts[:-1], axis=0, dtype=np.int64)
+            _complete(masks, marked, of_groups, starts, pairs.distances, tile)
+            keep = functools.reduce(np.maximum, marked.T) > 0
             below = tile * lengths - of_groups.min(axis=1)
             left[part.start : part.stop] = unseen + below * threshold
             each = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
@@ -115,8 +113,10 @@ class NearField:
 
     def _marked(
         self, clouds: _Clouds, pairs: TilePairs, part: range, log2_threshold: Float64
-    ) -> NDArray[np.uint64]:
-        """Return the masks of the columns above a threshold, for the pairs of a part's rows.
+    ) -> tuple[NDArray[np.uint64], NDArray[np.uint16]]:
+        """Return the masks of the columns above a threshold, and the number of bits of each.
+
+        Both are for the pairs of a part's rows: see `TilePairs.masks`.
 
         Parameters
         ----------
@@ -133,6 +133,7 @@ class NearField:
         tile = loop.constants.tile
         shape = tile // (loop.constants.group * loop.constants.width), -(-tile // 64)
         masks = np.empty((len(pairs.tiles), *shape), np.uint64)
+        counts = np.empty(masks.shape[:2], np.uint16)
         for launch in loop.parts(kernel, rows, columns, pairs=pairs, within=part):
             starts, _, levels = pairs.levels(launch, tile_max, k)
             row_level[launch.start : launch.stop] = np.maximum.reduceat(levels, starts[:-1])
@@ -144,36 +145,34 @@ class NearField:
             limits[some] = np.repeat(log2_threshold[own], tile)[some] + guess[section]
             limits[some] += k * (rows.own_costs[section] - rows.offsets[section])
             limits[some] -= np.repeat(row_level[launch.start : launch.stop], tile)[some]
-            found = masks[pairs.section(launch)]
-            buffer = loop.work.empty(found.nbytes)
+            found = counts[pairs.section(launch)], masks[pairs.section(launch)]
+            buffers = [loop.work.empty(values.nbytes) for values in found]
             loop.launch(
                 kernel, rows, columns, exponents, launch,
-                loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), buffer, pairs=pairs,
-                results=((found, buffer),),
+                loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), *buffers, pairs=pairs,
+                results=tuple(zip(found, buffers, strict=True)),
             )  # fmt: skip
-        return masks
-
-
-def _count(masks: NDArray[np.uint64]) -> NDArray[np.int64]:
-    """Return the number of bits of each group's masks: (pairs, groups) array."""
-    pairs, groups, _ = masks.shape
-    of_bytes = BITS[masks.view(np.uint8).reshape(pairs, groups, -1)]
-    return of_bytes.sum(axis=2, dtype=np.int64)
+        return masks, counts
 
 
 def _complete(
-    masks: NDArray[np.uint64], starts: NDArray[np.int64], distances: Float64, tile: int
+    masks: NDArray[np.uint64],
+    counts: NDArray[np.uint16],
+    of_groups: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    distances: Float64,
+    tile: int,
 ) -> None:
     """Give the groups of rows without any column all columns of the nearest tile.
 
     The estimates of their sums are then far too large, and the sums of these columns are better
     ones.
     """
-    empty = np.maximum.reduceat(masks.any(axis=2), starts[:-1], axis=0) == 0
-    for row_tile, group in np.argwhere(empty):
+    for row_tile, group in np.argwhere(of_groups == 0):
         own = slice(starts[row_tile], starts[row_tile + 1])
         nearest = starts[row_tile] + int(np.argmin(distances[own]))
         masks[nearest, group] = (1 << min(tile, 64)) - 1
+        counts[nearest, group] = of_groups[row_tile, group] = tile
 
 
 def _largest_cost(rows: Cloud, columns: Cloud, pairs: TilePairs) -> float:
