@@ -24,7 +24,7 @@ FEW_PAIRS = 1 << 20
 #: Residual to reach at a level, in units of its epsilon.
 LEVEL_TOLERANCE = 0.05
 #: Truncation at the levels, in nats, and the share of it for which near pairs are chosen there.
-LEVEL_TRUNCATION, LEVEL_RESERVE = 1e-2, 1e-20
+LEVEL_TRUNCATION, LEVEL_RESERVE = 1e-2, 1e-10
 
 
 def anneal(

@@ -14,12 +14,12 @@ from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.certificate import MAX_EXPONENT
 
-#: A pair is stored if its share of the sum of its row or column is at least this.
-STORED_SHARE = 1e-26
-#: Stored pairs are trusted until potentials have moved by this many epsilons. The logarithm of a
-#: pair that is not stored grows by the rise of both its potentials, and mostly by far less; the
-#: residual over the points shows whether such a pair has gained notable mass.
-TRUST_RADIUS = 50.0
+#: A pair is stored if its share of the sum of its row or column is at least the first number.
+#: Stored pairs are trusted until potentials have moved by as many epsilons as the second one says.
+#: The logarithm of a pair that is not stored grows by the rise of both its potentials, and mostly
+#: by far less; the residual over the points shows whether such a pair has gained notable mass.
+#: Where this is too many pairs, the next choice is tried.
+STORED_CHOICES = ((1e-13, 20.0), (1e-7, 8.0))
 
 
 class CorrectedProblem(Problem):
@@ -171,6 +171,7 @@ class StoredProblem(CorrectedProblem):
     """A problem over stored pairs; it holds near the potentials for which they were stored."""
 
     center: Array
+    trust_radius: float  #: see `STORED_CHOICES`
 
     def center_trust_region(self, f: Array) -> None:
         """Set the potentials, (N,), around which the stored pairs are trusted."""
@@ -178,12 +179,13 @@ class StoredProblem(CorrectedProblem):
 
     def outside_trust_region(self, f: Array, epsilon: float) -> bool:
         """Return whether potentials have moved so far that other pairs can have notable mass."""
-        return bool(np.abs(self._moved(f)).max() > TRUST_RADIUS * epsilon)
+        return bool(np.abs(self._moved(f)).max() > self.trust_radius * epsilon)
 
     def clip_to_trust_region(self, f: Array, epsilon: float) -> Array:
         """Return the nearest potentials to f for which the stored pairs are trusted."""
         moved = self._moved(f)
-        return f + np.clip(moved, -TRUST_RADIUS * epsilon, TRUST_RADIUS * epsilon) - moved
+        radius = self.trust_radius * epsilon
+        return f + np.clip(moved, -radius, radius) - moved
 
     def _moved(self, f: Array) -> Array:
         """Return f minus the center, without the mean of this difference by mass."""
@@ -207,17 +209,20 @@ def stored_grid(
     most : int
         Largest number of pairs to store.
     """
-    by_row, by_column = (
-        _threshold(potential, softmin, log_weights, epsilon)
-        for potential, softmin, log_weights in (
-            (f, softmins[0], problem.log_a), (g, softmins[1], problem.log_b)
-        )
-    )  # fmt: skip
     near = problem.to_rows.near, problem.to_columns.near
-    stored = problem.operations.store_pairs(
-        problem.rows, problem.columns, f, g, epsilon, by_row, by_column, most, near
-    )
-    if stored is None:
+    for share, trust_radius in STORED_CHOICES:
+        by_row, by_column = (
+            _threshold(potential, softmin, log_weights, epsilon, share)
+            for potential, softmin, log_weights in (
+                (f, softmins[0], problem.log_a), (g, softmins[1], problem.log_b)
+            )
+        )  # fmt: skip
+        stored = problem.operations.store_pairs(
+            problem.rows, problem.columns, f, g, epsilon, by_row, by_column, most, near
+        )
+        if stored is not None:
+            break
+    else:
         return None
     starts = f + epsilon * problem.log_a, g + epsilon * problem.log_b
     to_rows = StoredSoftmin(problem.to_rows, stored, False, g, softmins[0], starts[0])
@@ -225,10 +230,13 @@ def stored_grid(
     smaller = StoredProblem(
         to_rows, to_columns, (problem.a, problem.b), problem.rho, problem.largest_cost
     )
+    smaller.trust_radius = trust_radius
     return CoarseGrid(smaller, Identity(), Identity(), to_columns, to_rows)
 
 
-def _threshold(potential: Array, softmin: Array, log_weights: Array, epsilon: float) -> Array:
+def _threshold(
+    potential: Array, softmin: Array, log_weights: Array, epsilon: float, share: float
+) -> Array:
     """Return log pi_ij above which pairs of a row are stored, infinite for rows without mass."""
-    thresholds = (potential - softmin) / epsilon + log_weights + np.log(STORED_SHARE)
+    thresholds = (potential - softmin) / epsilon + log_weights + np.log(share)
     return np.where(np.isneginf(thresholds), np.inf, thresholds)

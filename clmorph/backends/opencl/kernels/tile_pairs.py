@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL
-from clmorph.backends.opencl.kernels.clouds import Tiles, half_sides
+from clmorph.backends.opencl.kernels.clouds import Fit, Tiles, fit_over, half_sides
 from clmorph.backends.records import Float64
 
 #: Rounding error of a bound in float32, relative to its largest terms.
@@ -97,9 +97,9 @@ def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False
     """
     c = _padded(values, cloud)
     present = c > 0.5 * SENTINEL
-    half = 0.5 * np.einsum("ntd,ntd->nt", cloud.shifts, cloud.shifts, dtype=float)
-    slopes = -_slopes(cloud.shifts, np.where(present, c / k - half, 0.0), present)
-    flat = c - k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
+    half, operator = _fit(cloud, present)
+    slopes = -_slopes(operator, np.where(present, c / k - half, 0.0))
+    flat = c - k * (half - _along(cloud.shifts, slopes))
     flat = np.where(present, flat, SENTINEL)  # the rest of |a - v|^2 / 2 cancels in B
     level = flat.max(axis=1)
     if not largest:
@@ -119,9 +119,9 @@ def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
     """
     r = _padded(values, cloud)
     present = r < -0.5 * SENTINEL
-    half = 0.5 * np.einsum("ntd,ntd->nt", cloud.shifts, cloud.shifts, dtype=float)
-    slopes = _slopes(cloud.shifts, np.where(present, r / k + half, 0.0), present)
-    flat = r + k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
+    half, operator = _fit(cloud, present)
+    slopes = _slopes(operator, np.where(present, r / k + half, 0.0))
+    flat = r + k * (half - _along(cloud.shifts, slopes))
     lowest = np.where(present, flat, -SENTINEL).min(axis=1)
     return _bounds(cloud, slopes, np.maximum(-lowest, SENTINEL))
 
@@ -162,22 +162,22 @@ def _padded(values: Float64, cloud: Tiles) -> Float64:
     return np.pad(values, (0, tiles * size - len(values)), mode="edge").reshape(tiles, size)
 
 
-def _slopes(shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bool_]) -> Float64:
-    """Return the least-squares slopes of values over shifts in each tile: (tiles, D) array.
+def _fit(cloud: Tiles, present: NDArray[np.bool_]) -> Fit:
+    return cloud.fit if present.all() else fit_over(cloud.shifts, present)
 
-    Only the points that are present count.
-    """
-    weights = present.astype(float)
-    count = np.maximum(weights.sum(axis=1), 1.0)
-    u = shifts - (np.einsum("ntd,nt->nd", shifts, weights) / count[:, None])[:, None]
-    u *= weights[..., None]
-    v = values - (np.einsum("nt,nt->n", values, weights) / count)[:, None]
-    normal = np.einsum("ntd,nte->nde", u, u)
-    right = np.einsum("ntd,nt->nd", u, v * weights)
-    ridge = 1e-6 * np.trace(normal, axis1=1, axis2=2) + 1e-30
-    normal += ridge[:, None, None] * np.eye(shifts.shape[2])
-    slopes = np.linalg.solve(normal, right[..., None])[..., 0]
+
+def _slopes(operator: Float64, values: Float64) -> Float64:
+    """Return the least-squares slopes of values over shifts in each tile: (tiles, D) array."""
+    slopes = (operator @ values[..., None])[..., 0]
     return slopes.astype(np.float32).astype(float)  # as the bounds use them
+
+
+def _along(shifts: NDArray[np.float32], slopes: Float64) -> Float64:
+    """Return the products of shifts and their tile's slopes: (tiles, tile) array."""
+    result = shifts[..., 0] * slopes[:, None, 0]
+    for d in range(1, shifts.shape[2]):
+        result += shifts[..., d] * slopes[:, None, d]
+    return result
 
 
 def _bounds(cloud: Tiles, slopes: Float64, level: Float64) -> TileBounds:
