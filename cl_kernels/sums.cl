@@ -180,9 +180,6 @@ INLINE void store_sum(const sreal s, const size_t at, const size_t plane, __glob
 }
 #endif // BOUNDED
 
-// What a reference is set above the largest exponent, so that it is seldom set anew.
-#define AHEAD 8.0f
-
 // Few columns are taken together with MASKED, so that a look whether the maximum has grown is worth it.
 #if MASKED
 #define RESCALE_BY(n)                                                                          \
@@ -220,11 +217,7 @@ INLINE void add_columns(
         e[c] = exponent(u, staged, columns[c]);
         highest = max(highest, reference_of(e[c]));
     }
-#if MASKED && !BOUNDED
-    m_new = select(m, highest + AHEAD, highest > m);
-#else
     m_new = max(m, highest);
-#endif
 #endif
     sreal s_tile = *of_tile;
     RESCALE_BY(m - m_new);

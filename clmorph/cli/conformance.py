@@ -18,6 +18,7 @@ from clmorph.backends.verification.clouds import CloudCase, splat_case
 from clmorph.backends.verification.iterations import check_iteration
 from clmorph.backends.verification.plans import check_plan_rows, check_stored
 from clmorph.backends.verification.reductions import (
+    ENOUGH,
     check_bounded_softmin,
     check_draws,
     check_near_pairs,
@@ -138,6 +139,7 @@ def _checks(operations: Operations) -> Iterator[Check]:
         yield Check(("log_sum_exp",), partial(check_row_maxima, case))
         yield Check(("log_sum_exp",), partial(check_bounded_softmin, case))
         yield Check(("log_sum_exp", *_NEAR), partial(check_near_pairs, case))
+        yield Check(("log_sum_exp", *_NEAR), partial(check_bounded_softmin, case, True, ENOUGH))
     case = CloudCase(operations, exact, *pair, 0.0025)
     for precise in (False, True):
         yield Check(_PLAN, partial(check_plan_rows, case, precise))

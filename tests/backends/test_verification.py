@@ -185,7 +185,11 @@ VARIANTS = [
     ),
     *(
         Variant("log_sum_exp.cl", 5, True, listed, bounded)
-        for listed, bounded in ((False, 1), (True, 1), (True, 2))
+        for listed, bounded in ((False, 1), (True, 1))
+    ),
+    *(
+        Variant("log_sum_exp.cl", 5, precise, True, bounded, masked=True)
+        for precise, bounded in ((False, 0), (True, 0), (True, 1), (True, 2))
     ),
     Variant("near_field.cl", 5, listed=True),
     Variant("half_steps.cl", balanced=3),

@@ -151,7 +151,7 @@ def test_check_of_some_kernels(device):
     named = [finding.name for finding in check(device, ["sample_plan_rows"])]
     assert any("sample_plan_rows" in name for name in named)
     assert not any("softmin" in name or "moments" in name for name in named)
-    for kernel in ("near_field", "near_field.cl", "measure_tiles"):
+    for kernel in ("near_field", "near_field.cl", "mark_columns"):
         assert any("near_pairs" in f.name for f in _first(check(device, [kernel]), 3))
 
 
@@ -164,7 +164,7 @@ def test_an_unknown_kernel_is_told(capfd):
     assert main(["check", "--device", TESTED[0].index, "--kernel", "grumpy"]) == 2
     err = capfd.readouterr().err
     assert err.count("\n") == 1
-    for words in ("grumpy", "--kernel", *KERNELS, "largest_shares", "sum_columns"):
+    for words in ("grumpy", "--kernel", *KERNELS, "mark_columns", "sum_columns"):
         assert words in err
 
 

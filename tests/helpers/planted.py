@@ -23,8 +23,8 @@ class Fault(NamedTuple):
 
 FAULTS = [
     Fault("log_sum_exp.cl", "log_sum_exp", "n < n_end;", "n + 1 < n_end;", "softmin"),
-    Fault("near_field.cl", "largest_shares", "= largest;", "= largest - 40.0f;", "near_pairs"),
-    Fault("near_field.cl", "measure_tiles", "s += s_tile;", "s += 0.99f * s_tile;", "near_pairs"),
+    Fault("near_field.cl", "mark_columns", "64 * w, limit)", "64 * w, limit + 40.0f)",
+          "near_pairs"),
     Fault("plan_rows.cl", "count_plan_rows", "select((vint)(0), (vint)(1)",
           "select((vint)(0), (vint)(2)", "plan_rows"),
     Fault("plan_rows.cl", "fill_plan_rows", "TILE + j;", "TILE + (j ^ 1u);", "plan_rows"),

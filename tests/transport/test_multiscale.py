@@ -189,14 +189,15 @@ def test_stored_pairs_stand_for_the_points(device, rng):
     assert np.abs(near.to_rows(g, epsilon) - t_rows).max() <= rounding * epsilon
     assert np.abs(near.to_columns(f, epsilon) - t_columns).max() <= rounding * epsilon
     near.center_trust_region(f)
-    move = coarse_grid.TRUST_RADIUS * epsilon * rng.uniform(-1, 1, len(f))
+    move = near.trust_radius * epsilon * rng.uniform(-1, 1, len(f))
     assert not near.outside_trust_region(f + 7.0, epsilon)  # all alike is no move
     assert near.outside_trust_region(f + 3 * move, epsilon)
     held = near.clip_to_trust_region(f + 7.0 + 3 * move, epsilon)
-    assert np.abs(held - 7.0 - f).max() <= 1.5 * coarse_grid.TRUST_RADIUS * epsilon
-    # Each pair that is left out has grown by exp(40) at most against those that are not.
-    change = 20 * epsilon * rng.uniform(-1, 1, len(g))
-    left_out = len(g) * coarse_grid.STORED_SHARE * np.exp(40)
+    assert np.abs(held - 7.0 - f).max() <= 1.5 * near.trust_radius * epsilon
+    # Each pair that is left out has grown by exp(10) at most against those that are not.
+    change = 5 * epsilon * rng.uniform(-1, 1, len(g))
+    share, _ = coarse_grid.STORED_CHOICES[0]
+    left_out = len(g) * share * np.exp(10)
     assert left_out < 1e-4
     got = near.to_rows(g + change, epsilon)
     want = problem.to_rows(g + change, epsilon, True)
@@ -242,7 +243,7 @@ def test_without_memory_for_pairs_points_are_iterated_over(device, monkeypatch):
 
 def test_pairs_that_mislead_are_left(monkeypatch):
     """With far too few pairs cycles do not converge; the solve does."""
-    monkeypatch.setattr(coarse_grid, "STORED_SHARE", 0.3)
+    monkeypatch.setattr(coarse_grid, "STORED_CHOICES", ((0.3, 50.0),))
     source, target = sharp(24)
     got = sinkhorn(source, target, 0.04, 0.3, backend="numpy", multiscale=True)
     assert got.converged

@@ -210,7 +210,8 @@ def stored_grid(
         Largest number of pairs to store.
     """
     near = problem.to_rows.near, problem.to_columns.near
-    for share, trust_radius in STORED_CHOICES:
+    for choice in STORED_CHOICES:
+        share, radius = choice
         by_row, by_column = (
             _threshold(potential, softmin, log_weights, epsilon, share)
             for potential, softmin, log_weights in (
@@ -230,7 +231,7 @@ def stored_grid(
     smaller = StoredProblem(
         to_rows, to_columns, (problem.a, problem.b), problem.rho, problem.largest_cost
     )
-    smaller.trust_radius = trust_radius
+    smaller.trust_radius = radius
     return CoarseGrid(smaller, Identity(), Identity(), to_columns, to_rows)
 
 

@@ -62,7 +62,9 @@ class Variant:
 
     def __str__(self) -> str:
         words = [f"dimension {self.dimension}"] if self.dimension else []
-        words += [name for name in ("precise", "listed", "masked", "bounded") if getattr(self, name)]
+        words += [
+            name for name in ("precise", "listed", "masked", "bounded") if getattr(self, name)
+        ]
         words += ["powers in float32"] if self.bounded == 2 else []
         words += [f"balanced {self.balanced}"] if self.balanced else []
         return f"{self.file} ({', '.join(words)})" if words else self.file

@@ -70,7 +70,6 @@ def candidates(
     wides = [] if wide is None else [wide]
     limit = float(hopeless) + np.log2(n_columns / -(-n_columns // WIDTH_OF_GROUPS))
 
-
     def found_in(
         block: tuple[slice, NDArray[np.int64] | None],
     ) -> tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.float32]]:

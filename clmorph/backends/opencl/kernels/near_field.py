@@ -84,16 +84,14 @@ class NearField:
             columns_of.append(of_groups)
         lengths, tiles, distances, chosen = (
             np.concatenate(arrays)
-            for arrays in zip(*((own[:3] + (own.masks,)) for own in kept), strict=True)
+            for arrays in zip(*((*own[:3], own.masks) for own in kept), strict=True)
         )
         starts = np.concatenate(([0], np.cumsum(lengths)))
         counts = np.concatenate(columns_of)
         rows_of_group = tile // counts.shape[1]
         # To stage a tile takes about as long as a column for each row of the tile.
         work = rows_of_group * counts.sum(axis=1) + tile * lengths
-        listed = TilePairs(
-            starts, tiles, distances, chosen, np.concatenate(([0], np.cumsum(work)))
-        )
+        listed = TilePairs(starts, tiles, distances, chosen, np.concatenate(([0], np.cumsum(work))))
         maxima, sums, offsets = self._log_sum_exp.of_sorted(
             rows, columns, potential, epsilon, False, listed
         )

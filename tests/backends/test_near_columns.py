@@ -1,0 +1,88 @@
+"""Near pairs: which columns are chosen, and that the bound of all others holds."""
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph.backends.numpy import NumPyOperations
+
+#: The share of a row's sum that may be left out.
+BUDGET = 1e-6
+
+
+def clouds(operations, side, blur, rng):
+    """Two noisy pictures, potentials near the optimum, and T(g) by float64."""
+    x, y = np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side))
+    pictures = [
+        np.clip(np.stack((x, y, shift * x * y), axis=2) + 0.05 * rng.random((side, side, 3)), 0, 1)
+        for shift in (0.2, 0.9)
+    ]
+    pair = [clmorph.lift(picture) for picture in pictures]
+    epsilon = blur**2
+    g = 0.2 * epsilon * rng.normal(size=side**2)
+    exact = NumPyOperations()
+    want = exact.softmin(*(exact.upload(m.points, m.weights) for m in pair), g, epsilon)
+    return [operations.upload(m.points, m.weights) for m in pair], g, want, epsilon
+
+
+def missing(got, want, near, epsilon):
+    """How far soft minima are outside of what near pairs leave out, in nats."""
+    off = (got - want) / epsilon
+    return float(np.max([-off.min(), (off - np.log1p(near.skipped)).max()]))
+
+
+@pytest.mark.parametrize("blur", [0.2, 0.05, 0.01])
+def test_sums_over_near_columns(device, rng, blur):
+    """Plain, precise and bounded sums miss what the bound says, and no more."""
+    own, g, want, epsilon = clouds(device, 40, blur, rng)
+    near = device.near_pairs(*own, g, want, epsilon, BUDGET)
+    assert near.skipped.max() <= 1.5 * BUDGET
+    tolerance = 2e-7 / epsilon + 1e-5
+    for precise in (False, True):
+        got = device.softmin(*own, g, epsilon, precise, near)
+        assert missing(got, want, near, epsilon) <= tolerance
+    for enough in (0.0, 1e-4):
+        got, error = device.bounded_softmin(*own, g, epsilon, near, enough)
+        assert missing(got, want, near, epsilon) <= min(error, enough + 1e-5) + 1e-9
+    if blur < 0.2:
+        assert near.n_pairs < 0.6 * len(g) ** 2
+
+
+@pytest.mark.parametrize("off", [-30.0, -3.0, 3.0, 30.0])
+def test_a_bad_guess_costs_pairs_but_not_the_bound(device, rng, off):
+    """The bound holds for any estimate of the sums; if it is too large, the next one is better."""
+    own, g, want, epsilon = clouds(device, 40, 0.03, rng)
+    near = device.near_pairs(*own, g, want + off * epsilon, epsilon, BUDGET)
+    assert np.isfinite(near.softmin).all()
+    tolerance = 2e-7 / epsilon + 1e-5
+    assert missing(near.softmin, want, near, epsilon) <= tolerance
+    again = device.near_pairs(*own, g, near.softmin, epsilon, BUDGET)
+    assert missing(again.softmin, want, again, epsilon) <= tolerance
+    third = device.near_pairs(*own, g, again.softmin, epsilon, BUDGET)
+    assert third.skipped.max() <= 2 * BUDGET
+
+
+def test_all_kinds_of_masks_are_met(device, rng):
+    """Full ones, which are summed without a look at bits, those with some bits, and empty ones."""
+    own, g, want, epsilon = clouds(device, 96, 0.02, rng)
+    near = device.near_pairs(*own, g, want, epsilon, BUDGET)
+    tile, masks = device.constants.tile, near.pairs.masks
+    whole = np.uint64((1 << min(tile, 64)) - 1)
+    full, empty = (masks == whole).all(axis=2), (masks == 0).all(axis=2)
+    assert full.any()
+    assert empty.any()
+    assert (~full & ~empty).any()
+    # No pair of tiles is listed for nothing, and every group of rows has a column.
+    assert not empty.all(axis=1).any()
+    filled = np.add.reduceat(~empty, near.pairs.starts[:-1], axis=0, dtype=int)
+    assert filled.min() >= 1
+    got = device.softmin(*own, g, epsilon, False, near)
+    assert missing(got, want, near, epsilon) <= 2e-7 / epsilon + 1e-5
+
+
+def test_maxima_over_near_columns_are_those_of_all(device, rng):
+    own, g, want, epsilon = clouds(device, 40, 0.03, rng)
+    near = device.near_pairs(*own, g, want, epsilon, BUDGET)
+    few = device.row_maxima(*own, g, epsilon, near)
+    everything = device.row_maxima(*own, g, epsilon)
+    assert np.abs(few - everything).max() <= 2e-7 / epsilon + 1e-5
