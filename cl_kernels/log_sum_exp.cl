@@ -40,8 +40,15 @@ void log_sum_exp(
 #endif
 #if MASKED
     stage_empty_column(staged);
+#if BOUNDED == 2
+    if (get_local_id(0) == 0)
+        for (int d = 0; d <= DIM; ++d)
+            rounded[d * STAGED_ROW + TILE] = d == DIM ? SENTINEL : 0.0f;
+#endif
+#define STAGED_AND_MASK staged, OWN_MASK(n)
 #define MASK_AND_SUMS OWN_MASK(n), &m, &s
 #else
+#define STAGED_AND_MASK staged
 #define MASK_AND_SUMS &m, &s
 #endif
     for (uint n = n_begin; n < n_end; ++n) {
@@ -52,7 +59,7 @@ void log_sum_exp(
         STAGE_TILE(n);
 #if BOUNDED == 2
         if (in_float32[n]) {
-            stage_in_float32(staged, rounded);
+            stage_in_float32(STAGED_AND_MASK, rounded);
             const sreal s_few = add_tile_in_float32(u_rounded, rounded, MASK_AND_SUMS);
             s = sum_of(s, s_few);
             continue;

@@ -39,7 +39,7 @@
 // -D LISTED  0 (default): rows see all column tiles; 1: those listed for their own tile, the
 //            levels in the list's order
 // -D MASKED  1: of the listed tiles, a work-group sees only the columns whose bits are set in the kernel's
-//            argument `column_masks`, (n_listed, GROUPS_OF_TILE, MASK_WORDS): see FOR_COLUMNS_OF. Default 0.
+//            argument `column_masks`, (n_listed, GROUPS_OF_TILE, MASK_WORDS): see take_column. Default 0.
 
 #include "common.cl"
 
@@ -122,6 +122,13 @@
     const uint n_begin = min(end_tile, first_tile + share * per_share);                        \
     const uint n_end = min(end_tile, n_begin + per_share)
 
+// Whether one of the columns j, ..., j + WIDTH - 1 of a tile is needed.
+#if MASKED
+#define IS_NEEDED(j) ((mask[(j) / 64] >> ((j) % 64)) & ((1ul << WIDTH) - 1ul))
+#else
+#define IS_NEEDED(j) 1
+#endif
+
 // Put column tile q, recentered for the row tile, into local memory:
 // staged[d][j] = k (v - (p - q))_d for d < DIM, staged[DIM][j] = the part without u.
 // The first barrier waits for the readers of the tile before, the last one for the writers.
@@ -143,10 +150,8 @@ INLINE uint stage_columns(
                          e_constant(-column_centers[q * DIM + d], 0.0f));
     const ereal level_pq = e_constant(level[0], level[(PLANES - 1) * level_plane]);
     for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
-#if MASKED
-        if (!((mask[j / 64] >> (j % 64)) & ((1ul << WIDTH) - 1ul)))
+        if (!IS_NEEDED(j))
             continue;
-#endif
         ereal quadratic = e_constant(0.0f, 0.0f);
         for (int d = 0; d < DIM; ++d) {
             const ereal v = e_load(column_shifts + (size_t)d * column_stride + q * TILE + j,

@@ -193,8 +193,8 @@ INLINE void store_sum(const sreal s, const size_t at, const size_t plane, __glob
     s_tile = rescaled(s_tile, n)
 #endif
 
-// Add some staged columns (see row_loop.cl), UNROLL at most, to m = max_j reference_of(e_ij), to s = sum_j 2^(e_ij - m), which
-// has no column of their tile, and to the sum of their tile.
+// Add some staged columns (see row_loop.cl), UNROLL at most, to the maximum m = max_j reference_of(e_ij) and to
+// the sum of their tile. The sum over the tiles before, sum_j 2^(e_ij - m), is rescaled.
 INLINE void add_columns(
     const ereal* u, const __local staged_real* staged, const uint* columns, const int count,
     vreal* maximum, sreal* sum, sreal* of_tile)
@@ -284,10 +284,19 @@ INLINE sreal add_tile(
 #endif
 
 // The staged columns, rounded to float32.
-INLINE void stage_in_float32(const __local staged_real* staged, __local float* rounded)
+INLINE void stage_in_float32(
+    const __local staged_real* staged,
+#if MASKED
+    const __global ulong* mask,
+#endif
+    __local float* rounded)
 {
-    for (uint i = get_local_id(0) * WIDTH; i < STAGED_PLANE; i += GROUP * WIDTH)
-        VSTORE(TO_VREAL(VLOAD(0, staged + i)), 0, rounded + i);
+    for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
+        if (!IS_NEEDED(j))
+            continue;
+        for (int d = 0; d <= DIM; ++d)
+            VSTORE(TO_VREAL(VLOAD(0, staged + d * STAGED_ROW + j)), 0, rounded + d * STAGED_ROW + j);
+    }
     GROUP_BARRIER();
 }
 

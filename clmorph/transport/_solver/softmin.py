@@ -16,12 +16,12 @@ MANY_PAIRS = 1 << 27
 #: Near pairs are chosen for a share of the truncation, so that they remain valid while potentials
 #: move. The constants are the first share, its factor after each move that was too far, and the
 #: least share.
-RESERVE, SCARCER, LEAST_RESERVE = 1e-1, 1e-4, 1e-24
+RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-24
 #: Once the residual is this small, potentials have little way left. Near pairs that are valid for
 #: far moves are then chosen anew, once, for this share: half as many pairs are left.
 SETTLED, SETTLED_RESERVE = 3e-2, 1e-6
 #: Rounding may be this share of the truncation where its bound is computed.
-ROUNDING_SHARE = 0.6
+ROUNDING_SHARE = 0.3
 #: After this many successive choices that leave out too much, all pairs are summed.
 ATTEMPTS = 3
 

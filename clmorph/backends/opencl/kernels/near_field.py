@@ -82,16 +82,12 @@ class NearField:
             each = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
             kept.append(TilePairs(each, pairs.tiles[keep], pairs.distances[keep], masks[keep]))
             columns_of.append(of_groups)
-        lengths, tiles, distances, chosen = (
-            np.concatenate(arrays)
-            for arrays in zip(*((*own[:3], own.masks) for own in kept), strict=True)
-        )
-        starts = np.concatenate(([0], np.cumsum(lengths)))
         counts = np.concatenate(columns_of)
         rows_of_group = tile // counts.shape[1]
         # To stage a tile takes about as long as a column for each row of the tile.
+        lengths = np.concatenate([own.starts for own in kept])
         work = rows_of_group * counts.sum(axis=1) + tile * lengths
-        listed = TilePairs(starts, tiles, distances, chosen, np.concatenate(([0], np.cumsum(work))))
+        listed = _joined(kept, np.concatenate(([0], np.cumsum(work))))
         maxima, sums, offsets = self._log_sum_exp.of_sorted(
             rows, columns, potential, epsilon, False, listed
         )
@@ -151,6 +147,22 @@ class NearField:
                 results=tuple(zip(found, buffers, strict=True)),
             )  # fmt: skip
         return masks, counts
+
+
+def _joined(parts: list[TilePairs], work: NDArray[np.int64]) -> TilePairs:
+    """Return one list of the pairs of all parts, whose `starts` are lengths; `parts` is emptied."""
+    lengths = np.concatenate([own.starts for own in parts])
+    n, last = int(lengths.sum()), parts[-1]
+    assert last.masks is not None
+    tiles, distances = np.empty(n, np.uint32), np.empty(n)
+    masks = np.empty((n, *last.masks.shape[1:]), last.masks.dtype)
+    while parts:
+        # The parts leave one by one, because together they are as large as the result.
+        own = parts.pop()
+        section = slice(n - len(own.tiles), n)
+        tiles[section], distances[section], masks[section] = own.tiles, own.distances, own.masks
+        n = section.start
+    return TilePairs(np.concatenate(([0], np.cumsum(lengths))), tiles, distances, masks, work)
 
 
 def _complete(
