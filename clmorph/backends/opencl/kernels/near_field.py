@@ -66,13 +66,14 @@ class NearField:
         # The level of each row tile is set by the pairs that a launch visits.
         exponents = Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
         clouds = _Clouds(rows, columns, exponents, guess)
-        left = np.empty(len(rows.centers))
+        left, farthest = np.empty(len(rows.centers)), 0.0
         kept: list[TilePairs] = []
         columns_of: list[NDArray[np.int64]] = []
         for part, pairs, unseen in candidates(rows, columns, guess, values, k, UNSEEN * budget):
             starts = pairs.starts[part.start : part.stop + 1]
             lengths = np.diff(starts)
             threshold = (1 - UNSEEN) * budget / (tile * lengths)
+            farthest = max(farthest, _largest_cost(rows, columns, pairs))
             masks, marked = self._marked(clouds, pairs, part, np.log2(threshold))
             of_groups = np.add.reduceat(marked, starts[:-1], axis=0, dtype=np.int64)
             _complete(masks, marked, of_groups, starts, pairs.distances, tile)
@@ -91,10 +92,9 @@ class NearField:
         maxima, sums, offsets = self._log_sum_exp.of_sorted(
             rows, columns, potential, epsilon, False, listed
         )
-        largest = _largest_cost(rows, columns, listed)
         with np.errstate(over="ignore", divide="ignore"):
             found = maxima + offsets + np.log2(sums)
-            off = guess - k * rows.offsets - found + EXPONENT_ERROR * k * largest
+            off = guess - k * rows.offsets - found + EXPONENT_ERROR * k * farthest
             skipped = MARGIN * np.exp2(np.minimum(off, 1e4)) * np.repeat(left, tile)[:n]
         return NearPairs(
             listed,
@@ -102,7 +102,7 @@ class NearField:
             unsort(rows, skipped),
             int(rows_of_group * counts.sum()),
             int(counts.max()),
-            largest,
+            _largest_cost(rows, columns, listed),
         )
 
     def _marked(
