@@ -119,13 +119,16 @@ def every_row_reduction(operations):
     plan = operations.plan_rows(
         rows, columns, f, g, epsilon, np.full(70, -14.0), np.full(700, np.inf)
     )
-    same = [near.softmin, near.skipped, plan.indptr, plan.indices, plan.mass]
+    same = [near.pairs.tiles, near.pairs.masks, plan.indptr, plan.indices, plan.mass]
     for pairs in (None, near):
         same += operations.plan_moments(rows, columns, g, f, epsilon, False, pairs)
         same.append(
             operations.sample_plan_rows(rows, columns, g, f, epsilon, thresholds, False, pairs)
         )
-    nearly = [operations.softmin(rows, columns, g, epsilon, False, pairs) for pairs in (None, near)]
+    nearly = [near.softmin, near.skipped]
+    nearly += [
+        operations.softmin(rows, columns, g, epsilon, False, pairs) for pairs in (None, near)
+    ]
     for pairs in (None, near):
         nearly += operations.barycentric_projection(rows, columns, g, epsilon, False, pairs)
     nearly.append(operations.bounded_softmin(rows, columns, g, epsilon)[0])

@@ -111,7 +111,7 @@ class Softmin:
         if self._near is not None and self._chosen_for[0] == epsilon:
             softmin = self._over(self._near, potential, epsilon, *kind)
             self.left_out = self._bound(potential, softmin, epsilon)
-            if self.left_out <= self.truncation:
+            if self.left_out <= self.truncation * (1.0 - ROUNDING_SHARE * bounded):
                 return softmin
             self.reserve = max(LEAST_RESERVE, SCARCER * self.reserve)
         if self.guess is None:
