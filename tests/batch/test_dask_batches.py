@@ -460,6 +460,8 @@ def test_a_scheduler_that_does_not_answer(pictures, tmp_path, monkeypatch, capsy
 
 def test_a_scheduler_that_dies(pictures, tmp_path):
     """The command ends with one line, and what was done counts."""
+    from distributed import Client
+
     table(tmp_path / "jobs.csv", pictures)
     out, told = tmp_path / "out", tmp_path / "told.json"
     dask = [sys.executable, "-m", "dask"]
@@ -474,9 +476,11 @@ def test_a_scheduler_that_dies(pictures, tmp_path):
             assert scheduler.poll() is None
             time.sleep(0.05)
         worker = [*dask, "worker", "--scheduler-file", str(told), "--nthreads", "1", "--no-nanny"]
-        worker += ["--no-dashboard", "--death-timeout", "1", "--local-directory", str(tmp_path)]
+        worker += ["--no-dashboard", "--death-timeout", "20", "--local-directory", str(tmp_path)]
         processes.append(subprocess.Popen(worker, stderr=subprocess.DEVNULL))
         address = json.loads(told.read_text())["address"]
+        with quiet_dask(), Client(address) as client:  # without a worker the command prints a note
+            client.wait_for_workers(1, timeout=60)
         call = [tmp_path / "jobs.csv", "-o", out, "--backend", "numpy", "--scheduler", address]
         with started(*call) as process:
             wait_for(2, out, process)
