@@ -4,7 +4,7 @@
 // the canvas, and particles farther out fall into the outermost ones.
 
 // Which bin a pixel position falls into. (n_bins_x, n_bins_y) include the margins.
-static inline uint bin_of(
+INLINE uint bin_of(
     const float2 position, const float bins_per_pixel, const int margin, const int2 n_bins)
 {
     const int bx = (int)clamp(floor(position.x * bins_per_pixel) + margin, 0.0f, n_bins.x - 1.0f);

@@ -53,8 +53,8 @@ typedef vreal ereal;
 #define TO_VREAL(v) (v)
 #endif
 
-// Staged numbers of a coordinate. After the columns of a tile there is one without mass, MASKED alone
-// reads it.
+// Length of a row of staged numbers, one for each column of a tile. With MASKED a column without mass follows
+// them.
 #if MASKED
 #define STAGED_ROW (TILE + WIDTH)
 #else
@@ -159,7 +159,8 @@ INLINE void e_stage(const ereal e, __local staged_real* p)
 #endif
 }
 
-// e_ij of WIDTH rows and staged column j: staged[DIM][j] + sum_d u[d] staged[d][j].
+// e_ij of WIDTH rows and staged column j: sum_d u[d] staged[d][j] + staged[DIM][j]. The sum and the last
+// term are often large and of opposite signs, so that beginning with the last term would round more.
 INLINE ereal exponent(const ereal* u, const __local staged_real* staged, const uint j)
 {
 #if PRECISE == 1

@@ -43,7 +43,7 @@
 typedef float4 vblock;
 #define LOAD_BLOCK(i, p) vload4(i, p)
 #define STORE_BLOCK(v, i, p) vstore4(v, i, p)
-static inline float4 fold(const vblock v)
+INLINE float4 fold(const vblock v)
 {
     return v;
 }
@@ -52,7 +52,7 @@ static inline float4 fold(const vblock v)
 typedef float16 vblock;
 #define LOAD_BLOCK(i, p) vload16(i, p)
 #define STORE_BLOCK(v, i, p) vstore16(v, i, p)
-static inline float4 fold(const vblock v) // Oclgrind takes shuffles for uninitialized
+INLINE float4 fold(const vblock v) // Oclgrind takes shuffles for uninitialized
 {
     float parts[16];
     vstore16(v, 0, parts);
@@ -65,7 +65,7 @@ static inline float4 fold(const vblock v) // Oclgrind takes shuffles for uniniti
 
 #if WIDTH == 1
 // T_0 to T_7 at x and at y.
-static inline void chebyshev(const float2 x, float* t_x, float* t_y)
+INLINE void chebyshev(const float2 x, float* t_x, float* t_y)
 {
     const float2 twice = 2.0f * x;
     const float2 t2 = twice * x - 1.0f;
@@ -82,7 +82,7 @@ static inline void chebyshev(const float2 x, float* t_x, float* t_y)
 
 // Cell of a bin that a particle is in, -1 if in none, and where in it: within [-1, 1].
 // corner is the bin's in units of cells, which are a power of two of pixels: no rounding.
-static inline int cell_of(
+INLINE int cell_of(
     const float2 position, const float per_pixel, const float2 corner, const int cells,
     float2* inside)
 {
@@ -137,7 +137,7 @@ static void add_moments(
 #define LANES 16 // particles whose polynomials are formed at once
 
 // The same, in vectors.
-static inline void add_moments(
+INLINE void add_moments(
     const uint begin, const uint end, const float per_pixel, const float2 corner,
     const int cells, const __global float2* positions, const __global float4* samples,
     __global float* table)
@@ -258,7 +258,7 @@ void sum_moments(
 
 // Where the cells begin that pixel i can get something from, and its row of coefficients.
 // Cells are half, quarter... pixels (per_pixel to a pixel), or a number of pixels (phases).
-static inline int first_cell(const int i, const int per_pixel, const int phases, const int reach)
+INLINE int first_cell(const int i, const int per_pixel, const int phases, const int reach)
 {
     return (i / phases) * per_pixel - reach;
 }

@@ -12,7 +12,7 @@
 #include "row_loop.cl"
 #include "sums.cl"
 
-// Online maximum m_i = max_j reference_of(e_ij) and s_i = sum_j 2^(e_ij - m_i), over the column tiles
+// Online maximum m_i = max_j reference_for(e_ij) and s_i = sum_j 2^(e_ij - m_i), over the column tiles
 // of this share; the host joins the shares.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void log_sum_exp(
@@ -45,27 +45,22 @@ void log_sum_exp(
         for (int d = 0; d <= DIM; ++d)
             rounded[d * STAGED_ROW + TILE] = d == DIM ? SENTINEL : 0.0f;
 #endif
-#define STAGED_AND_MASK staged, OWN_MASK(n)
-#define MASK_AND_SUMS OWN_MASK(n), &m, &s
-#else
-#define STAGED_AND_MASK staged
-#define MASK_AND_SUMS &m, &s
 #endif
     for (uint n = n_begin; n < n_end; ++n) {
 #if MASKED
         if (is_empty(OWN_MASK(n)))
-            continue;
+            continue; // so do all work-items of the group
 #endif
         STAGE_TILE(n);
 #if BOUNDED == 2
         if (in_float32[n]) {
-            stage_in_float32(STAGED_AND_MASK, rounded);
-            const sreal s_few = add_tile_in_float32(u_rounded, rounded, MASK_AND_SUMS);
+            stage_in_float32(staged, OWN_MASK(n), rounded);
+            const sreal s_few = add_tile_in_float32(u_rounded, rounded, OWN_MASK(n), &m, &s);
             s = sum_of(s, s_few);
             continue;
         }
 #endif
-        const sreal s_tile = add_tile(u, staged, MASK_AND_SUMS);
+        const sreal s_tile = add_tile(u, staged, OWN_MASK(n), &m, &s);
         s = sum_of(s, s_tile);
     }
     VSTORE(m, (size_t)share * n_rows + local_row, maxima);

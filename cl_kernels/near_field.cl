@@ -2,8 +2,8 @@
 //
 //     e_ij > limit_i,   limit_i = log2(threshold) + log2 of about the sum of row i,
 //
-// with e_ij as row_loop.cl has it, for at least one row i of a work-group. The host knows what all other
-// columns can hold, and later sums leave them out (MASKED).
+// with e_ij as row_loop.cl has it, for at least one row i of a work-group. Later sums leave the other columns
+// out (MASKED), and the host bounds what these hold by their number and the threshold.
 //
 // Launch: as in row_loop.cl.
 //
@@ -15,6 +15,9 @@
 #if !LISTED
 #error "LISTED must be 1: columns are those of listed tiles"
 #endif
+#ifndef MANY_EIGHTHS
+#define MANY_EIGHTHS 5 // then all columns take less time, without a look at bits
+#endif
 
 // A comparison is 1 for a scalar, and has all bits in each lane of a vector.
 #if WIDTH == 1
@@ -23,8 +26,8 @@
 #define IS_TRUE(comparison) (comparison)
 #endif
 
-// Bits of the columns first + j, 0 <= j < 32, whose exponent is above a limit in one of WIDTH rows. They are
-// collected lane by lane, because to ask each time whether any lane is above it takes longer.
+// Bits of the columns first + j, 0 <= j < 32, whose exponent is above a limit in one of WIDTH rows. Each lane
+// collects its own, because it takes longer to ask for each column whether any lane is above the limit.
 INLINE ulong columns_above(
     const ereal* u, const __local staged_real* staged, const uint first, const vreal limit)
 {
@@ -63,10 +66,6 @@ INLINE ulong united(const ulong bits, __local ulong* of_items)
 #endif
 }
 
-#ifndef MANY_EIGHTHS
-#define MANY_EIGHTHS 5
-#endif
-
 // Bit j of a listed tile's mask: whether column j is notable.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void mark_columns(
@@ -80,21 +79,20 @@ void mark_columns(
     const vreal limit = VLOAD(local_row, row_limits);
     for (uint n = first_tile; n < end_tile; ++n) {
         STAGE_TILE(n);
-        __global ulong* mask = column_masks + ((size_t)n * GROUPS_OF_TILE + GROUP_OF_TILE) * MASK_WORDS;
+        const size_t place = (size_t)n * GROUPS_OF_TILE + (row - row_tile * TILE) / (GROUP * WIDTH);
         uint count = 0;
         for (uint w = 0; w < MASK_WORDS; ++w) {
             ulong bits = columns_above(u, staged, 64 * w, limit);
             if (TILE >= 64)
                 bits |= columns_above(u, staged, 64 * w + 32, limit) << 32;
             bits = united(bits, of_items);
-            // Where most columns are notable, all of them take less time than these alone.
             if (8 * (int)popcount(bits) > MANY_EIGHTHS * (TILE < 64 ? TILE : 64))
                 bits = ALL_COLUMNS;
             count += popcount(bits);
             if (get_local_id(0) == 0)
-                mask[w] = bits;
+                column_masks[place * MASK_WORDS + w] = bits;
         }
         if (get_local_id(0) == 0)
-            counts[(size_t)n * GROUPS_OF_TILE + GROUP_OF_TILE] = count;
+            counts[place] = count;
     }
 }

@@ -69,6 +69,9 @@
 
 #define GROUPS_OF_TILE (TILE / (GROUP * WIDTH)) // work-groups of the rows of a tile
 #define MASK_WORDS ((TILE + 63) / 64)           // words of 64 bits, one for each column of a tile
+#if TILE > 64 && TILE % 64
+#error "TILE must be a multiple of 64 if it is larger: a mask has whole words"
+#endif
 #define ALL_COLUMNS (~0ul >> (TILE < 64 ? 64 - TILE : 0))
 
 #include "exponents.cl"
@@ -122,10 +125,15 @@
     const uint n_begin = min(end_tile, first_tile + share * per_share);                        \
     const uint n_end = min(end_tile, n_begin + per_share)
 
-// Whether one of the columns j, ..., j + WIDTH - 1 of a tile is needed.
 #if MASKED
+// The mask of the n-th column tile for this work-group.
+#define OWN_MASK(n)                                                                            \
+    (column_masks                                                                              \
+     + ((size_t)(n) * GROUPS_OF_TILE + (row - row_tile * TILE) / (GROUP * WIDTH)) * MASK_WORDS)
+// Whether one of the columns j, ..., j + WIDTH - 1 of a tile is needed.
 #define IS_NEEDED(j) ((mask[(j) / 64] >> ((j) % 64)) & ((1ul << WIDTH) - 1ul))
 #else
+#define OWN_MASK(n) 0
 #define IS_NEEDED(j) 1
 #endif
 
@@ -138,10 +146,7 @@ INLINE uint stage_columns(
     const ereal k, const __global float* row_centers,
     const __global float* column_shifts, const __global float* column_centers,
     const __global float* column_logits, const __global float* level,
-#if MASKED
-    const __global ulong* mask,
-#endif
-    __local staged_real* staged)
+    const __global ulong* mask, __local staged_real* staged)
 {
     GROUP_BARRIER();
     ereal shift[DIM];
@@ -187,22 +192,11 @@ INLINE void load_rows(
     ereal u[DIM];                                                                              \
     load_rows(row_shifts, row_stride, row, u)
 
-// Number of the work-group among those of its row tile.
-#define GROUP_OF_TILE ((row - row_tile * TILE) / (GROUP * WIDTH))
-
 // Stage the n-th column tile of the row tile, and return its number.
-#if MASKED
-#define OWN_MASK(n) (column_masks + ((size_t)(n) * GROUPS_OF_TILE + GROUP_OF_TILE) * MASK_WORDS)
 #define STAGE_TILE(n)                                                                          \
     stage_columns(TILE_AT(n), row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),      \
                   row_centers, column_shifts, column_centers, column_logits,                   \
                   own_levels + (n), OWN_MASK(n), staged)
-#else
-#define STAGE_TILE(n)                                                                          \
-    stage_columns(TILE_AT(n), row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),      \
-                  row_centers, column_shifts, column_centers, column_logits,                   \
-                  own_levels + (n), staged)
-#endif
 
 #if MASKED
 // Whether no column of a listed tile is needed, or all are: the same for all work-items of a group.
@@ -222,7 +216,7 @@ INLINE bool is_full(const __global ulong* mask)
     return bits == ALL_COLUMNS;
 }
 
-// The place of the lowest bit of a word of a mask, which is then cleared; without a bit the column that
+// The column of the lowest bit of a word of a mask. The bit is cleared. Without a bit it is the column that
 // has no mass.
 INLINE uint take_column(ulong* bits, const uint first)
 {
@@ -231,7 +225,7 @@ INLINE uint take_column(ulong* bits, const uint first)
     return j;
 }
 
-// Stage the column without mass, which stays.
+// Stage the column without mass. No tile overwrites it.
 INLINE void stage_empty_column(__local staged_real* staged)
 {
     if (get_local_id(0) == 0) {

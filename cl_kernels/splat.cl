@@ -23,7 +23,7 @@
 
 // One-dimensional kernel at WIDTH pixels. nearest: the box of one pixel, half open, in
 // which every particle falls into exactly one pixel.
-static inline vreal kernel_1d(
+INLINE vreal kernel_1d(
     const vreal d, const float exponent_scale, const float radius, const int nearest)
 {
     const vreal one = (vreal)(1.0f);

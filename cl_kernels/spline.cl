@@ -14,7 +14,7 @@
 #include "common.cl"
 
 // The index inside 0 <= i < n that a place mirrors, which may be far outside.
-static inline int mirrored(const int i, const int n)
+INLINE int mirrored(const int i, const int n)
 {
     const int period = max(2 * n - 2, 1);
     const int once = (int)((uint)abs(i) % (uint)period);
@@ -22,7 +22,7 @@ static inline int mirrored(const int i, const int n)
 }
 
 // Weights of the four coefficients around a place, f pixels after the second one.
-static inline float4 cubic_weights(const float f)
+INLINE float4 cubic_weights(const float f)
 {
     const float r = 1.0f - f;
     const float first = r * r * r * (1.0f / 6.0f);
@@ -32,7 +32,7 @@ static inline float4 cubic_weights(const float f)
 }
 
 // The lower one of the two grid points around a pixel, and the weight of the other one.
-static inline int grid_point(
+INLINE int grid_point(
     const int pixel, const int pixels, const int points, float* weight)
 {
     const float place = ((float)pixel - 0.5f * (float)(pixels - 1)) * ((float)points / (float)pixels)

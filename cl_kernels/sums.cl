@@ -11,8 +11,7 @@
 //            sums of UNROLL powers in float32, and all other sums in float64. Between pairs of
 //            tiles that the host chooses, exponents are float32 too (add_tile_in_float32).
 // -D FLOAT32_UNROLL  columns taken together where exponents are float32, divides TILE
-// -D MASKED_UNROLL   columns taken together of those that a mask has chosen, at most UNROLL (MASKED alone, see
-//                    row_loop.cl)
+// -D MASKED_UNROLL   columns of a mask taken together (MASKED, see row_loop.cl), at most UNROLL
 
 #ifndef BOUNDED
 #define BOUNDED 0
@@ -26,10 +25,15 @@ typedef vreal sreal;
 #define NO_SUM ((vreal)(0.0f))
 #define SUM_PLANES 1
 
-// What powers of e are taken from, at least: e itself.
-INLINE vreal reference_of(const ereal e)
+// Powers of e are taken from a reference that is not under e, but for a rounding: e itself.
+INLINE vreal about(const ereal e)
 {
     return e_nearest(e);
+}
+
+INLINE vreal reference_for(const vreal highest)
+{
+    return highest;
 }
 
 // 2^(e - m) for e up to m.
@@ -74,14 +78,19 @@ INLINE vreal whole_above(const vreal x)
     return ceil(x + fabs(x) * 2.3841858e-7f);
 }
 
-// What powers of e are taken from, at least: a whole number not under e, but for a rounding.
-INLINE vreal reference_of(const ereal e)
+// Powers of e are taken from a reference that is not under e, but for a rounding: a whole number.
+INLINE vreal about(const ereal e)
 {
 #if PRECISE == 2
-    return whole_above(TO_VREAL(e));
+    return TO_VREAL(e);
 #else
-    return whole_above(HIGH(e)); // the sum of both parts stops a simulator (Oclgrind 21.10)
+    return HIGH(e); // the sum of both parts stops a simulator (Oclgrind 21.10)
 #endif
+}
+
+INLINE vreal reference_for(const vreal highest)
+{
+    return whole_above(highest);
 }
 
 // 2^n for a whole n <= 0; under -125 it is 2^-125.
@@ -180,7 +189,8 @@ INLINE void store_sum(const sreal s, const size_t at, const size_t plane, __glob
 }
 #endif // BOUNDED
 
-// Few columns are taken together with MASKED, so that a look whether the maximum has grown is worth it.
+// With MASKED few columns are taken together. To test whether the maximum has grown then takes less time than
+// to rescale.
 #if MASKED
 #define RESCALE_BY(n)                                                                          \
     if (ANY((n) < 0.0f)) {                                                                     \
@@ -193,32 +203,21 @@ INLINE void store_sum(const sreal s, const size_t at, const size_t plane, __glob
     s_tile = rescaled(s_tile, n)
 #endif
 
-// Add some staged columns (see row_loop.cl), UNROLL at most, to the maximum m = max_j reference_of(e_ij) and to
-// the sum of their tile. The sum over the tiles before, sum_j 2^(e_ij - m), is rescaled.
+// Add some staged columns (see row_loop.cl), UNROLL at most, to the maximum m = max_j reference_for(e_ij) and
+// to the sum of their tile. The sum over the tiles before, sum_j 2^(e_ij - m), is rescaled.
 INLINE void add_columns(
     const ereal* u, const __local staged_real* staged, const uint* columns, const int count,
     vreal* maximum, sreal* sum, sreal* of_tile)
 {
     ereal e[UNROLL];
+    vreal highest = (vreal)(0.5f * SENTINEL);
+#pragma unroll
+    for (int c = 0; c < count; ++c) {
+        e[c] = exponent(u, staged, columns[c]);
+        highest = max(highest, about(e[c]));
+    }
     const vreal m = *maximum;
-    vreal m_new = m;
-#if BOUNDED == 2
-    vreal highest = (vreal)(0.5f * SENTINEL);
-#pragma unroll
-    for (int c = 0; c < count; ++c) {
-        e[c] = exponent(u, staged, columns[c]);
-        highest = max(highest, TO_VREAL(e[c]));
-    }
-    m_new = max(m, whole_above(highest));
-#else
-    vreal highest = (vreal)(0.5f * SENTINEL);
-#pragma unroll
-    for (int c = 0; c < count; ++c) {
-        e[c] = exponent(u, staged, columns[c]);
-        highest = max(highest, reference_of(e[c]));
-    }
-    m_new = max(m, highest);
-#endif
+    const vreal m_new = max(m, reference_for(highest));
     sreal s_tile = *of_tile;
     RESCALE_BY(m - m_new);
 #if BOUNDED == 2
@@ -226,53 +225,53 @@ INLINE void add_columns(
 #pragma unroll
     for (int c = 0; c < count; ++c)
         few += exp2_nonpositive(e_above(e[c], m_new));
-    s_tile += TO_EREAL(few);
+    *of_tile = s_tile + TO_EREAL(few);
 #else
     sreal few = NO_SUM;
 #pragma unroll
     for (int c = 0; c < count; ++c)
         few = sum_of(few, power_above(e[c], m_new));
-    s_tile = sum_of(s_tile, few);
+    *of_tile = sum_of(s_tile, few);
 #endif
-    *of_tile = s_tile;
     *maximum = m_new;
 }
+
+// Add the needed columns of a tile by a function that adds some: all columns, or with MASKED those of `mask`.
+#define ADD_ALL(add, unroll)                                                                   \
+    for (uint j = 0; j < TILE; j += (unroll)) {                                                \
+        uint columns[unroll];                                                                  \
+        for (int c = 0; c < (unroll); ++c)                                                     \
+            columns[c] = j + c;                                                                \
+        add(u, staged, columns, unroll, &m, &s, &s_tile);                                      \
+    }
+#if MASKED
+#define ADD_NEEDED(add, unroll)                                                                \
+    if (is_full(mask)) {                                                                       \
+        ADD_ALL(add, unroll)                                                                   \
+    } else {                                                                                   \
+        for (uint w = 0; w < MASK_WORDS; ++w) {                                                \
+            for (ulong bits = mask[w]; bits;) {                                                \
+                uint columns[MASKED_UNROLL];                                                   \
+                for (int c = 0; c < MASKED_UNROLL; ++c)                                        \
+                    columns[c] = take_column(&bits, 64 * w);                                   \
+                add(u, staged, columns, MASKED_UNROLL, &m, &s, &s_tile);                       \
+            }                                                                                  \
+        }                                                                                      \
+    }
+#else
+#define ADD_NEEDED ADD_ALL
+#endif
 
 // Add the staged columns to m and s, but for the sum over these columns themselves, which is returned:
 // sums of sums round less than one long sum.
 INLINE sreal add_tile(
-    const ereal* u, const __local staged_real* staged,
-#if MASKED
-    const __global ulong* mask,
-#endif
+    const ereal* u, const __local staged_real* staged, const __global ulong* mask,
     vreal* maximum, sreal* sum)
 {
     vreal m = *maximum;
     sreal s = *sum;
     sreal s_tile = NO_SUM;
-#if MASKED
-    if (!is_full(mask)) {
-        for (uint w = 0; w < MASK_WORDS; ++w) {
-            for (ulong bits = mask[w]; bits;) {
-                uint columns[MASKED_UNROLL];
-#pragma unroll
-                for (int c = 0; c < MASKED_UNROLL; ++c)
-                    columns[c] = take_column(&bits, 64 * w);
-                add_columns(u, staged, columns, MASKED_UNROLL, &m, &s, &s_tile);
-            }
-        }
-        *maximum = m;
-        *sum = s;
-        return s_tile;
-    }
-#endif
-    for (uint j = 0; j < TILE; j += UNROLL) {
-        uint columns[UNROLL];
-#pragma unroll
-        for (int c = 0; c < UNROLL; ++c)
-            columns[c] = j + c;
-        add_columns(u, staged, columns, UNROLL, &m, &s, &s_tile);
-    }
+    ADD_NEEDED(add_columns, UNROLL)
     *maximum = m;
     *sum = s;
     return s_tile;
@@ -285,11 +284,7 @@ INLINE sreal add_tile(
 
 // The staged columns, rounded to float32.
 INLINE void stage_in_float32(
-    const __local staged_real* staged,
-#if MASKED
-    const __global ulong* mask,
-#endif
-    __local float* rounded)
+    const __local staged_real* staged, const __global ulong* mask, __local float* rounded)
 {
     for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
         if (!IS_NEEDED(j))
@@ -300,8 +295,7 @@ INLINE void stage_in_float32(
     GROUP_BARRIER();
 }
 
-// As add_columns, with exponents in float32. The products with u come first: their sum and the rest are
-// often large and of opposite signs, so that adding the rest first would round more.
+// As add_columns and exponent (exponents.cl), in float32.
 INLINE void add_columns_in_float32(
     const vreal* u, const __local float* staged, const uint* columns, const int count,
     vreal* maximum, sreal* sum, sreal* of_tile)
@@ -310,15 +304,15 @@ INLINE void add_columns_in_float32(
     vreal highest = (vreal)(0.5f * SENTINEL);
 #pragma unroll
     for (int c = 0; c < count; ++c) {
-        vreal products = u[0] * staged[columns[c]];
+        e[c] = u[0] * staged[columns[c]];
 #pragma unroll
         for (int d = 1; d < DIM; ++d)
-            products += u[d] * staged[d * STAGED_ROW + columns[c]];
-        e[c] = products + staged[DIM * STAGED_ROW + columns[c]];
+            e[c] += u[d] * staged[d * STAGED_ROW + columns[c]];
+        e[c] += staged[DIM * STAGED_ROW + columns[c]];
         highest = max(highest, e[c]);
     }
     const vreal m = *maximum;
-    const vreal m_new = max(m, whole_above(highest));
+    const vreal m_new = max(m, reference_for(highest));
     sreal s_tile = *of_tile;
     RESCALE_BY(m - m_new);
     vreal few = (vreal)(0.0f);
@@ -331,34 +325,13 @@ INLINE void add_columns_in_float32(
 
 // As add_tile, with exponents in float32.
 INLINE sreal add_tile_in_float32(
-    const vreal* u, const __local float* staged,
-#if MASKED
-    const __global ulong* mask,
-#endif
-    vreal* maximum, sreal* sum)
+    const vreal* u, const __local float* staged, const __global ulong* mask, vreal* maximum,
+    sreal* sum)
 {
     vreal m = *maximum;
     sreal s = *sum;
     sreal s_tile = NO_SUM;
-    uint columns[FLOAT32_UNROLL];
-#if MASKED
-    if (!is_full(mask)) {
-        for (uint w = 0; w < MASK_WORDS; ++w) {
-            for (ulong bits = mask[w]; bits;) {
-#pragma unroll
-                for (int c = 0; c < MASKED_UNROLL; ++c)
-                    columns[c] = take_column(&bits, 64 * w);
-                add_columns_in_float32(u, staged, columns, MASKED_UNROLL, &m, &s, &s_tile);
-            }
-        }
-    } else
-#endif
-    for (uint j = 0; j < TILE; j += FLOAT32_UNROLL) {
-#pragma unroll
-        for (int c = 0; c < FLOAT32_UNROLL; ++c)
-            columns[c] = j + c;
-        add_columns_in_float32(u, staged, columns, FLOAT32_UNROLL, &m, &s, &s_tile);
-    }
+    ADD_NEEDED(add_columns_in_float32, FLOAT32_UNROLL)
     *maximum = m;
     *sum = s;
     return s_tile;

@@ -67,7 +67,7 @@ typedef CONCAT(float, LANES) vsingle;
 #define LONG_FUNCTION static __attribute__((noinline))
 #endif
 
-static inline double sum_of_lanes(const vdouble v)
+INLINE double sum_of_lanes(const vdouble v)
 {
     double lanes[LANES];
     DSTORE(v, 0, lanes);
@@ -77,7 +77,7 @@ static inline double sum_of_lanes(const vdouble v)
     return sum;
 }
 
-static inline double largest_lane(const vdouble v)
+INLINE double largest_lane(const vdouble v)
 {
     double lanes[LANES];
     DSTORE(v, 0, lanes);
@@ -88,7 +88,7 @@ static inline double largest_lane(const vdouble v)
 }
 
 // The sum of x over the group, the same number in every item.
-static inline double group_sum(const double x, __local double* shared)
+INLINE double group_sum(const double x, __local double* shared)
 {
 #if GROUP > 1
     STEP_BARRIER();
@@ -106,7 +106,7 @@ static inline double group_sum(const double x, __local double* shared)
 }
 
 // The largest x of the group, the same number in every item.
-static inline double group_largest(const double x, __local double* shared)
+INLINE double group_largest(const double x, __local double* shared)
 {
 #if GROUP > 1
     STEP_BARRIER();
@@ -125,7 +125,7 @@ static inline double group_largest(const double x, __local double* shared)
 
 // The softmin -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon) of LANES rows from i on, from the maxima
 // and sums of log_sum_exp.cl.
-static inline vdouble softmin_of(
+INLINE vdouble softmin_of(
     const __global float* maxima,      // (shares, n)
     const __global float* sums,        // (shares, n)
     const __global double* row_level,  // (n / TILE,): see prepare_softmin
@@ -144,7 +144,7 @@ static inline vdouble softmin_of(
     return ((vdouble)(-1.0 / k)) * (m + ((vdouble)(row_level[i / TILE]) - k * DLOAD(i, own_costs)) + log2(s));
 }
 
-static inline vdouble logit_of(
+INLINE vdouble logit_of(
     const __global double* potential, const __global double* offsets,
     const __global double* log2_weights, const double k, const uint j)
 {

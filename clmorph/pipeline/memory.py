@@ -117,9 +117,9 @@ def estimate(
     Frames are drawn one by one; the estimate does not include frames that are kept. It also does
     not include the pairs that the solver stores (`_solver.coarse_grid`) while potentials are
     computed at blurs of a few pixels: up to 128 for each point, or 2^24 of few points, 18 bytes
-    each, but never more than a quarter of the device's memory; nor the solver's lists of near
-    pairs, 44 bytes for each pair of tiles (0.7 GB for each side at 1024 x 1024 pixels and a blur
-    of 0.05).
+    each, but never more than a quarter of the device's memory. Nor does it include the solver's
+    lists of near pairs. On a CPU these take 44 bytes for each pair of tiles, which is 0.7 GB for
+    each side at 1024 x 1024 pixels and a blur of 0.05.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from conftest import TESTED, found_anew
-from planted import FAULTS
+from planted import FAULTS, Fault
 
 import clmorph
 from clmorph import DeviceError, morph
@@ -105,6 +105,10 @@ def test_a_planted_fault_is_found(monkeypatch, fault):
             ("plan_shares.cl", True, False), ("barycentric_projection.cl", False, False),
             ("barycentric_projection.cl", True, False),
         ]
+    ]
+    + [
+        Variant("log_sum_exp.cl", 3, precise, True, bounded, masked=True)
+        for precise, bounded in ((False, 0), (True, 0), (True, 1), (True, 2))
     ],
     ids=str,
 )  # fmt: skip
@@ -113,6 +117,14 @@ def test_faults_are_found_in_every_variant(monkeypatch, built):
         if fault.file == built.file:
             with monkeypatch.context() as patch:
                 assert _planted_failure(patch, fault, built), fault
+
+
+@pytest.mark.parametrize(("precise", "bounded"), [(False, 0), (True, 0), (True, 1), (True, 2)])
+def test_results_that_are_no_numbers_are_found(monkeypatch, precise, bounded):
+    """NaN is neither above nor below a tolerance; sums over near pairs must not pass with it."""
+    fault = Fault("log_sum_exp.cl", "log_sum_exp", "VSTORE(m,", "VSTORE(m * NAN,", "softmin")
+    variant = Variant("log_sum_exp.cl", 5, precise, True, bounded, masked=True)
+    assert "softmin" in _planted_failure(monkeypatch, fault, variant)
 
 
 def _planted_tree(folder, fault):

@@ -204,6 +204,26 @@ def test_stored_pairs_stand_for_the_points(device, rng):
     assert np.abs(got - want).max() <= (left_out + rounding) * epsilon
 
 
+def test_fewer_pairs_are_stored_where_all_would_be_too_many(monkeypatch):
+    blur, rho = 0.05, (0.09, 0.09)
+    problem, f, g, t_rows, t_columns, grid = stored_near("numpy", 24, blur, rho)
+    given = problem, f, g, (t_rows, t_columns), blur**2
+    whole = grid.problem.to_rows._stored.n_pairs
+    assert grid.problem.trust_radius == coarse_grid.STORED_CHOICES[0][1]
+    fewer = stored_grid(*given, whole - 1).problem
+    assert fewer.trust_radius == coarse_grid.STORED_CHOICES[1][1]
+    pairs = fewer.to_rows._stored.n_pairs
+    assert pairs < whole
+    assert stored_grid(*given, pairs - 1) is None
+    # The solve over the fewer pairs has the same solution.
+    monkeypatch.setattr(coarse_grid, "STORED_CHOICES", coarse_grid.STORED_CHOICES[1:])
+    source, target = sharp(24)
+    got = sinkhorn(source, target, blur, 0.3, 1e-5, backend="numpy", multiscale=True)
+    want = sinkhorn(source, target, blur, 0.3, 1e-5, backend="numpy", multiscale=False)
+    assert got.converged
+    assert np.abs(got.f - want.f).max() <= 2e-3 * got.epsilon
+
+
 @pytest.mark.parametrize(
     "reach",
     [0.05, 0.3, 1.0, pytest.param(None, marks=pytest.mark.full), (0.3, None)],

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import plain
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from plain import sinkhorn
 
@@ -68,6 +68,8 @@ def exact_residual(pair, got):
     st.integers(0, 10**6), st.sampled_from(CLOUDS), st.sampled_from(BLURS),
     st.sampled_from(REACHES), st.sampled_from([1e-4, 1e-2]),
 )  # fmt: skip
+# Pairs left out and float32 powers together were above the truncation.
+@example(1, "ten orders", 0.15, None, 1e-4)
 def test_everything_said_holds_over_all_pairs(backend, multiscale, seed, kind, blur, reach, budget):
     rng = np.random.default_rng(seed)
     pair = pair_of(kind, rng, *rng.integers(1, 300, 2))

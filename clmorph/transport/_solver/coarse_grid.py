@@ -14,11 +14,11 @@ from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.certificate import MAX_EXPONENT
 
-#: A pair is stored if its share of the sum of its row or column is at least the first number.
-#: Stored pairs are trusted until potentials have moved by as many epsilons as the second one says.
-#: The logarithm of a pair that is not stored grows by the rise of both its potentials, and mostly
-#: by far less; the residual over the points shows whether such a pair has gained notable mass.
-#: Where this is too many pairs, the next choice is tried.
+#: Choices of the pairs to store: the least share that a pair has in the sum of its row or column,
+#: and the trust radius, the number of epsilons by which potentials may move. If one choice has too
+#: many pairs, the next one is tried. The logarithm of a pair that is not stored grows by the rise
+#: of both its potentials, and mostly by far less. Nothing proves that these pairs stay negligible
+#: within the radius: the residual over the points shows whether they do.
 STORED_CHOICES = ((1e-13, 20.0), (1e-7, 8.0))
 
 
@@ -168,10 +168,23 @@ class StoredSoftmin(Softmin):
 
 
 class StoredProblem(CorrectedProblem):
-    """A problem over stored pairs; it holds near the potentials for which they were stored."""
+    """A problem over stored pairs; it holds near the potentials for which they were stored.
+
+    Parameters
+    ----------
+    like : Problem
+        The problem over all pairs.
+    softmins : (to_rows, to_columns)
+        The operators over the stored pairs.
+    trust_radius : float
+        See `STORED_CHOICES`, in units of epsilon.
+    """
 
     center: Array
-    trust_radius: float  #: see `STORED_CHOICES`
+
+    def __init__(self, like: Problem, softmins: tuple[Softmin, Softmin], trust_radius: float):
+        super().__init__(*softmins, (like.a, like.b), like.rho, like.largest_cost)
+        self.trust_radius = trust_radius
 
     def center_trust_region(self, f: Array) -> None:
         """Set the potentials, (N,), around which the stored pairs are trusted."""
@@ -210,8 +223,7 @@ def stored_grid(
         Largest number of pairs to store.
     """
     near = problem.to_rows.near, problem.to_columns.near
-    for choice in STORED_CHOICES:
-        share, radius = choice
+    for share, trust_radius in STORED_CHOICES:
         by_row, by_column = (
             _threshold(potential, softmin, log_weights, epsilon, share)
             for potential, softmin, log_weights in (
@@ -221,18 +233,14 @@ def stored_grid(
         stored = problem.operations.store_pairs(
             problem.rows, problem.columns, f, g, epsilon, by_row, by_column, most, near
         )
-        if stored is not None:
-            break
-    else:
-        return None
-    starts = f + epsilon * problem.log_a, g + epsilon * problem.log_b
-    to_rows = StoredSoftmin(problem.to_rows, stored, False, g, softmins[0], starts[0])
-    to_columns = StoredSoftmin(problem.to_columns, stored, True, f, softmins[1], starts[1])
-    smaller = StoredProblem(
-        to_rows, to_columns, (problem.a, problem.b), problem.rho, problem.largest_cost
-    )
-    smaller.trust_radius = radius
-    return CoarseGrid(smaller, Identity(), Identity(), to_columns, to_rows)
+        if stored is None:
+            continue
+        starts = f + epsilon * problem.log_a, g + epsilon * problem.log_b
+        to_rows = StoredSoftmin(problem.to_rows, stored, False, g, softmins[0], starts[0])
+        to_columns = StoredSoftmin(problem.to_columns, stored, True, f, softmins[1], starts[1])
+        smaller = StoredProblem(problem, (to_rows, to_columns), trust_radius)
+        return CoarseGrid(smaller, Identity(), Identity(), to_columns, to_rows)
+    return None
 
 
 def _threshold(

@@ -31,7 +31,12 @@ from clmorph.transport._solver.coarse_grid import (
 )
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import LEAST_RESERVE, MANY_PAIRS, Softmin
+from clmorph.transport._solver.softmin import (
+    LEAST_RESERVE,
+    MANY_PAIRS,
+    SETTLED_RESERVE,
+    Softmin,
+)
 from clmorph.transport._solver.state import (
     ROUNDING_MARGIN,
     State,
@@ -57,9 +62,8 @@ CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.2
 #: A coarse problem is kept as long as a cycle leaves at most this share of the residual. After
 #: this many cycles that left more, only iterations over the points follow.
 PROGRESS, FAILURES = 0.3, 12
-#: Where iterations over the points follow at a residual of at most the first number, potentials
-#: have little way left, and near pairs are chosen for the second share.
-FAR, NEAR_RESERVE = 1.0, 1e-5
+#: Iterations over the points choose near pairs for far moves if the residual is above this.
+FAR = 1.0
 #: Stored pairs are also kept while the residual over the points is at most this many times theirs.
 AGREEMENT = 2.0
 #: Largest number of stored pairs: for each point, and a number that is always allowed.
@@ -183,7 +187,7 @@ class Multiscale:
     def _iterate_points(self, g: Array) -> None:
         """Continue with iterations over the points alone."""
         reported = self._reported
-        prepare(self.problem, LEAST_RESERVE if self.residuals[-1] > FAR else NEAR_RESERVE)
+        prepare(self.problem, LEAST_RESERVE if self.residuals[-1] > FAR else SETTLED_RESERVE)
         iteration = Iteration(
             self.problem, self._blur, self.tol, self._max_iter, self.precision,
             lambda share: self._report_share(reported + (1 - reported) * share),

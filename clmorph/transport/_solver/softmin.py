@@ -106,18 +106,20 @@ class Softmin:
         (N,) array, cost units
         """
         kind = precise, bounded
+        # Pairs left out and rounding together are then within the truncation.
+        share = 1.0 - ROUNDING_SHARE if bounded else 1.0
         if self.truncation is None:
             return self._over(None, potential, epsilon, *kind)
         if self._near is not None and self._chosen_for[0] == epsilon:
             softmin = self._over(self._near, potential, epsilon, *kind)
             self.left_out = self._bound(potential, softmin, epsilon)
-            if self.left_out <= self.truncation * (1.0 - ROUNDING_SHARE * bounded):
+            if self.left_out <= share * self.truncation:
                 return softmin
             self.reserve = max(LEAST_RESERVE, SCARCER * self.reserve)
         if self.guess is None:
             self.guess = self._over(None, potential, epsilon, False, False)
         for _ in range(ATTEMPTS):
-            near = self._choose(potential, epsilon)
+            near = self._choose(potential, epsilon, share)
             if near is not None:
                 softmin, self.roundoff = near.softmin, 0.0
                 if precise or bounded:
@@ -149,8 +151,11 @@ class Softmin:
         """Sum over all pairs from now on."""
         self.truncation = self._near = None
 
-    def _choose(self, potential: Array, epsilon: float) -> NearPairs | None:
-        """Choose pairs; None if they leave out too much, as after a bad guess."""
+    def _choose(self, potential: Array, epsilon: float, share: float) -> NearPairs | None:
+        """Choose pairs; None if they leave out more than a share of the truncation.
+
+        They can do so after a bad guess.
+        """
         assert self.guess is not None
         assert self.truncation is not None
         near = self.operations.near_pairs(
@@ -163,7 +168,7 @@ class Softmin:
         )
         check_finite(near.softmin)
         self.guess = near.softmin
-        if self.proven and float(near.skipped.max()) > self.truncation:
+        if self.proven and float(near.skipped.max()) > share * self.truncation:
             return None
         self._near, self._chosen_for = near, (epsilon, potential)
         return near

@@ -17,7 +17,7 @@ SENTINEL = float(np.float32(-1e30))
 MOMENT_CHUNK = 1024
 #: The number of columns handled together if an exponent fills two registers.
 PRECISE_UNROLL = 4
-#: The number of columns handled together if a mask has chosen them: few of a tile may be left.
+#: The largest number of columns handled together if a mask has chosen them: it may choose few.
 MASKED_UNROLL = 4
 #: The number of stored pairs of a row that are handled together.
 STORED_UNROLL = 4
@@ -98,11 +98,11 @@ class BuildConstants:
             Whether the loop covers those columns of the listed tiles that masks choose.
         """
         bounded = min(int(bounded), self.precise)
-        few = PRECISE_UNROLL if precise else MASKED_UNROLL
+        unroll = min(self.unroll, PRECISE_UNROLL) if precise else self.unroll
         return {
             "BOUNDED": bounded,
             **({"FLOAT32_UNROLL": self.unroll} if bounded == 2 else {}),
-            **({"MASKED": 1, "MASKED_UNROLL": min(self.unroll, few)} if masked else {}),
+            **({"MASKED": 1, "MASKED_UNROLL": min(unroll, MASKED_UNROLL)} if masked else {}),
             "DIM": dimension,
             "EXP2_BUILTIN": self.exp2_builtin,
             "GROUP": self.group,
@@ -110,7 +110,7 @@ class BuildConstants:
             "PRECISE": self.precise if precise else 0,
             "SENTINEL": SENTINEL,
             "TILE": self.tile,
-            "UNROLL": min(self.unroll, PRECISE_UNROLL) if precise else self.unroll,
+            "UNROLL": unroll,
             "WIDTH": self.width,
         }
 

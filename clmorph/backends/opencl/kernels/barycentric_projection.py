@@ -28,7 +28,7 @@ class BarycentricProjection:
         near: NearPairs | None = None,
     ) -> tuple[Float64, Float64]:
         """Return T(g), and the mean of each row's destinations."""
-        pairs = None if near is None else near.pairs
+        pairs = None if near is None else near.pairs.without_masks()
         loop, tile = self._loop, self._loop.constants.tile
         kernel = loop.kernel(
             "barycentric_projection.cl", "barycentric_projection", rows, precise, pairs is not None

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.threads import in_order
 from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS, Cloud, Tiles
 from clmorph.backends.opencl.kernels.tile_pairs import (
     TileBounds,
@@ -69,23 +68,15 @@ def candidates(
     shares: list[NDArray[np.float32]] = []
     wides = [] if wide is None else [wide]
     limit = float(hopeless) + np.log2(n_columns / -(-n_columns // WIDTH_OF_GROUPS))
-
-    def found_in(
-        block: tuple[slice, NDArray[np.int64] | None],
-    ) -> tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.float32]]:
-        section, numbers = block
+    for section, numbers in _blocks(n_rows, n_columns, wides, k, limit):
         bounds = tile_bounds(sides[0], section, sides[1], k, numbers)
         # Every row keeps at least the tile with its largest bound.
         above = bounds >= np.minimum(bounds.max(axis=1), hopeless)[:, None]
         places = np.flatnonzero(above)
-        values = np.exp2(np.minimum(bounds.ravel()[places], np.float32(60.0)))
-        return np.count_nonzero(above, axis=1), _numbered(places, above.shape[1], numbers), values
-
-    blocks = _blocks(n_rows, n_columns, wides, k, limit)
-    for (section, _), found in in_order(found_in, blocks):
-        for values, own in zip((lengths, tiles, shares), found, strict=True):
-            values.append(own)  # type: ignore[attr-defined]
-        count += len(found[1])
+        lengths.append(np.count_nonzero(above, axis=1))
+        tiles.append(_numbered(places, above.shape[1], numbers))
+        shares.append(np.exp2(np.minimum(bounds.ravel()[places], np.float32(60.0))))
+        count += len(places)
         if count >= CHUNK_PAIRS or section.stop == n_rows:
             part = range(first, section.stop)
             starts = np.concatenate(([0], np.cumsum(np.concatenate(lengths))))

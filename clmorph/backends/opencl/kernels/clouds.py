@@ -20,21 +20,6 @@ from clmorph.errors import DeviceError
 WIDTH_OF_GROUPS = 8
 
 
-class Fit(NamedTuple):
-    """What least-squares fits of values over the shifts of each tile take.
-
-    Attributes
-    ----------
-    half_squares : (tiles, tile) array
-        Half the squared lengths of the shifts.
-    slopes : (tiles, D, tile) array
-        The operator from values to their slopes.
-    """
-
-    half_squares: Float64
-    slopes: Float64
-
-
 class Tiles(Protocol):
     """Points in tiles."""
 
@@ -46,22 +31,12 @@ class Tiles(Protocol):
     def shifts(self) -> NDArray[np.float32]:
         """Points less their tile's center: (tiles, tile, D) array."""
 
-    @property
-    def fit(self) -> Fit:
-        """What linear fits over the points of each tile take."""
 
-
-@dataclass(frozen=True)
-class Wide:
+class Wide(NamedTuple):
     """Groups of tiles, each of which is a tile of its own."""
 
     centers: Float64
     shifts: NDArray[np.float32]
-
-    @cached_property
-    def fit(self) -> Fit:
-        """See `Tiles`."""
-        return fit_over(self.shifts)
 
 
 @dataclass(frozen=True)
@@ -109,11 +84,6 @@ class Cloud:
         return len(self.order)
 
     @cached_property
-    def fit(self) -> Fit:
-        """See `Tiles`."""
-        return fit_over(self.shifts)
-
-    @cached_property
     def radii(self) -> Float64:
         """Bounds of the distances of points from the centers of their tiles: (tiles,) array."""
         return np.sqrt(np.sum(half_sides(self).astype(float) ** 2, axis=1))
@@ -129,32 +99,6 @@ class Cloud:
         centers = 0.5 * (points.min(axis=1) + points.max(axis=1))
         centers = centers.astype(np.float32).astype(float)
         return Wide(centers, (points - centers[:, None]).astype(np.float32))
-
-
-def fit_over(shifts: NDArray[np.float32], present: NDArray[np.bool_] | None = None) -> Fit:
-    """Return what fits over the points of each tile take.
-
-    Parameters
-    ----------
-    shifts : (tiles, tile, D) array
-    present : (tiles, tile) array of bool, optional
-        The points that count; all if not given.
-    """
-    u = shifts.astype(float)
-    half = 0.5 * (u * u).sum(axis=2)
-    if present is None:
-        u -= u.mean(axis=1, keepdims=True)
-    else:
-        weights = present.astype(float)[..., None]
-        u -= (u * weights).sum(axis=1, keepdims=True) / np.maximum(
-            weights.sum(axis=1, keepdims=True), 1.0
-        )
-        u *= weights
-    across = u.transpose(0, 2, 1)
-    normal = across @ u
-    ridge = 1e-6 * np.trace(normal, axis1=1, axis2=2) + 1e-30
-    normal += ridge[:, None, None] * np.eye(shifts.shape[2])
-    return Fit(half, np.linalg.solve(normal, across))
 
 
 def half_sides(cloud: Tiles) -> NDArray[np.float32]:

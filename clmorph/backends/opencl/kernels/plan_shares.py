@@ -36,7 +36,7 @@ class PlanShares:
         near: NearPairs | None = None,
     ) -> tuple[Float64, Float64]:
         """Return mean and covariance of each row's destinations."""
-        pairs = None if near is None else near.pairs
+        pairs = None if near is None else near.pairs.without_masks()
         loop, tile = self._loop, self._loop.constants.tile
         kernel = loop.kernel("plan_shares.cl", "plan_moments", rows, precise, pairs is not None)
         exponents = loop.exponents(rows, columns, g, epsilon, pairs)
@@ -77,7 +77,7 @@ class PlanShares:
         near: NearPairs | None = None,
     ) -> NDArray[np.int32]:
         """Return columns drawn from each plan row."""
-        pairs = None if near is None else near.pairs
+        pairs = None if near is None else near.pairs.without_masks()
         loop, tile = self._loop, self._loop.constants.tile
         kernel = loop.kernel("plan_shares.cl", "sample_plan_rows", rows, precise, pairs is not None)
         exponents = loop.exponents(rows, columns, g, epsilon, pairs)

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL
-from clmorph.backends.opencl.kernels.clouds import Fit, Tiles, fit_over, half_sides
+from clmorph.backends.opencl.kernels.clouds import Tiles, half_sides
 from clmorph.backends.records import Float64
 
 #: Rounding error of a bound in float32, relative to its largest terms.
@@ -47,7 +47,7 @@ class TilePairs(NamedTuple):
         The columns that each group of rows of the row tile needs, as the bits of words; all if not
         given.
     work : (row tiles + 1,) array, optional
-        The number of pairs of points of the masks, summed over the row tiles before.
+        For masks, the work of the row tiles before each one, and in all, in pairs of points.
     """
 
     starts: NDArray[np.int64]
@@ -56,12 +56,16 @@ class TilePairs(NamedTuple):
     masks: NDArray[np.uint64] | None = None
     work: NDArray[np.int64] | None = None
 
+    def without_masks(self) -> "TilePairs":
+        """Return the same tiles with all their columns, for kernels that do not look at masks."""
+        return self._replace(masks=None, work=None)
+
     def section(self, part: range) -> slice:
         """Return the indices of the pairs of some row tiles."""
         return slice(int(self.starts[part.start]), int(self.starts[part.stop]))
 
     def done(self, tile: int) -> NDArray[np.int64]:
-        """Return the work of all row tiles before each one, in pairs of points."""
+        """Return the number of pairs of points of the row tiles before each one, and in all."""
         return self.starts * tile**2 if self.work is None else self.work
 
     def levels(
@@ -97,9 +101,9 @@ def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False
     """
     c = _padded(values, cloud)
     present = c > 0.5 * SENTINEL
-    half, operator = _fit(cloud, present)
-    slopes = -_slopes(operator, np.where(present, c / k - half, 0.0))
-    flat = c - k * (half - _along(cloud.shifts, slopes))
+    half = 0.5 * np.einsum("ntd,ntd->nt", cloud.shifts, cloud.shifts, dtype=float)
+    slopes = -_slopes(cloud.shifts, np.where(present, c / k - half, 0.0), present)
+    flat = c - k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
     flat = np.where(present, flat, SENTINEL)  # the rest of |a - v|^2 / 2 cancels in B
     level = flat.max(axis=1)
     if not largest:
@@ -119,9 +123,9 @@ def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
     """
     r = _padded(values, cloud)
     present = r < -0.5 * SENTINEL
-    half, operator = _fit(cloud, present)
-    slopes = _slopes(operator, np.where(present, r / k + half, 0.0))
-    flat = r + k * (half - _along(cloud.shifts, slopes))
+    half = 0.5 * np.einsum("ntd,ntd->nt", cloud.shifts, cloud.shifts, dtype=float)
+    slopes = _slopes(cloud.shifts, np.where(present, r / k + half, 0.0), present)
+    flat = r + k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
     lowest = np.where(present, flat, -SENTINEL).min(axis=1)
     return _bounds(cloud, slopes, np.maximum(-lowest, SENTINEL))
 
@@ -162,22 +166,22 @@ def _padded(values: Float64, cloud: Tiles) -> Float64:
     return np.pad(values, (0, tiles * size - len(values)), mode="edge").reshape(tiles, size)
 
 
-def _fit(cloud: Tiles, present: NDArray[np.bool_]) -> Fit:
-    return cloud.fit if present.all() else fit_over(cloud.shifts, present)
+def _slopes(shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bool_]) -> Float64:
+    """Return the least-squares slopes of values over shifts in each tile: (tiles, D) array.
 
-
-def _slopes(operator: Float64, values: Float64) -> Float64:
-    """Return the least-squares slopes of values over shifts in each tile: (tiles, D) array."""
-    slopes = (operator @ values[..., None])[..., 0]
+    Only the points that are present count.
+    """
+    weights = present.astype(float)
+    count = np.maximum(weights.sum(axis=1), 1.0)
+    u = shifts - (np.einsum("ntd,nt->nd", shifts, weights) / count[:, None])[:, None]
+    u *= weights[..., None]
+    v = values - (np.einsum("nt,nt->n", values, weights) / count)[:, None]
+    normal = np.einsum("ntd,nte->nde", u, u)
+    right = np.einsum("ntd,nt->nd", u, v * weights)
+    ridge = 1e-6 * np.trace(normal, axis1=1, axis2=2) + 1e-30
+    normal += ridge[:, None, None] * np.eye(shifts.shape[2])
+    slopes = np.linalg.solve(normal, right[..., None])[..., 0]
     return slopes.astype(np.float32).astype(float)  # as the bounds use them
-
-
-def _along(shifts: NDArray[np.float32], slopes: Float64) -> Float64:
-    """Return the products of shifts and their tile's slopes: (tiles, tile) array."""
-    result = shifts[..., 0] * slopes[:, None, 0]
-    for d in range(1, shifts.shape[2]):
-        result += shifts[..., d] * slopes[:, None, d]
-    return result
 
 
 def _bounds(cloud: Tiles, slopes: Float64, level: Float64) -> TileBounds:
