@@ -18,7 +18,8 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void log_sum_exp(
     CLOUD_ARGUMENTS,
 #if MASKED
-    const __global ulong* restrict column_masks, // (n_listed, GROUPS_OF_TILE, MASK_WORDS)
+    const __global ulong* restrict column_masks, // (pairs of tiles, GROUPS_OF_TILE, MASK_WORDS)
+    const uint first_mask,                       // that of the first listed pair
 #endif
 #if BOUNDED == 2
     const __global uchar* restrict in_float32, // (n_listed,) whether exponents are float32
@@ -27,16 +28,21 @@ void log_sum_exp(
     __global float* restrict maxima, // (shares, n_rows)
     __global float* restrict sums)   // (SUM_PLANES, shares, n_rows)
 {
-    ROW_SETUP;
+    BLOCK_SETUP;
     SHARE_SETUP;
-    // Above columns without mass: the difference of two sentinels is no exponent.
-    vreal m = (vreal)(0.5f * SENTINEL);
-    sreal s = NO_SUM;
+    vreal m[BLOCKS];
+    sreal s[BLOCKS];
+    for (int block = 0; block < BLOCKS; ++block) {
+        // Above columns without mass: the difference of two sentinels is no exponent.
+        m[block] = (vreal)(0.5f * SENTINEL);
+        s[block] = NO_SUM;
+    }
 #if BOUNDED == 2
     __local float rounded[STAGED_PLANE];
-    vreal u_rounded[DIM];
-    for (int d = 0; d < DIM; ++d)
-        u_rounded[d] = e_nearest(u[d]);
+    vreal u_rounded[BLOCKS][DIM];
+    for (int block = 0; block < BLOCKS; ++block)
+        for (int d = 0; d < DIM; ++d)
+            u_rounded[block][d] = e_nearest(u[block][d]);
 #endif
 #if MASKED
     stage_empty_column(staged);
@@ -47,22 +53,30 @@ void log_sum_exp(
 #endif
 #endif
     for (uint n = n_begin; n < n_end; ++n) {
-#if MASKED
-        if (is_empty(OWN_MASK(n)))
-            continue; // so do all work-items of the group
-#endif
         STAGE_TILE(n);
 #if BOUNDED == 2
-        if (in_float32[n]) {
-            stage_in_float32(staged, OWN_MASK(n), rounded);
-            const sreal s_few = add_tile_in_float32(u_rounded, rounded, OWN_MASK(n), &m, &s);
-            s = sum_of(s, s_few);
-            continue;
-        }
+        if (in_float32[n])
+            stage_in_float32(staged, rounded);
 #endif
-        const sreal s_tile = add_tile(u, staged, OWN_MASK(n), &m, &s);
-        s = sum_of(s, s_tile);
+        for (int block = 0; block < BLOCKS; ++block) {
+            if (IS_EMPTY(n, block))
+                continue;
+#if BOUNDED == 2
+            if (in_float32[n]) {
+                const sreal s_few = add_tile_in_float32(
+                    u_rounded[block], rounded, OWN_MASK(n, block), &m[block], &s[block]);
+                s[block] = sum_of(s[block], s_few);
+                continue;
+            }
+#endif
+            const sreal s_tile = add_tile(
+                u[block], staged, OWN_MASK(n, block), &m[block], &s[block]);
+            s[block] = sum_of(s[block], s_tile);
+        }
     }
-    VSTORE(m, (size_t)share * n_rows + local_row, maxima);
-    store_sum(s, (size_t)share * n_rows + local_row, (size_t)shares * n_rows, sums);
+    for (int block = 0; block < BLOCKS; ++block) {
+        const size_t at = (size_t)share * n_rows + BLOCK_ROW(block);
+        VSTORE(m[block], at, maxima);
+        store_sum(s[block], at, (size_t)shares * n_rows, sums);
+    }
 }

@@ -75,24 +75,28 @@ void mark_columns(
     __global ulong* restrict column_masks)     // (n_listed, GROUPS_OF_TILE, MASK_WORDS)
 {
     __local ulong of_items[GROUP];
-    ROW_SETUP;
-    const vreal limit = VLOAD(local_row, row_limits);
+    BLOCK_SETUP;
+    vreal limits[BLOCKS];
+    for (int block = 0; block < BLOCKS; ++block)
+        limits[block] = VLOAD(BLOCK_ROW(block), row_limits);
     for (uint n = first_tile; n < end_tile; ++n) {
         STAGE_TILE(n);
-        const size_t place = (size_t)n * GROUPS_OF_TILE + (row - row_tile * TILE) / (GROUP * WIDTH);
-        uint count = 0;
-        for (uint w = 0; w < MASK_WORDS; ++w) {
-            ulong bits = columns_above(u, staged, 64 * w, limit);
-            if (TILE >= 64)
-                bits |= columns_above(u, staged, 64 * w + 32, limit) << 32;
-            bits = united(bits, of_items);
-            if (8 * (int)popcount(bits) > MANY_EIGHTHS * (TILE < 64 ? TILE : 64))
-                bits = ALL_COLUMNS;
-            count += popcount(bits);
+        for (int block = 0; block < BLOCKS; ++block) {
+            const size_t place = (size_t)n * GROUPS_OF_TILE + GROUP_OF_TILE(block);
+            uint count = 0;
+            for (uint w = 0; w < MASK_WORDS; ++w) {
+                ulong bits = columns_above(u[block], staged, 64 * w, limits[block]);
+                if (TILE >= 64)
+                    bits |= columns_above(u[block], staged, 64 * w + 32, limits[block]) << 32;
+                bits = united(bits, of_items);
+                if (8 * (int)popcount(bits) > MANY_EIGHTHS * (TILE < 64 ? TILE : 64))
+                    bits = ALL_COLUMNS;
+                count += popcount(bits);
+                if (get_local_id(0) == 0)
+                    column_masks[place * MASK_WORDS + w] = bits;
+            }
             if (get_local_id(0) == 0)
-                column_masks[place * MASK_WORDS + w] = bits;
+                counts[place] = count;
         }
-        if (get_local_id(0) == 0)
-            counts[place] = count;
     }
 }

@@ -23,7 +23,8 @@
 //         ... exponent(u, staged, j) for 0 <= j < TILE: e_ij of WIDTH rows, column q * TILE + j
 //     }
 //
-// Launch: get_global_id(0) is a group of WIDTH consecutive rows, WIDTH * GROUP divides TILE. A
+// Launch: get_global_id(0) is a group of WIDTH consecutive rows, WIDTH * GROUP divides TILE, or BLOCKS such
+// groups, in kernels that read BLOCK_SETUP in place of ROW_SETUP. A
 // launch covers rows [first_row, first_row + n_rows): row tiles from first_row / TILE on. Of the column
 // tiles of each row it takes those after `tiles_before`, `most_tiles` at most: what a kernel has
 // found in launches over the tiles before, it reads from its own results.
@@ -35,11 +36,14 @@
 // -D TILE    points of one tile, a multiple of WIDTH * GROUP
 // -D GROUP   work-items of a work-group along dimension 0
 // -D UNROLL  columns taken together in the inner loop, divides TILE (speed only)
+// -D BLOCKS  groups of WIDTH rows that a work-item takes one after the other with the same staged columns,
+//            in kernels that read BLOCK_SETUP; WIDTH * GROUP * BLOCKS divides TILE (speed only). Default 1.
 // -D PRECISE arithmetic of the exponents, and PLANES of their inputs: see exponents.cl
 // -D LISTED  0 (default): rows see all column tiles; 1: those listed for their own tile, the
 //            levels in the list's order
 // -D MASKED  1: of the listed tiles, a work-group sees only the columns whose bits are set in the kernel's
-//            argument `column_masks`, (n_listed, GROUPS_OF_TILE, MASK_WORDS): see take_column. Default 0.
+//            argument `column_masks`, (pairs, GROUPS_OF_TILE, MASK_WORDS), from pair `first_mask` on: see
+//            take_column. Default 0.
 
 #include "common.cl"
 
@@ -56,6 +60,10 @@
 #define UNROLL 8 // enough independent chains to hide the latency of a multiply-add
 #endif
 
+#ifndef BLOCKS
+#define BLOCKS 1
+#endif
+
 #ifndef LISTED
 #define LISTED 0
 #endif
@@ -67,7 +75,7 @@
 #error "MASKED needs LISTED: masks are those of listed tiles"
 #endif
 
-#define GROUPS_OF_TILE (TILE / (GROUP * WIDTH)) // work-groups of the rows of a tile
+#define GROUPS_OF_TILE (TILE / (GROUP * WIDTH)) // groups of rows of a tile, which have a mask each
 #define MASK_WORDS ((TILE + 63) / 64)           // words of 64 bits, one for each column of a tile
 #if TILE > 64 && TILE % 64
 #error "TILE must be a multiple of 64 if it is larger: a mask has whole words"
@@ -125,17 +133,10 @@
     const uint n_begin = min(end_tile, first_tile + share * per_share);                        \
     const uint n_end = min(end_tile, n_begin + per_share)
 
-#if MASKED
-// The mask of the n-th column tile for this work-group.
-#define OWN_MASK(n)                                                                            \
-    (column_masks                                                                              \
-     + ((size_t)(n) * GROUPS_OF_TILE + (row - row_tile * TILE) / (GROUP * WIDTH)) * MASK_WORDS)
-// Whether one of the columns j, ..., j + WIDTH - 1 of a tile is needed.
-#define IS_NEEDED(j) ((mask[(j) / 64] >> ((j) % 64)) & ((1ul << WIDTH) - 1ul))
-#else
-#define OWN_MASK(n) 0
-#define IS_NEEDED(j) 1
-#endif
+// The first of the WIDTH rows of a work-item's block, counted from the first row of the launch; and the number
+// of the block's group of rows among those of the tile.
+#define BLOCK_ROW(block) (((get_group_id(0) * BLOCKS + (block)) * GROUP + get_local_id(0)) * WIDTH)
+#define GROUP_OF_TILE(block) ((get_group_id(0) * BLOCKS + (block)) % GROUPS_OF_TILE)
 
 // Put column tile q, recentered for the row tile, into local memory:
 // staged[d][j] = k (v - (p - q))_d for d < DIM, staged[DIM][j] = the part without u.
@@ -146,7 +147,7 @@ INLINE uint stage_columns(
     const ereal k, const __global float* row_centers,
     const __global float* column_shifts, const __global float* column_centers,
     const __global float* column_logits, const __global float* level,
-    const __global ulong* mask, __local staged_real* staged)
+    __local staged_real* staged)
 {
     GROUP_BARRIER();
     ereal shift[DIM];
@@ -155,8 +156,6 @@ INLINE uint stage_columns(
                          e_constant(-column_centers[q * DIM + d], 0.0f));
     const ereal level_pq = e_constant(level[0], level[(PLANES - 1) * level_plane]);
     for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
-        if (!IS_NEEDED(j))
-            continue;
         ereal quadratic = e_constant(0.0f, 0.0f);
         for (int d = 0; d < DIM; ++d) {
             const ereal v = e_load(column_shifts + (size_t)d * column_stride + q * TILE + j,
@@ -181,24 +180,38 @@ INLINE void load_rows(
 
 // What a work-item knows before the loop: its rows and their tile, the launch's column tiles, and u of
 // its rows.
-#define ROW_SETUP                                                                              \
+#define TILE_SETUP(row)                                                                        \
     __local staged_real staged[STAGED_SIZE];                                                   \
-    const uint local_row = get_global_id(0) * WIDTH;                                           \
-    const uint row = first_row + local_row;                                                    \
-    const uint row_tile = row / TILE;                                                          \
+    const uint row_tile = (row) / TILE;                                                        \
     const uint first_tile = min(OWN_FIRST + tiles_before, (uint)(OWN_END));                    \
     const uint end_tile = min(first_tile + most_tiles, (uint)(OWN_END));                       \
-    const __global float* own_levels = OWN_LEVELS;                                             \
+    const __global float* own_levels = OWN_LEVELS
+#define ROW_SETUP                                                                              \
+    const uint local_row = get_global_id(0) * WIDTH;                                           \
+    const uint row = first_row + local_row;                                                    \
+    TILE_SETUP(row);                                                                           \
     ereal u[DIM];                                                                              \
     load_rows(row_shifts, row_stride, row, u)
+
+// The same, with u of BLOCKS blocks of rows.
+#define BLOCK_SETUP                                                                            \
+    TILE_SETUP(first_row + BLOCK_ROW(0));                                                      \
+    ereal u[BLOCKS][DIM];                                                                      \
+    for (int block = 0; block < BLOCKS; ++block)                                               \
+        load_rows(row_shifts, row_stride, first_row + BLOCK_ROW(block), u[block])
 
 // Stage the n-th column tile of the row tile, and return its number.
 #define STAGE_TILE(n)                                                                          \
     stage_columns(TILE_AT(n), row_tile, column_stride, LEVEL_PLANE, e_constant(k, k_low),      \
                   row_centers, column_shifts, column_centers, column_logits,                   \
-                  own_levels + (n), OWN_MASK(n), staged)
+                  own_levels + (n), staged)
 
 #if MASKED
+// The mask of the n-th column tile for a block.
+#define OWN_MASK(n, block)                                                                     \
+    (column_masks                                                                              \
+     + ((size_t)(first_mask + (n)) * GROUPS_OF_TILE + GROUP_OF_TILE(block)) * MASK_WORDS)
+
 // Whether no column of a listed tile is needed, or all are: the same for all work-items of a group.
 INLINE bool is_empty(const __global ulong* mask)
 {
@@ -215,6 +228,8 @@ INLINE bool is_full(const __global ulong* mask)
         bits &= mask[w];
     return bits == ALL_COLUMNS;
 }
+
+#define IS_EMPTY(n, block) is_empty(OWN_MASK(n, block))
 
 // The column of the lowest bit of a word of a mask. The bit is cleared. Without a bit it is the column that
 // has no mass.
@@ -233,6 +248,9 @@ INLINE void stage_empty_column(__local staged_real* staged)
             staged[i * STAGED_ROW + TILE] = i == DIM ? SENTINEL : 0;
     }
 }
+#else
+#define OWN_MASK(n, block) 0
+#define IS_EMPTY(n, block) false
 #endif
 
 // e_ij + offset_i, such as log2 of a mass pi_ij of the plan: a small number where it matters, unlike both

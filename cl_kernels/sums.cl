@@ -284,11 +284,9 @@ INLINE sreal add_tile(
 
 // The staged columns, rounded to float32.
 INLINE void stage_in_float32(
-    const __local staged_real* staged, const __global ulong* mask, __local float* rounded)
+    const __local staged_real* staged, __local float* rounded)
 {
     for (uint j = get_local_id(0) * WIDTH; j < TILE; j += GROUP * WIDTH) {
-        if (!IS_NEEDED(j))
-            continue;
         for (int d = 0; d <= DIM; ++d)
             VSTORE(TO_VREAL(VLOAD(0, staged + d * STAGED_ROW + j)), 0, rounded + d * STAGED_ROW + j);
     }

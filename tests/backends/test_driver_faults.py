@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 import pytest
+from clouds import column_masks
 
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.build.constants import (
@@ -119,7 +120,7 @@ def every_row_reduction(operations):
     plan = operations.plan_rows(
         rows, columns, f, g, epsilon, np.full(70, -14.0), np.full(700, np.inf)
     )
-    same = [near.pairs.tiles, near.pairs.masks, plan.indptr, plan.indices, plan.mass]
+    same = [near.pairs.tiles, column_masks(operations, near), plan.indptr, plan.indices, plan.mass]
     for pairs in (None, near):
         same += operations.plan_moments(rows, columns, g, f, epsilon, False, pairs)
         same.append(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from clouds import column_masks
 
 import clmorph
 from clmorph.backends.numpy import NumPyOperations
@@ -66,7 +67,7 @@ def test_all_kinds_of_masks_are_met(device, rng):
     """Masks are full (then bits are not looked at), partly filled, or empty; sums are right."""
     own, g, want, epsilon = clouds(device, 96, 0.02, rng)
     near = device.near_pairs(*own, g, want, epsilon, BUDGET)
-    tile, masks = device.constants.tile, near.pairs.masks
+    tile, masks = device.constants.tile, column_masks(device, near)
     whole = np.uint64((1 << min(tile, 64)) - 1)
     full, empty = (masks == whole).all(axis=2), (masks == 0).all(axis=2)
     assert full.any()

@@ -1,6 +1,7 @@
 """Random and degenerate clouds."""
 
 import numpy as np
+import pyopencl as cl
 
 
 def _cloud(rng, n, scale=(1, 1, 2, 2, 2), weights=None):
@@ -58,3 +59,13 @@ PAIRS = {
         (rng.random((150, 5)) * 0.01 + 0.9, np.full(150, 1 / 150)),
     ),
 }
+
+
+def column_masks(operations, near):
+    """Return the masks of near pairs of tiles: a (pairs, groups, words) array of uint64."""
+    constants = operations.constants
+    groups, words = constants.tile // (constants.group * constants.width), -(-constants.tile // 64)
+    masks = np.empty((len(near.pairs.tiles), groups, words), np.uint64)
+    for part, buffer in near.pairs.masks:
+        cl.enqueue_copy(operations.queue, masks[near.pairs.section(part)], buffer)
+    return masks

@@ -68,6 +68,14 @@ class BuildConstants:
     longest_loop: int = 0
 
     @property
+    def blocks(self) -> int:
+        """Groups of `width` rows that a work-item takes with the same staged columns.
+
+        A work-item that stages columns alone does so for its whole tile. Loops are then longer.
+        """
+        return self.tile // self.width if self.group == 1 and not self.longest_loop else 1
+
+    @property
     def slice_rows(self) -> int:
         """C of SELL-C-sigma, rows of a slice: a multiple of `width` that divides `tile`."""
         return math.gcd(self.tile, 16)
@@ -79,6 +87,7 @@ class BuildConstants:
         listed: bool = False,
         bounded: int = 0,
         masked: bool = False,
+        in_blocks: bool = False,
     ) -> dict[str, int | float]:
         """Return the macros of ``row_loop.cl`` and ``sums.cl``.
 
@@ -96,10 +105,13 @@ class BuildConstants:
             between chosen pairs of tiles (2). Without float64, 2 is 1.
         masked : bool
             Whether the loop covers those columns of the listed tiles that masks choose.
+        in_blocks : bool
+            Whether work-items take `blocks` groups of rows.
         """
         bounded = min(int(bounded), self.precise)
         unroll = min(self.unroll, PRECISE_UNROLL) if precise else self.unroll
         return {
+            "BLOCKS": self.blocks if in_blocks else 1,
             "BOUNDED": bounded,
             **({"FLOAT32_UNROLL": self.unroll} if bounded == 2 else {}),
             **({"MASKED": 1, "MASKED_UNROLL": min(unroll, MASKED_UNROLL)} if masked else {}),

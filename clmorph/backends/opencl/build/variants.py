@@ -34,6 +34,14 @@ class Variant:
     masked: bool = False
     balanced: int = 0
 
+    @property
+    def in_blocks(self) -> bool:
+        """Whether work-items take several groups of rows: where columns are chosen by masks.
+
+        Such problems have rows enough for all of a device's cores.
+        """
+        return self.masked or self.file == "near_field.cl"
+
     def macros(self, constants: BuildConstants) -> dict[str, int | float]:
         """Return the macros of the program for these build constants."""
         of_files = {
@@ -48,7 +56,7 @@ class Variant:
         if self.file in of_files:
             return of_files[self.file]()
         return constants.row_macros(
-            self.dimension, self.precise, self.listed, self.bounded, self.masked
+            self.dimension, self.precise, self.listed, self.bounded, self.masked, self.in_blocks
         )
 
     def suits(self, constants: BuildConstants) -> bool:

@@ -1,6 +1,10 @@
 """The log-sum-exp of ``cl_kernels/log_sum_exp.cl``: soft minima and the rows' maxima."""
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
+import pyopencl as cl
 
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
@@ -137,29 +141,26 @@ class LogSumExp:
         needs `bounded`, powers are float32, and so are exponents between the tiles it chooses.
         """
         loop, tile = self._loop, self._loop.constants.tile
-        masks = None if pairs is None else pairs.masks
+        masked = pairs is not None and pairs.masks is not None
         kernel = loop.kernel(
             "log_sum_exp.cl", "log_sum_exp", rows, precise, pairs is not None,
-            2 if float32 else int(bounded), masks is not None,
+            2 if float32 else int(bounded), masked,
         )  # fmt: skip
         exponents = loop.exponents(rows, columns, potential, epsilon, pairs, precise=precise)
         shares = loop.column_shares(rows, columns, pairs)
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
-        for part in loop.parts(kernel, rows, columns, pairs=pairs, shares=shares):
+        for part, chosen in self._parts(kernel, rows, columns, pairs, shares):
             n_rows = len(part) * tile
             found = np.empty((shares, n_rows), np.float32)
             # The buffer holds the sums and the rounding errors of their nearest float32.
             planes = np.empty((2 if bounded else 1, shares, n_rows), np.float32)
             buffers = loop.work.empty(found.nbytes), loop.work.empty(planes.nbytes)
-            chosen = []
-            if pairs is not None and masks is not None:
-                chosen = [loop.work.buffer(masks[pairs.section(part)], np.uint64)]
             if float32 is not None:
                 flags = float32.chosen(part, exponents.row_level, exponents.tile_max)
                 chosen.append(loop.work.buffer(flags, np.uint8))
             loop.launch(
                 kernel, rows, columns, exponents, part, *chosen, np.uint32(n_rows), *buffers,
-                shares=shares, precise=precise, pairs=pairs,
+                shares=shares, precise=precise, pairs=pairs, in_blocks=masked,
                 results=tuple(zip((found, planes), buffers, strict=True)),
             )  # fmt: skip
             section = slice(part.start * tile, part.stop * tile)
@@ -172,3 +173,23 @@ class LogSumExp:
             sums[section] = np.sum(of_shares * np.exp2(found - m), axis=0)
         n = len(rows)
         return maxima[:n], sums[:n], loop.row_offsets(rows, exponents)
+
+    def _parts(
+        self,
+        kernel: cl.Kernel,
+        rows: Cloud,
+        columns: Cloud,
+        pairs: TilePairs | None,
+        shares: int,
+    ) -> Iterator[tuple[range, list[Any]]]:
+        """Yield the row tiles of each launch, and the kernel's arguments for their masks."""
+        if pairs is None or pairs.masks is None:
+            for part in self._loop.parts(kernel, rows, columns, pairs=pairs, shares=shares):
+                yield part, []
+            return
+        for within, masks in pairs.masks:
+            for part in self._loop.parts(
+                kernel, rows, columns, pairs=pairs, within=within, shares=shares
+            ):
+                first = pairs.starts[part.start] - pairs.starts[within.start]
+                yield part, [masks, np.uint32(first)]

@@ -4,6 +4,7 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
+import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL
@@ -28,6 +29,16 @@ class _Clouds(NamedTuple):
     columns: Cloud
     exponents: Exponents
     guess: Float64
+
+
+class _Kept(NamedTuple):
+    """The kept pairs of tiles, as lists of one item for each part of the row tiles."""
+
+    lengths: list[NDArray[np.int64]]  #: (row tiles,) number of pairs of each
+    tiles: list[NDArray[np.uint32]]  #: (pairs,) see `TilePairs`, as the next two
+    distances: list[Float64]
+    masks: list[tuple[range, cl.Buffer]]
+    columns: list[NDArray[np.int64]]  #: (row tiles, groups) number of columns
 
 
 class NearField:
@@ -66,29 +77,34 @@ class NearField:
         # The level of each row tile is set by the pairs that a launch visits.
         exponents = Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
         clouds = _Clouds(rows, columns, exponents, guess)
-        left, farthest = np.empty(len(rows.centers)), 0.0
-        kept: list[TilePairs] = []
-        columns_of: list[NDArray[np.int64]] = []
+        left, kept = np.empty(len(rows.centers)), _Kept([], [], [], [], [])
+        farthest, farthest_kept = 0.0, 0.0
         for part, pairs, unseen in candidates(rows, columns, guess, values, k, UNSEEN * budget):
             starts = pairs.starts[part.start : part.stop + 1]
             lengths = np.diff(starts)
             threshold = (1 - UNSEEN) * budget / (tile * lengths)
-            farthest = max(farthest, _largest_cost(rows, columns, pairs))
+            costs = _largest_costs(rows, columns, pairs)
             masks, marked = self._marked(clouds, pairs, part, np.log2(threshold))
             of_groups = np.add.reduceat(marked, starts[:-1], axis=0, dtype=np.int64)
             _complete(masks, marked, of_groups, starts, pairs.distances, tile)
             keep = functools.reduce(np.maximum, marked.T) > 0
             below = tile * lengths - of_groups.min(axis=1)
             left[part.start : part.stop] = unseen + below * threshold
-            each = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
-            kept.append(TilePairs(each, pairs.tiles[keep], pairs.distances[keep], masks[keep]))
-            columns_of.append(of_groups)
-        counts = np.concatenate(columns_of)
+            farthest = max(farthest, float(costs.max()))
+            farthest_kept = max(farthest_kept, float(costs[keep].max()))
+            kept.lengths.append(np.add.reduceat(keep, starts[:-1], dtype=np.int64))
+            kept.tiles.append(pairs.tiles[keep])
+            kept.distances.append(pairs.distances[keep])
+            kept.masks.append((part, self._loop.work.buffer(masks[keep], np.uint64)))
+            kept.columns.append(of_groups)
+        counts, lengths = np.concatenate(kept.columns), np.concatenate(kept.lengths)
         rows_of_group = tile // counts.shape[1]
         # To stage a tile takes about as long as a column for each row of the tile.
-        lengths = np.concatenate([own.starts for own in kept])
         work = rows_of_group * counts.sum(axis=1) + tile * lengths
-        listed = _joined(kept, np.concatenate(([0], np.cumsum(work))))
+        listed = TilePairs(
+            _starts(lengths), np.concatenate(kept.tiles), np.concatenate(kept.distances),
+            kept.masks, _starts(work),
+        )  # fmt: skip
         maxima, sums, offsets = self._log_sum_exp.of_sorted(
             rows, columns, potential, epsilon, False, listed
         )
@@ -102,7 +118,7 @@ class NearField:
             unsort(rows, skipped),
             int(rows_of_group * counts.sum()),
             int(counts.max()),
-            _largest_cost(rows, columns, listed),
+            farthest_kept,
         )
 
     def _marked(
@@ -144,25 +160,9 @@ class NearField:
             loop.launch(
                 kernel, rows, columns, exponents, launch,
                 loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), *buffers, pairs=pairs,
-                results=tuple(zip(found, buffers, strict=True)),
+                in_blocks=True, results=tuple(zip(found, buffers, strict=True)),
             )  # fmt: skip
         return masks, counts
-
-
-def _joined(parts: list[TilePairs], work: NDArray[np.int64]) -> TilePairs:
-    """Return one list of the pairs of all parts, whose `starts` are lengths; `parts` is emptied."""
-    lengths = np.concatenate([own.starts for own in parts])
-    n, last = int(lengths.sum()), parts[-1]
-    assert last.masks is not None
-    tiles, distances = np.empty(n, np.uint32), np.empty(n)
-    masks = np.empty((n, *last.masks.shape[1:]), last.masks.dtype)
-    while parts:
-        # The parts leave one by one, because together they are as large as the result.
-        own = parts.pop()
-        section = slice(n - len(own.tiles), n)
-        tiles[section], distances[section], masks[section] = own.tiles, own.distances, own.masks
-        n = section.start
-    return TilePairs(np.concatenate(([0], np.cumsum(lengths))), tiles, distances, masks, work)
 
 
 def _complete(
@@ -185,8 +185,13 @@ def _complete(
         counts[nearest, group] = of_groups[row_tile, group] = tile
 
 
-def _largest_cost(rows: Cloud, columns: Cloud, pairs: TilePairs) -> float:
-    """Return a bound of the cost of all pairs of points in the pairs of tiles."""
+def _largest_costs(rows: Cloud, columns: Cloud, pairs: TilePairs) -> Float64:
+    """Return for each pair of tiles a bound of the cost of all its pairs of points."""
     own = np.repeat(rows.radii, np.diff(pairs.starts))
-    farthest = np.sqrt(2 * pairs.distances) + own + columns.radii[pairs.tiles]
-    return 0.5 * float(farthest.max(initial=0.0)) ** 2
+    farthest: Float64 = np.sqrt(2 * pairs.distances) + own + columns.radii[pairs.tiles]
+    return 0.5 * farthest**2
+
+
+def _starts(lengths: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where consecutive items of these lengths begin, and where the last one ends."""
+    return np.concatenate(([0], np.cumsum(lengths)))

@@ -221,6 +221,7 @@ class RowLoop:
         shares: int | None = None,
         precise: bool = False,
         pairs: TilePairs | None = None,
+        in_blocks: bool = False,
         results: Results = (),
     ) -> None:
         """Run a kernel over some row tiles, read its results, and wait for both.
@@ -240,6 +241,8 @@ class RowLoop:
             Whether the kernel was built with precise exponents.
         pairs : TilePairs, optional
             The pairs of tiles to visit, for a kernel that was built with lists.
+        in_blocks : bool
+            See `BuildConstants.row_macros`.
         results : sequence of (array, buffer), optional
             See `Workspace.launch`.
         """
@@ -272,10 +275,11 @@ class RowLoop:
         if windows > 1:
             at_once = loop_limits.column_tiles(self.constants, columns.centers.shape[1])
         levels_buffer = self.work.buffer(planes)
+        rows_of_item = self.constants.width * (self.constants.blocks if in_blocks else 1)
         for window in range(windows):
             with self.budget(kernel).measure(work // windows):
                 self.work.launch(
-                    kernel, (n_rows // self.constants.width, shares or 1),
+                    kernel, (n_rows // rows_of_item, shares or 1),
                     (self.constants.group, 1),
                     np.uint32(part.start * self.constants.tile), np.uint32(rows.stride),
                     np.uint32(columns.stride), np.uint32(len(columns.centers)),

@@ -23,6 +23,7 @@ good ones.
 from typing import NamedTuple
 
 import numpy as np
+import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL
@@ -43,9 +44,10 @@ class TilePairs(NamedTuple):
         Ascending for each row tile.
     distances : (pairs,) array
         Half the squared distance of the tiles' centers.
-    masks : (pairs, groups, words) array, optional
-        The columns that each group of rows of the row tile needs, as the bits of words; all if not
-        given.
+    masks : list of (range, buffer), optional
+        The columns that each group of rows needs, for consecutive ranges of the row tiles. Each
+        buffer holds a (pairs, groups, words) array of uint64: one bit for each column. All columns
+        are needed if not given.
     work : (row tiles + 1,) array, optional
         For masks, the work of the row tiles before each one, and in all, in pairs of points.
     """
@@ -53,7 +55,7 @@ class TilePairs(NamedTuple):
     starts: NDArray[np.int64]
     tiles: NDArray[np.uint32]
     distances: Float64
-    masks: NDArray[np.uint64] | None = None
+    masks: list[tuple[range, cl.Buffer]] | None = None
     work: NDArray[np.int64] | None = None
 
     def without_masks(self) -> "TilePairs":
