@@ -11,8 +11,9 @@ import clmorph
 from clmorph.measures.cluster import make_clusters
 from clmorph.measures.points import WeightedPoints
 from clmorph.transport._solver import coarse_grid, multiscale
-from clmorph.transport._solver.coarse_grid import CorrectedProblem, stored_grid
+from clmorph.transport._solver.coarse_grid import CorrectedProblem, expanded, stored_grid
 from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.softmin import Softmin
 
 
 def pictures(side, noise=0.0, color_weight=1.0):
@@ -70,6 +71,29 @@ def test_clusters_of_eleven_dimensions_far_apart(rng):
 
 
 # --- the correction ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("costs", [False, True])
+def test_the_estimate_at_points_is_a_bound_and_near(device, rng, costs):
+    """Where T is expanded around centers of clusters, it is not less than T, and not much more."""
+    blur, n = 0.2, 300
+    offsets = rng.random(n) if costs else None
+    own = WeightedPoints(rng.random((n, 3)), rng.random(n), offsets)
+    columns = device.upload(rng.random((200, 3)), rng.random(200))
+    g, weights = 0.1 * rng.normal(size=200), np.ones(200)
+
+    def softmin(measure):
+        rows = device.upload(measure.points, measure.weights, measure.offsets)
+        return Softmin(device, rows, columns, (measure.weights, weights))
+
+    want = softmin(own)(g, blur**2)
+    for side, most in ((1e-6, 1e-4), (0.5 * blur, 0.5), (2 * blur, 20.0)):
+        clusters = make_clusters(own, side)
+        found = expanded(softmin(clusters.measure), g, blur**2, clusters, own)
+        above = (found - want) / blur**2
+        assert above.min() >= -1e-4
+        assert above.max() <= most
+        assert (above.max() > 0.01) == (side > 1e-3)
 
 
 @pytest.mark.parametrize("rho", [(0.3, 0.3), (0.1, np.inf), (np.inf, np.inf)])

@@ -27,6 +27,7 @@ from clmorph.transport._solver.coarse_grid import (
     CoarseGrid,
     CorrectedProblem,
     StoredProblem,
+    expanded,
     stored_grid,
 )
 from clmorph.transport._solver.iteration import Iteration
@@ -50,9 +51,7 @@ from clmorph.transport._solver.state import (
 #: within its bound is used.
 SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.4)
 #: Residual to reach over the clusters before the first iteration over the points.
-FIRST_TOLERANCE = 1e-2
-#: Share of the truncation for which near pairs are chosen where the guess of the softmin is rough.
-ROUGH_RESERVE = 1e-6
+FIRST_TOLERANCE = 5e-2
 #: Nats that the softmins which prolong changes of coarse potentials may miss, at least: two of them
 #: are subtracted, and they miss the same pairs.
 PROLONGATION_TRUNCATION = 3e-3
@@ -137,23 +136,17 @@ class Multiscale:
         return None
 
     def _clusters_grid(self, source: Clusters, target: Clusters) -> CoarseGrid:
-        """Return the problem of the clusters, with the softmins that prolong its solution."""
+        """Return the problem of the clusters, with the softmin that prolongs its solution."""
         points = self.problem
         operations, rho, truncation = points.operations, points.rho, points.truncation
         clusters = source.measure, target.measure
         few = len(clusters[0]) * len(clusters[1]) < MANY_PAIRS
         problem = CorrectedProblem.between(operations, *clusters, rho, None if few else truncation)
         missing = None if truncation is None else max(truncation, PROLONGATION_TRUNCATION)
-        prolongations = [
-            Softmin(operations, rows, columns, weights, missing)
-            for rows, columns, weights in (
-                (points.columns, problem.rows, (points.b, clusters[0].weights)),
-                (points.rows, problem.columns, (points.a, clusters[1].weights)),
-            )
-        ]
-        # It is needed once, for which a rough guess must do.
-        prolongations[1].reserve = ROUGH_RESERVE
-        return CoarseGrid(problem, source, target, *prolongations)
+        to_target = Softmin(
+            operations, points.columns, problem.rows, (points.b, clusters[0].weights), missing
+        )
+        return CoarseGrid(problem, source, target, to_target)
 
     def _stored_grid(self) -> CoarseGrid | None:
         """Return the problem of the pairs that have notable mass now; None if they are too many."""
@@ -165,9 +158,9 @@ class Multiscale:
         """Solve the problem of the clusters from potentials g and prolong them to the points."""
         epsilon = self._blur**2
         state = self._solve_grid(grid, g, FIRST_TOLERANCE)
-        grid.to_target.guess = state.t_columns[clusters[1].labels]
-        grid.to_source.guess = state.t_rows[clusters[0].labels]
-        self.problem.to_rows.guess = grid.to_source(state.g, epsilon)
+        own, coarse = self._pair, grid.problem
+        self.problem.to_rows.guess = expanded(coarse.to_rows, state.g, epsilon, clusters[0], own[0])
+        grid.to_target.guess = expanded(coarse.to_columns, state.f, epsilon, clusters[1], own[1])
         self.problem.to_columns.guess = grid.to_target(state.f, epsilon)
         return self.problem.damping(epsilon)[1] * self.problem.to_columns.guess
 
