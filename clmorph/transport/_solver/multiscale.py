@@ -52,6 +52,9 @@ from clmorph.transport._solver.state import (
 SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.4)
 #: Residual to reach over the clusters before the first iteration over the points.
 FIRST_TOLERANCE = 5e-2
+#: Truncation of the softmins of clusters, as a multiple of that of the points: they choose the way,
+#: and not where it ends.
+COARSER = 10.0
 #: Nats that the softmins which prolong changes of coarse potentials may miss, at least: two of them
 #: are subtracted, and they miss the same pairs.
 PROLONGATION_TRUNCATION = 3e-3
@@ -140,8 +143,10 @@ class Multiscale:
         points = self.problem
         operations, rho, truncation = points.operations, points.rho, points.truncation
         clusters = source.measure, target.measure
-        few = len(clusters[0]) * len(clusters[1]) < MANY_PAIRS
-        problem = CorrectedProblem.between(operations, *clusters, rho, None if few else truncation)
+        coarser = None
+        if truncation is not None and len(clusters[0]) * len(clusters[1]) >= MANY_PAIRS:
+            coarser = COARSER * truncation
+        problem = CorrectedProblem.between(operations, *clusters, rho, coarser)
         missing = None if truncation is None else max(truncation, PROLONGATION_TRUNCATION)
         to_target = Softmin(
             operations, points.columns, problem.rows, (points.b, clusters[0].weights), missing

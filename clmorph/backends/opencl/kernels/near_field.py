@@ -1,7 +1,10 @@
 """Find the columns that contribute to sums, and bound the share of all others."""
 
 import functools
-from typing import NamedTuple
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import pyopencl as cl
@@ -20,6 +23,9 @@ UNSEEN = 0.5
 #: Rounding errors of a measured share in float32: a factor, and an error in log2 for each unit of
 #: the exponent's size.
 MARGIN, EXPONENT_ERROR = 1.05, 2.0**-22
+
+
+_Item = TypeVar("_Item")
 
 
 class _Clouds(NamedTuple):
@@ -79,7 +85,8 @@ class NearField:
         clouds = _Clouds(rows, columns, exponents, guess)
         left, kept = np.empty(len(rows.centers)), _Kept([], [], [], [], [])
         farthest, farthest_kept = 0.0, 0.0
-        for part, pairs, unseen in candidates(rows, columns, guess, values, k, UNSEEN * budget):
+        found = candidates(rows, columns, guess, values, k, UNSEEN * budget)
+        for part, pairs, unseen in _ahead(found):
             starts = pairs.starts[part.start : part.stop + 1]
             lengths = np.diff(starts)
             threshold = (1 - UNSEEN) * budget / (tile * lengths)
@@ -163,6 +170,16 @@ class NearField:
                 in_blocks=True, results=tuple(zip(found, buffers, strict=True)),
             )  # fmt: skip
         return masks, counts
+
+
+def _ahead(items: Iterator[_Item]) -> Iterator[_Item]:
+    """Yield items, each of which is made in a thread while the one before is in use."""
+    following_item = functools.partial(copy_context().run, next, items, None)
+    with ThreadPoolExecutor(1) as pool:
+        following = pool.submit(following_item)
+        while (item := following.result()) is not None:
+            following = pool.submit(following_item)
+            yield item
 
 
 def _complete(
