@@ -64,7 +64,7 @@ PAIRS = {
 def column_masks(operations, near):
     """Return the masks of near pairs of tiles: a (pairs, groups, words) array of uint64."""
     constants = operations.constants
-    groups, words = constants.tile // (constants.group * constants.width), -(-constants.tile // 64)
+    groups, words = constants.tile // constants.group_rows, -(-constants.tile // 64)
     masks = np.empty((len(near.pairs.tiles), groups, words), np.uint64)
     for part, buffer in near.pairs.masks:
         cl.enqueue_copy(operations.queue, masks[near.pairs.section(part)], buffer)

@@ -23,7 +23,7 @@ class Fault(NamedTuple):
 
 FAULTS = [
     Fault("log_sum_exp.cl", "log_sum_exp", "n < n_end;", "n + 1 < n_end;", "softmin"),
-    Fault("near_field.cl", "mark_columns", "64 * w, limit)", "64 * w, limit + 40.0f)",
+    Fault("near_field.cl", "mark_columns", "c, limits[block])", "c, limits[block] + 40.0f)",
           "near_pairs"),
     Fault("plan_rows.cl", "count_plan_rows", "select((vint)(0), (vint)(1)",
           "select((vint)(0), (vint)(2)", "plan_rows"),

@@ -101,7 +101,7 @@ class OpenCLOperations:
     def _bind(self) -> None:
         """Create the parts, and make their methods the operations of this object."""
         loop = RowLoop(self.work, self.constants, self.programs)
-        clouds = CloudStore(self.work, self.constants.tile)
+        clouds = CloudStore(self.work, self.constants)
         log_sum_exp = LogSumExp(loop)
         near_field = NearField(loop, log_sum_exp)
         batches = BatchLogSumExp(loop, log_sum_exp)

@@ -5,12 +5,13 @@ Source of the idea: Schmitzer, "Stabilized sparse scaling algorithms for entropy
 transport problems" (2019).
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clmorph._shared.typing import Array
-from clmorph.measures.cluster import Clusters, make_clusters
+from clmorph.measures.cluster import make_clusters
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.iteration import TOP, Iteration
 from clmorph.transport._solver.problem import Problem
@@ -19,12 +20,41 @@ from clmorph.transport._solver.state import State
 
 #: Side of the clusters at a level, in units of its blur.
 ANNEALING_SIDE = 1.0
+#: A level has the points of the next finer one where clusters would leave more than this share of
+#: the pairs. Its potentials then need not be prolonged.
+FEWER = 0.7
 #: Annealing begins at a level with at most this number of pairs of clusters.
 FEW_PAIRS = 1 << 20
 #: Residual to reach at a level, in units of its epsilon.
 LEVEL_TOLERANCE = 0.05
 #: Truncation at the levels, in nats, and the share of it for which near pairs are chosen there.
 LEVEL_TRUNCATION, LEVEL_RESERVE = 1e-2, 1e-10
+
+
+class _Level(NamedTuple):
+    """A larger blur, and the clusters of the points of the next finer level.
+
+    Attributes
+    ----------
+    blur : float
+    pair : (source, target)
+        Measures of the clusters.
+    labels : (labels, labels)
+        The clusters of the finer level's points: see `Clusters.labels`; None if each is its own.
+    """
+
+    blur: float
+    pair: tuple[AnyMeasure, AnyMeasure]
+    labels: tuple[NDArray[np.intp], NDArray[np.intp]] | None
+
+
+def _coarser(pair: tuple[AnyMeasure, AnyMeasure], blur: float) -> _Level:
+    """Return the level of a blur above a pair of measures."""
+    source, target = (make_clusters(measure, ANNEALING_SIDE * blur) for measure in pair)
+    pairs = len(source.measure) * len(target.measure)
+    if pairs > FEWER * len(pair[0]) * len(pair[1]):
+        return _Level(blur, pair, None)
+    return _Level(blur, (source.measure, target.measure), (source.labels, target.labels))
 
 
 def anneal(
@@ -54,19 +84,18 @@ def anneal(
     (M,) array
     """
     top = TOP * np.sqrt(2 * problem.largest_cost)
-    levels: list[tuple[float, list[Clusters]]] = []
+    levels: list[_Level] = []
     while len(pair[0]) * len(pair[1]) > FEW_PAIRS and blur < top:
         blur *= 2
-        clusters = [make_clusters(measure, ANNEALING_SIDE * blur) for measure in pair]
-        levels.append((blur, clusters))
-        pair = clusters[0].measure, clusters[1].measure
+        levels.append(_coarser(pair, blur))
+        pair = levels[-1].pair
     g: Array | None = None
     prolonged: list[Array] | None = None
     problems = [finest]
-    problems += [_level_problem(problem, one.measure, other.measure) for _, (one, other) in levels]
-    for (level, clusters), coarse in reversed(list(zip(levels, problems[1:], strict=True))):
+    problems += [_level_problem(problem, *level.pair) for level in levels]
+    for level, coarse in reversed(list(zip(levels, problems[1:], strict=True))):
         iteration = Iteration(
-            coarse, level, LEVEL_TOLERANCE, max_iter, "float32", ignore, certify=False
+            coarse, level.blur, LEVEL_TOLERANCE, max_iter, "float32", ignore, certify=False
         )
         iteration.run(g)
         state = iteration.state
@@ -76,13 +105,15 @@ def anneal(
         reached = [state.t_rows, state.t_columns]
         begun = reached if prolonged is None else prolonged
         fine = problems[-1]
-        prolonged = _prolong(problem, coarse, state, clusters, fine, level)
-        guesses = [
-            there + 0.25 * (now - before)[own.labels]
-            for there, now, before, own in zip(prolonged, reached, begun, clusters, strict=True)
-        ]
+        changes = [now - before for now, before in zip(reached, begun, strict=True)]
+        if level.labels is None:
+            prolonged = reached
+        else:
+            prolonged = _prolong(problem, coarse, state, level, fine)
+            changes = [of[labels] for of, labels in zip(changes, level.labels, strict=True)]
+        guesses = [there + 0.25 * change for there, change in zip(prolonged, changes, strict=True)]
         fine.to_rows.guess, fine.to_columns.guess = guesses
-        g = problem.damping(level**2)[1] * guesses[1]
+        g = problem.damping(level.blur**2)[1] * guesses[1]
     return np.zeros(len(finest.b)) if g is None else g
 
 
@@ -104,9 +135,8 @@ def _prolong(
     problem: Problem,
     coarse: Problem,
     state: State,
-    clusters: list[Clusters],
+    level: _Level,
     fine: Problem,
-    blur: float,
 ) -> list[Array]:
     """Evaluate the softmins of coarse potentials at the points of a finer problem."""
 
@@ -118,13 +148,11 @@ def _prolong(
         result.guess, result.proven, result.reserve = guess, False, LEAST_RESERVE
         return result
 
-    to_rows = softmin(
-        fine.rows, coarse.columns, (fine.a, coarse.b), state.t_rows[clusters[0].labels]
-    )
-    to_columns = softmin(
-        fine.columns, coarse.rows, (fine.b, coarse.a), state.t_columns[clusters[1].labels]
-    )
-    return [to_rows(state.g, blur**2), to_columns(state.f, blur**2)]
+    assert level.labels is not None
+    of_rows, of_columns = level.labels
+    to_rows = softmin(fine.rows, coarse.columns, (fine.a, coarse.b), state.t_rows[of_rows])
+    to_columns = softmin(fine.columns, coarse.rows, (fine.b, coarse.a), state.t_columns[of_columns])
+    return [to_rows(state.g, level.blur**2), to_columns(state.f, level.blur**2)]
 
 
 def prepare(problem: Problem, reserve: float) -> Problem:

@@ -68,6 +68,11 @@ class BuildConstants:
     longest_loop: int = 0
 
     @property
+    def group_rows(self) -> int:
+        """Rows of a work-group: those that a mask of columns serves."""
+        return self.width * self.group
+
+    @property
     def blocks(self) -> int:
         """Groups of `width` rows that a work-item takes with the same staged columns.
 

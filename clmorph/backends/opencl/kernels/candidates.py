@@ -38,6 +38,7 @@ class Candidates(NamedTuple):
 def candidates(
     rows: Cloud,
     columns: Cloud,
+    bounds: TileBounds,
     of_rows: Float64,
     of_columns: Float64,
     k: float,
@@ -48,6 +49,8 @@ def candidates(
     Parameters
     ----------
     rows, columns : Cloud
+    bounds : TileBounds
+        Those of the rows: `row_bounds` of `of_rows`.
     of_rows, of_columns : arrays
         Values of the sorted points, the arguments of `row_bounds` and `column_bounds`.
     k : float
@@ -55,7 +58,7 @@ def candidates(
         The share of any row's sum that the excluded pairs may hold.
     """
     n_rows, n_columns = len(rows.centers), len(columns.centers)
-    sides = row_bounds(rows, of_rows, k), column_bounds(columns, of_columns, k)
+    sides = bounds, column_bounds(columns, of_columns, k)
     wide = None
     if n_rows * n_columns >= WIDE_FROM:
         wide = row_bounds(rows.wide, of_rows, k), column_bounds(columns.wide, of_columns, k)
@@ -69,13 +72,13 @@ def candidates(
     wides = [] if wide is None else [wide]
     limit = float(hopeless) + np.log2(n_columns / -(-n_columns // WIDTH_OF_GROUPS))
     for section, numbers in _blocks(n_rows, n_columns, wides, k, limit):
-        bounds = tile_bounds(sides[0], section, sides[1], k, numbers)
+        highest = tile_bounds(sides[0], section, sides[1], k, numbers)
         # Every row keeps at least the tile with its largest bound.
-        above = bounds >= np.minimum(bounds.max(axis=1), hopeless)[:, None]
+        above = highest >= np.minimum(highest.max(axis=1), hopeless)[:, None]
         places = np.flatnonzero(above)
         lengths.append(np.count_nonzero(above, axis=1))
         tiles.append(_numbered(places, above.shape[1], numbers))
-        shares.append(np.exp2(np.minimum(bounds.ravel()[places], np.float32(60.0))))
+        shares.append(np.exp2(np.minimum(highest.ravel()[places], np.float32(60.0))))
         count += len(places)
         if count >= CHUNK_PAIRS or section.stop == n_rows:
             part = range(first, section.stop)

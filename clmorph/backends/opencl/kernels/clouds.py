@@ -9,7 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import MAX_POINTS
-from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
 from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.opencl.kernels.tiles import tile_order
 from clmorph.backends.records import Float64
@@ -112,21 +112,21 @@ class CloudStore:
     Parameters
     ----------
     work : Workspace
-    tile : int
-        Points of one tile.
+    constants : BuildConstants
     """
 
-    def __init__(self, work: Workspace, tile: int) -> None:
-        self._work, self._tile = work, tile
+    def __init__(self, work: Workspace, constants: BuildConstants) -> None:
+        self._work, self._tile, self._part = work, constants.tile, constants.group_rows
 
     def upload(self, points: Float64, weights: Float64, offsets: Float64 | None = None) -> Cloud:
         """Upload a weighted cloud."""
-        return make_cloud(self._work, self._tile, points, weights, offsets)
+        return make_cloud(self._work, self._tile, self._part, points, weights, offsets)
 
 
 def make_cloud(
     work: Workspace,
     tile: int,
+    part: int,
     points: Float64,
     weights: Float64,
     offsets: Float64 | None = None,
@@ -136,8 +136,8 @@ def make_cloud(
     Parameters
     ----------
     work : Workspace
-    tile : int
-        Points of one tile.
+    tile, part : int
+        Points of one tile, and of its parts, which are made compact, too.
     points : (N, D) array
     weights : (N,) array
     offsets : (N,) array, optional
@@ -152,7 +152,7 @@ def make_cloud(
     n, dimension = points.shape
     if n > MAX_POINTS:
         raise DeviceError(f"{n} points are too many: expected at most 2^24; reduce the image")
-    order = tile_order(points, tile)
+    order = tile_order(points, tile, part=part)
     n_tiles = -(-n // tile)
     padded = np.pad(points[order], ((0, n_tiles * tile - n), (0, 0)), mode="edge")
     tiles = padded.reshape(n_tiles, tile, dimension)

@@ -15,7 +15,7 @@ from clmorph.backends.opencl.kernels.candidates import candidates
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
-from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
+from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, row_bounds
 from clmorph.backends.records import Float64, NearPairs
 
 #: Share of the budget that is available for the tiles that bounds alone exclude.
@@ -35,6 +35,7 @@ class _Clouds(NamedTuple):
     columns: Cloud
     exponents: Exponents
     guess: Float64
+    slopes: cl.Buffer  #: (row tiles, D) float32: k times those of `row_bounds`
 
 
 class _Kept(NamedTuple):
@@ -82,15 +83,17 @@ class NearField:
         logits, tile_max = self._loop.column_logits(columns, potential, k)
         # The level of each row tile is set by the pairs that a launch visits.
         exponents = Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
-        clouds = _Clouds(rows, columns, exponents, guess)
         left, kept = np.empty(len(rows.centers)), _Kept([], [], [], [], [])
         farthest, farthest_kept = 0.0, 0.0
-        found = candidates(rows, columns, guess, values, k, UNSEEN * budget)
-        for part, pairs, unseen in _ahead(found):
+        bounds = row_bounds(rows, guess, k)
+        slopes = self._loop.work.buffer(k * bounds.slopes)
+        parts = candidates(rows, columns, bounds, guess, values, k, UNSEEN * budget)
+        for part, pairs, unseen in _ahead(parts):
             starts = pairs.starts[part.start : part.stop + 1]
             lengths = np.diff(starts)
             threshold = (1 - UNSEEN) * budget / (tile * lengths)
             costs = _largest_costs(rows, columns, pairs)
+            clouds = _Clouds(rows, columns, exponents, guess, slopes)
             masks, marked = self._marked(clouds, pairs, part, np.log2(threshold))
             of_groups = np.add.reduceat(marked, starts[:-1], axis=0, dtype=np.int64)
             _complete(masks, marked, of_groups, starts, pairs.distances, tile)
@@ -144,11 +147,11 @@ class NearField:
         log2_threshold : (row tiles of the part,) array
             Logarithm of the share of a row's sum, as far as the sum is known.
         """
-        (rows, columns, exponents, guess), loop, n = clouds, self._loop, len(clouds.rows)
+        (rows, columns, exponents, guess, slopes), loop, n = clouds, self._loop, len(clouds.rows)
         tile_max, row_level, k = exponents.tile_max, exponents.row_level, exponents.k
         kernel = loop.kernel("near_field.cl", "mark_columns", rows, listed=True)
         tile = loop.constants.tile
-        shape = tile // (loop.constants.group * loop.constants.width), -(-tile // 64)
+        shape = tile // loop.constants.group_rows, -(-tile // 64)
         masks = np.empty((len(pairs.tiles), *shape), np.uint64)
         counts = np.empty(masks.shape[:2], np.uint16)
         for launch in loop.parts(kernel, rows, columns, pairs=pairs, within=part):
@@ -166,7 +169,8 @@ class NearField:
             buffers = [loop.work.empty(values.nbytes) for values in found]
             loop.launch(
                 kernel, rows, columns, exponents, launch,
-                loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), *buffers, pairs=pairs,
+                loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), slopes, *buffers,
+                pairs=pairs,
                 in_blocks=True, results=tuple(zip(found, buffers, strict=True)),
             )  # fmt: skip
         return masks, counts

@@ -12,7 +12,10 @@ PLACE_BITS, POINT_BITS = 20, 24
 
 
 def tile_order(
-    points: NDArray[np.float64], size: int, counts: NDArray[np.int64] | None = None
+    points: NDArray[np.float64],
+    size: int,
+    counts: NDArray[np.int64] | None = None,
+    part: int | None = None,
 ) -> NDArray[np.intp]:
     """Sort points so that each run of `size` consecutive ones is compact.
 
@@ -28,6 +31,8 @@ def tile_order(
     counts : (B,) array, optional
         Numbers of points of clouds that stand one after the other, at least 1 each and at most
         2^18 clouds. They are sorted one by one, and each begins a tile.
+    part : int, optional
+        Points of a part of a tile, a divisor of `size`: parts are made compact, too.
 
     Returns
     -------
@@ -40,8 +45,9 @@ def tile_order(
     bounds = np.array([0, count]) if counts is None else np.append(0, np.cumsum(counts))
     while True:
         counts = np.diff(bounds)
-        tiles = -(-counts // size)
-        if tiles.max(initial=0) <= 1:
+        unit = size if part is None else np.where(counts > size, size, part)
+        units = -(-counts // unit)
+        if units.max(initial=0) <= 1:
             return order.astype(np.intp)
         starts = bounds[:-1]
         low = np.minimum.reduceat(columns, starts, axis=1)
@@ -62,5 +68,5 @@ def tile_order(
         keys.sort()
         keys &= 2**POINT_BITS - 1
         order, columns = order[keys], columns.take(keys, axis=1)
-        middle = starts + size * ((tiles + 1) // 2)
-        bounds = np.unique(np.concatenate((bounds, middle[tiles > 1])))
+        middle = starts + unit * ((units + 1) // 2)
+        bounds = np.unique(np.concatenate((bounds, middle[units > 1])))
