@@ -16,11 +16,8 @@
 // of this share; the host joins the shares.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void log_sum_exp(
-    CLOUD_ARGUMENTS,
-#if MASKED
-    const __global ulong* restrict column_masks, // (pairs of tiles, GROUPS_OF_TILE, MASK_WORDS)
-    const uint first_mask,                       // that of the first listed pair
-#endif
+    CLOUD_ARGUMENTS
+    MASK_ARGUMENTS,
 #if BOUNDED == 2
     const __global uchar* restrict in_float32, // (n_listed,) whether exponents are float32
 #endif

@@ -5,6 +5,11 @@
 // with e_ij as row_loop.cl has it, for at least one row i of a work-group. Later sums leave the other columns
 // out (MASKED), and the host bounds what these hold by their number and the threshold.
 //
+// Where a work-item has a vector of rows for itself, a bound comes first: with the rows' box [low, high],
+// and w for which limit_i - w . u_i hardly depends on i, no e_ij - limit_i of a column exceeds
+//
+//     e_0j + sum_d max(low_d z_d, high_d z_d) - min_i (limit_i - w . u_i),   z = k (v - (p - q)) - w.
+//
 // Launch: as in row_loop.cl.
 //
 // -D LISTED        must be 1

@@ -14,7 +14,8 @@
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void plan_moments(
-    CLOUD_ARGUMENTS,
+    CLOUD_ARGUMENTS
+    MASK_ARGUMENTS,
     const uint n_rows,
     const __global float* restrict row_offsets, // (2, row_stride): log2 w_j = e_ij + offset_i
     __global float* restrict moments)           // (MOMENTS, n_rows) of this launch
@@ -26,22 +27,25 @@ void plan_moments(
     for (int m = 0; m < MOMENTS; ++m)
         total[m] = tiles_before ? VLOAD((size_t)m * n_rows + local_row, moments) : (vreal)(0.0f);
     for (uint n = first_tile; n < end_tile; ++n) {
+        if (IS_EMPTY(n, 0))
+            continue;
         STAGE_TILE(n);
         vreal of_tile[MOMENTS];
         for (int m = 0; m < MOMENTS; ++m)
             of_tile[m] = (vreal)(0.0f);
-        for (uint j = 0; j < TILE; ++j) {
+        FOR_COLUMNS(OWN_MASK(n, 0), j)
+        {
             const vreal w =
                 exp2_nonpositive(with_offset(exponent(u, staged, j), offset, offset_low));
             of_tile[0] += w;
             int m = 1;
 #pragma unroll
             for (int d = 0; d < DIM; ++d) {
-                const vreal wz = w * (float)staged[d * TILE + j];
+                const vreal wz = w * (float)staged[d * STAGED_ROW + j];
                 of_tile[m++] += wz;
 #pragma unroll
                 for (int e = 0; e <= d; ++e)
-                    of_tile[m++] += wz * (float)staged[e * TILE + j];
+                    of_tile[m++] += wz * (float)staged[e * STAGED_ROW + j];
             }
         }
         for (int m = 0; m < MOMENTS; ++m)
@@ -55,7 +59,8 @@ void plan_moments(
 // row's thresholds, which ascend.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void sample_plan_rows(
-    CLOUD_ARGUMENTS,
+    CLOUD_ARGUMENTS
+    MASK_ARGUMENTS,
     const uint n_draws,
     const __global float* restrict row_offsets, // (2, row_stride): log2 w_j = e_ij + offset_i
     const __global float* restrict thresholds,  // (n_rows, n_draws), in [0, 1)
@@ -77,9 +82,12 @@ void sample_plan_rows(
     vreal limit = VLOAD(0, next);
     vreal before = VLOAD(local_row, sums); // sum over the tiles so far; their sums round less
     for (uint n = first_tile; n < end_tile; ++n) {
+        if (IS_EMPTY(n, 0))
+            continue;
         const uint q = STAGE_TILE(n);
         vreal of_tile = (vreal)(0.0f);
-        for (uint j = 0; j < TILE; ++j) {
+        FOR_COLUMNS(OWN_MASK(n, 0), j)
+        {
             of_tile += exp2_nonpositive(with_offset(exponent(u, staged, j), offset, offset_low));
             const vreal sum = before + of_tile;
             if (ANY(sum > limit)) {

@@ -230,6 +230,14 @@ INLINE bool is_full(const __global ulong* mask)
 }
 
 #define IS_EMPTY(n, block) is_empty(OWN_MASK(n, block))
+#define MASK_ARGUMENTS                                                                         \
+    , const __global ulong* restrict column_masks, /* (pairs, GROUPS_OF_TILE, MASK_WORDS) */   \
+    const uint first_mask                          /* that of the first listed pair */
+// A loop over the needed columns j of a tile, one by one.
+#define FOR_COLUMNS(mask, j)                                                                   \
+    for (uint word = 0; word < MASK_WORDS; ++word)                                             \
+        for (ulong bits = (mask)[word], j;                                                     \
+             bits && (j = 64 * word + 63 - clz(bits & -bits), true); bits &= bits - 1ul)
 
 // The column of the lowest bit of a word of a mask. The bit is cleared. Without a bit it is the column that
 // has no mass.
@@ -251,6 +259,8 @@ INLINE void stage_empty_column(__local staged_real* staged)
 #else
 #define OWN_MASK(n, block) 0
 #define IS_EMPTY(n, block) false
+#define MASK_ARGUMENTS
+#define FOR_COLUMNS(mask, j) for (uint j = 0; j < TILE; ++j)
 #endif
 
 // e_ij + offset_i, such as log2 of a mass pi_ij of the plan: a small number where it matters, unlike both

@@ -118,8 +118,8 @@ def estimate(
     not include the pairs that the solver stores (`_solver.coarse_grid`) while potentials are
     computed at blurs of a few pixels: up to 128 for each point, or 2^24 of few points, 18 bytes
     each, but never more than a quarter of the device's memory. Nor does it include the solver's
-    lists of near pairs. On a CPU these take 44 bytes for each pair of tiles, which is 0.7 GB for
-    each side at 1024 x 1024 pixels and a blur of 0.05.
+    lists of near pairs. These take 12 bytes for each pair of tiles on the host and, on a CPU, 32
+    bytes on the device, which is 0.7 GB for each side at 1024 x 1024 pixels and a blur of 0.05.
 
     Parameters
     ----------

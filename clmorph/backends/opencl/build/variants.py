@@ -36,11 +36,11 @@ class Variant:
 
     @property
     def in_blocks(self) -> bool:
-        """Whether work-items take several groups of rows: where columns are chosen by masks.
+        """Whether work-items take several groups of rows: where sums have chosen columns.
 
         Such problems have rows enough for all of a device's cores.
         """
-        return self.masked or self.file == "near_field.cl"
+        return self.file == "near_field.cl" or (self.file == "log_sum_exp.cl" and self.masked)
 
     def macros(self, constants: BuildConstants) -> dict[str, int | float]:
         """Return the macros of the program for these build constants."""
@@ -105,7 +105,7 @@ def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
         Variant("log_sum_exp.cl", dimension, listed=True, masked=True),
         Variant("log_sum_exp.cl", dimension, precise=True),
         Variant("log_sum_exp.cl", dimension, precise=True, listed=True, bounded=2, masked=True),
-        Variant("plan_shares.cl", dimension, listed=True),
+        Variant("plan_shares.cl", dimension, listed=True, masked=True),
         Variant("half_steps.cl", balanced=3),
         Variant("plan_rows.cl", dimension, listed=True),
         Variant("sliced_ellpack.cl"),

@@ -1,10 +1,6 @@
 """The log-sum-exp of ``cl_kernels/log_sum_exp.cl``: soft minima and the rows' maxima."""
 
-from collections.abc import Iterator
-from typing import Any
-
 import numpy as np
-import pyopencl as cl
 
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
@@ -149,7 +145,7 @@ class LogSumExp:
         exponents = loop.exponents(rows, columns, potential, epsilon, pairs, precise=precise)
         shares = loop.column_shares(rows, columns, pairs)
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
-        for part, chosen in self._parts(kernel, rows, columns, pairs, shares):
+        for part, chosen in loop.masked_parts(kernel, rows, columns, pairs, shares):
             n_rows = len(part) * tile
             found = np.empty((shares, n_rows), np.float32)
             # The buffer holds the sums and the rounding errors of their nearest float32.
@@ -173,23 +169,3 @@ class LogSumExp:
             sums[section] = np.sum(of_shares * np.exp2(found - m), axis=0)
         n = len(rows)
         return maxima[:n], sums[:n], loop.row_offsets(rows, exponents)
-
-    def _parts(
-        self,
-        kernel: cl.Kernel,
-        rows: Cloud,
-        columns: Cloud,
-        pairs: TilePairs | None,
-        shares: int,
-    ) -> Iterator[tuple[range, list[Any]]]:
-        """Yield the row tiles of each launch, and the kernel's arguments for their masks."""
-        if pairs is None or pairs.masks is None:
-            for part in self._loop.parts(kernel, rows, columns, pairs=pairs, shares=shares):
-                yield part, []
-            return
-        for within, masks in pairs.masks:
-            for part in self._loop.parts(
-                kernel, rows, columns, pairs=pairs, within=within, shares=shares
-            ):
-                first = pairs.starts[part.start] - pairs.starts[within.start]
-                yield part, [masks, np.uint32(first)]

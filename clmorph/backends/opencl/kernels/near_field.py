@@ -72,7 +72,8 @@ class NearField:
     ) -> NearPairs:
         """Find the pairs that contribute to the rows' sums.
 
-        Bounds over pairs of tiles exclude most pairs. Of the other tiles each group of rows takes
+        Bounds over pairs of tiles exclude most pairs; a thread seeks the next pairs of tiles while
+        the device looks at those before. Of the other tiles each group of rows takes
         the columns whose exponent is above a threshold in one of its rows. The threshold is such
         that all columns of these tiles below it together are within the budget.
         """

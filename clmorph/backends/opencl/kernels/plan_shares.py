@@ -36,18 +36,21 @@ class PlanShares:
         near: NearPairs | None = None,
     ) -> tuple[Float64, Float64]:
         """Return mean and covariance of each row's destinations."""
-        pairs = None if near is None else near.pairs.without_masks()
+        pairs = None if near is None else near.pairs
         loop, tile = self._loop, self._loop.constants.tile
-        kernel = loop.kernel("plan_shares.cl", "plan_moments", rows, precise, pairs is not None)
+        near_only = pairs is not None
+        kernel = loop.kernel(
+            "plan_shares.cl", "plan_moments", rows, precise, near_only, masked=near_only
+        )
         exponents = loop.exponents(rows, columns, g, epsilon, pairs)
         offsets = self._offsets(rows, softmin, exponents)
         dimension, n = rows.centers.shape[1], len(rows)
         moments = np.empty((1 + dimension + dimension * (dimension + 1) // 2, rows.stride))
-        for part in loop.parts(kernel, rows, columns, pairs=pairs):
+        for part, masks in loop.masked_parts(kernel, rows, columns, pairs):
             out = np.empty((len(moments), len(part) * tile), np.float32)
             buffer = loop.work.empty(out.nbytes)
             loop.launch(
-                kernel, rows, columns, exponents, part, np.uint32(out.shape[1]),
+                kernel, rows, columns, exponents, part, *masks, np.uint32(out.shape[1]),
                 offsets, buffer, precise=precise, pairs=pairs,
             )  # fmt: skip
             cl.enqueue_copy(loop.work.queue, out, buffer)
@@ -77,9 +80,12 @@ class PlanShares:
         near: NearPairs | None = None,
     ) -> NDArray[np.int32]:
         """Return columns drawn from each plan row."""
-        pairs = None if near is None else near.pairs.without_masks()
+        pairs = None if near is None else near.pairs
         loop, tile = self._loop, self._loop.constants.tile
-        kernel = loop.kernel("plan_shares.cl", "sample_plan_rows", rows, precise, pairs is not None)
+        near_only = pairs is not None
+        kernel = loop.kernel(
+            "plan_shares.cl", "sample_plan_rows", rows, precise, near_only, masked=near_only
+        )
         exponents = loop.exponents(rows, columns, g, epsilon, pairs)
         offsets = self._offsets(rows, softmin, exponents)
         n, n_draws = thresholds.shape
@@ -87,7 +93,7 @@ class PlanShares:
         ordered[:n] = np.minimum(thresholds[rows.order], LARGEST_THRESHOLD)
         draws = np.empty((rows.stride, n_draws), np.int32)
         most = loop_limits.draws(loop.constants)
-        for part in loop.parts(kernel, rows, columns, pairs=pairs):
+        for part, masks in loop.masked_parts(kernel, rows, columns, pairs):
             section = slice(part.start * tile, part.stop * tile)
             for first in range(0, n_draws, most):
                 own = ordered[section, first : first + most]
@@ -95,7 +101,7 @@ class PlanShares:
                 so_far = np.zeros(len(own))
                 buffer = loop.work.buffer(found, np.int32)
                 loop.launch(
-                    kernel, rows, columns, exponents, part, np.uint32(own.shape[1]),
+                    kernel, rows, columns, exponents, part, *masks, np.uint32(own.shape[1]),
                     offsets, loop.work.buffer(own), buffer,
                     loop.work.buffer(so_far, np.uint32), loop.work.buffer(so_far, np.float32),
                     precise=precise, pairs=pairs,

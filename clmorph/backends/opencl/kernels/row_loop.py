@@ -210,6 +210,26 @@ class RowLoop:
             yield range(first, stop)
             first = stop
 
+    def masked_parts(
+        self,
+        kernel: cl.Kernel,
+        rows: Cloud,
+        columns: Cloud,
+        pairs: TilePairs | None,
+        shares: int | None = None,
+    ) -> Iterator[tuple[range, list[Any]]]:
+        """Yield the row tiles of each launch as `parts`, and the kernel's MASK_ARGUMENTS."""
+        if pairs is None or pairs.masks is None:
+            for part in self.parts(kernel, rows, columns, pairs=pairs, shares=shares):
+                yield part, []
+            return
+        for within, masks in pairs.masks:
+            for part in self.parts(
+                kernel, rows, columns, pairs=pairs, within=within, shares=shares
+            ):
+                first = pairs.starts[part.start] - pairs.starts[within.start]
+                yield part, [masks, np.uint32(first)]
+
     def launch(
         self,
         kernel: cl.Kernel,
