@@ -8,7 +8,9 @@
 // Where a work-item has a vector of rows for itself, a bound comes first: with the rows' box [low, high],
 // and w for which limit_i - w . u_i hardly depends on i, no e_ij - limit_i of a column exceeds
 //
-//     e_0j + sum_d max(low_d z_d, high_d z_d) - min_i (limit_i - w . u_i),   z = k (v - (p - q)) - w.
+//     h_j' + sum_d max(low_d z_d, high_d z_d) - min_i (limit_i - w . u_i),   z = k (v - (p - q)) - w,
+//
+// where h_j' is e_ij at u_i = 0.
 //
 // Launch: as in row_loop.cl.
 //

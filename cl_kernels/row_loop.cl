@@ -23,11 +23,11 @@
 //         ... exponent(u, staged, j) for 0 <= j < TILE: e_ij of WIDTH rows, column q * TILE + j
 //     }
 //
-// Launch: get_global_id(0) is a group of WIDTH consecutive rows, WIDTH * GROUP divides TILE, or BLOCKS such
-// groups, in kernels that read BLOCK_SETUP in place of ROW_SETUP. A
-// launch covers rows [first_row, first_row + n_rows): row tiles from first_row / TILE on. Of the column
-// tiles of each row it takes those after `tiles_before`, `most_tiles` at most: what a kernel has
-// found in launches over the tiles before, it reads from its own results.
+// Launch: get_global_id(0) is a group of WIDTH consecutive rows, WIDTH * GROUP divides TILE. In kernels that
+// read BLOCK_SETUP in place of ROW_SETUP it is BLOCKS such groups. A launch covers rows
+// [first_row, first_row + n_rows): row tiles from first_row / TILE on. Of the column tiles of each row it
+// takes those after `tiles_before`, `most_tiles` at most: what a kernel has found in launches over the tiles
+// before, it reads from its own results.
 //
 // Units: coordinates in any unit, costs and potentials in that unit squared, k in its inverse;
 // exponents, levels and column logits h in powers of two (log2), as are row offsets.
@@ -233,17 +233,18 @@ INLINE bool is_full(const __global ulong* mask)
 #define MASK_ARGUMENTS                                                                         \
     , const __global ulong* restrict column_masks, /* (pairs, GROUPS_OF_TILE, MASK_WORDS) */   \
     const uint first_mask                          /* that of the first listed pair */
+#define LOWEST_BIT(bits) (63u - (uint)clz((bits) & -(bits)))
 // A loop over the needed columns j of a tile, one by one.
 #define FOR_COLUMNS(mask, j)                                                                   \
     for (uint word = 0; word < MASK_WORDS; ++word)                                             \
         for (ulong bits = (mask)[word], j;                                                     \
-             bits && (j = 64 * word + 63 - clz(bits & -bits), true); bits &= bits - 1ul)
+             bits && (j = 64u * word + LOWEST_BIT(bits), true); bits &= bits - 1ul)
 
 // The column of the lowest bit of a word of a mask. The bit is cleared. Without a bit it is the column that
 // has no mass.
 INLINE uint take_column(ulong* bits, const uint first)
 {
-    const uint j = *bits ? first + 63u - (uint)clz(*bits & -*bits) : TILE;
+    const uint j = *bits ? first + LOWEST_BIT(*bits) : TILE;
     *bits &= *bits - 1ul;
     return j;
 }

@@ -6,6 +6,8 @@ from clouds import column_masks
 
 import clmorph
 from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.opencl.backend import OpenCLOperations
+from clmorph.backends.opencl.build import program
 
 #: The share of a row's sum that may be left out.
 BUDGET = 1e-6
@@ -87,3 +89,26 @@ def test_maxima_over_near_columns_are_those_of_all(device, rng):
     few = device.row_maxima(*own, g, epsilon, near)
     everything = device.row_maxima(*own, g, epsilon)
     assert np.abs(few - everything).max() <= 2e-7 / epsilon + 1e-5
+
+
+def test_bounds_over_rows_change_no_mask(device, monkeypatch):
+    """Columns that a bound excludes are not notable: without the bound the masks are the same."""
+
+    def masks(operations):
+        own, g, want, epsilon = clouds(operations, 64, 0.02, np.random.default_rng(3))
+        return column_masks(operations, operations.near_pairs(*own, g, want, epsilon, BUDGET))
+
+    real = program.source
+    bound = "!may_be_above(&boxes[block], staged, 64 * w + c)"
+    assert bound in real("near_field.cl")
+    monkeypatch.setenv("PYOPENCL_NO_CACHE", "1")
+    expected, found = masks(device), []
+    for instead in ("false", "true"):
+        with monkeypatch.context() as patch:
+            patch.setattr(program, "source", lambda name, to=instead: real(name).replace(bound, to))
+            found.append(masks(OpenCLOperations(device.device, device.constants, verify=False)))
+    assert np.array_equal(found[0], expected)
+    # Where no bound is formed, the text is not compiled.
+    constants = device.constants
+    used = constants.group == 1 and constants.width > 1
+    assert np.array_equal(found[1], expected) != used

@@ -1,6 +1,7 @@
 """Compare the solution through clusters with the direct solution."""
 
 import warnings
+from functools import partial
 
 import numpy as np
 import plain
@@ -10,7 +11,7 @@ from plain import reference, sinkhorn
 import clmorph
 from clmorph.measures.cluster import make_clusters
 from clmorph.measures.points import WeightedPoints
-from clmorph.transport._solver import coarse_grid, multiscale
+from clmorph.transport._solver import annealing, coarse_grid, multiscale
 from clmorph.transport._solver.coarse_grid import CorrectedProblem, expanded, stored_grid
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
@@ -226,6 +227,24 @@ def test_stored_pairs_stand_for_the_points(device, rng):
     got = near.to_rows(g + change, epsilon)
     want = problem.to_rows(g + change, epsilon, True)
     assert np.abs(got - want).max() <= (left_out + rounding) * epsilon
+
+
+def test_levels_without_clusters_that_join_points(monkeypatch):
+    """A level takes the points themselves where few would be joined; the solution is the same."""
+    pair = sharp(24)
+    near, far = (annealing._coarser(pair, blur) for blur in (1e-4, 1.0))
+    assert near.labels is None
+    assert all(one is other for one, other in zip(near.pair, pair, strict=True))
+    assert far.labels is not None
+    assert len(far.pair[0]) * len(far.pair[1]) <= annealing.FEWER * len(pair[0]) * len(pair[1])
+    solve = partial(sinkhorn, *pair, 0.02, 0.3, 1e-5, backend="numpy", multiscale=True)
+    monkeypatch.setattr(annealing, "FEW_PAIRS", 1)
+    found = []
+    for share in (0.0, 1.0):  # all levels take the points; none does
+        monkeypatch.setattr(annealing, "FEWER", share)
+        found.append(solve())
+        assert found[-1].converged
+    assert np.abs(found[0].f - found[1].f).max() <= 2e-3 * found[0].epsilon
 
 
 def test_fewer_pairs_are_stored_where_all_would_be_too_many(monkeypatch):

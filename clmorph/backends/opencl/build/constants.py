@@ -76,7 +76,8 @@ class BuildConstants:
     def blocks(self) -> int:
         """Groups of `width` rows that a work-item takes with the same staged columns.
 
-        A work-item that stages columns alone does so for its whole tile. Loops are then longer.
+        Where a work-group has one work-item, this takes all rows of its tile. Its loops are longer
+        then, so it takes one group where loops must be short.
         """
         return self.tile // self.width if self.group == 1 and not self.longest_loop else 1
 

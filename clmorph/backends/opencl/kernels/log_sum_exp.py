@@ -156,7 +156,7 @@ class LogSumExp:
                 chosen.append(loop.work.buffer(flags, np.uint8))
             loop.launch(
                 kernel, rows, columns, exponents, part, *chosen, np.uint32(n_rows), *buffers,
-                shares=shares, precise=precise, pairs=pairs, in_blocks=masked,
+                shares=shares, precise=precise, pairs=pairs,
                 results=tuple(zip((found, planes), buffers, strict=True)),
             )  # fmt: skip
             section = slice(part.start * tile, part.stop * tile)

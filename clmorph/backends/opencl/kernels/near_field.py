@@ -1,15 +1,13 @@
 """Find the columns that contribute to sums, and bound the share of all others."""
 
 import functools
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from clmorph._shared.threads import one_ahead
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.candidates import candidates
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
@@ -23,9 +21,6 @@ UNSEEN = 0.5
 #: Rounding errors of a measured share in float32: a factor, and an error in log2 for each unit of
 #: the exponent's size.
 MARGIN, EXPONENT_ERROR = 1.05, 2.0**-22
-
-
-_Item = TypeVar("_Item")
 
 
 class _Clouds(NamedTuple):
@@ -88,13 +83,13 @@ class NearField:
         farthest, farthest_kept = 0.0, 0.0
         bounds = row_bounds(rows, guess, k)
         slopes = self._loop.work.buffer(k * bounds.slopes)
+        clouds = _Clouds(rows, columns, exponents, guess, slopes)
         parts = candidates(rows, columns, bounds, guess, values, k, UNSEEN * budget)
-        for part, pairs, unseen in _ahead(parts):
+        for part, pairs, unseen in one_ahead(parts):
             starts = pairs.starts[part.start : part.stop + 1]
             lengths = np.diff(starts)
             threshold = (1 - UNSEEN) * budget / (tile * lengths)
             costs = _largest_costs(rows, columns, pairs)
-            clouds = _Clouds(rows, columns, exponents, guess, slopes)
             masks, marked = self._marked(clouds, pairs, part, np.log2(threshold))
             of_groups = np.add.reduceat(marked, starts[:-1], axis=0, dtype=np.int64)
             _complete(masks, marked, of_groups, starts, pairs.distances, tile)
@@ -171,20 +166,9 @@ class NearField:
             loop.launch(
                 kernel, rows, columns, exponents, launch,
                 loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), slopes, *buffers,
-                pairs=pairs,
-                in_blocks=True, results=tuple(zip(found, buffers, strict=True)),
+                pairs=pairs, results=tuple(zip(found, buffers, strict=True)),
             )  # fmt: skip
         return masks, counts
-
-
-def _ahead(items: Iterator[_Item]) -> Iterator[_Item]:
-    """Yield items, each of which is made in a thread while the one before is in use."""
-    following_item = functools.partial(copy_context().run, next, items, None)
-    with ThreadPoolExecutor(1) as pool:
-        following = pool.submit(following_item)
-        while (item := following.result()) is not None:
-            following = pool.submit(following_item)
-            yield item
 
 
 def _complete(

@@ -50,6 +50,7 @@ class RowLoop:
         self.work, self.constants, self.programs = work, constants, programs
         self._budgets: dict[int, LaunchBudget] = {}
         self._kernels: dict[Variant, dict[str, cl.Kernel]] = {}
+        self._rows_of_item: dict[int, int] = {}
 
     def kernel(
         self,
@@ -78,6 +79,9 @@ class RowLoop:
         variant = Variant(file, rows.centers.shape[1], precise, listed, bounded, masked)
         if variant not in self._kernels:
             self._kernels[variant] = self.programs.kernels(variant)
+            blocks = self.constants.blocks if variant.in_blocks else 1
+            for built in self._kernels[variant].values():
+                self._rows_of_item[built.int_ptr] = self.constants.width * blocks
         return self._kernels[variant][name]
 
     def column_logits(
@@ -241,7 +245,6 @@ class RowLoop:
         shares: int | None = None,
         precise: bool = False,
         pairs: TilePairs | None = None,
-        in_blocks: bool = False,
         results: Results = (),
     ) -> None:
         """Run a kernel over some row tiles, read its results, and wait for both.
@@ -261,8 +264,6 @@ class RowLoop:
             Whether the kernel was built with precise exponents.
         pairs : TilePairs, optional
             The pairs of tiles to visit, for a kernel that was built with lists.
-        in_blocks : bool
-            See `BuildConstants.row_macros`.
         results : sequence of (array, buffer), optional
             See `Workspace.launch`.
         """
@@ -295,11 +296,10 @@ class RowLoop:
         if windows > 1:
             at_once = loop_limits.column_tiles(self.constants, columns.centers.shape[1])
         levels_buffer = self.work.buffer(planes)
-        rows_of_item = self.constants.width * (self.constants.blocks if in_blocks else 1)
         for window in range(windows):
             with self.budget(kernel).measure(work // windows):
                 self.work.launch(
-                    kernel, (n_rows // rows_of_item, shares or 1),
+                    kernel, (n_rows // self._rows_of_item[kernel.int_ptr], shares or 1),
                     (self.constants.group, 1),
                     np.uint32(part.start * self.constants.tile), np.uint32(rows.stride),
                     np.uint32(columns.stride), np.uint32(len(columns.centers)),
