@@ -13,6 +13,7 @@ from clmorph.measures.cluster import make_clusters
 from clmorph.measures.points import WeightedPoints
 from clmorph.transport._solver import annealing, coarse_grid, multiscale
 from clmorph.transport._solver.coarse_grid import CorrectedProblem, expanded, stored_grid
+from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
 
@@ -124,6 +125,47 @@ def test_a_corrected_problem_is_a_transport_problem(rng, rho):
     rows = problem.row_mass(f, t_rows, epsilon).sum()
     columns = problem.column_mass(g, problem.softmin_columns(f, epsilon, True), epsilon).sum()
     assert rows == pytest.approx(columns, rel=1e-9)  # one plan has both
+
+
+def test_pairs_left_out_do_not_stop_a_coarse_problem(device, rng):
+    """Its truncation can be larger than its tolerance, which it reaches nevertheless."""
+    measures = pictures(48, noise=0.1)
+    problem = CorrectedProblem.between(device, *measures, (0.09, 0.09), 1e-2)
+    epsilon = 0.1**2
+    for softmin in (problem.to_rows, problem.to_columns):
+        softmin.reserve = 0.9  # as after a bad guess
+        softmin.guess = None
+    iteration = Iteration(problem, 0.1, 1e-4, 400, "float32", annealing.ignore, certify=False)
+    iteration.run(None)
+    assert problem.left_out > 1e-3
+    assert iteration.status == "converged"
+    assert iteration.n_iter < 200
+    f, g, *softmins, residual = iteration.state
+    assert residual <= 1e-4
+    exact = Problem.between(device, *measures, (0.09, 0.09))
+    softmins = exact.softmin_rows(g, epsilon, True), exact.softmin_columns(f, epsilon, True)
+    assert exact.residual(f, g, *softmins, epsilon) <= 1e-4 + 1.1 * problem.left_out
+
+
+def test_a_coarse_problem_that_stalls_is_left(rng):
+    """It ends after iterations without a better residual, and not only at the last one allowed."""
+
+    class Noisy(Problem):
+        def softmin_rows(self, *arguments, **options):
+            return super().softmin_rows(*arguments, **options) + 1e-5 * rng.normal(size=len(self.a))
+
+        def start_iteration(self):
+            return None
+
+    counts = []
+    for certify in (False, True):
+        problem = Noisy.between(clmorph.get_backend("numpy"), *pictures(12), (0.09, 0.09))
+        iteration = Iteration(problem, 0.1, 1e-6, 300, "float64", annealing.ignore, certify=certify)
+        iteration.run(np.zeros(144))
+        assert iteration.status != "converged"
+        counts.append(iteration.n_iter)
+    assert counts[0] < 150
+    assert counts[1] >= 299
 
 
 def test_the_correction_makes_the_clusters_problem_agree(rng):

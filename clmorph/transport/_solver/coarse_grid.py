@@ -14,7 +14,7 @@ from clmorph.measures.cluster import Clusters
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin, check_finite
-from clmorph.transport.certificate import MAX_EXPONENT
+from clmorph.transport.certificate import MAX_EXPONENT, Side
 
 #: Choices of the pairs to store: the least share that a pair has in the sum of its row or column,
 #: and the trust radius, the number of epsilons by which potentials may move. If one choice has too
@@ -75,6 +75,12 @@ class CorrectedProblem(Problem):
         with np.errstate(divide="ignore"):
             self.log_a, self.log_b = np.log(self.a), np.log(self.b)
         self.masses = float(self.a.sum()), float(self.b.sum())
+
+    def _sides(self, f: Array, g: Array, t_rows: Array, t_columns: Array) -> tuple[Side, Side]:
+        # Pairs left out change the correction, and not where the cycles end. They may hold more
+        # than this problem's tolerance, which a residual that counted them would not reach.
+        rows, columns = super()._sides(f, g, t_rows, t_columns)
+        return rows._replace(left_out=0.0), columns._replace(left_out=0.0)
 
     def center_trust_region(self, f: Array) -> None:
         """Set the center of the trust region; here the region contains all potentials."""
