@@ -210,8 +210,7 @@ class Iteration:
 
         The iteration also ends where the residual no longer falls and rounding explains that. With
         `leave`, which means that better exponents can take over, it ends there for any reason:
-        the residual of a slow problem falls by less in an iteration than float32 resolves. So does
-        that of a coarse problem, which has no certificate.
+        the residual of a slow problem falls by less in an iteration than float32 resolves.
         """
         problem = self.problem
         self.rounding = rounding = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
@@ -236,9 +235,7 @@ class Iteration:
             since_best = 0 if residual < 0.9 * best else since_best + 1
             best = min(best, residual)
             self._report_share(self._done + self._level_share * share_done(first, best, tol))
-            # A finer problem goes on from one without a certificate, which may be inexact.
-            explained = leave or not self._certify or residual <= rounding
-            stalled = since_best >= STALLED and explained
+            stalled = since_best >= STALLED and (leave or residual <= rounding)
             ended = stalled or self.n_iter >= limit or steps.outside_trust_region()
             if residual <= tol or ended:
                 self.status = "max_iter"
