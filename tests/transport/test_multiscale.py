@@ -127,20 +127,19 @@ def test_a_corrected_problem_is_a_transport_problem(rng, rho):
     assert rows == pytest.approx(columns, rel=1e-9)  # one plan has both
 
 
-def test_pairs_left_out_do_not_stop_a_coarse_problem(device, rng):
+def test_pairs_left_out_do_not_stop_a_coarse_problem(device):
     """Its truncation can be larger than its tolerance, which it reaches nevertheless."""
     measures = pictures(48, noise=0.1)
     problem = CorrectedProblem.between(device, *measures, (0.09, 0.09), 1e-2)
     epsilon = 0.1**2
     for softmin in (problem.to_rows, problem.to_columns):
-        softmin.reserve = 0.9  # as after a bad guess
-        softmin.guess = None
+        softmin.reserve = 0.9  # leaves out about as much as after a bad guess
     iteration = Iteration(problem, 0.1, 1e-4, 400, "float32", annealing.ignore, certify=False)
     iteration.run(None)
     assert problem.left_out > 1e-3
     assert iteration.status == "converged"
     assert iteration.n_iter < 200
-    f, g, *softmins, residual = iteration.state
+    f, g, _, _, residual = iteration.state
     assert residual <= 1e-4
     exact = Problem.between(device, *measures, (0.09, 0.09))
     softmins = exact.softmin_rows(g, epsilon, True), exact.softmin_columns(f, epsilon, True)
@@ -308,7 +307,8 @@ def test_small_blurs_are_solved_over_stored_pairs(device, monkeypatch, reach):
     assert got.converged
     assert solved
     assert all(solved)
-    assert got.n_iter <= 12 < want.n_iter  # balanced: 10 with vectors of 8 lanes
+    # Balanced problems over stored pairs fall slowly: 10 iterations with vectors of 8 lanes.
+    assert got.n_iter <= (12 if reach is None else 8) < want.n_iter
     rounding = 2e-5 * got.epsilon * got.transported_mass
     assert got.dual - rounding <= want.primal + want.marginal_error
     assert want.dual - rounding <= got.primal + got.marginal_error

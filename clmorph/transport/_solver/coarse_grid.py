@@ -78,7 +78,8 @@ class CorrectedProblem(Problem):
 
     def _sides(self, f: Array, g: Array, t_rows: Array, t_columns: Array) -> tuple[Side, Side]:
         # Pairs left out change the correction, and not where the cycles end. They may hold more
-        # than this problem's tolerance, which a residual that counted them would not reach.
+        # than this problem's tolerance, which a residual that counted them would not reach. So a
+        # corrected problem has no certificate; that of the finest problem counts its own pairs.
         rows, columns = super()._sides(f, g, t_rows, t_columns)
         return rows._replace(left_out=0.0), columns._replace(left_out=0.0)
 
