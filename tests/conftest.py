@@ -1,16 +1,17 @@
 """Which devices and how much is tested; fixtures that many tests share.
 
 ``pytest`` tests the operations on every usable device, in the build that is chosen for it, and what
-is written over them on one device or another, with a share of each grid of parameters;
-``pytest --full`` runs everything, but for a device that repeats another one; ``--device NAME``
-tests one device. Beside other devices a slow one runs some of the tests of operations, and the
-tests marked as small, also with ``--full``. Without any usable device the tests of NumPy run,
-"auto" means NumPy, and the tests that need a device are skipped.
+is written over them on one device or another, with a share of each grid of parameters.
+``pytest --full`` runs whole grids, and tests operations also in the build of the other kind of
+device; a device that repeats another one is tested as without. ``--device NAME`` tests one device.
+Beside other devices a slow one runs some of the tests of operations, and the tests marked as small,
+also with ``--full``. Without any usable device the tests of NumPy run, "auto" means NumPy, and the
+tests that need a device are skipped.
 """
 
 import os
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -36,6 +37,8 @@ REQUIRED = set(os.environ.get("CLMORPH_TEST_REQUIRE", "").split(",")) - {"", *PR
 NO_DEVICE = "needs a usable OpenCL device, and there is none (clmorph devices says what to install)"
 #: Parameters that name a device; grids are thinned for each device by itself.
 OF_DEVICES = ("variant", "device", "each_device", "any_backend")
+#: What is written over operations, or marked so, is tested on one device after the other.
+IN_TURNS = ("device", "any_backend")
 #: A slow device runs one of so many tests of a grid's share.
 SLOW_STEP = 3
 #: Modules that take longest with --full, the longest first. Processes that share the tests take a
@@ -74,6 +77,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "full: a long test, run with --full only")
     config.addinivalue_line("markers", "small: for slow devices too")
+    config.addinivalue_line("markers", "in_turns: each place of the grid on one device or another")
     config.addinivalue_line("markers", "one_device: on the first tested device, in its own build")
     config.addinivalue_line("markers", "needs_device: skipped without a usable OpenCL device")
     if config.getoption("numprocesses", None):
@@ -161,7 +165,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Without --full, leave out long tests and most of each grid of parameters.
 
     Of a grid so many combinations are left as its longest axis has values, and each value of every
-    axis is among them. With --full a device that repeats another one is tested so.
+    axis is among them. With --full all combinations are left, and a device that repeats another one
+    is tested as without. Each combination of a test in turns is for one device then.
     """
     if not TESTED:
         for item in items:
@@ -169,18 +174,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(pytest.mark.skip(reason=NO_DEVICE))
     full = config.getoption("--full")
     suitable = [item for item in items if _suits(item, _device_of(item))]
-    everything = {
-        item
-        for item in suitable
-        if full
-        and not _is_repeated(_device_of(item))
-        and (not _is_slow(_device_of(item)) or item.get_closest_marker("small") is not None)
-    }
-    functions: dict[str, list[pytest.Item]] = defaultdict(list)
-    for item in suitable:
-        if item.get_closest_marker("full") is None:
-            functions[item.nodeid.partition("[")[0]].append(item)
-    chosen = {item for own in functions.values() for item in _share(own)} | everything
+    chosen: set[pytest.Item] = set()
+    for own in _by_function([it for it in suitable if it.get_closest_marker("full") is None]):
+        chosen.update(_share(own))
+    if full:
+        whole = [
+            item
+            for item in suitable
+            if not _is_repeated(_device_of(item))
+            and (not _is_slow(_device_of(item)) or item.get_closest_marker("small") is not None)
+        ]
+        for own in _by_function(whole):
+            chosen.update(_one_device_each(own) if _is_in_turns(own[0]) else own)
     config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
     items[:] = [item for item in items if item in chosen]
     if "PYTEST_XDIST_WORKER" in os.environ:
@@ -233,6 +238,40 @@ def _device_of(item: pytest.Item) -> Device | None:
     return params.get("device", params.get("each_device"))
 
 
+def _by_function(items: list[pytest.Item]) -> Iterable[list[pytest.Item]]:
+    """Return the items of each test function."""
+    functions: dict[str, list[pytest.Item]] = defaultdict(list)
+    for item in items:
+        functions[item.nodeid.partition("[")[0]].append(item)
+    return functions.values()
+
+
+def _is_in_turns(item: pytest.Item) -> bool:
+    """Whether one device is enough for each combination of a test's other parameters."""
+    params = getattr(getattr(item, "callspec", None), "params", {})
+    return item.get_closest_marker("in_turns") is not None or not set(params).isdisjoint(IN_TURNS)
+
+
+def _one_device_each(items: list[pytest.Item]) -> list[pytest.Item]:
+    """Return one item of a test function for each combination of parameters, and those of NumPy.
+
+    Devices take turns, and tests marked as small are for all of them.
+    """
+    combinations: dict[tuple[int, ...], list[pytest.Item]] = defaultdict(list)
+    for item in items:
+        params = getattr(getattr(item, "callspec", None), "params", {})
+        others = (id(value) for name, value in params.items() if name not in OF_DEVICES)
+        combinations[tuple(others)].append(item)
+    turn = crc32(items[0].nodeid.partition("[")[0].encode())
+    chosen = []
+    for place, own in enumerate(combinations.values()):
+        of_devices = [item for item in own if _device_of(item) is not None]
+        small = [item for item in of_devices if item.get_closest_marker("small") is not None]
+        one = [of_devices[(place + turn) % len(of_devices)]] if of_devices and not small else small
+        chosen += [item for item in own if item in one or item not in of_devices]
+    return chosen
+
+
 def _share(items: list[pytest.Item]) -> list[pytest.Item]:
     """Return those items of one test function that stand for its grid of parameters.
 
@@ -243,7 +282,7 @@ def _share(items: list[pytest.Item]) -> list[pytest.Item]:
     devices, *axes = _axes(callspecs)
     longest = max(axes, key=max, default=[0] * len(items))
     shorter = [axis for axis in axes if axis is not longest]
-    everywhere = callspecs[0] is None or {"variant", "each_device"} & set(callspecs[0].params)
+    everywhere = not _is_in_turns(items[0])
     n_devices, turn = max(devices) + 1, crc32(items[0].nodeid.partition("[")[0].encode())
     chosen = []
     for number, item in enumerate(items):

@@ -95,6 +95,7 @@ def test_bounded_softmin_is_as_near_as_it_says(variant, rng, name, blur):
         assert error <= 1e-8 + 1e-11 * (100 + largest)
 
 
+@pytest.mark.in_turns  # a build for each dimension takes half a minute on some devices
 @pytest.mark.parametrize("dimension", range(1, 12))
 def test_bounded_softmin_in_any_dimension_and_over_near_pairs(variant, rng, dimension):
     pair = [(rng.random((n, dimension)), rng.random(n) ** 30) for n in (100, 150)]

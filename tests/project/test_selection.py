@@ -7,18 +7,22 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from conftest import LONGEST, TESTED, _is_repeated, _share, _turn
+from conftest import LONGEST, TESTED, _is_in_turns, _is_repeated, _one_device_each, _share, _turn
 
 ROOT = Path(__file__).parents[2]
 
 
-def items(**parameters):
+def items(*marks, **parameters):
     """Return stand-ins of a grid's items: all combinations of the values of each parameter."""
     grids = [{}]
     for name, values in parameters.items():
         grids = [{**grid, name: value} for grid in grids for value in values]
     return [
-        SimpleNamespace(nodeid="test.py::test[x]", callspec=SimpleNamespace(params=grid))
+        SimpleNamespace(
+            nodeid="test.py::test[x]",
+            callspec=SimpleNamespace(params=grid),
+            get_closest_marker=lambda name: name if name in marks else None,
+        )
         for grid in grids
     ]
 
@@ -57,10 +61,33 @@ def test_parameters_that_are_set_together_stay_together():
 
 
 def test_tests_without_a_grid_stay():
-    alone = [SimpleNamespace(nodeid="test.py::alone")]
+    alone = [SimpleNamespace(nodeid="test.py::alone", get_closest_marker=lambda name: None)]
     assert _share(alone) == alone
     row = items(device="P", a=range(7))
     assert _share(row) == row
+
+
+@pytest.mark.parametrize(
+    ("marks", "name"), [((), "device"), ((), "any_backend"), (("in_turns",), "variant")]
+)
+def test_each_combination_is_tested_on_one_device(monkeypatch, marks, name):
+    monkeypatch.setattr("conftest._device_of", lambda item: item.callspec.params[name])
+    grid = items(*marks, **AXES, **{name: [None, "P", "Q"]})
+    assert all(map(_is_in_turns, grid))
+    chosen = [item.callspec.params for item in _one_device_each(grid)]
+    on_devices = [params for params in chosen if params[name] is not None]
+    combinations = {tuple(params[axis] for axis in AXES) for params in on_devices}
+    assert len(on_devices) == len(combinations) == 3 * 2 * 5
+    assert {params[name] for params in on_devices} == {"P", "Q"}
+    assert len(chosen) - len(on_devices) == 3 * 2 * 5  # those of NumPy
+
+
+def test_small_tests_and_operations_are_for_all_devices(monkeypatch):
+    monkeypatch.setattr("conftest._device_of", lambda item: item.callspec.params["device"])
+    grid = items("small", device="PQR", a="xyz")
+    assert len(_one_device_each(grid)) == len(grid) == 9
+    assert not any(_is_in_turns(item) for item in items(variant="PQR", a="xyz"))
+    assert not any(_is_in_turns(item) for item in items(each_device="PQR"))
 
 
 @pytest.mark.full
