@@ -3,7 +3,8 @@
 ``pytest`` tests the operations on every usable device, in the build that is chosen for it, and what
 is written over them on one device or another, with a share of each grid of parameters.
 ``pytest --full`` runs whole grids, and tests operations also in the build of the other kind of
-device; a device that repeats another one is tested as without. ``--device NAME`` tests one device.
+device; of a device that repeats another one only operations, as without. ``--device NAME`` tests
+one device.
 Beside other devices a slow one runs some of the tests of operations, and the tests marked as small,
 also with ``--full``. Without any usable device the tests of NumPy run, "auto" means NumPy, and the
 tests that need a device are skipped.
@@ -165,8 +166,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Without --full, leave out long tests and most of each grid of parameters.
 
     Of a grid so many combinations are left as its longest axis has values, and each value of every
-    axis is among them. With --full all combinations are left, and a device that repeats another one
-    is tested as without. Each combination of a test in turns is for one device then.
+    axis is among them. With --full all combinations are left; a device that repeats another one has
+    the operations' tests as without. Each combination of a test in turns is for one device then.
     """
     if not TESTED:
         for item in items:
@@ -176,7 +177,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     suitable = [item for item in items if _suits(item, _device_of(item))]
     chosen: set[pytest.Item] = set()
     for own in _by_function([it for it in suitable if it.get_closest_marker("full") is None]):
-        chosen.update(_share(own))
+        if not (full and _is_in_turns(own[0])):
+            chosen.update(_share(own))
     if full:
         whole = [
             item

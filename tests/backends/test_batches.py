@@ -70,6 +70,7 @@ def test_the_twin_does_what_single_problems_do(rng):
         assert error == bound
 
 
+@pytest.mark.in_turns  # each dimension is a build of its own
 @pytest.mark.parametrize("dimension", range(1, 12))
 def test_in_any_dimension(variant, dimension):
     for kind in ((False, False), (True, False), (True, True)):

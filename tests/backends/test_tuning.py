@@ -61,7 +61,7 @@ def test_variants_compute_the_same(device, rng):
     results = []
     for name in ("tile", "unroll", "width"):
         for constants in list(tuning.variants(start, name, 64))[:2]:
-            operations = OpenCLOperations(device.device, constants)
+            operations = OpenCLOperations(device.device, constants, verify=False)
             clouds = [operations.upload(x, np.full(len(x), 0.01)) for x in points]
             results.append(operations.softmin(*clouds, g, 0.01))
     assert len(results) > 3
