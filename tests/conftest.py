@@ -3,11 +3,10 @@
 ``pytest`` tests the operations on every usable device, in the build that is chosen for it, and what
 is written over them on one device or another, with a share of each grid of parameters.
 ``pytest --full`` runs whole grids, and tests operations also in the build of the other kind of
-device; of a device that repeats another one only operations, as without. ``--device NAME`` tests
-one device.
-Beside other devices a slow one runs some of the tests of operations, and the tests marked as small,
-also with ``--full``. Without any usable device the tests of NumPy run, "auto" means NumPy, and the
-tests that need a device are skipped.
+device. On a device that repeats another one it tests operations alone, with a share of each grid.
+``--device NAME`` tests one device. Beside other devices a slow one runs some of the tests of
+operations, and the tests marked as small, also with ``--full``. Without any usable device the tests
+of NumPy run, "auto" means NumPy, and the tests that need a device are skipped.
 """
 
 import os
@@ -65,7 +64,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--full",
         action="store_true",
-        help="run everything: tests marked as full, whole grids of parameters, and each device "
+        help="run tests marked as full, whole grids of parameters, and operations on each device "
         "also in the build of the other kind of device",
     )
     group.addoption(
@@ -166,8 +165,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Without --full, leave out long tests and most of each grid of parameters.
 
     Of a grid so many combinations are left as its longest axis has values, and each value of every
-    axis is among them. With --full all combinations are left; a device that repeats another one has
-    the operations' tests as without. Each combination of a test in turns is for one device then.
+    axis is among them. With --full all combinations are left, and each combination of a test in
+    turns is for one device. A device that repeats another one then tests operations, with a share
+    of each grid.
     """
     if not TESTED:
         for item in items:
@@ -225,9 +225,10 @@ def _suits(item: pytest.Item, device: Device | None) -> bool:
     params = getattr(getattr(item, "callspec", None), "params", {})
     if item.get_closest_marker("one_device") is not None and device is not None:
         return device == TESTED[0] and not params.get("variant", (device, False))[1]
-    return (
-        not _is_slow(device) or "variant" in params or item.get_closest_marker("small") is not None
-    )
+    if not _is_slow(device) or item.get_closest_marker("small") is not None:
+        return True
+    # Only some of a slow device's turns would be run, so it takes none.
+    return "variant" in params and not _is_in_turns(item)
 
 
 def _device_of(item: pytest.Item) -> Device | None:

@@ -320,6 +320,9 @@ def test_without_devices_advice_is_printed():
 
 # --- quirks -------------------------------------------------------------------------------
 
+#: `test_every_variant_is_right_with_each_quirk` compares every kernel.
+SOME_KERNELS = ["log_sum_exp", "near_field", "splat"]
+
 
 @pytest.mark.full
 @pytest.mark.parametrize("quirk", QUIRKS)
@@ -329,8 +332,7 @@ def test_each_quirk_can_be_forced(device, monkeypatch, quirk):
     assert find_quirks(device.device) == plain | {quirk}
     assert choose_constants(device.device) == choose_constants(device.device, plain | {quirk})
     forced = OpenCLOperations(device.device)
-    # `test_every_variant_is_right_with_each_quirk` compares every kernel.
-    findings = list(check(forced, ["log_sum_exp", "near_field", "splat"]))
+    findings = list(check(forced, SOME_KERNELS))
     assert findings
     assert all(finding.passed for finding in findings)
 
@@ -351,10 +353,16 @@ def test_quirks_change_the_build():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("quirk", ["small_groups", "small_local_memory"])
-def test_quirks_on_a_gpus_build(device, quirk):
+@pytest.mark.parametrize(
+    ("quirk", "kernels"),
+    # Exponentials are computed in few files; the others change how all kernels are launched.
+    [("small_groups", ()), ("small_local_memory", ()), ("inexact_exp2", SOME_KERNELS)],
+)
+def test_quirks_on_a_gpus_build(device, quirk, kernels):
     constants = apply_quirks(gpu_constants(256), frozenset({quirk}))
-    assert all(finding.passed for finding in check(OpenCLOperations(device.device, constants)))
+    findings = list(check(OpenCLOperations(device.device, constants), kernels))
+    assert findings
+    assert all(finding.passed for finding in findings)
 
 
 def test_unknown_quirks(device, monkeypatch):

@@ -7,7 +7,16 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from conftest import LONGEST, TESTED, _is_in_turns, _is_repeated, _one_device_each, _share, _turn
+from conftest import (
+    LONGEST,
+    TESTED,
+    _is_in_turns,
+    _is_repeated,
+    _one_device_each,
+    _share,
+    _suits,
+    _turn,
+)
 
 ROOT = Path(__file__).parents[2]
 
@@ -88,6 +97,14 @@ def test_small_tests_and_operations_are_for_all_devices(monkeypatch):
     assert len(_one_device_each(grid)) == len(grid) == 9
     assert not any(_is_in_turns(item) for item in items(variant="PQR", a="xyz"))
     assert not any(_is_in_turns(item) for item in items(each_device="PQR"))
+
+
+def test_a_slow_device_takes_no_turns(monkeypatch):
+    monkeypatch.setattr("conftest._is_slow", lambda device: device == "P")
+    for marks, suits in (((), True), (("in_turns",), False), (("in_turns", "small"), True)):
+        slow, fast = items(*marks, variant=["P", "Q"])
+        assert _suits(slow, "P") == suits
+        assert _suits(fast, "Q")
 
 
 @pytest.mark.full
