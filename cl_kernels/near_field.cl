@@ -10,7 +10,14 @@
 //
 //     h_j' + sum_d max(low_d z_d, high_d z_d) - min_i (limit_i - w . u_i),   z = k (v - (p - q)) - w,
 //
-// where h_j' is e_ij at u_i = 0.
+// where h_j' is e_ij at u_i = 0. Most pairs of tiles hold no such column, so another bound comes first, before
+// the tile is staged: that of a box of columns, low <= v <= high. With column slopes a, for which
+// h_j - k a . v_j hardly depends on j, and s = u + (p - q) + a,
+//
+//     e_ij - w . u_i <= level_pq + max_j (h_j - k a . v_j)
+//                       + sum_d max over u_d, v_d of  k v_d (s_d - v_d / 2) - u_d (k (p - q) + w)_d.
+//
+// In each dimension the largest term is at an end of the rows' box, and there at the v_d nearest to s_d.
 //
 // Launch: as in row_loop.cl.
 //
@@ -114,6 +121,70 @@ INLINE int may_be_above(const rows_box* box, const __local staged_real* staged, 
     }
     return ANY(bound + BOX_ROUNDING * size > box->least);
 }
+
+// Boxes of columns: a tile has WIDTH of them, of BOX columns each.
+#define BOX (TILE / WIDTH)
+#define BOXES_ROUNDING 3.8146973e-6f // 2^-18: of e_ij and its bound, DIM + 2 terms of up to 8 operations
+
+// What the bounds of the boxes of a column tile have in common for all rows of a row tile.
+typedef struct {
+    float shift[DIM]; // (p - q) + a
+    float rest[DIM];  // k (p - q) + w
+    vreal bound;      // level_pq + max_j (h_j - k a . v_j) of each box, and the bound's rounding error
+} columns_frame;
+
+INLINE void set_frame(
+    const __global float* row_center, const __global float* row_slope, const float* row_sides,
+    const __global float* column_center, const __global float* column_slope, const __global float* column_sides,
+    const float k, const float level, const vreal most, columns_frame* frame)
+{
+    vreal size = fabs(level) + fabs(most);
+    for (int d = 0; d < DIM; ++d) {
+        const float between = row_center[d] - column_center[d];
+        const float slope = column_slope[d];
+        frame->shift[d] = between + slope;
+        frame->rest[d] = k * between + row_slope[d];
+        const float sides = row_sides[d] + fabs(between) + fabs(slope) + column_sides[d];
+        size += k * sides * sides + 2.0f * row_sides[d] * fabs(row_slope[d]);
+    }
+    frame->bound = level + most + BOXES_ROUNDING * size;
+}
+
+// The largest term of one dimension for rows at u: at the v nearest to s = u + shift.
+INLINE vreal largest_term(
+    const float u, const float shift, const float rest, const float k, const vreal low, const vreal high)
+{
+    const float s = u + shift;
+    const vreal v = clamp((vreal)s, low, high);
+    return k * v * (s - 0.5f * v) - u * rest;
+}
+
+// Bits of the boxes that may hold a column above the limit of one of the rows.
+INLINE uint boxes_above(
+    const rows_box* rows, const columns_frame* frame, const float k, const __global float* lows,
+    const __global float* highs, const size_t stride)
+{
+    vreal bound = frame->bound;
+#pragma unroll
+    for (int d = 0; d < DIM; ++d) {
+        const vreal low = VLOAD(0, lows + d * stride);
+        const vreal high = VLOAD(0, highs + d * stride);
+        bound += max(largest_term(rows->low[d], frame->shift[d], frame->rest[d], k, low, high),
+                     largest_term(rows->high[d], frame->shift[d], frame->rest[d], k, low, high));
+    }
+    const vint above = ~IS_TRUE(bound <= rows->least); // also where it is no number
+    if (!ANY(above))
+        return 0;
+    int lanes[WIDTH];
+    VSTORE(above, 0, lanes);
+    uint bits = 0;
+    for (int lane = 0; lane < WIDTH; ++lane)
+        bits |= lanes[lane] ? 1u << lane : 0u;
+    return bits;
+}
+
+// Bits of the boxes that hold the columns first + j, 0 <= j < STEP.
+#define BOXES_OF(first) ((2u << (((first) + STEP - 1) / BOX)) - (1u << ((first) / BOX)))
 #endif
 
 // The union of the bits of a group's work-items, for the first of them.
@@ -138,7 +209,12 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void mark_columns(
     CLOUD_ARGUMENTS,
     const __global float* restrict row_limits, // (n_rows,) of this launch
-    const __global float* restrict row_slopes, // (row tiles, DIM) of limits, for bounds
+    const __global float* restrict row_slopes, // (row tiles, DIM) of limits, for bounds, as all up to `counts`
+    const __global float* restrict box_lows,   // (DIM, column tiles * WIDTH) of v in each box
+    const __global float* restrict box_highs,  // (DIM, column tiles * WIDTH)
+    const __global float* restrict box_most,   // (column tiles * WIDTH,) largest h_j - k a . v_j
+    const __global float* restrict column_slopes, // (column tiles, DIM): a
+    const __global float* restrict column_sides,  // (column tiles, DIM) largest |v|
     __global ushort* restrict counts,          // (n_listed, GROUPS_OF_TILE) bits of each mask
     __global ulong* restrict column_masks)     // (n_listed, GROUPS_OF_TILE, MASK_WORDS)
 {
@@ -151,9 +227,30 @@ void mark_columns(
     rows_box boxes[BLOCKS];
     for (int block = 0; block < BLOCKS; ++block)
         set_box(u[block], limits[block], row_slopes + row_tile * DIM, &boxes[block]);
+    float row_sides[DIM];
+    for (int d = 0; d < DIM; ++d) {
+        row_sides[d] = 0.0f;
+        for (int block = 0; block < BLOCKS; ++block)
+            row_sides[d] = max(row_sides[d], max(-boxes[block].low[d], boxes[block].high[d]));
+    }
 #endif
     for (uint n = first_tile; n < end_tile; ++n) {
-        STAGE_TILE(n);
+#if BOUNDS_FIRST
+        const uint q = TILE_AT(n);
+        columns_frame frame;
+        set_frame(row_centers + row_tile * DIM, row_slopes + row_tile * DIM, row_sides,
+                  column_centers + q * DIM, column_slopes + q * DIM, column_sides + q * DIM, k,
+                  own_levels[n], VLOAD(0, box_most + (size_t)q * WIDTH), &frame);
+        uint possible[BLOCKS];
+        uint of_any = 0;
+        for (int block = 0; block < BLOCKS; ++block) {
+            possible[block] = boxes_above(&boxes[block], &frame, k, box_lows + (size_t)q * WIDTH,
+                                          box_highs + (size_t)q * WIDTH, (size_t)n_column_tiles * WIDTH);
+            of_any |= possible[block];
+        }
+        if (of_any)
+#endif
+            STAGE_TILE(n);
         for (int block = 0; block < BLOCKS; ++block) {
             const size_t place = (size_t)n * GROUPS_OF_TILE + GROUP_OF_TILE(block);
             uint count = 0;
@@ -161,7 +258,8 @@ void mark_columns(
                 ulong bits = 0;
                 for (uint c = 0; c < (TILE < 64 ? TILE : 64); c += STEP) {
 #if BOUNDS_FIRST
-                    if (!may_be_above(&boxes[block], staged, 64 * w + c))
+                    if (!(possible[block] & BOXES_OF(64 * w + c))
+                        || !may_be_above(&boxes[block], staged, 64 * w + c))
                         continue;
 #endif
                     bits |= columns_above(u[block], staged, 64 * w + c, limits[block]) << c;

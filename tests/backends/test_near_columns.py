@@ -65,6 +65,22 @@ def test_a_bad_guess_costs_pairs_but_not_the_bound(device, rng, off):
     assert third.skipped.max() <= 2 * BUDGET
 
 
+def test_tiny_budgets_hold_for_far_moves(device, rng):
+    """Shares far below the range of float32 are left out, and a bound of them is known."""
+    own, g, want, epsilon = clouds(device, 40, 0.01, rng)
+    budget = 1e-60
+    near = device.near_pairs(*own, g, want, epsilon, budget)
+    assert near.n_pairs < 0.8 * len(g) ** 2
+    assert 0 < near.skipped.max() <= 1.5 * budget
+    moved = g + 100 * epsilon * rng.uniform(-1, 1, len(g))
+    got = device.softmin(*own, moved, epsilon, True, near)
+    exact = device.softmin(*own, moved, epsilon, True)
+    grown = ((moved - g).max() + (exact - want).max()) / epsilon
+    left_out = np.log1p(near.skipped.max() * np.exp(grown))
+    assert left_out < 0.1  # so that a wrong pair would be seen
+    assert ((got - exact) / epsilon).max() <= left_out + 4e-6
+
+
 def test_all_kinds_of_masks_are_met(device, rng):
     """Masks are full (then bits are not looked at), partly filled, or empty; sums are right."""
     own, g, want, epsilon = clouds(device, 96, 0.02, rng)
@@ -91,24 +107,32 @@ def test_maxima_over_near_columns_are_those_of_all(device, rng):
     assert np.abs(few - everything).max() <= 2e-7 / epsilon + 1e-5
 
 
-def test_bounds_over_rows_change_no_mask(device, monkeypatch):
+@pytest.mark.parametrize(
+    "bound",
+    ["!may_be_above(&boxes[block], staged, 64 * w + c)",
+     "!(possible[block] & BOXES_OF(64 * w + c))"],
+    ids=["columns", "boxes"],
+)  # fmt: skip
+def test_bounds_over_rows_change_no_mask(device, monkeypatch, bound):
     """Columns that a bound excludes are not notable: without the bound the masks are the same."""
 
     def masks(operations):
         own, g, want, epsilon = clouds(operations, 64, 0.02, np.random.default_rng(3))
         return column_masks(operations, operations.near_pairs(*own, g, want, epsilon, BUDGET))
 
-    real = program.source
-    bound = "!may_be_above(&boxes[block], staged, 64 * w + c)"
+    real, staged = program.source, "if (of_any)"
     assert bound in real("near_field.cl")
+    assert staged in real("near_field.cl")
     monkeypatch.setenv("PYOPENCL_NO_CACHE", "1")
     expected, found = masks(device), []
+
+    def source(name, instead):
+        return real(name).replace(bound, instead).replace(staged, "")  # all tiles are staged
+
     for instead in ("false", "true"):
         with monkeypatch.context() as patch:
-            patch.setattr(program, "source", lambda name, to=instead: real(name).replace(bound, to))
+            patch.setattr(program, "source", lambda name, to=instead: source(name, to))
             found.append(masks(OpenCLOperations(device.device, device.constants, verify=False)))
     assert np.array_equal(found[0], expected)
     # Where no bound is formed, the text is not compiled.
-    constants = device.constants
-    used = constants.group == 1 and constants.width > 1
-    assert np.array_equal(found[1], expected) != used
+    assert np.array_equal(found[1], expected) != device.constants.bounds_first

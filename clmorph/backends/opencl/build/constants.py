@@ -73,6 +73,11 @@ class BuildConstants:
         return self.width * self.group
 
     @property
+    def bounds_first(self) -> bool:
+        """Whether bounds over a vector of rows, which a work-item has for itself, are of use."""
+        return self.group == 1 and self.width > 1
+
+    @property
     def blocks(self) -> int:
         """Groups of `width` rows that a work-item takes with the same staged columns.
 

@@ -78,15 +78,17 @@ def candidates(
         places = np.flatnonzero(above)
         lengths.append(np.count_nonzero(above, axis=1))
         tiles.append(_numbered(places, above.shape[1], numbers))
-        shares.append(np.exp2(np.minimum(highest.ravel()[places], np.float32(60.0))))
+        # In units of the budget, because shares of small budgets would underflow.
+        exponents = highest.ravel()[places] - np.float32(np.log2(budget))
+        shares.append(np.exp2(np.minimum(exponents, np.float32(60.0))))
         count += len(places)
         if count >= CHUNK_PAIRS or section.stop == n_rows:
             part = range(first, section.stop)
             starts = np.concatenate(([0], np.cumsum(np.concatenate(lengths))))
-            keep, unseen = kept_shares(starts, np.concatenate(shares), 0.5 * budget)
+            keep, unseen = kept_shares(starts, np.concatenate(shares), 0.5)
             each = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
             pairs = paired(rows, columns, part, each, np.concatenate(tiles)[keep])
-            yield Candidates(part, pairs, unseen + 0.5 * budget)
+            yield Candidates(part, pairs, (unseen + 0.5) * budget)
             first, count, lengths, tiles, shares = section.stop, 0, [], [], []
 
 

@@ -11,6 +11,7 @@ from clmorph._shared.threads import one_ahead
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.candidates import candidates
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
+from clmorph.backends.opencl.kernels.column_boxes import ColumnBoxes, column_boxes
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, row_bounds
@@ -31,6 +32,7 @@ class _Clouds(NamedTuple):
     exponents: Exponents
     guess: Float64
     slopes: cl.Buffer  #: (row tiles, D) float32: k times those of `row_bounds`
+    boxes: ColumnBoxes  #: of the columns
 
 
 class _Kept(NamedTuple):
@@ -83,7 +85,8 @@ class NearField:
         farthest, farthest_kept = 0.0, 0.0
         bounds = row_bounds(rows, guess, k)
         slopes = self._loop.work.buffer(k * bounds.slopes)
-        clouds = _Clouds(rows, columns, exponents, guess, slopes)
+        boxes = column_boxes(self._loop, columns, values, tile_max, k)
+        clouds = _Clouds(rows, columns, exponents, guess, slopes, boxes)
         parts = candidates(rows, columns, bounds, guess, values, k, UNSEEN * budget)
         for part, pairs, unseen in one_ahead(parts):
             starts = pairs.starts[part.start : part.stop + 1]
@@ -143,7 +146,8 @@ class NearField:
         log2_threshold : (row tiles of the part,) array
             Logarithm of the share of a row's sum, as far as the sum is known.
         """
-        (rows, columns, exponents, guess, slopes), loop, n = clouds, self._loop, len(clouds.rows)
+        (rows, columns, exponents, guess, slopes, boxes), loop = clouds, self._loop
+        n = len(rows)
         tile_max, row_level, k = exponents.tile_max, exponents.row_level, exponents.k
         kernel = loop.kernel("near_field.cl", "mark_columns", rows, listed=True)
         tile = loop.constants.tile
@@ -165,7 +169,7 @@ class NearField:
             buffers = [loop.work.empty(values.nbytes) for values in found]
             loop.launch(
                 kernel, rows, columns, exponents, launch,
-                loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), slopes, *buffers,
+                loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), slopes, *boxes, *buffers,
                 pairs=pairs, results=tuple(zip(found, buffers, strict=True)),
             )  # fmt: skip
         return masks, counts

@@ -104,7 +104,7 @@ def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False
     c = _padded(values, cloud)
     present = c > 0.5 * SENTINEL
     half = 0.5 * np.einsum("ntd,ntd->nt", cloud.shifts, cloud.shifts, dtype=float)
-    slopes = -_slopes(cloud.shifts, np.where(present, c / k - half, 0.0), present)
+    slopes = -least_squares_slopes(cloud.shifts, np.where(present, c / k - half, 0.0), present)
     flat = c - k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
     flat = np.where(present, flat, SENTINEL)  # the rest of |a - v|^2 / 2 cancels in B
     level = flat.max(axis=1)
@@ -126,7 +126,7 @@ def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
     r = _padded(values, cloud)
     present = r < -0.5 * SENTINEL
     half = 0.5 * np.einsum("ntd,ntd->nt", cloud.shifts, cloud.shifts, dtype=float)
-    slopes = _slopes(cloud.shifts, np.where(present, r / k + half, 0.0), present)
+    slopes = least_squares_slopes(cloud.shifts, np.where(present, r / k + half, 0.0), present)
     flat = r + k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
     lowest = np.where(present, flat, -SENTINEL).min(axis=1)
     return _bounds(cloud, slopes, np.maximum(-lowest, SENTINEL))
@@ -168,7 +168,9 @@ def _padded(values: Float64, cloud: Tiles) -> Float64:
     return np.pad(values, (0, tiles * size - len(values)), mode="edge").reshape(tiles, size)
 
 
-def _slopes(shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bool_]) -> Float64:
+def least_squares_slopes(
+    shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bool_]
+) -> Float64:
     """Return the least-squares slopes of values over shifts in each tile: (tiles, D) array.
 
     Only the points that are present count.

@@ -1,0 +1,60 @@
+"""Boxes of columns, by which ``mark_columns`` bounds many columns of a tile at once."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pyopencl as cl
+
+from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.kernels.clouds import Cloud, half_sides, pad
+from clmorph.backends.opencl.kernels.row_loop import RowLoop
+from clmorph.backends.opencl.kernels.tile_pairs import least_squares_slopes
+from clmorph.backends.records import Float64
+
+
+class ColumnBoxes(NamedTuple):
+    """The arguments of ``mark_columns`` that describe the boxes of all columns.
+
+    A tile has as many boxes as a vector has lanes, each of the same number of consecutive columns.
+    The buffers have no content where the kernel forms no bounds.
+    """
+
+    lows: cl.Buffer  #: (D, tiles * lanes) least coordinates, less the tile's center
+    highs: cl.Buffer  #: (D, tiles * lanes) largest ones
+    most: cl.Buffer  #: (tiles * lanes,) largest logit without its linear part
+    slopes: cl.Buffer  #: (tiles, D) slopes of the linear part, in units of k
+    sides: cl.Buffer  #: (tiles, D) half sides of the tiles
+
+
+def column_boxes(
+    loop: RowLoop, columns: Cloud, values: Float64, tile_max: Float64, k: float
+) -> ColumnBoxes:
+    """Divide the columns of each tile into boxes.
+
+    Parameters
+    ----------
+    loop : RowLoop
+    columns : Cloud
+    values : (M,) array
+        k g_j + log2 b_j of the sorted columns; SENTINEL where there is no mass.
+    tile_max : (tiles,) array
+        The largest of them in each tile, which logits on the device leave out.
+    k : float
+    """
+    work, constants = loop.work, loop.constants
+    if not constants.bounds_first:
+        return ColumnBoxes(*(work.empty(4) for _ in ColumnBoxes._fields))
+    shifts = columns.shifts
+    tiles, _, dimension = shifts.shape
+    logits = pad(values, columns.stride, SENTINEL).reshape(tiles, -1)
+    present = logits > 0.5 * SENTINEL
+    slopes = least_squares_slopes(shifts, np.where(present, logits / k, 0.0), present)
+    slopes = slopes.astype(np.float32).astype(float)
+    rest = logits - tile_max[:, None] - k * np.einsum("ntd,nd->nt", shifts, slopes)
+    rest = np.where(present, rest, SENTINEL).reshape(tiles, constants.width, -1).max(axis=2)
+    points = shifts.reshape(tiles, constants.width, -1, dimension)
+    lows, highs = (ends.reshape(-1, dimension).T for ends in (points.min(2), points.max(2)))
+    return ColumnBoxes(
+        work.buffer(lows), work.buffer(highs), work.buffer(rest), work.buffer(slopes),
+        work.buffer(half_sides(columns)),
+    )  # fmt: skip
