@@ -253,9 +253,9 @@ def test_levels_without_clusters_that_join_points(monkeypatch):
     """A level takes the points themselves where few would be joined; the solution is the same."""
     pair = sharp(24)
     near, far = (annealing._coarser(pair, blur) for blur in (1e-4, 1.0))
-    assert near.labels is None
+    assert near.clusters is None
     assert all(one is other for one, other in zip(near.pair, pair, strict=True))
-    assert far.labels is not None
+    assert far.clusters is not None
     assert len(far.pair[0]) * len(far.pair[1]) <= annealing.FEWER * len(pair[0]) * len(pair[1])
     solve = partial(sinkhorn, *pair, 0.02, 0.3, 1e-5, backend="numpy", multiscale=True)
     monkeypatch.setattr(annealing, "FEW_PAIRS", 1)

@@ -5,17 +5,17 @@ Source of the idea: Schmitzer, "Stabilized sparse scaling algorithms for entropy
 transport problems" (2019).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.typing import Array
-from clmorph.measures.cluster import make_clusters
+from clmorph.measures.cluster import Clusters, make_clusters
 from clmorph.measures.points import AnyMeasure
+from clmorph.transport._solver.coarse_grid import expanded
 from clmorph.transport._solver.iteration import TOP, Iteration
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.softmin import LEAST_RESERVE, MANY_PAIRS, Softmin
+from clmorph.transport._solver.softmin import MANY_PAIRS, Softmin
 from clmorph.transport._solver.state import State
 
 #: Side of the clusters at a level, in units of its blur.
@@ -39,13 +39,16 @@ class _Level(NamedTuple):
     blur : float
     pair : (source, target)
         Measures of the clusters.
-    labels : (labels, labels)
-        The clusters of the finer level's points: see `Clusters.labels`; None if each is its own.
+    clusters : (source, target) or None
+        The clusters of the finer level's points; None if each point is its own.
+    points : (source, target)
+        Measures of the finer level.
     """
 
     blur: float
     pair: tuple[AnyMeasure, AnyMeasure]
-    labels: tuple[NDArray[np.intp], NDArray[np.intp]] | None
+    clusters: tuple[Clusters, Clusters] | None
+    points: tuple[AnyMeasure, AnyMeasure]
 
 
 def _coarser(pair: tuple[AnyMeasure, AnyMeasure], blur: float) -> _Level:
@@ -53,8 +56,8 @@ def _coarser(pair: tuple[AnyMeasure, AnyMeasure], blur: float) -> _Level:
     source, target = (make_clusters(measure, ANNEALING_SIDE * blur) for measure in pair)
     pairs = len(source.measure) * len(target.measure)
     if pairs > FEWER * len(pair[0]) * len(pair[1]):
-        return _Level(blur, pair, None)
-    return _Level(blur, (source.measure, target.measure), (source.labels, target.labels))
+        return _Level(blur, pair, None, pair)
+    return _Level(blur, (source.measure, target.measure), (source, target), pair)
 
 
 def anneal(
@@ -106,11 +109,11 @@ def anneal(
         begun = reached if prolonged is None else prolonged
         fine = problems[-1]
         changes = [now - before for now, before in zip(reached, begun, strict=True)]
-        if level.labels is None:
+        if level.clusters is None:
             prolonged = reached
         else:
             prolonged = _prolong(problem, coarse, state, level, fine)
-            changes = [of[labels] for of, labels in zip(changes, level.labels, strict=True)]
+            changes = [of[each.labels] for of, each in zip(changes, level.clusters, strict=True)]
         guesses = [there + 0.25 * change for there, change in zip(prolonged, changes, strict=True)]
         fine.to_rows.guess, fine.to_columns.guess = guesses
         g = problem.damping(level.blur**2)[1] * guesses[1]
@@ -138,21 +141,30 @@ def _prolong(
     level: _Level,
     fine: Problem,
 ) -> list[Array]:
-    """Evaluate the softmins of coarse potentials at the points of a finer problem."""
+    """Evaluate the softmins of coarse potentials at the points of a finer problem.
 
-    def softmin(rows: Any, columns: Any, weights: tuple[Array, Array], guess: Array) -> Softmin:
+    Near pairs are chosen by the expansion around the clusters, which does not overestimate sums. At
+    a few points it is off by tens of nats, too much to take the place of the softmins.
+    """
+
+    def at_points(
+        softmin: Softmin, potential: Array, clusters: Clusters, measure: AnyMeasure, fine: Softmin
+    ) -> Array:
+        weights = fine.weights[0], softmin.weights[1]
         truncation = _level_truncation(problem, len(weights[0]), len(weights[1]))
-        result = Softmin(problem.operations, rows, columns, weights, truncation)
-        # The softmin is computed once, from a rough guess, so its truncation is not proven. The
-        # small reserve makes the mass of pairs left out small nevertheless.
-        result.guess, result.proven, result.reserve = guess, False, LEAST_RESERVE
-        return result
+        result = Softmin(problem.operations, fine.rows, softmin.columns, weights, truncation)
+        # The softmin is computed once, from an estimate, so its truncation is not proven.
+        result.reserve, result.proven = LEVEL_RESERVE, False
+        if truncation is not None:
+            result.guess = expanded(softmin, potential, level.blur**2, clusters, measure)
+        return result(potential, level.blur**2)
 
-    assert level.labels is not None
-    of_rows, of_columns = level.labels
-    to_rows = softmin(fine.rows, coarse.columns, (fine.a, coarse.b), state.t_rows[of_rows])
-    to_columns = softmin(fine.columns, coarse.rows, (fine.b, coarse.a), state.t_columns[of_columns])
-    return [to_rows(state.g, level.blur**2), to_columns(state.f, level.blur**2)]
+    assert level.clusters is not None
+    (source, target), points = level.clusters, level.points
+    return [
+        at_points(coarse.to_rows, state.g, source, points[0], fine.to_rows),
+        at_points(coarse.to_columns, state.f, target, points[1], fine.to_columns),
+    ]
 
 
 def prepare(problem: Problem, reserve: float) -> Problem:

@@ -19,9 +19,10 @@ from clmorph.transport.certificate import MAX_EXPONENT, Side
 #: Choices of the pairs to store: the least share that a pair has in the sum of its row or column,
 #: and the trust radius, the number of epsilons by which potentials may move. If one choice has too
 #: many pairs, the next one is tried. The logarithm of a pair that is not stored grows by the rise
-#: of both its potentials, and mostly by far less. Nothing proves that these pairs stay negligible
-#: within the radius: the residual over the points shows whether they do.
-STORED_CHOICES = ((1e-13, 20.0), (1e-7, 8.0))
+#: of both its potentials, and mostly by far less: islands of color that move by a hundred epsilons
+#: and more move as a whole. Nothing proves that these pairs stay negligible within the radius: the
+#: residual over the points shows whether they do.
+STORED_CHOICES = ((1e-13, 60.0), (1e-7, 8.0))
 
 
 class CorrectedProblem(Problem):

@@ -60,7 +60,7 @@ COARSER = 10.0
 PROLONGATION_TRUNCATION = 3e-3
 #: Residual to reach in the coarse problem: this share of the residual over the points, and at
 #: least this share of `tol`.
-CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.2
+CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.4
 #: A coarse problem is kept as long as a cycle leaves at most this share of the residual. After
 #: this many cycles that left more, only iterations over the points follow.
 PROGRESS, FAILURES = 0.3, 12

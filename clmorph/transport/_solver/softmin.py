@@ -14,9 +14,9 @@ from clmorph.errors import InputError
 #: truncated sums, unless the caller chooses otherwise.
 MANY_PAIRS = 1 << 27
 #: Near pairs are chosen for a share of the truncation, so that they remain valid while potentials
-#: move. The constants are the first share, its factor after each move that was too far, and the
-#: least share.
-RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-24
+#: move. The constants are the first share, its largest factor after each move that was too far (a
+#: small share is squared), and the least share.
+RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-50
 #: Once the residual is this small, potentials have little way left. Near pairs that are valid for
 #: far moves are then chosen anew, once, for this share: half as many pairs are left.
 SETTLED, SETTLED_RESERVE = 3e-2, 1e-6
@@ -115,7 +115,7 @@ class Softmin:
             self.left_out = self._bound(potential, softmin, epsilon)
             if self.left_out <= share * self.truncation:
                 return softmin
-            self.reserve = max(LEAST_RESERVE, SCARCER * self.reserve)
+            self.reserve = max(LEAST_RESERVE, min(SCARCER, self.reserve) * self.reserve)
         if self.guess is None:
             self.guess = self._over(None, potential, epsilon, False, False)
         for _ in range(ATTEMPTS):
