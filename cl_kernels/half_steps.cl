@@ -80,21 +80,21 @@ void row_step(
     const double x12 = 1.0 / x11;
     const double x16 = inverse_rho_source * x12;
     const double x17 = x16 + inverse_rho_target;
-    const double x47 = (-1.0) * epsilon;
+    const double x49 = (-1.0) * epsilon;
     vdouble allx28 = (vdouble)(-INFINITY);
-    vdouble allx67 = (vdouble)(0.0);
+    vdouble allx69 = (vdouble)(0.0);
     for (uint i = FIRST; i < n; i += STEP) {
         const vdouble v7 = softmin_of(maxima, sums, row_level, ROW(ROW_OWN_COSTS), shares, n, k, i);
         DSTORE(v7, i, ROW(ROW_SCRATCH_0));
         const vdouble v2 = DLOAD(i, ROW(ROW_LOG_WEIGHTS));
         const vdouble v26 = v7 * (vdouble)(x16);
         const vdouble v27 = v2 - v26;
-        const vdouble v66 = v7 * (vdouble)(nothing);
+        const vdouble v68 = v7 * (vdouble)(nothing);
         allx28 = fmax(allx28, v27);
-        allx67 += v66;
+        allx69 += v68;
     }
     const double x28 = group_largest(largest_lane(allx28), shared);
-    const double x67 = group_sum(sum_of_lanes(allx67), shared);
+    const double x69 = group_sum(sum_of_lanes(allx69), shared);
     vdouble allx20 = (vdouble)(-INFINITY);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v4 = DLOAD(i, COLUMN(COLUMN_LOG_WEIGHTS));
@@ -132,76 +132,76 @@ void row_step(
     const double x33 = x28 + x32;
     const double x34 = x25 - x33;
     const double x35 = x34 / x17;
-    vdouble allx46 = (vdouble)(0.0);
-    vdouble allx54 = (vdouble)(0.0);
+    vdouble allx48 = (vdouble)(0.0);
+    vdouble allx56 = (vdouble)(0.0);
     for (uint i = FIRST; i < n; i += STEP) {
         const vdouble v7 = DLOAD(i, ROW(ROW_SCRATCH_0));
         const vdouble v36 = v7 - (vdouble)(x35);
         DSTORE(v36, i, ROW(ROW_SOFTMIN));
-        const vdouble v37 = (vdouble)(x12) * v36;
-        DSTORE(v37, i, ROW(ROW_F));
+        const vdouble v39 = (vdouble)(x12) * v36;
+        DSTORE(v39, i, ROW(ROW_F));
         const vdouble v1 = DLOAD(i, ROW(ROW_WEIGHTS));
-        const vdouble v39 = v37 - v36;
-        const vdouble v40 = v39 / (vdouble)(epsilon);
+        const vdouble v41 = v39 - v36;
+        const vdouble v42 = v41 / (vdouble)(epsilon);
         const vdouble v2 = DLOAD(i, ROW(ROW_LOG_WEIGHTS));
-        const vdouble v41 = v40 + v2;
-        const vdouble v42 = fmin(v41, (vdouble)(300.0));
-        const vdouble v44 = exp(v42);
-        const vdouble v45 = (v1 > (vdouble)(0.0)) ? v44 : (vdouble)(0.0);
-        const vdouble v49 = (vdouble)(-1.0) * v37;
-        const vdouble v50 = v49 * (vdouble)(inverse_rho_source);
-        const vdouble v51 = fmin(v50, (vdouble)(300.0));
-        const vdouble v52 = expm1(v51);
-        const vdouble v53 = v1 * v52;
-        allx46 += v45;
-        allx54 += v53;
+        const vdouble v43 = v42 + v2;
+        const vdouble v44 = fmin(v43, (vdouble)(300.0));
+        const vdouble v46 = exp(v44);
+        const vdouble v47 = (v1 > (vdouble)(0.0)) ? v46 : (vdouble)(0.0);
+        const vdouble v51 = (vdouble)(-1.0) * v39;
+        const vdouble v52 = v51 * (vdouble)(inverse_rho_source);
+        const vdouble v53 = fmin(v52, (vdouble)(300.0));
+        const vdouble v54 = expm1(v53);
+        const vdouble v55 = v1 * v54;
+        allx48 += v47;
+        allx56 += v55;
     }
-    const double x46 = group_sum(sum_of_lanes(allx46), shared);
-    const double x54 = group_sum(sum_of_lanes(allx54), shared);
-    vdouble allx62 = (vdouble)(0.0);
+    const double x48 = group_sum(sum_of_lanes(allx48), shared);
+    const double x56 = group_sum(sum_of_lanes(allx56), shared);
+    vdouble allx64 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v8 = DLOAD(i, COLUMN(g_at));
-        const vdouble v38 = v8 + (vdouble)(x35);
-        DSTORE(v38, i, COLUMN(COLUMN_SHIFTED));
+        const vdouble v40 = v8 + (vdouble)(x35);
+        DSTORE(v40, i, COLUMN(COLUMN_SHIFTED));
         const vdouble v3 = DLOAD(i, COLUMN(COLUMN_WEIGHTS));
-        const vdouble v57 = (vdouble)(-1.0) * v38;
-        const vdouble v58 = v57 * (vdouble)(inverse_rho_target);
-        const vdouble v59 = fmin(v58, (vdouble)(300.0));
-        const vdouble v60 = expm1(v59);
-        const vdouble v61 = v3 * v60;
-        allx62 += v61;
+        const vdouble v59 = (vdouble)(-1.0) * v40;
+        const vdouble v60 = v59 * (vdouble)(inverse_rho_target);
+        const vdouble v61 = fmin(v60, (vdouble)(300.0));
+        const vdouble v62 = expm1(v61);
+        const vdouble v63 = v3 * v62;
+        allx64 += v63;
     }
-    const double x62 = group_sum(sum_of_lanes(allx62), shared);
-    const double x48 = x47 * x46;
-    const double x55 = x54 / inverse_rho_source;
-    const double x56 = x48 - x55;
-    const double x63 = x62 / inverse_rho_target;
-    const double x64 = x56 - x63;
+    const double x64 = group_sum(sum_of_lanes(allx64), shared);
+    const double x50 = x49 * x48;
+    const double x57 = x56 / inverse_rho_source;
+    const double x58 = x50 - x57;
+    const double x65 = x64 / inverse_rho_target;
+    const double x66 = x58 - x65;
     if (get_local_id(0) == 0) {
-        numbers[NUMBER_MASS] = x46;
-        numbers[NUMBER_ROW_DUAL] = x64;
-        numbers[NUMBER_ROW_FINITE] = x67;
+        numbers[NUMBER_MASS] = x48;
+        numbers[NUMBER_ROW_DUAL] = x66;
+        numbers[NUMBER_ROW_FINITE] = x69;
     }
 #elif BALANCED == 2
     const double x9 = epsilon * inverse_rho_source;
     const double x10 = 1.0 + x9;
     const double x11 = 1.0 / x10;
     const double x12 = inverse_rho_source * x11;
-    const double x40 = (-1.0) * epsilon;
+    const double x42 = (-1.0) * epsilon;
     vdouble allx21 = (vdouble)(-INFINITY);
-    vdouble allx55 = (vdouble)(0.0);
+    vdouble allx57 = (vdouble)(0.0);
     for (uint i = FIRST; i < n; i += STEP) {
         const vdouble v6 = softmin_of(maxima, sums, row_level, ROW(ROW_OWN_COSTS), shares, n, k, i);
         DSTORE(v6, i, ROW(ROW_SCRATCH_0));
         const vdouble v2 = DLOAD(i, ROW(ROW_LOG_WEIGHTS));
         const vdouble v19 = v6 * (vdouble)(x12);
         const vdouble v20 = v2 - v19;
-        const vdouble v54 = v6 * (vdouble)(nothing);
+        const vdouble v56 = v6 * (vdouble)(nothing);
         allx21 = fmax(allx21, v20);
-        allx55 += v54;
+        allx57 += v56;
     }
     const double x21 = group_largest(largest_lane(allx21), shared);
-    const double x55 = group_sum(sum_of_lanes(allx55), shared);
+    const double x57 = group_sum(sum_of_lanes(allx57), shared);
     vdouble allx13 = (vdouble)(-INFINITY);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v4 = DLOAD(i, COLUMN(COLUMN_LOG_WEIGHTS));
@@ -233,50 +233,50 @@ void row_step(
     const double x26 = x21 + x25;
     const double x27 = x18 - x26;
     const double x28 = x27 / x12;
-    vdouble allx39 = (vdouble)(0.0);
-    vdouble allx47 = (vdouble)(0.0);
+    vdouble allx41 = (vdouble)(0.0);
+    vdouble allx49 = (vdouble)(0.0);
     for (uint i = FIRST; i < n; i += STEP) {
         const vdouble v6 = DLOAD(i, ROW(ROW_SCRATCH_0));
         const vdouble v29 = v6 - (vdouble)(x28);
         DSTORE(v29, i, ROW(ROW_SOFTMIN));
-        const vdouble v30 = (vdouble)(x11) * v29;
-        DSTORE(v30, i, ROW(ROW_F));
+        const vdouble v32 = (vdouble)(x11) * v29;
+        DSTORE(v32, i, ROW(ROW_F));
         const vdouble v1 = DLOAD(i, ROW(ROW_WEIGHTS));
-        const vdouble v32 = v30 - v29;
-        const vdouble v33 = v32 / (vdouble)(epsilon);
+        const vdouble v34 = v32 - v29;
+        const vdouble v35 = v34 / (vdouble)(epsilon);
         const vdouble v2 = DLOAD(i, ROW(ROW_LOG_WEIGHTS));
-        const vdouble v34 = v33 + v2;
-        const vdouble v35 = fmin(v34, (vdouble)(300.0));
-        const vdouble v37 = exp(v35);
-        const vdouble v38 = (v1 > (vdouble)(0.0)) ? v37 : (vdouble)(0.0);
-        const vdouble v42 = (vdouble)(-1.0) * v30;
-        const vdouble v43 = v42 * (vdouble)(inverse_rho_source);
-        const vdouble v44 = fmin(v43, (vdouble)(300.0));
-        const vdouble v45 = expm1(v44);
-        const vdouble v46 = v1 * v45;
-        allx39 += v38;
-        allx47 += v46;
+        const vdouble v36 = v35 + v2;
+        const vdouble v37 = fmin(v36, (vdouble)(300.0));
+        const vdouble v39 = exp(v37);
+        const vdouble v40 = (v1 > (vdouble)(0.0)) ? v39 : (vdouble)(0.0);
+        const vdouble v44 = (vdouble)(-1.0) * v32;
+        const vdouble v45 = v44 * (vdouble)(inverse_rho_source);
+        const vdouble v46 = fmin(v45, (vdouble)(300.0));
+        const vdouble v47 = expm1(v46);
+        const vdouble v48 = v1 * v47;
+        allx41 += v40;
+        allx49 += v48;
     }
-    const double x39 = group_sum(sum_of_lanes(allx39), shared);
-    const double x47 = group_sum(sum_of_lanes(allx47), shared);
-    vdouble allx51 = (vdouble)(0.0);
+    const double x41 = group_sum(sum_of_lanes(allx41), shared);
+    const double x49 = group_sum(sum_of_lanes(allx49), shared);
+    vdouble allx53 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v7 = DLOAD(i, COLUMN(g_at));
-        const vdouble v31 = v7 + (vdouble)(x28);
-        DSTORE(v31, i, COLUMN(COLUMN_SHIFTED));
+        const vdouble v33 = v7 + (vdouble)(x28);
+        DSTORE(v33, i, COLUMN(COLUMN_SHIFTED));
         const vdouble v3 = DLOAD(i, COLUMN(COLUMN_WEIGHTS));
-        const vdouble v50 = v3 * v31;
-        allx51 += v50;
+        const vdouble v52 = v3 * v33;
+        allx53 += v52;
     }
-    const double x51 = group_sum(sum_of_lanes(allx51), shared);
-    const double x41 = x40 * x39;
-    const double x48 = x47 / inverse_rho_source;
-    const double x49 = x41 - x48;
-    const double x52 = x49 + x51;
+    const double x53 = group_sum(sum_of_lanes(allx53), shared);
+    const double x43 = x42 * x41;
+    const double x50 = x49 / inverse_rho_source;
+    const double x51 = x43 - x50;
+    const double x54 = x51 + x53;
     if (get_local_id(0) == 0) {
-        numbers[NUMBER_MASS] = x39;
-        numbers[NUMBER_ROW_DUAL] = x52;
-        numbers[NUMBER_ROW_FINITE] = x55;
+        numbers[NUMBER_MASS] = x41;
+        numbers[NUMBER_ROW_DUAL] = x54;
+        numbers[NUMBER_ROW_FINITE] = x57;
     }
 #elif BALANCED == 1
     const double x38 = (-1.0) * epsilon;
@@ -458,7 +458,7 @@ void column_step(
     const double x18 = 1.0 / x17;
     const double x34 = inverse_rho_target * x18;
     const double x35 = x34 + inverse_rho_source;
-    const double x64 = (-1.0) * epsilon;
+    const double x66 = (-1.0) * epsilon;
     vdouble allx24 = (vdouble)(-INFINITY);
     vdouble allx38 = (vdouble)(-INFINITY);
     for (uint i = FIRST; i < n; i += STEP) {
@@ -479,7 +479,7 @@ void column_step(
     const double x38 = group_largest(largest_lane(allx38), shared);
     vdouble allx31 = (vdouble)(-INFINITY);
     vdouble allx46 = (vdouble)(-INFINITY);
-    vdouble allx120 = (vdouble)(0.0);
+    vdouble allx122 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v7 = softmin_of(maxima, sums, row_level, COLUMN(COLUMN_OWN_COSTS), shares, m, k, i);
         DSTORE(v7, i, COLUMN(COLUMN_SCRATCH_0));
@@ -492,14 +492,14 @@ void column_step(
         const vdouble v4 = DLOAD(i, COLUMN(COLUMN_LOG_WEIGHTS));
         const vdouble v44 = v7 * (vdouble)(x34);
         const vdouble v45 = v4 - v44;
-        const vdouble v119 = v7 * (vdouble)(nothing);
+        const vdouble v121 = v7 * (vdouble)(nothing);
         allx31 = fmax(allx31, v30);
         allx46 = fmax(allx46, v45);
-        allx120 += v119;
+        allx122 += v121;
     }
     const double x31 = group_largest(largest_lane(allx31), shared);
     const double x46 = group_largest(largest_lane(allx46), shared);
-    const double x120 = group_sum(sum_of_lanes(allx120), shared);
+    const double x122 = group_sum(sum_of_lanes(allx122), shared);
     const double x25 = x24 / epsilon;
     const double x32 = x31 / epsilon;
     const double x33 = fmax(x25, x32);
@@ -531,134 +531,134 @@ void column_step(
     const double x51 = x46 + x50;
     const double x52 = x43 - x51;
     const double x53 = x52 / x35;
-    vdouble allx71 = (vdouble)(0.0);
+    vdouble allx73 = (vdouble)(0.0);
     for (uint i = FIRST; i < n; i += STEP) {
         const vdouble v9 = DLOAD(i, ROW(ROW_F));
-        const vdouble v56 = v9 + (vdouble)(x53);
-        DSTORE(v56, i, ROW(ROW_SHIFTED));
+        const vdouble v58 = v9 + (vdouble)(x53);
+        DSTORE(v58, i, ROW(ROW_SHIFTED));
         const vdouble v1 = DLOAD(i, ROW(ROW_WEIGHTS));
-        const vdouble v66 = (vdouble)(-1.0) * v56;
-        const vdouble v67 = v66 * (vdouble)(inverse_rho_source);
-        const vdouble v68 = fmin(v67, (vdouble)(300.0));
-        const vdouble v69 = expm1(v68);
-        const vdouble v70 = v1 * v69;
-        allx71 += v70;
+        const vdouble v68 = (vdouble)(-1.0) * v58;
+        const vdouble v69 = v68 * (vdouble)(inverse_rho_source);
+        const vdouble v70 = fmin(v69, (vdouble)(300.0));
+        const vdouble v71 = expm1(v70);
+        const vdouble v72 = v1 * v71;
+        allx73 += v72;
     }
-    const double x71 = group_sum(sum_of_lanes(allx71), shared);
-    vdouble allx63 = (vdouble)(0.0);
-    vdouble allx79 = (vdouble)(0.0);
-    vdouble allx95[MEMORY];
-    for (uint j = 0; j < MEMORY; ++j)
-        allx95[j] = (vdouble)(0.0);
+    const double x73 = group_sum(sum_of_lanes(allx73), shared);
+    vdouble allx65 = (vdouble)(0.0);
+    vdouble allx81 = (vdouble)(0.0);
     vdouble allx97[MEMORY];
     for (uint j = 0; j < MEMORY; ++j)
         allx97[j] = (vdouble)(0.0);
-    vdouble allx105 = (vdouble)(0.0);
+    vdouble allx99[MEMORY];
+    for (uint j = 0; j < MEMORY; ++j)
+        allx99[j] = (vdouble)(0.0);
+    vdouble allx107 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v7 = DLOAD(i, COLUMN(COLUMN_SCRATCH_0));
         const vdouble v54 = v7 - (vdouble)(x53);
         DSTORE(v54, i, COLUMN(COLUMN_SOFTMIN));
-        const vdouble v55 = (vdouble)(x18) * v54;
-        DSTORE(v55, i, COLUMN(image_at));
+        const vdouble v57 = (vdouble)(x18) * v54;
+        DSTORE(v57, i, COLUMN(image_at));
         const vdouble v3 = DLOAD(i, COLUMN(COLUMN_WEIGHTS));
-        const vdouble v57 = v55 - v54;
-        const vdouble v58 = v57 / (vdouble)(epsilon);
+        const vdouble v59 = v57 - v54;
+        const vdouble v60 = v59 / (vdouble)(epsilon);
         const vdouble v4 = DLOAD(i, COLUMN(COLUMN_LOG_WEIGHTS));
-        const vdouble v59 = v58 + v4;
-        const vdouble v60 = fmin(v59, (vdouble)(300.0));
-        const vdouble v61 = exp(v60);
-        const vdouble v62 = (v3 > (vdouble)(0.0)) ? v61 : (vdouble)(0.0);
-        const vdouble v74 = (vdouble)(-1.0) * v55;
-        const vdouble v75 = v74 * (vdouble)(inverse_rho_target);
-        const vdouble v76 = fmin(v75, (vdouble)(300.0));
-        const vdouble v77 = expm1(v76);
-        const vdouble v78 = v3 * v77;
+        const vdouble v61 = v60 + v4;
+        const vdouble v62 = fmin(v61, (vdouble)(300.0));
+        const vdouble v63 = exp(v62);
+        const vdouble v64 = (v3 > (vdouble)(0.0)) ? v63 : (vdouble)(0.0);
+        const vdouble v76 = (vdouble)(-1.0) * v57;
+        const vdouble v77 = v76 * (vdouble)(inverse_rho_target);
+        const vdouble v78 = fmin(v77, (vdouble)(300.0));
+        const vdouble v79 = expm1(v78);
+        const vdouble v80 = v3 * v79;
         const vdouble v8 = DLOAD(i, COLUMN(g_at));
-        const vdouble v83 = v55 - v8;
-        DSTORE(v83, i, COLUMN(residual_at));
-        const vdouble v84 = DLOAD(i, COLUMN(COLUMN_MASS));
-        const vdouble v85 = begun ? v84 : v62;
-        DSTORE(v85, i, COLUMN(COLUMN_MASS));
-        const vdouble v89 = DLOAD(i, COLUMN(old_residual_at));
-        const vdouble v90 = v83 - v89;
-        const vdouble v91 = begun ? v90 : (vdouble)(0.0);
-        DSTORE(v91, i, COLUMN(new_difference_at));
-        const vdouble v86 = DLOAD(i, COLUMN(old_image_at));
-        const vdouble v87 = v55 - v86;
-        const vdouble v88 = begun ? v87 : (vdouble)(0.0);
-        const vdouble v92 = (vdouble)(0.5) * v91;
-        const vdouble v93 = v88 + v92;
-        DSTORE(v93, i, COLUMN(new_ahead_at));
-        const vdouble v94 = v91 * v85;
-        const vdouble v96 = v85 * v83;
-        const vdouble v103 = v83 * v85;
-        const vdouble v104 = v103 * v83;
-        allx63 += v62;
-        allx79 += v78;
-        for (uint j = 0; j < MEMORY; ++j)
-            allx95[j] += DLOAD(i, DIFFERENCES(j)) * v94;
+        const vdouble v85 = v57 - v8;
+        DSTORE(v85, i, COLUMN(residual_at));
+        const vdouble v86 = DLOAD(i, COLUMN(COLUMN_MASS));
+        const vdouble v87 = begun ? v86 : v64;
+        DSTORE(v87, i, COLUMN(COLUMN_MASS));
+        const vdouble v91 = DLOAD(i, COLUMN(old_residual_at));
+        const vdouble v92 = v85 - v91;
+        const vdouble v93 = begun ? v92 : (vdouble)(0.0);
+        DSTORE(v93, i, COLUMN(new_difference_at));
+        const vdouble v88 = DLOAD(i, COLUMN(old_image_at));
+        const vdouble v89 = v57 - v88;
+        const vdouble v90 = begun ? v89 : (vdouble)(0.0);
+        const vdouble v94 = (vdouble)(0.5) * v93;
+        const vdouble v95 = v90 + v94;
+        DSTORE(v95, i, COLUMN(new_ahead_at));
+        const vdouble v96 = v93 * v87;
+        const vdouble v98 = v87 * v85;
+        const vdouble v105 = v85 * v87;
+        const vdouble v106 = v105 * v85;
+        allx65 += v64;
+        allx81 += v80;
         for (uint j = 0; j < MEMORY; ++j)
             allx97[j] += DLOAD(i, DIFFERENCES(j)) * v96;
-        allx105 += v104;
+        for (uint j = 0; j < MEMORY; ++j)
+            allx99[j] += DLOAD(i, DIFFERENCES(j)) * v98;
+        allx107 += v106;
     }
-    const double x63 = group_sum(sum_of_lanes(allx63), shared);
-    const double x79 = group_sum(sum_of_lanes(allx79), shared);
-    double x95[MEMORY];
-    for (uint j = 0; j < MEMORY; ++j)
-        x95[j] = group_sum(sum_of_lanes(allx95[j]), shared);
+    const double x65 = group_sum(sum_of_lanes(allx65), shared);
+    const double x81 = group_sum(sum_of_lanes(allx81), shared);
     double x97[MEMORY];
     for (uint j = 0; j < MEMORY; ++j)
         x97[j] = group_sum(sum_of_lanes(allx97[j]), shared);
-    const double x105 = group_sum(sum_of_lanes(allx105), shared);
-    const double x65 = x64 * x63;
-    const double x72 = x71 / inverse_rho_source;
-    const double x73 = x65 - x72;
-    const double x80 = x79 / inverse_rho_target;
-    const double x81 = x73 - x80;
-    double factorsx98[MEMORY];
-    const bool x98 = solve_normal(
-        products, x95, x97, place, count, system, factorsx98);
-    const double x106 = sqrt(x105);
-    const double x107 = radius * x106;
-    vdouble allx110 = (vdouble)(0.0);
+    double x99[MEMORY];
+    for (uint j = 0; j < MEMORY; ++j)
+        x99[j] = group_sum(sum_of_lanes(allx99[j]), shared);
+    const double x107 = group_sum(sum_of_lanes(allx107), shared);
+    const double x67 = x66 * x65;
+    const double x74 = x73 / inverse_rho_source;
+    const double x75 = x67 - x74;
+    const double x82 = x81 / inverse_rho_target;
+    const double x83 = x75 - x82;
+    double factorsx100[MEMORY];
+    const bool x100 = solve_normal(
+        products, x97, x99, place, count, system, factorsx100);
+    const double x108 = sqrt(x107);
+    const double x109 = radius * x108;
+    vdouble allx112 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
-        vdouble v99 = (vdouble)(0.0);
+        vdouble v101 = (vdouble)(0.0);
         for (uint j = 0; j < MEMORY; ++j)
-            v99 += factorsx98[j] * DLOAD(i, AHEAD(j));
-        DSTORE(v99, i, COLUMN(COLUMN_SCRATCH_1));
-        const vdouble v83 = DLOAD(i, COLUMN(residual_at));
-        const vdouble v101 = (vdouble)(0.5) * v83;
-        const vdouble v102 = v101 - v99;
-        const vdouble v85 = DLOAD(i, COLUMN(COLUMN_MASS));
-        const vdouble v108 = v102 * v85;
-        const vdouble v109 = v108 * v102;
-        allx110 += v109;
+            v101 += factorsx100[j] * DLOAD(i, AHEAD(j));
+        DSTORE(v101, i, COLUMN(COLUMN_SCRATCH_1));
+        const vdouble v85 = DLOAD(i, COLUMN(residual_at));
+        const vdouble v103 = (vdouble)(0.5) * v85;
+        const vdouble v104 = v103 - v101;
+        const vdouble v87 = DLOAD(i, COLUMN(COLUMN_MASS));
+        const vdouble v110 = v104 * v87;
+        const vdouble v111 = v110 * v104;
+        allx112 += v111;
     }
-    const double x110 = group_sum(sum_of_lanes(allx110), shared);
-    const double x111 = sqrt(x110);
-    const double x112 = fmax(x111, 2.2250738585072014e-308);
-    const double x113 = x107 / x112;
-    const double x114 = fmin(1.0, x113);
-    const bool x115 = x111 > x107;
-    const bool x121 = x98 && x115;
+    const double x112 = group_sum(sum_of_lanes(allx112), shared);
+    const double x113 = sqrt(x112);
+    const double x114 = fmax(x113, 2.2250738585072014e-308);
+    const double x115 = x109 / x114;
+    const double x116 = fmin(1.0, x115);
+    const bool x117 = x113 > x109;
+    const bool x123 = x100 && x117;
     for (uint i = FIRST; i < m; i += STEP) {
-        const vdouble v55 = DLOAD(i, COLUMN(image_at));
-        const vdouble v83 = DLOAD(i, COLUMN(residual_at));
-        const vdouble v101 = (vdouble)(0.5) * v83;
-        const vdouble v99 = DLOAD(i, COLUMN(COLUMN_SCRATCH_1));
-        const vdouble v102 = v101 - v99;
-        const vdouble v116 = (vdouble)(x114) * v102;
-        const vdouble v117 = v55 + v116;
-        DSTORE(v117, i, COLUMN(guess_at));
+        const vdouble v57 = DLOAD(i, COLUMN(image_at));
+        const vdouble v85 = DLOAD(i, COLUMN(residual_at));
+        const vdouble v103 = (vdouble)(0.5) * v85;
+        const vdouble v101 = DLOAD(i, COLUMN(COLUMN_SCRATCH_1));
+        const vdouble v104 = v103 - v101;
+        const vdouble v118 = (vdouble)(x116) * v104;
+        const vdouble v119 = v57 + v118;
+        DSTORE(v119, i, COLUMN(guess_at));
     }
     if (get_local_id(0) == 0) {
         numbers[NUMBER_RESIDUAL_SIZE] = x33;
-        numbers[NUMBER_COLUMN_DUAL] = x81;
-        numbers[NUMBER_COLUMN_FINITE] = x120;
-        numbers[NUMBER_FOUND] = x98;
-        numbers[NUMBER_CUT] = x121;
+        numbers[NUMBER_COLUMN_DUAL] = x83;
+        numbers[NUMBER_COLUMN_FINITE] = x122;
+        numbers[NUMBER_FOUND] = x100;
+        numbers[NUMBER_CUT] = x123;
     }
-    const bool numbers_found = x98;
+    const bool numbers_found = x100;
 #elif BALANCED == 2
     const double x12 = epsilon * inverse_rho_source;
     const double x13 = 1.0 + x12;
@@ -857,7 +857,7 @@ void column_step(
     const double x13 = 1.0 + x12;
     const double x14 = 1.0 / x13;
     const double x29 = inverse_rho_target * x14;
-    const double x56 = (-1.0) * epsilon;
+    const double x58 = (-1.0) * epsilon;
     vdouble allx19 = (vdouble)(-INFINITY);
     vdouble allx30 = (vdouble)(-INFINITY);
     for (uint i = FIRST; i < n; i += STEP) {
@@ -875,7 +875,7 @@ void column_step(
     const double x30 = group_largest(largest_lane(allx30), shared);
     vdouble allx26 = (vdouble)(-INFINITY);
     vdouble allx38 = (vdouble)(-INFINITY);
-    vdouble allx107 = (vdouble)(0.0);
+    vdouble allx109 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v6 = softmin_of(maxima, sums, row_level, COLUMN(COLUMN_OWN_COSTS), shares, m, k, i);
         DSTORE(v6, i, COLUMN(COLUMN_SCRATCH_0));
@@ -888,14 +888,14 @@ void column_step(
         const vdouble v4 = DLOAD(i, COLUMN(COLUMN_LOG_WEIGHTS));
         const vdouble v36 = v6 * (vdouble)(x29);
         const vdouble v37 = v4 - v36;
-        const vdouble v106 = v6 * (vdouble)(nothing);
+        const vdouble v108 = v6 * (vdouble)(nothing);
         allx26 = fmax(allx26, v25);
         allx38 = fmax(allx38, v37);
-        allx107 += v106;
+        allx109 += v108;
     }
     const double x26 = group_largest(largest_lane(allx26), shared);
     const double x38 = group_largest(largest_lane(allx38), shared);
-    const double x107 = group_sum(sum_of_lanes(allx107), shared);
+    const double x109 = group_sum(sum_of_lanes(allx109), shared);
     const double x20 = x19 / epsilon;
     const double x27 = x26 / epsilon;
     const double x28 = fmax(x20, x27);
@@ -924,129 +924,129 @@ void column_step(
     const double x43 = x38 + x42;
     const double x44 = x35 - x43;
     const double x45 = x44 / x29;
-    vdouble allx59 = (vdouble)(0.0);
+    vdouble allx61 = (vdouble)(0.0);
     for (uint i = FIRST; i < n; i += STEP) {
         const vdouble v8 = DLOAD(i, ROW(ROW_F));
-        const vdouble v48 = v8 + (vdouble)(x45);
-        DSTORE(v48, i, ROW(ROW_SHIFTED));
+        const vdouble v50 = v8 + (vdouble)(x45);
+        DSTORE(v50, i, ROW(ROW_SHIFTED));
         const vdouble v1 = DLOAD(i, ROW(ROW_WEIGHTS));
-        const vdouble v58 = v1 * v48;
-        allx59 += v58;
+        const vdouble v60 = v1 * v50;
+        allx61 += v60;
     }
-    const double x59 = group_sum(sum_of_lanes(allx59), shared);
-    vdouble allx55 = (vdouble)(0.0);
-    vdouble allx66 = (vdouble)(0.0);
-    vdouble allx82[MEMORY];
-    for (uint j = 0; j < MEMORY; ++j)
-        allx82[j] = (vdouble)(0.0);
+    const double x61 = group_sum(sum_of_lanes(allx61), shared);
+    vdouble allx57 = (vdouble)(0.0);
+    vdouble allx68 = (vdouble)(0.0);
     vdouble allx84[MEMORY];
     for (uint j = 0; j < MEMORY; ++j)
         allx84[j] = (vdouble)(0.0);
-    vdouble allx92 = (vdouble)(0.0);
+    vdouble allx86[MEMORY];
+    for (uint j = 0; j < MEMORY; ++j)
+        allx86[j] = (vdouble)(0.0);
+    vdouble allx94 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v6 = DLOAD(i, COLUMN(COLUMN_SCRATCH_0));
         const vdouble v46 = v6 - (vdouble)(x45);
         DSTORE(v46, i, COLUMN(COLUMN_SOFTMIN));
-        const vdouble v47 = (vdouble)(x14) * v46;
-        DSTORE(v47, i, COLUMN(image_at));
+        const vdouble v49 = (vdouble)(x14) * v46;
+        DSTORE(v49, i, COLUMN(image_at));
         const vdouble v3 = DLOAD(i, COLUMN(COLUMN_WEIGHTS));
-        const vdouble v49 = v47 - v46;
-        const vdouble v50 = v49 / (vdouble)(epsilon);
+        const vdouble v51 = v49 - v46;
+        const vdouble v52 = v51 / (vdouble)(epsilon);
         const vdouble v4 = DLOAD(i, COLUMN(COLUMN_LOG_WEIGHTS));
-        const vdouble v51 = v50 + v4;
-        const vdouble v52 = fmin(v51, (vdouble)(300.0));
-        const vdouble v53 = exp(v52);
-        const vdouble v54 = (v3 > (vdouble)(0.0)) ? v53 : (vdouble)(0.0);
-        const vdouble v61 = (vdouble)(-1.0) * v47;
-        const vdouble v62 = v61 * (vdouble)(inverse_rho_target);
-        const vdouble v63 = fmin(v62, (vdouble)(300.0));
-        const vdouble v64 = expm1(v63);
-        const vdouble v65 = v3 * v64;
+        const vdouble v53 = v52 + v4;
+        const vdouble v54 = fmin(v53, (vdouble)(300.0));
+        const vdouble v55 = exp(v54);
+        const vdouble v56 = (v3 > (vdouble)(0.0)) ? v55 : (vdouble)(0.0);
+        const vdouble v63 = (vdouble)(-1.0) * v49;
+        const vdouble v64 = v63 * (vdouble)(inverse_rho_target);
+        const vdouble v65 = fmin(v64, (vdouble)(300.0));
+        const vdouble v66 = expm1(v65);
+        const vdouble v67 = v3 * v66;
         const vdouble v7 = DLOAD(i, COLUMN(g_at));
-        const vdouble v70 = v47 - v7;
-        DSTORE(v70, i, COLUMN(residual_at));
-        const vdouble v71 = DLOAD(i, COLUMN(COLUMN_MASS));
-        const vdouble v72 = begun ? v71 : v54;
-        DSTORE(v72, i, COLUMN(COLUMN_MASS));
-        const vdouble v76 = DLOAD(i, COLUMN(old_residual_at));
-        const vdouble v77 = v70 - v76;
-        const vdouble v78 = begun ? v77 : (vdouble)(0.0);
-        DSTORE(v78, i, COLUMN(new_difference_at));
-        const vdouble v73 = DLOAD(i, COLUMN(old_image_at));
-        const vdouble v74 = v47 - v73;
-        const vdouble v75 = begun ? v74 : (vdouble)(0.0);
-        const vdouble v79 = (vdouble)(0.5) * v78;
-        const vdouble v80 = v75 + v79;
-        DSTORE(v80, i, COLUMN(new_ahead_at));
-        const vdouble v81 = v78 * v72;
-        const vdouble v83 = v72 * v70;
-        const vdouble v90 = v70 * v72;
-        const vdouble v91 = v90 * v70;
-        allx55 += v54;
-        allx66 += v65;
-        for (uint j = 0; j < MEMORY; ++j)
-            allx82[j] += DLOAD(i, DIFFERENCES(j)) * v81;
+        const vdouble v72 = v49 - v7;
+        DSTORE(v72, i, COLUMN(residual_at));
+        const vdouble v73 = DLOAD(i, COLUMN(COLUMN_MASS));
+        const vdouble v74 = begun ? v73 : v56;
+        DSTORE(v74, i, COLUMN(COLUMN_MASS));
+        const vdouble v78 = DLOAD(i, COLUMN(old_residual_at));
+        const vdouble v79 = v72 - v78;
+        const vdouble v80 = begun ? v79 : (vdouble)(0.0);
+        DSTORE(v80, i, COLUMN(new_difference_at));
+        const vdouble v75 = DLOAD(i, COLUMN(old_image_at));
+        const vdouble v76 = v49 - v75;
+        const vdouble v77 = begun ? v76 : (vdouble)(0.0);
+        const vdouble v81 = (vdouble)(0.5) * v80;
+        const vdouble v82 = v77 + v81;
+        DSTORE(v82, i, COLUMN(new_ahead_at));
+        const vdouble v83 = v80 * v74;
+        const vdouble v85 = v74 * v72;
+        const vdouble v92 = v72 * v74;
+        const vdouble v93 = v92 * v72;
+        allx57 += v56;
+        allx68 += v67;
         for (uint j = 0; j < MEMORY; ++j)
             allx84[j] += DLOAD(i, DIFFERENCES(j)) * v83;
-        allx92 += v91;
+        for (uint j = 0; j < MEMORY; ++j)
+            allx86[j] += DLOAD(i, DIFFERENCES(j)) * v85;
+        allx94 += v93;
     }
-    const double x55 = group_sum(sum_of_lanes(allx55), shared);
-    const double x66 = group_sum(sum_of_lanes(allx66), shared);
-    double x82[MEMORY];
-    for (uint j = 0; j < MEMORY; ++j)
-        x82[j] = group_sum(sum_of_lanes(allx82[j]), shared);
+    const double x57 = group_sum(sum_of_lanes(allx57), shared);
+    const double x68 = group_sum(sum_of_lanes(allx68), shared);
     double x84[MEMORY];
     for (uint j = 0; j < MEMORY; ++j)
         x84[j] = group_sum(sum_of_lanes(allx84[j]), shared);
-    const double x92 = group_sum(sum_of_lanes(allx92), shared);
-    const double x57 = x56 * x55;
-    const double x60 = x57 + x59;
-    const double x67 = x66 / inverse_rho_target;
-    const double x68 = x60 - x67;
-    double factorsx85[MEMORY];
-    const bool x85 = solve_normal(
-        products, x82, x84, place, count, system, factorsx85);
-    const double x93 = sqrt(x92);
-    const double x94 = radius * x93;
-    vdouble allx97 = (vdouble)(0.0);
+    double x86[MEMORY];
+    for (uint j = 0; j < MEMORY; ++j)
+        x86[j] = group_sum(sum_of_lanes(allx86[j]), shared);
+    const double x94 = group_sum(sum_of_lanes(allx94), shared);
+    const double x59 = x58 * x57;
+    const double x62 = x59 + x61;
+    const double x69 = x68 / inverse_rho_target;
+    const double x70 = x62 - x69;
+    double factorsx87[MEMORY];
+    const bool x87 = solve_normal(
+        products, x84, x86, place, count, system, factorsx87);
+    const double x95 = sqrt(x94);
+    const double x96 = radius * x95;
+    vdouble allx99 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
-        vdouble v86 = (vdouble)(0.0);
+        vdouble v88 = (vdouble)(0.0);
         for (uint j = 0; j < MEMORY; ++j)
-            v86 += factorsx85[j] * DLOAD(i, AHEAD(j));
-        DSTORE(v86, i, COLUMN(COLUMN_SCRATCH_1));
-        const vdouble v70 = DLOAD(i, COLUMN(residual_at));
-        const vdouble v88 = (vdouble)(0.5) * v70;
-        const vdouble v89 = v88 - v86;
-        const vdouble v72 = DLOAD(i, COLUMN(COLUMN_MASS));
-        const vdouble v95 = v89 * v72;
-        const vdouble v96 = v95 * v89;
-        allx97 += v96;
+            v88 += factorsx87[j] * DLOAD(i, AHEAD(j));
+        DSTORE(v88, i, COLUMN(COLUMN_SCRATCH_1));
+        const vdouble v72 = DLOAD(i, COLUMN(residual_at));
+        const vdouble v90 = (vdouble)(0.5) * v72;
+        const vdouble v91 = v90 - v88;
+        const vdouble v74 = DLOAD(i, COLUMN(COLUMN_MASS));
+        const vdouble v97 = v91 * v74;
+        const vdouble v98 = v97 * v91;
+        allx99 += v98;
     }
-    const double x97 = group_sum(sum_of_lanes(allx97), shared);
-    const double x98 = sqrt(x97);
-    const double x99 = fmax(x98, 2.2250738585072014e-308);
-    const double x100 = x94 / x99;
-    const double x101 = fmin(1.0, x100);
-    const bool x102 = x98 > x94;
-    const bool x108 = x85 && x102;
+    const double x99 = group_sum(sum_of_lanes(allx99), shared);
+    const double x100 = sqrt(x99);
+    const double x101 = fmax(x100, 2.2250738585072014e-308);
+    const double x102 = x96 / x101;
+    const double x103 = fmin(1.0, x102);
+    const bool x104 = x100 > x96;
+    const bool x110 = x87 && x104;
     for (uint i = FIRST; i < m; i += STEP) {
-        const vdouble v47 = DLOAD(i, COLUMN(image_at));
-        const vdouble v70 = DLOAD(i, COLUMN(residual_at));
-        const vdouble v88 = (vdouble)(0.5) * v70;
-        const vdouble v86 = DLOAD(i, COLUMN(COLUMN_SCRATCH_1));
-        const vdouble v89 = v88 - v86;
-        const vdouble v103 = (vdouble)(x101) * v89;
-        const vdouble v104 = v47 + v103;
-        DSTORE(v104, i, COLUMN(guess_at));
+        const vdouble v49 = DLOAD(i, COLUMN(image_at));
+        const vdouble v72 = DLOAD(i, COLUMN(residual_at));
+        const vdouble v90 = (vdouble)(0.5) * v72;
+        const vdouble v88 = DLOAD(i, COLUMN(COLUMN_SCRATCH_1));
+        const vdouble v91 = v90 - v88;
+        const vdouble v105 = (vdouble)(x103) * v91;
+        const vdouble v106 = v49 + v105;
+        DSTORE(v106, i, COLUMN(guess_at));
     }
     if (get_local_id(0) == 0) {
         numbers[NUMBER_RESIDUAL_SIZE] = x28;
-        numbers[NUMBER_COLUMN_DUAL] = x68;
-        numbers[NUMBER_COLUMN_FINITE] = x107;
-        numbers[NUMBER_FOUND] = x85;
-        numbers[NUMBER_CUT] = x108;
+        numbers[NUMBER_COLUMN_DUAL] = x70;
+        numbers[NUMBER_COLUMN_FINITE] = x109;
+        numbers[NUMBER_FOUND] = x87;
+        numbers[NUMBER_CUT] = x110;
     }
-    const bool numbers_found = x85;
+    const bool numbers_found = x87;
 #elif BALANCED == 3
     const double x31 = (-1.0) * epsilon;
     vdouble allx15 = (vdouble)(-INFINITY);

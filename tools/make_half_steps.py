@@ -36,6 +36,7 @@ def traced_problem(balanced: tuple[bool, bool]) -> Problem:
     problem.inverse_rho = tuple(
         0.0 if side else number(name) for name, side in zip(names, balanced, strict=True)
     )
+    problem.masses = 1.0, 1.0  # the kernels sum the plan's mass
     # All pairs are summed, and rounding is not bounded.
     problem.to_rows = problem.to_columns = SimpleNamespace(left_out=0.0, roundoff=0.0)
     problem.oscillations = 0.0, 0.0

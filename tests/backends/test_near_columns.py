@@ -107,27 +107,35 @@ def test_maxima_over_near_columns_are_those_of_all(device, rng):
     assert np.abs(few - everything).max() <= 2e-7 / epsilon + 1e-5
 
 
-@pytest.mark.parametrize(
-    "bound",
-    ["!may_be_above(&boxes[block], staged, 64 * w + c)",
-     "!(possible[block] & BOXES_OF(64 * w + c))"],
-    ids=["columns", "boxes"],
-)  # fmt: skip
-def test_bounds_over_rows_change_no_mask(device, monkeypatch, bound):
-    """Columns that a bound excludes are not notable: without the bound the masks are the same."""
+BOUNDS = {
+    "columns": ["!may_be_above(&boxes[block], staged, 64 * w + c)"],
+    "boxes": ["!(possible[block] & BOXES_OF(64 * w + c))"],
+}
+BOUNDS["both"] = BOUNDS["columns"] + BOUNDS["boxes"]
+
+
+@pytest.mark.parametrize("bounds", BOUNDS.values(), ids=BOUNDS)
+def test_bounds_over_rows_change_no_mask(device, monkeypatch, bounds):
+    """Columns that a bound excludes are not notable: without the bound the masks are the same.
+
+    Without both bounds no column is excluded, so that none is which both exclude wrongly.
+    """
 
     def masks(operations):
         own, g, want, epsilon = clouds(operations, 64, 0.02, np.random.default_rng(3))
         return column_masks(operations, operations.near_pairs(*own, g, want, epsilon, BUDGET))
 
     real, staged = program.source, "if (of_any)"
-    assert bound in real("near_field.cl")
+    assert all(bound in real("near_field.cl") for bound in bounds)
     assert staged in real("near_field.cl")
     monkeypatch.setenv("PYOPENCL_NO_CACHE", "1")
     expected, found = masks(device), []
 
     def source(name, instead):
-        return real(name).replace(bound, instead).replace(staged, "")  # all tiles are staged
+        text = real(name).replace(staged, "")  # all tiles are staged
+        for bound in bounds:
+            text = text.replace(bound, instead)
+        return text
 
     for instead in ("false", "true"):
         with monkeypatch.context() as patch:

@@ -301,6 +301,27 @@ def test_rounding_that_is_in_the_way_is_told(device, rng):
     assert "precision" in found.statuses
 
 
+@pytest.mark.parametrize("bias", [-1e-5, 1e-5])
+def test_rounding_beyond_its_bound_leaves_the_acceleration(monkeypatch, bias):
+    """See the test of this name in test_acceleration.py."""
+    rng = np.random.default_rng(3)
+    stacks = [(np.full((6, 60), 1 / 60), rng.random((6, 60, 2))) for _ in range(2)]
+
+    def iterations():
+        found = clmorph.sinkhorn_batch(*stacks, 0.03, 1.0, backend="numpy", tol=1e-4, max_iter=3000)
+        return sum(each.n_iter for each in found)
+
+    few = iterations()
+    exact = Problem.softmin_columns
+    monkeypatch.setattr(
+        Problem, "softmin_columns",
+        lambda self, f, epsilon, *flags: exact(self, f, epsilon, *flags) + bias * np.max(epsilon),
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        assert iterations() <= 1.5 * few
+
+
 def test_errors_name_the_problem(rng):
     good = random_pairs(rng, 1)[0]
     for wrong, text in (

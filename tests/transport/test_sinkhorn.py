@@ -11,6 +11,8 @@ from scipy.special import logsumexp
 import clmorph
 from clmorph import ConvergenceWarning, InputError
 from clmorph.measures.measure import Measure
+from clmorph.transport._solver.coarse_grid import CorrectedProblem
+from clmorph.transport._solver.half_steps import column_step, row_step
 from clmorph.transport._solver.problem import Problem
 
 
@@ -210,12 +212,69 @@ def test_half_steps_maximize_the_dual_over_translations_too(rng, rho):
                 assert dual(data, *arguments(s), epsilon, rho) < at
 
     g = 0.1 * rng.random(25)
-    f, g, t_rows = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
+    f, g, t_rows, _ = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
     source_damping, target_damping = problem.damping(epsilon)
     assert np.allclose(t_rows, problem.softmin_rows(g, epsilon, True), rtol=0, atol=1e-12)
     best(f, g, lambda s: (source_damping * (t_rows - s), g + s))
-    g, f, t_columns = problem.update_g(f, problem.softmin_columns(f, epsilon, True), epsilon)
+    g, f, t_columns, _ = problem.update_g(f, problem.softmin_columns(f, epsilon, True), epsilon)
     best(f, g, lambda s: (f + s, target_damping * (t_columns - s)))
+
+
+@pytest.mark.parametrize("corrected", [False, True])
+@pytest.mark.parametrize("rho", [(0.2, 0.2), (0.1, 0.7), (np.inf, 0.3), (0.3, np.inf),
+                                 (np.inf, np.inf)])  # fmt: skip
+def test_masses_after_half_steps_have_closed_forms(rng, rho, corrected):
+    source, target = random_pair(rng, 20, 25)
+    source.weights[3] = 0.0
+    epsilon = 0.05
+    if all(np.isinf(rho)):
+        source = measure(
+            source.points, source.weights * target.weights.sum() / source.weights.sum()
+        )
+    problem = CorrectedProblem.between(clmorph.get_backend("numpy"), source, target, rho)
+    if corrected:
+        problem.correct(epsilon * rng.normal(size=20), epsilon * rng.normal(size=25), epsilon)
+    g = 0.1 * rng.random(25)
+    softmin = problem.softmin_rows(g, epsilon, True)
+    general, closed = (row_step(problem, g, softmin, epsilon, enough) for enough in (0.0, 1e-6))
+    assert closed.mass == pytest.approx(general.mass, rel=1e-12)
+    assert closed.dual == pytest.approx(general.dual, abs=1e-11 * epsilon * general.mass)
+    assert np.array_equal(closed.f, general.f)
+    softmin = problem.softmin_columns(closed.f, epsilon, True)
+    general, closed = (
+        column_step(problem, before, softmin, epsilon, enough)
+        for before, enough in ((general, 0.0), (closed, 1e-6))
+    )
+    assert closed.dual == pytest.approx(general.dual, abs=1e-11 * epsilon * general.mass.sum())
+    assert np.allclose(closed.image, general.image, rtol=0, atol=1e-13)
+    assert np.allclose(closed.f, general.f, rtol=0, atol=1e-13)
+
+
+def test_a_closed_form_with_too_few_digits_is_not_used(rng):
+    source, target = random_pair(rng, 20, 25)
+    epsilon, rho = 0.05, 1e9
+    problem = Problem.between(clmorph.get_backend("numpy"), source, target, (rho, rho))
+    g = 0.1 * rng.random(25)
+    step = row_step(problem, g, problem.softmin_rows(g, epsilon, True), epsilon, 1e-7)
+    exact = problem.dual(step.f, step.g, step.mass, epsilon)
+    assert step.dual == exact
+    assert problem.dual_at_maximum(step.f, step.g, step.mass, epsilon, 1.0) != exact
+
+
+def test_half_steps_are_finite_where_masses_underflow(rng):
+    """Far beyond the reach, the plan's mass is below the range of float64."""
+    x, y = rng.random((20, 2)), rng.random((25, 2)) + 40
+    source, target = (measure(points, np.full(len(points), 1 / len(points))) for points in (x, y))
+    epsilon, rho = 0.3, 0.5
+    problem = Problem.between(clmorph.get_backend("numpy"), source, target, (rho, rho))
+    g = np.zeros(25)
+    for enough in (0.0, 1e-6):
+        rows = row_step(problem, g, problem.softmin_rows(g, epsilon, True), epsilon, enough)
+        softmin = problem.softmin_columns(rows.f, epsilon, True)
+        columns = column_step(problem, rows, softmin, epsilon, enough)
+        assert rows.mass == 0
+        for found in (rows.f, rows.g, columns.f, columns.image, rows.dual, columns.dual):
+            assert np.all(np.isfinite(found))
 
 
 def test_residual_looks_at_both_sides_and_at_mass_only(rng):

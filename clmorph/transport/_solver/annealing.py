@@ -27,8 +27,9 @@ FEWER = 0.7
 FEW_PAIRS = 1 << 20
 #: Residual to reach at a level, in units of its epsilon.
 LEVEL_TOLERANCE = 0.05
-#: Truncation at the levels, in nats, and the share of it for which near pairs are chosen there.
-LEVEL_TRUNCATION, LEVEL_RESERVE = 1e-2, 1e-10
+#: Truncation at the levels, in nats, and the share of it for which near pairs are chosen there;
+#: the smaller one where a level has the points of the next finer one, and potentials move farther.
+LEVEL_TRUNCATION, LEVEL_RESERVE, FAR_RESERVE = 1e-2, 1e-10, 1e-20
 
 
 class _Level(NamedTuple):
@@ -95,7 +96,7 @@ def anneal(
     g: Array | None = None
     prolonged: list[Array] | None = None
     problems = [finest]
-    problems += [_level_problem(problem, *level.pair) for level in levels]
+    problems += [_level_problem(problem, level) for level in levels]
     for level, coarse in reversed(list(zip(levels, problems[1:], strict=True))):
         iteration = Iteration(
             coarse, level.blur, LEVEL_TOLERANCE, max_iter, "float32", ignore, certify=False
@@ -127,11 +128,12 @@ def _level_truncation(problem: Problem, rows: int, columns: int) -> float | None
     return LEVEL_TRUNCATION
 
 
-def _level_problem(problem: Problem, source: AnyMeasure, target: AnyMeasure) -> Problem:
+def _level_problem(problem: Problem, level: _Level) -> Problem:
     """Return the problem of the clusters of a level."""
+    source, target = level.pair
     truncation = _level_truncation(problem, len(source), len(target))
-    level = Problem.between(problem.operations, source, target, problem.rho, truncation)
-    return prepare(level, LEVEL_RESERVE)
+    coarse = Problem.between(problem.operations, source, target, problem.rho, truncation)
+    return prepare(coarse, FAR_RESERVE if level.clusters is None else LEVEL_RESERVE)
 
 
 def _prolong(
@@ -148,11 +150,11 @@ def _prolong(
     """
 
     def at_points(
-        softmin: Softmin, potential: Array, clusters: Clusters, measure: AnyMeasure, fine: Softmin
+        softmin: Softmin, potential: Array, clusters: Clusters, measure: AnyMeasure, own: Softmin
     ) -> Array:
-        weights = fine.weights[0], softmin.weights[1]
+        weights = own.weights[0], softmin.weights[1]
         truncation = _level_truncation(problem, len(weights[0]), len(weights[1]))
-        result = Softmin(problem.operations, fine.rows, softmin.columns, weights, truncation)
+        result = Softmin(problem.operations, own.rows, softmin.columns, weights, truncation)
         # The softmin is computed once, from an estimate, so its truncation is not proven.
         result.reserve, result.proven = LEVEL_RESERVE, False
         if truncation is not None:

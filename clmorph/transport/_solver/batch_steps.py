@@ -14,7 +14,7 @@ from clmorph._shared.typing import AnyArray, Array, BoolArray, IntArray
 from clmorph.transport._solver.anderson import Anderson
 from clmorph.transport._solver.batch import some
 from clmorph.transport._solver.half_steps import without_drift
-from clmorph.transport._solver.iteration import SHORT, STALLED
+from clmorph.transport._solver.iteration import NOISE_MARGIN, SHORT, STALLED
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.reductions import Segments
 from clmorph.transport._solver.state import ROUNDING_MARGIN, slack_of
@@ -76,6 +76,7 @@ class _Each:
     running: BoolArray
     guessed: BoolArray  #: whether the potentials are extrapolated ones
     floor: Array  #: the dual that was reached before
+    noise: Array  #: see `NOISE_MARGIN`
 
     def taken(self, kept: IntArray) -> "_Each":
         """Return this for some of the problems."""
@@ -128,7 +129,7 @@ class Steps:
         self._each = _Each(
             np.arange(count), tol, self.rounding, np.full(count, np.inf),
             np.zeros(count, np.int64), np.ones(count, bool), np.zeros(count, bool),
-            np.zeros(count),
+            np.full(count, -np.inf), np.zeros(count),
         )  # fmt: skip
         self._reached = Reached(
             numbers, np.zeros(len(problem.a)), np.zeros(len(problem.b)), np.zeros(count),
@@ -140,7 +141,7 @@ class Steps:
         epsilon, fallback = self._epsilon, g
         while True:
             problem, each = self._problem, self._each
-            f, g_shifted, t_rows = problem.update_f(
+            f, g_shifted, t_rows, _ = problem.update_f(
                 g, problem.softmin_rows(g, epsilon, self._precise), epsilon
             )
             self._record.n_softmin[self._running_numbers(each.running)] += 1
@@ -152,12 +153,13 @@ class Steps:
                 continue
             t_columns = problem.softmin_columns(f, epsilon, self._precise)
             residual = problem.residual(f, g_shifted, t_rows, t_columns, epsilon)
-            image, f, t_columns = problem.update_g(f, t_columns, epsilon)
+            image, f, t_columns, _ = problem.update_g(f, t_columns, epsilon)
             if self._stop(live, residual, f, image):
                 return self._reached
             column_mass = problem.column_mass(image, t_columns, epsilon)
             mass = problem.of_columns.sum(column_mass)
-            each.floor = problem.dual(f, image, mass, epsilon)
+            # Problems that are taken back keep what they had reached before.
+            each.floor = np.where(bad, each.floor, problem.dual(f, image, mass, epsilon))
             # An extrapolation can cost one softmin more, which the limit must allow.
             n_iter = self._record.n_iter[self._numbers[each.places]]
             may = each.running & live & (n_iter + 1 < self._limit) & (self._max_iter >= SHORT)
@@ -185,7 +187,10 @@ class Steps:
             return each.guessed
         mass = problem.of_rows.sum(problem.row_mass(f, t_rows, epsilon))
         dual = problem.dual(f, g, mass, epsilon)
-        slack = slack_of(problem, each.floor, each.rounding, mass, epsilon)
+        # A half-step does not lower the dual: rounding does, or pairs left out.
+        fall = np.where(each.running & ~each.guessed, each.floor - dual, 0.0)
+        each.noise = np.maximum(each.noise, NOISE_MARGIN * fall)
+        slack = each.noise + slack_of(problem, each.floor, each.rounding, mass, epsilon)
         bad: BoolArray = each.guessed & ~(dual >= each.floor - slack)
         self._memory.accepted(each.guessed & ~bad)
         if bad.any():

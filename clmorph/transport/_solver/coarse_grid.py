@@ -202,10 +202,12 @@ class StoredSoftmin(Softmin):
         """Return T(potential), (N,) of (M,); flags are ignored, because exponents are small."""
         changes = (potential - self._potential) / epsilon
         logarithms = self.operations.sum_stored(self._stored, changes, self._by_column)
-        alone = np.isneginf(logarithms)
-        return np.where(
-            alone, self._softmin, self._start - epsilon * np.where(alone, 0, logarithms)
-        )
+        alone = logarithms == -np.inf
+        softmin = np.where(alone, 0.0, logarithms)
+        softmin *= -epsilon
+        softmin += self._start
+        np.copyto(softmin, self._softmin, where=alone)
+        return softmin
 
     def rounding(self, n_columns: int, largest_cost: float, epsilon: float, precise: bool) -> float:
         """Return the effect of rounding on a softmin in nats; exponents are small here."""
@@ -237,7 +239,7 @@ class StoredProblem(CorrectedProblem):
 
     def outside_trust_region(self, f: Array, epsilon: float) -> bool:
         """Return whether potentials have moved so far that other pairs can have notable mass."""
-        return bool(np.abs(self._moved(f)).max() > self.trust_radius * epsilon)
+        return bool(self.of_rows.largest(np.abs(self._moved(f))) > self.trust_radius * epsilon)
 
     def clip_to_trust_region(self, f: Array, epsilon: float) -> Array:
         """Return the nearest potentials to f for which the stored pairs are trusted."""
@@ -248,7 +250,7 @@ class StoredProblem(CorrectedProblem):
     def _moved(self, f: Array) -> Array:
         """Return f minus the center, without the mean of this difference by mass."""
         moved = np.where(self.a > 0, f - self.center, 0.0)
-        return moved - float(self.a @ moved) / self.masses[0]
+        return moved - self.of_rows.inner(self.a, moved) / self.masses[0]
 
 
 def stored_grid(

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clmorph.transport._solver.problem import Problem
+from clmorph.transport.certificate import MAX_EXPONENT
 
 
 class RowStep(NamedTuple):
@@ -21,6 +22,7 @@ class RowStep(NamedTuple):
     t_rows: Any
     mass: Any  #: of the plan
     dual: Any
+    log_mass: Any = None  #: logarithm of the mass, if it is known
 
 
 class ColumnStep(NamedTuple):
@@ -37,19 +39,51 @@ class ColumnStep(NamedTuple):
     dual: Any
 
 
-def row_step(problem: Problem, g: Any, softmin: Any, epsilon: Any) -> RowStep:
-    """Maximize the dual over f and a shift of g, given T(g) (paper, 3.1)."""
-    f, g_shifted, t_rows = problem.update_f(g, softmin, epsilon)
+def row_step(problem: Problem, g: Any, softmin: Any, epsilon: Any, enough: float = 0.0) -> RowStep:
+    """Maximize the dual over f and a shift of g, given T(g) (paper, 3.1).
+
+    Parameters
+    ----------
+    problem : Problem
+    g, softmin : (M,) and (N,) arrays
+        g and T(g).
+    epsilon : float
+    enough : float
+        If it is not 0, masses are taken from closed forms, and the rounding of the dual may be this
+        large, in units of epsilon times the mass of the plan.
+    """
+    f, g_shifted, t_rows, log_mass = problem.update_f(g, softmin, epsilon)
+    if enough:
+        mass = np.exp(np.minimum(log_mass, MAX_EXPONENT))
+        dual = problem.dual_at_maximum(f, g_shifted, mass, epsilon, enough)
+        return RowStep(f, g_shifted, t_rows, mass, dual, log_mass)
     mass = problem.of_rows.sum(problem.row_mass(f, t_rows, epsilon))
     return RowStep(f, g_shifted, t_rows, mass, problem.dual(f, g_shifted, mass, epsilon))
 
 
-def column_step(problem: Problem, before: RowStep, softmin: Any, epsilon: Any) -> ColumnStep:
-    """Maximize the dual over g and a shift of f, given T(f) (paper, 3.1)."""
+def column_step(
+    problem: Problem, before: RowStep, softmin: Any, epsilon: Any, enough: float = 0.0
+) -> ColumnStep:
+    """Maximize the dual over g and a shift of f, given T(f) (paper, 3.1).
+
+    Parameters
+    ----------
+    problem : Problem
+    before : RowStep
+        The half-step of f.
+    softmin : (M,) array
+        T(f).
+    epsilon, enough
+        As in `row_step`.
+    """
     residual = problem.residual(before.f, before.g, before.t_rows, softmin, epsilon)
-    image, f, t_columns = problem.update_g(before.f, softmin, epsilon)
+    image, f, t_columns, log_mass = problem.update_g(before.f, softmin, epsilon, before.log_mass)
     mass = problem.column_mass(image, t_columns, epsilon)
-    dual = problem.dual(f, image, problem.of_columns.sum(mass), epsilon)
+    if enough:
+        plan_mass = np.exp(np.minimum(log_mass, MAX_EXPONENT))
+        dual = problem.dual_at_maximum(f, image, plan_mass, epsilon, enough)
+    else:
+        dual = problem.dual(f, image, problem.of_columns.sum(mass), epsilon)
     return ColumnStep(f, image, t_columns, residual, mass, dual)
 
 

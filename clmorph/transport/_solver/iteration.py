@@ -2,8 +2,8 @@
 
 The solver maximizes the dual at a sequence of falling blurs (annealing). At each blur it
 extrapolates the half-steps of Sinkhorn (`_solver.anderson`). It takes an extrapolation back if the
-dual is then below the value that the plain half-step had reached. So the dual never falls at one
-blur, and the limit is that of the plain iteration.
+dual is then below the value that the plain half-step had reached, by more than rounding explains.
+So but for rounding the dual never falls at one blur, and the limit is that of the plain iteration.
 """
 
 from collections.abc import Callable
@@ -44,6 +44,8 @@ STALLED = 25
 #: Shares of the tolerance that are tried one after the other where the final residual, the bound
 #: of its rounding included, is above the tolerance.
 REPEATED = (0.8, 0.4)
+#: A dual may fall by this many times the largest fall that was seen after a plain half-step.
+NOISE_MARGIN = 2.0
 #: The iteration changes from float32 to better exponents at this many times the measured rounding
 #: of float32.
 LEAVING_MARGIN = 4.0
@@ -218,12 +220,16 @@ class Iteration:
         steps.begin(g, epsilon, precise)
         extrapolated = False
         floor = -np.inf  # the dual that the plain iteration had reached
+        noise = 0.0
         first, best, since_best = 0.0, np.inf, 0
         while True:
             steps.update_rows()
-            if extrapolated:
-                mass, dual = steps.row_dual
-                slack = slack_of(problem, floor, rounding, mass, epsilon)
+            mass, dual = steps.row_dual
+            if not extrapolated:
+                # A half-step does not lower the dual: rounding does, or pairs left out.
+                noise = max(noise, NOISE_MARGIN * (floor - dual))
+            else:
+                slack = noise + slack_of(problem, floor, rounding, mass, epsilon)
                 if not dual >= floor - slack:
                     steps.take_back()
                     extrapolated = False

@@ -61,6 +61,9 @@ PROLONGATION_TRUNCATION = 3e-3
 #: Residual to reach in the coarse problem: this share of the residual over the points, and at
 #: least this share of `tol`.
 CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.4
+#: Where this share of the residual is below this many times `tol`, stored pairs are solved to the
+#: least residual at once: they are nearly all of the problem, so that the cycle can be the last.
+ALMOST = 1.5
 #: A coarse problem is kept as long as a cycle leaves at most this share of the residual. After
 #: this many cycles that left more, only iterations over the points follow.
 PROGRESS, FAILURES = 0.3, 12
@@ -207,7 +210,7 @@ class Multiscale:
             # The iteration that is likely to be the last one computes what a certificate needs.
             last = expected <= self.tol
             t_rows = problem.softmin_rows(g, epsilon, precise, last)
-            f, g, t_rows = problem.update_f(g, t_rows, epsilon)
+            f, g, t_rows, _ = problem.update_f(g, t_rows, epsilon)
             t_columns = problem.softmin_columns(f, epsilon, precise, last)
             residual = problem.residual(f, g, t_rows, t_columns, epsilon)
             self.state = State(f, g, t_rows, t_columns, residual)
@@ -224,7 +227,7 @@ class Multiscale:
                 self.status = "converged" if self.state.residual <= self.tol else "max_iter"
                 if out or self.status == "converged":
                     return
-            image, _, _ = problem.update_g(f, t_columns, epsilon)
+            image = problem.update_g(f, t_columns, epsilon).new
             if residual > PROGRESS * before:
                 failures += 1
             if residual > max(PROGRESS * before, AGREEMENT * reached):
@@ -239,6 +242,8 @@ class Multiscale:
                 return
             g, reached = self._correct(grid, image)
             expected = np.inf if np.isinf(before) else residual * min(1.0, residual / before)
+            if isinstance(grid.problem, StoredProblem) and reached <= self.tol:
+                expected = reached
             before = residual
 
     def _correct(self, grid: CoarseGrid, image: Array) -> tuple[Array, float]:
@@ -268,6 +273,8 @@ class Multiscale:
             epsilon,
         )
         tol = max(CYCLE_SHARE * residual, CYCLE_FLOOR * self.tol)
+        if isinstance(coarse, StoredProblem) and tol <= ALMOST * self.tol:
+            tol = CYCLE_FLOOR * self.tol
         solved = self._solve_grid(grid, grid.target.restrict(image, self.problem.b), tol)
         new_f = coarse.clip_to_trust_region(solved.f, epsilon)
         change = grid.prolong(new_f, own_f, epsilon)

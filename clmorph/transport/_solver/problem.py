@@ -1,6 +1,6 @@
 """One transport problem: its half-steps, residual and dual (paper, 2.1 and 3.1)."""
 
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -22,6 +22,18 @@ from clmorph.transport.certificate import (
     certify,
     marginal,
 )
+
+#: Relative rounding of a mass that is a sum of exponentials, as a rule.
+MASS_ROUNDING = 1e-14
+
+
+class HalfStep(NamedTuple):
+    """Potentials that maximize the dual over one of them and a shift of the other."""
+
+    new: Any  #: the potential that follows from the other one
+    old: Any  #: the other one, shifted
+    softmin: Any  #: T of the other one
+    log_mass: Any  #: logarithm of the mass of their plan
 
 
 class Problem:
@@ -174,38 +186,52 @@ class Problem:
         """Return the larger one of two numbers of each problem."""
         return np.maximum(one, other) if self.of_rows.shape else max(one, other)
 
-    def update_f(self, g: Array, t_rows: Array, epsilon: float) -> tuple[Array, Array, Array]:
-        """Maximize the dual over all (f, g + s), given T(g): return f, g + s and its softmin.
+    def update_f(self, g: Array, t_rows: Array, epsilon: float) -> HalfStep:
+        """Maximize the dual over all (f, g + s), given T(g): f follows g + s.
 
         f = Delta T(g + s) for every s (paper, 3.1), and the best s has a closed form (math:
         translation invariance). A shift after f would change f again. Source of the idea: Séjourné,
         Vialard, Peyré, "Faster unbalanced optimal transport: translation invariant Sinkhorn and 1-D
         Frank-Wolfe" (2022).
         """
-        s = self._shift(t_rows, 0, g, epsilon)
-        t_rows = t_rows - self.of_rows.spread(s)
-        return self.damping(epsilon)[0] * t_rows, g + self.of_columns.spread(s), t_rows
+        return self._half_step(t_rows, 0, g, epsilon, None)
 
-    def update_g(self, f: Array, t_columns: Array, epsilon: float) -> tuple[Array, Array, Array]:
-        """Maximize the dual over all (f + s, g), given T(f): return g, f + s and its softmin."""
-        s = self._shift(t_columns, 1, f, epsilon)
-        t_columns = t_columns - self.of_columns.spread(s)
-        return self.damping(epsilon)[1] * t_columns, f + self.of_rows.spread(s), t_columns
+    def update_g(
+        self, f: Array, t_columns: Array, epsilon: float, log_mass: Any = None
+    ) -> HalfStep:
+        """Maximize the dual over all (f + s, g), given T(f): g follows f + s.
 
-    def _shift(self, softmin: Array, side: int, old: Array, epsilon: float) -> Any:
-        """Return the best s for `old` + s, if the other potential follows by its half-step.
+        Parameters
+        ----------
+        f, t_columns : (N,) and (M,) arrays
+        epsilon : float
+        log_mass : float, optional
+            `HalfStep.log_mass` of the `update_f` that f comes from; one sum less is needed then.
+        """
+        return self._half_step(t_columns, 1, f, epsilon, log_mass)
 
-        (math: translation invariance)
+    def _half_step(
+        self, softmin: Array, side: int, old: Array, epsilon: float, before: Any
+    ) -> HalfStep:
+        """Return the half-step of one side, with the best s for `old` + s.
+
+        (math: translation invariance) At this s, <a, exp(-f / rho)> and <b, exp(-g / rho)> are both
+        the mass of the plan.
         """
         # 1 / (rho + epsilon) and 1 / rho: 0 if balanced
-        new_rate = self.inverse_rho[side] * self.damping(epsilon)[side]
-        old_rate = self.inverse_rho[1 - side]
+        damping = self.damping(epsilon)[side]
+        new_rate, old_rate = self.inverse_rho[side] * damping, self.inverse_rho[1 - side]
+        own, other = self.reductions[side], self.reductions[1 - side]
         if new_rate + old_rate == 0.0:
-            return 0.0
+            return HalfStep(softmin, old, softmin, np.log(self.masses[side]))
         logarithms = self.log_a, self.log_b
-        excess = log_sum_exp(self.reductions[1 - side], logarithms[1 - side] - old * old_rate)
-        excess = excess - log_sum_exp(self.reductions[side], logarithms[side] - softmin * new_rate)
-        return excess / (new_rate + old_rate)
+        if before is None:
+            before = log_sum_exp(other, logarithms[1 - side] - old * old_rate)
+        after = log_sum_exp(own, logarithms[side] - softmin * new_rate)
+        s = (before - after) / (new_rate + old_rate)
+        softmin = softmin - own.spread(s)
+        log_mass = after + s * new_rate
+        return HalfStep(damping * softmin, old + other.spread(s), softmin, log_mass)
 
     def start_iteration(self) -> ResidentIteration | None:
         """Return an iteration on the device, if all pairs are summed and the backend has it."""
@@ -268,6 +294,36 @@ class Problem:
                 scaled = np.minimum(-potential * inverse, MAX_EXPONENT)
                 value = value - of.inner(weights, np.expm1(scaled)) / inverse
             else:
+                value = value + of.inner(weights, potential)
+        return value
+
+    def dual_at_maximum(
+        self, f: Array, g: Array, plan_mass: Any, epsilon: float, enough: float
+    ) -> Any:
+        """Return `dual` after a half-step, mostly without another exponential.
+
+        There <a, exp(-f / rho)> is the mass of the plan, and so is <b, exp(-g / rho)>. Where rho is
+        so large that the differences of masses have too few digits, `dual` itself is the result.
+
+        Parameters
+        ----------
+        f, g, plan_mass, epsilon
+            As in `dual`, after `update_f` or `update_g`.
+        enough : float
+            The rounding that the result may have, in units of epsilon times the plan's mass.
+        """
+        penalties = [
+            (rho, mass) for rho, mass in zip(self.rho, self.masses, strict=True) if np.isfinite(rho)
+        ]
+        rounding = MASS_ROUNDING * sum(rho * (mass + plan_mass) for rho, mass in penalties)
+        if not rounding <= enough * epsilon * plan_mass:
+            return self.dual(f, g, plan_mass, epsilon)
+        value = sum(rho * (mass - plan_mass) for rho, mass in penalties) - epsilon * plan_mass
+        for of, potential, weights, inverse in (
+            (self.of_rows, f, self.a, self.inverse_rho[0]),
+            (self.of_columns, g, self.b, self.inverse_rho[1]),
+        ):
+            if not inverse:
                 value = value + of.inner(weights, potential)
         return value
 

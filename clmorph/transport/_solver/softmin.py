@@ -14,8 +14,8 @@ from clmorph.errors import InputError
 #: truncated sums, unless the caller chooses otherwise.
 MANY_PAIRS = 1 << 27
 #: Near pairs are chosen for a share of the truncation, so that they remain valid while potentials
-#: move. The constants are the first share, its largest factor after each move that was too far (a
-#: small share is squared), and the least share.
+#: move. The constants are the first share, its largest factor after each move that was too far, and
+#: the least share. A share below the factor is squared.
 RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-50
 #: Once the residual is this small, potentials have little way left. Near pairs that are valid for
 #: far moves are then chosen anew, once, for this share: half as many pairs are left.

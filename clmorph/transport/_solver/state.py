@@ -9,6 +9,8 @@ from clmorph.transport._solver.problem import Problem
 #: Rounding can be the cause of a residual of at most this many times the bound on the rounding of
 #: one softmin.
 ROUNDING_MARGIN = 8.0
+#: A dual may seem to have fallen by this share of the largest effect of rounding on the residual.
+SLACK = 1e-2
 
 
 class State(NamedTuple):
@@ -51,7 +53,7 @@ def slack_of(problem: Problem, floor: Any, rounding: Any, mass: Any, epsilon: fl
     epsilon : float
         Cost units.
     """
-    slack = 1e-12 * abs(floor) + 1e-2 * rounding * epsilon * mass
+    slack = 1e-12 * abs(floor) + SLACK * rounding * epsilon * mass
     return slack + problem.left_out * epsilon * mass
 
 

@@ -19,6 +19,10 @@ from clmorph.transport._solver.half_steps import (
 )
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import overflow
+from clmorph.transport._solver.state import ROUNDING_MARGIN, SLACK
+
+#: The share of the allowed fall of a dual that its own rounding may be.
+DUAL_SHARE = 0.1
 
 
 class Reached(NamedTuple):
@@ -46,12 +50,15 @@ class HostSteps:
         """Set the potential g, (M,), at which the next iteration begins."""
         self._g, self._epsilon, self._precise = g, epsilon, precise
         self._fallback = g
+        # The dual's own rounding then is a small part of `slack_of`.
+        rounding = ROUNDING_MARGIN * self._problem.rounding(epsilon, precise)
+        self._enough = DUAL_SHARE * SLACK * rounding
 
     def update_rows(self) -> None:
         """Update f and the shift of g."""
         problem = self._problem
         softmin = problem.softmin_rows(self._g, self._epsilon, self._precise)
-        self._rows: RowStep = row_step(problem, self._g, softmin, self._epsilon)
+        self._rows: RowStep = row_step(problem, self._g, softmin, self._epsilon, self._enough)
 
     @property
     def row_dual(self) -> tuple[float, float]:
@@ -71,7 +78,9 @@ class HostSteps:
         """Update g and the shift of f, and return the residual before."""
         problem = self._problem
         softmin = problem.softmin_columns(self._rows.f, self._epsilon, self._precise)
-        self._columns: ColumnStep = column_step(problem, self._rows, softmin, self._epsilon)
+        self._columns: ColumnStep = column_step(
+            problem, self._rows, softmin, self._epsilon, self._enough
+        )
         return float(self._columns.residual)
 
     def outside_trust_region(self) -> bool:

@@ -16,7 +16,7 @@ from clmorph.backends.opencl.build.constants import SENTINEL, STORED_UNROLL
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.candidates import joined_pairs
-from clmorph.backends.opencl.kernels.clouds import Cloud, pad, unsort
+from clmorph.backends.opencl.kernels.clouds import Cloud
 from clmorph.backends.opencl.kernels.plan_rows import Plan, PlanRowReductions
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import Float64, NearPairs, StoredPairs
@@ -32,7 +32,9 @@ LARGEST_CHANGE = 1e4
 class _Part(NamedTuple):
     """The pairs of some row tiles, in slices."""
 
-    rows: NDArray[np.int64]  #: numbers of the sorted rows, in the slices' order
+    #: The points' numbers, in the order of the slices' rows; rows that pad the last tile have
+    #: numbers from that of the points on.
+    points: NDArray[np.int64]
     starts: cl.Buffer
     columns: cl.MemoryObject
     log2_masses: cl.MemoryObject
@@ -97,6 +99,7 @@ class SlicedEllpack:
     def _stored(self, plan: Plan, counts: NDArray[np.int64]) -> _Side:
         """Write the pairs of every row in slices; `counts` has the caller's order of rows."""
         rows, tile, side = plan.rows, self._constants.tile, self._constants.slice_rows
+        points = np.concatenate((rows.order, np.arange(len(rows), rows.stride)))
         ordered = np.zeros(rows.stride, np.int64)
         ordered[: len(rows)] = counts[rows.order]
         parts = []
@@ -114,36 +117,50 @@ class SlicedEllpack:
                 self._work.launch(self._kernel("clear_stored"), (size,), None, *buffers)
                 self._plan_rows.fill(plan, section, part, first, side, buffers)
                 starts_buffer = self._work.buffer(starts, np.uint32)
-                parts.append(_Part(in_part.start + order, starts_buffer, *buffers))
+                parts.append(_Part(points[in_part][order], starts_buffer, *buffers))
         return _Side(rows, plan.columns, parts)
 
     def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
         """Return log sum_j pi_ij exp(changes_j) over the pairs of every row, or column."""
         side: _Side = stored.pairs[by_column]
         rows, columns = side.rows, side.columns
-        ordered = np.clip(changes[columns.order] * LOG2_E, -LARGEST_CHANGE, LARGEST_CHANGE)
-        # The changes are centered around 0, so that the rounding errors of float32 are smallest.
-        middle = 0.5 * float(ordered.min() + ordered.max())
-        change_buffer = self._work.buffer(pad(ordered - middle, columns.stride, 0.0))
+        change_buffer, middle = self._changes(columns, changes)
         kernel = self._kernel("sum_stored")
-        found = np.empty((2, rows.stride), np.float32)
+        result = np.empty(rows.stride)
         for part in side.parts:
-            n_rows = len(part.rows)
+            n_rows = len(part.points)
+            found = np.empty((2, n_rows), np.float32)
             out = self._work.empty(4 * n_rows), self._work.empty(4 * n_rows)
             self._work.launch(
                 kernel, (n_rows // self._constants.width,), None, part.starts, part.columns,
-                part.log2_masses, change_buffer, *out,
+                part.log2_masses, change_buffer, *out, results=tuple(zip(found, out, strict=True)),
             )  # fmt: skip
-            own = np.empty(n_rows, np.float32)
-            for values, buffer in zip(found, out, strict=True):
-                cl.enqueue_copy(self._work.queue, own, buffer)
-                values[part.rows] = own
-        maxima, sums = found[:, : len(rows)].astype(float)
-        with np.errstate(divide="ignore"):
-            logarithms = np.where(
-                maxima > 0.4 * SENTINEL, (maxima + np.log2(sums) + middle) / LOG2_E, -np.inf
-            )
-        return unsort(rows, logarithms)
+            maxima, sums = found
+            with np.errstate(divide="ignore"):
+                logarithms = np.log2(sums, dtype=float)
+            logarithms += maxima
+            logarithms += middle
+            logarithms /= LOG2_E
+            np.copyto(logarithms, -np.inf, where=maxima <= 0.4 * SENTINEL)
+            result[part.points] = logarithms
+        return result[: len(rows)]
+
+    def _changes(self, columns: Cloud, changes: Float64) -> tuple[cl.MemoryObject, float]:
+        """Return changes in powers of two, less a number that is in their middle, and this number.
+
+        The changes are centered around 0, so that the rounding errors of float32 are smallest.
+        """
+        limits = -LARGEST_CHANGE, LARGEST_CHANGE
+        ends = np.clip(np.array([changes.min(), changes.max()]) * LOG2_E, *limits)
+        middle = float(ends.mean())
+        centered = changes * LOG2_E
+        np.clip(centered, *limits, out=centered)
+        centered -= middle
+        ordered = np.zeros(columns.stride, np.float32)
+        ordered[: len(columns)] = centered.astype(np.float32)[columns.order]
+        buffer = self._work.empty(ordered.nbytes)
+        cl.enqueue_copy(self._work.queue, buffer, ordered)
+        return buffer, middle
 
     def _kernel(self, name: str) -> cl.Kernel:
         if not self._kernels:
