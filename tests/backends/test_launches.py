@@ -168,7 +168,7 @@ def test_an_iteration_waits_once_and_reads_a_few_numbers(device, rng, reach, pre
 
 
 def test_an_extrapolation_that_is_taken_back_costs_one_softmin(device, rng, monkeypatch):
-    """The dual is made to look smaller once; the result is the same."""
+    """The dual of an extrapolation is made to look smaller once; the result is the same."""
     if not device.has_float64 or device.constants.longest_loop:
         pytest.skip("its iterations are the host's")
     measures = [clmorph.WeightedPoints(rng.random((n, 3)), np.full(n, 1 / n)) for n in (60, 50)]

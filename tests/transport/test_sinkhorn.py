@@ -258,7 +258,7 @@ def test_a_closed_form_with_too_few_digits_is_not_used(rng):
     step = row_step(problem, g, problem.softmin_rows(g, epsilon, True), epsilon, 1e-7)
     exact = problem.dual(step.f, step.g, step.mass, epsilon)
     assert step.dual == exact
-    assert problem.dual_at_maximum(step.f, step.g, step.mass, epsilon, 1.0) != exact
+    assert problem.dual(step.f, step.g, step.mass, epsilon, 1.0) != exact
 
 
 def test_half_steps_are_finite_where_masses_underflow(rng):

@@ -22,7 +22,7 @@ class RowStep(NamedTuple):
     t_rows: Any
     mass: Any  #: of the plan
     dual: Any
-    log_mass: Any = None  #: logarithm of the mass, if it is known
+    log_mass: Any = None  #: logarithm of the mass; None if it must be summed
 
 
 class ColumnStep(NamedTuple):
@@ -49,16 +49,13 @@ def row_step(problem: Problem, g: Any, softmin: Any, epsilon: Any, enough: float
         g and T(g).
     epsilon : float
     enough : float
-        If it is not 0, masses are taken from closed forms, and the rounding of the dual may be this
-        large, in units of epsilon times the mass of the plan.
+        See `Problem.dual`. If it is not 0, the mass of the plan comes from its closed form, too.
     """
     f, g_shifted, t_rows, log_mass = problem.update_f(g, softmin, epsilon)
-    if enough:
-        mass = np.exp(np.minimum(log_mass, MAX_EXPONENT))
-        dual = problem.dual_at_maximum(f, g_shifted, mass, epsilon, enough)
-        return RowStep(f, g_shifted, t_rows, mass, dual, log_mass)
-    mass = problem.of_rows.sum(problem.row_mass(f, t_rows, epsilon))
-    return RowStep(f, g_shifted, t_rows, mass, problem.dual(f, g_shifted, mass, epsilon))
+    of_rows = problem.of_rows
+    mass = _exp(log_mass) if enough else of_rows.sum(problem.row_mass(f, t_rows, epsilon))
+    dual = problem.dual(f, g_shifted, mass, epsilon, enough)
+    return RowStep(f, g_shifted, t_rows, mass, dual, log_mass)
 
 
 def column_step(
@@ -79,12 +76,13 @@ def column_step(
     residual = problem.residual(before.f, before.g, before.t_rows, softmin, epsilon)
     image, f, t_columns, log_mass = problem.update_g(before.f, softmin, epsilon, before.log_mass)
     mass = problem.column_mass(image, t_columns, epsilon)
-    if enough:
-        plan_mass = np.exp(np.minimum(log_mass, MAX_EXPONENT))
-        dual = problem.dual_at_maximum(f, image, plan_mass, epsilon, enough)
-    else:
-        dual = problem.dual(f, image, problem.of_columns.sum(mass), epsilon)
+    plan_mass = _exp(log_mass) if enough else problem.of_columns.sum(mass)
+    dual = problem.dual(f, image, plan_mass, epsilon, enough)
     return ColumnStep(f, image, t_columns, residual, mass, dual)
+
+
+def _exp(log_mass: Any) -> Any:
+    return np.exp(np.minimum(log_mass, MAX_EXPONENT))
 
 
 def without_drift(problem: Problem, guess: Any, image: Any, column_mass: Any) -> Any:

@@ -23,16 +23,16 @@ from clmorph.transport.certificate import (
     marginal,
 )
 
-#: Relative rounding of a mass that is a sum of exponentials, as a rule.
+#: The relative rounding that is assumed for a mass, which is a sum of exponentials.
 MASS_ROUNDING = 1e-14
 
 
 class HalfStep(NamedTuple):
     """Potentials that maximize the dual over one of them and a shift of the other."""
 
-    new: Any  #: the potential that follows from the other one
-    old: Any  #: the other one, shifted
-    softmin: Any  #: T of the other one
+    new: Any  #: the potential of the half-step
+    old: Any  #: the other potential, shifted
+    softmin: Any  #: T(old)
     log_mass: Any  #: logarithm of the mass of their plan
 
 
@@ -187,7 +187,7 @@ class Problem:
         return np.maximum(one, other) if self.of_rows.shape else max(one, other)
 
     def update_f(self, g: Array, t_rows: Array, epsilon: float) -> HalfStep:
-        """Maximize the dual over all (f, g + s), given T(g): f follows g + s.
+        """Maximize the dual over all (f, g + s), given T(g), where f is the half-step of g + s.
 
         f = Delta T(g + s) for every s (paper, 3.1), and the best s has a closed form (math:
         translation invariance). A shift after f would change f again. Source of the idea: Séjourné,
@@ -199,14 +199,15 @@ class Problem:
     def update_g(
         self, f: Array, t_columns: Array, epsilon: float, log_mass: Any = None
     ) -> HalfStep:
-        """Maximize the dual over all (f + s, g), given T(f): g follows f + s.
+        """Maximize the dual over all (f + s, g), given T(f), where g is the half-step of f + s.
 
         Parameters
         ----------
         f, t_columns : (N,) and (M,) arrays
         epsilon : float
         log_mass : float, optional
-            `HalfStep.log_mass` of the `update_f` that f comes from; one sum less is needed then.
+            The `HalfStep.log_mass` of the `update_f` that f comes from. With it one sum of
+            exponentials is not needed.
         """
         return self._half_step(t_columns, 1, f, epsilon, log_mass)
 
@@ -216,7 +217,8 @@ class Problem:
         """Return the half-step of one side, with the best s for `old` + s.
 
         (math: translation invariance) At this s, <a, exp(-f / rho)> and <b, exp(-g / rho)> are both
-        the mass of the plan.
+        the mass of the plan. The logarithm of this sum before the shift is `before`, or is computed
+        if that is None.
         """
         # 1 / (rho + epsilon) and 1 / rho: 0 if balanced
         damping = self.damping(epsilon)[side]
@@ -279,52 +281,36 @@ class Problem:
         """Return the second marginal of the plan of (f, g), given T(f) (math: plan, Eq. 2)."""
         return marginal(self.b, self.log_b, g, t_columns, epsilon)
 
-    def dual(self, f: Array, g: Array, plan_mass: Any, epsilon: float) -> Any:
+    def dual(self, f: Array, g: Array, plan_mass: Any, epsilon: float, enough: float = 0.0) -> Any:
         """Return D(f, g) without its constant epsilon m_a m_b, given the mass of its plan.
 
         (paper, 2.1; math: dual) Where masses are large, adding the constant would lose digits.
-        """
-        value = -epsilon * plan_mass
-        for of, potential, weights, inverse in (
-            (self.of_rows, f, self.a, self.inverse_rho[0]),
-            (self.of_columns, g, self.b, self.inverse_rho[1]),
-        ):
-            if inverse:
-                # rho (1 - exp(-f / rho)), without the cancellation at large rho
-                scaled = np.minimum(-potential * inverse, MAX_EXPONENT)
-                value = value - of.inner(weights, np.expm1(scaled)) / inverse
-            else:
-                value = value + of.inner(weights, potential)
-        return value
-
-    def dual_at_maximum(
-        self, f: Array, g: Array, plan_mass: Any, epsilon: float, enough: float
-    ) -> Any:
-        """Return `dual` after a half-step, mostly without another exponential.
-
-        There <a, exp(-f / rho)> is the mass of the plan, and so is <b, exp(-g / rho)>. Where rho is
-        so large that the differences of masses have too few digits, `dual` itself is the result.
 
         Parameters
         ----------
-        f, g, plan_mass, epsilon
-            As in `dual`, after `update_f` or `update_g`.
+        f, g : (N,) and (M,) arrays
+        plan_mass : float
+        epsilon : float
         enough : float
-            The rounding that the result may have, in units of epsilon times the plan's mass.
+            The rounding that each penalty may have, in units of epsilon times the plan's mass. If
+            it is not 0, f and g must be those of a `HalfStep`: then <a, exp(-f / rho)> is the mass
+            of the plan, and no exponential is needed where rho is small enough for that rounding.
         """
-        penalties = [
-            (rho, mass) for rho, mass in zip(self.rho, self.masses, strict=True) if np.isfinite(rho)
-        ]
-        rounding = MASS_ROUNDING * sum(rho * (mass + plan_mass) for rho, mass in penalties)
-        if not rounding <= enough * epsilon * plan_mass:
-            return self.dual(f, g, plan_mass, epsilon)
-        value = sum(rho * (mass - plan_mass) for rho, mass in penalties) - epsilon * plan_mass
-        for of, potential, weights, inverse in (
-            (self.of_rows, f, self.a, self.inverse_rho[0]),
-            (self.of_columns, g, self.b, self.inverse_rho[1]),
+        value = -epsilon * plan_mass
+        for of, potential, weights, inverse, mass in (
+            (self.of_rows, f, self.a, self.inverse_rho[0], self.masses[0]),
+            (self.of_columns, g, self.b, self.inverse_rho[1], self.masses[1]),
         ):
             if not inverse:
                 value = value + of.inner(weights, potential)
+            elif enough and (
+                MASS_ROUNDING * (mass + plan_mass) <= enough * epsilon * plan_mass * inverse
+            ):
+                value = value + (mass - plan_mass) / inverse
+            else:
+                # rho (1 - exp(-f / rho)), without the cancellation at large rho
+                scaled = np.minimum(-potential * inverse, MAX_EXPONENT)
+                value = value - of.inner(weights, np.expm1(scaled)) / inverse
         return value
 
     def certificate(

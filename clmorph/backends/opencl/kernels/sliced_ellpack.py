@@ -32,8 +32,8 @@ LARGEST_CHANGE = 1e4
 class _Part(NamedTuple):
     """The pairs of some row tiles, in slices."""
 
-    #: The points' numbers, in the order of the slices' rows; rows that pad the last tile have
-    #: numbers from that of the points on.
+    #: The number of each row's point, in the order of the slices. Rows that pad the last tile have
+    #: the numbers after those of the points.
     points: NDArray[np.int64]
     starts: cl.Buffer
     columns: cl.MemoryObject
@@ -146,9 +146,9 @@ class SlicedEllpack:
         return result[: len(rows)]
 
     def _changes(self, columns: Cloud, changes: Float64) -> tuple[cl.MemoryObject, float]:
-        """Return changes in powers of two, less a number that is in their middle, and this number.
+        """Return a buffer of the changes minus their midrange, and the midrange, in powers of two.
 
-        The changes are centered around 0, so that the rounding errors of float32 are smallest.
+        Around 0 the rounding errors of float32 are smallest.
         """
         limits = -LARGEST_CHANGE, LARGEST_CHANGE
         ends = np.clip(np.array([changes.min(), changes.max()]) * LOG2_E, *limits)
