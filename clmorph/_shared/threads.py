@@ -4,8 +4,6 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextvars import copy_context
-from functools import partial
 from typing import TypeVar
 
 _Item = TypeVar("_Item")
@@ -47,25 +45,3 @@ def in_order(
         finally:
             for _, result in waiting:
                 result.cancel()
-
-
-def one_ahead(items: Iterator[_Item]) -> Iterator[_Item]:
-    """Yield items, each of which is made in a thread while the caller uses the one before.
-
-    Parameters
-    ----------
-    items : iterator
-        No item is None. What it raises is raised here. It sees the context of the caller, such as
-        NumPy's `errstate`.
-
-    Examples
-    --------
-    >>> list(one_ahead(iter([1, 2])))
-    [1, 2]
-    """
-    make = partial(copy_context().run, next, items, None)
-    with ThreadPoolExecutor(1) as pool:
-        following = pool.submit(make)
-        while (item := following.result()) is not None:
-            following = pool.submit(make)
-            yield item

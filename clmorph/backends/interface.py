@@ -384,7 +384,9 @@ class Operations(Protocol):
             None if there are more than `max_pairs` pairs, or more than the device can hold.
         """
 
-    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
+    def sum_stored(
+        self, stored: StoredPairs, changes: Float64, by_column: bool, ordered: bool = False
+    ) -> Float64:
         """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row.
 
         The rows' sums have this value after g_j has grown by epsilon changes_j.
@@ -395,6 +397,8 @@ class Operations(Protocol):
         changes : (M,) array, in nats
         by_column : bool
             Whether to sum over the rows of each column instead; `changes` is then an (N,) array.
+        ordered : bool
+            Whether changes and sums have the order of `StoredPairs.orders`, which takes less time.
 
         Returns
         -------

@@ -82,6 +82,8 @@ class StoredPairs(NamedTuple):
 
     pairs: Any  #: the backend's own handle
     n_pairs: int  #: number of pairs
+    #: The order in which the backend keeps the rows and the columns: indices of the points.
+    orders: tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
 class IterationNumbers(NamedTuple):

@@ -3,10 +3,9 @@
 import threading
 import time
 
-import numpy as np
 import pytest
 
-from clmorph._shared.threads import MOST_THREADS, in_order, one_ahead
+from clmorph._shared.threads import MOST_THREADS, in_order
 
 
 def test_results_stay_in_order_and_few_wait():
@@ -52,40 +51,3 @@ def test_a_caller_who_stops_leaves_no_thread():
     next(results)
     results.close()
     assert threading.active_count() == before
-
-
-def test_one_item_is_made_ahead():
-    made, done = [], []
-
-    def items():
-        for number in range(5):
-            made.append(number)
-            yield number
-
-    for item in one_ahead(items()):
-        while len(made) < min(5, item + 2):  # the next one is made before this one is done
-            time.sleep(0.001)
-        assert len(made) <= item + 2
-        done.append(item)
-    assert done == list(range(5))
-
-
-def test_what_the_maker_raises_is_raised_at_its_item():
-    def items():
-        yield 1
-        raise ValueError("no second one")
-
-    taken = []
-    with pytest.raises(ValueError, match="no second one"):
-        taken += one_ahead(items())
-    assert list(one_ahead(iter(()))) == []
-
-
-def test_the_maker_has_the_callers_context():
-    def items():
-        yield np.geterr()["divide"]
-
-    with np.errstate(divide="ignore"):
-        assert list(one_ahead(items())) == ["ignore"]
-    with np.errstate(divide="raise"):
-        assert list(one_ahead(items())) == ["raise"]

@@ -342,6 +342,10 @@ def test_sums_over_stored_pairs(variant, rng, name, blur, by_near):
         stored = backend.store_pairs(rows, columns, f, g, epsilon, *thresholds, 10**9, near)
         assert 0 < stored.n_pairs <= len(f) * len(g)
         sums.append([backend.sum_stored(stored, changes[i], bool(i)) for i in range(2)])
+        for i, order in enumerate(stored.orders):
+            in_order = changes[i][stored.orders[1 - i]]
+            got = backend.sum_stored(stored, in_order, bool(i), ordered=True)
+            assert np.array_equal(got, sums[-1][i][order])
         assert (
             backend.store_pairs(rows, columns, f, g, epsilon, *thresholds, stored.n_pairs - 1, near)
             is None

@@ -23,6 +23,8 @@ class Fault(NamedTuple):
 
 FAULTS = [
     Fault("log_sum_exp.cl", "log_sum_exp", "n < n_end;", "n + 1 < n_end;", "softmin"),
+    Fault("near_field.cl", "bound_tiles", "+ own[3 * DIM];", "+ own[3 * DIM] - 99.0f;",
+          "near_pairs"),
     Fault("near_field.cl", "mark_columns", "c, limits[block])", "c, limits[block] + 40.0f)",
           "near_pairs"),
     Fault("plan_rows.cl", "count_plan_rows", "select((vint)(0), (vint)(1)",

@@ -239,9 +239,12 @@ class NumPyOperations:
         if near[0] is not None and near[1] is not None:
             whole[~(near[0].pairs | near[1].pairs.T)] = -np.inf
         n_pairs = int(np.isfinite(whole).sum())
-        return StoredPairs(whole, n_pairs) if n_pairs <= max_pairs else None
+        orders = np.arange(len(rows.points)), np.arange(len(columns.points))
+        return StoredPairs(whole, n_pairs, orders) if n_pairs <= max_pairs else None
 
-    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
+    def sum_stored(
+        self, stored: StoredPairs, changes: Float64, by_column: bool, ordered: bool = False
+    ) -> Float64:
         """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row, or column."""
         exponents = (stored.pairs.T if by_column else stored.pairs) + changes
         largest = np.maximum(exponents.max(axis=1), np.finfo(float).min)

@@ -114,9 +114,12 @@ class PlanRowsOfParts:
         n_pairs = sum(own.n_pairs for own in stored)
         if len(stored) < len(found) or n_pairs > max_pairs:
             return None
-        return StoredPairs(_Stored(rows, stored), n_pairs)
+        orders = np.arange(len(f)), np.arange(len(g))
+        return StoredPairs(_Stored(rows, stored), n_pairs, orders)
 
-    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
+    def sum_stored(
+        self, stored: StoredPairs, changes: Float64, by_column: bool, ordered: bool = False
+    ) -> Float64:
         """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row, or column.
 
         A column's pairs are on several devices, whose sums are added on the host.

@@ -27,6 +27,9 @@ FEWER = 0.7
 FEW_PAIRS = 1 << 20
 #: Residual to reach at a level, in units of its epsilon.
 LEVEL_TOLERANCE = 0.05
+#: Iterations at a level without a new best residual after which it ends, if rounding explains that:
+#: the next level goes on anyway.
+LEVEL_PATIENCE = 10
 #: Truncation at the levels, in nats, and the share of it for which near pairs are chosen there;
 #: the smaller one where a level has the points of the next finer one, and potentials move farther.
 LEVEL_TRUNCATION, LEVEL_RESERVE, FAR_RESERVE = 1e-2, 1e-10, 1e-20
@@ -96,11 +99,13 @@ def anneal(
     g: Array | None = None
     prolonged: list[Array] | None = None
     problems = [finest]
-    problems += [_level_problem(problem, level) for level in levels]
+    for level in levels:
+        problems.append(_level_problem(problem, level, problems[-1]))
     for level, coarse in reversed(list(zip(levels, problems[1:], strict=True))):
         iteration = Iteration(
-            coarse, level.blur, LEVEL_TOLERANCE, max_iter, "float32", ignore, certify=False
-        )
+            coarse, level.blur, LEVEL_TOLERANCE, max_iter, "float32", ignore, certify=False,
+            patience=LEVEL_PATIENCE,
+        )  # fmt: skip
         iteration.run(g)
         state = iteration.state
         problems.pop()
@@ -128,12 +133,14 @@ def _level_truncation(problem: Problem, rows: int, columns: int) -> float | None
     return LEVEL_TRUNCATION
 
 
-def _level_problem(problem: Problem, level: _Level) -> Problem:
-    """Return the problem of the clusters of a level."""
+def _level_problem(problem: Problem, level: _Level, finer: Problem) -> Problem:
+    """Return the problem of the clusters of a level, given that of the next finer level."""
     source, target = level.pair
     truncation = _level_truncation(problem, len(source), len(target))
+    if level.clusters is None:
+        return prepare(finer.with_truncation(truncation), FAR_RESERVE)
     coarse = Problem.between(problem.operations, source, target, problem.rho, truncation)
-    return prepare(coarse, FAR_RESERVE if level.clusters is None else LEVEL_RESERVE)
+    return prepare(coarse, LEVEL_RESERVE)
 
 
 def _prolong(

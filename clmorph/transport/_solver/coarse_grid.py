@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from clmorph._shared.typing import Array
+from clmorph._shared.typing import Array, IntArray
 from clmorph.backends.records import StoredPairs
 from clmorph.measures.cluster import Clusters
 from clmorph.measures.points import AnyMeasure
@@ -99,12 +99,27 @@ class Restriction(Protocol):
         """Return means of values, (N,), weighted by mass: one for each coarse point."""
 
 
-class Identity:
-    """The restriction to a coarse problem that has the same points."""
+class Reordering:
+    """The restriction to a coarse problem that has the same points in another order.
+
+    Parameters
+    ----------
+    order : (N,) array of int
+        The point that stands at each place of the coarse problem.
+    """
+
+    def __init__(self, order: IntArray) -> None:
+        self._order = order
 
     def restrict(self, values: Array, weights: Array) -> Array:
-        """Return the values."""
-        return values
+        """Return the values in the coarse problem's order."""
+        return values[self._order]
+
+    def points_of(self, values: Array) -> Array:
+        """Return values of the coarse problem in the order of the points."""
+        result = np.empty_like(values)
+        result[self._order] = values
+        return result
 
 
 class CoarseGrid(NamedTuple):
@@ -125,7 +140,8 @@ class CoarseGrid(NamedTuple):
         epsilon : float
             Cost units.
         """
-        return self.to_target(new_f, epsilon) - self.to_target(old_f, epsilon)
+        change: Array = self.to_target(new_f, epsilon) - self.to_target(old_f, epsilon)
+        return self.target.points_of(change) if isinstance(self.target, Reordering) else change
 
 
 def expanded(
@@ -165,16 +181,18 @@ def expanded(
 
 
 class StoredSoftmin(Softmin):
-    """The soft minimum over stored pairs.
+    """The soft minimum over stored pairs, whose vectors have the order of `StoredPairs.orders`.
 
     Parameters
     ----------
     like : Softmin
-        The softmin over all pairs, which has the clouds and the masses.
+        The softmin over all pairs, which has the clouds.
     stored : StoredPairs
         Pairs of the plan of two potentials.
     by_column : bool
         Whether it sums over the plan's rows.
+    weights : (N,), (M,)
+        Masses of the rows and of the columns.
     potential, softmin : arrays
         Potential of the columns for which the pairs were stored, and its softmin. Rows without a
         stored pair keep this softmin.
@@ -188,11 +206,12 @@ class StoredSoftmin(Softmin):
         like: Softmin,
         stored: StoredPairs,
         by_column: bool,
+        weights: tuple[Array, Array],
         potential: Array,
         softmin: Array,
         start: Array,
     ) -> None:
-        super().__init__(like.operations, like.rows, like.columns, like.weights)
+        super().__init__(like.operations, like.rows, like.columns, weights)
         self._stored, self._by_column = stored, by_column
         self._potential, self._softmin, self._start = potential, softmin, start
 
@@ -201,7 +220,7 @@ class StoredSoftmin(Softmin):
     ) -> Array:
         """Return T(potential), (N,) of (M,); flags are ignored, because exponents are small."""
         changes = (potential - self._potential) / epsilon
-        logarithms = self.operations.sum_stored(self._stored, changes, self._by_column)
+        logarithms = self.operations.sum_stored(self._stored, changes, self._by_column, True)
         alone = logarithms == -np.inf
         softmin = np.where(alone, 0.0, logarithms)
         softmin *= -epsilon
@@ -222,7 +241,7 @@ class StoredProblem(CorrectedProblem):
     like : Problem
         The problem over all pairs.
     softmins : (to_rows, to_columns)
-        The operators over the stored pairs.
+        The operators over the stored pairs, with their masses.
     trust_radius : float
         See `STORED_CHOICES`, in units of epsilon.
     """
@@ -230,7 +249,7 @@ class StoredProblem(CorrectedProblem):
     center: Array
 
     def __init__(self, like: Problem, softmins: tuple[Softmin, Softmin], trust_radius: float):
-        super().__init__(*softmins, (like.a, like.b), like.rho, like.largest_cost)
+        super().__init__(*softmins, softmins[0].weights, like.rho, like.largest_cost)
         self.trust_radius = trust_radius
 
     def center_trust_region(self, f: Array) -> None:
@@ -282,11 +301,17 @@ def stored_grid(
         )
         if stored is None:
             continue
-        starts = f + epsilon * problem.log_a, g + epsilon * problem.log_b
-        to_rows = StoredSoftmin(problem.to_rows, stored, False, g, softmins[0], starts[0])
-        to_columns = StoredSoftmin(problem.to_columns, stored, True, f, softmins[1], starts[1])
+        of_rows, of_columns = stored.orders
+        a, b = problem.a[of_rows], problem.b[of_columns]
+        own_f, own_g = f[of_rows], g[of_columns]
+        t_rows, t_columns = softmins[0][of_rows], softmins[1][of_columns]
+        starts = (f + epsilon * problem.log_a)[of_rows], (g + epsilon * problem.log_b)[of_columns]
+        to_rows = StoredSoftmin(problem.to_rows, stored, False, (a, b), own_g, t_rows, starts[0])
+        to_columns = StoredSoftmin(
+            problem.to_columns, stored, True, (b, a), own_f, t_columns, starts[1]
+        )
         smaller = StoredProblem(problem, (to_rows, to_columns), trust_radius)
-        return CoarseGrid(smaller, Identity(), Identity(), to_columns)
+        return CoarseGrid(smaller, Reordering(of_rows), Reordering(of_columns), to_columns)
     return None
 
 

@@ -37,9 +37,9 @@ ANNEALING_SHARE = 0.5
 #: With fewer allowed iterations than this there is neither annealing nor extrapolation, because
 #: they would cost more than they save.
 SHORT = 20
-#: Iterations without a new best residual after which the iteration ends, as rounding is then the
-#: reason. Residuals of balanced problems were seen to fall by less than a tenth in twelve
-#: iterations and to go on falling.
+#: The usual patience: iterations without a new best residual after which the iteration ends, as
+#: rounding is then the reason. Residuals of balanced problems were seen to fall by less than a
+#: tenth in twelve iterations and to go on falling.
 STALLED = 25
 #: Shares of the tolerance that are tried one after the other where the final residual, the bound
 #: of its rounding included, is above the tolerance.
@@ -69,6 +69,9 @@ class Iteration:
         A function that is called with the share of the work that is done.
     certify : bool
         Whether the last softmins are `Problem.bounded_softmins`, which a certificate needs.
+    patience : int
+        Iterations without a new best residual after which the iteration ends, if rounding explains
+        that.
 
     Attributes
     ----------
@@ -96,9 +99,11 @@ class Iteration:
         precision: str,
         report: Callable[[float], None],
         certify: bool = True,
+        patience: int = STALLED,
     ) -> None:
         self.problem = problem
         self.tol, self.precision, self._certify = tol, precision, certify
+        self._patience = patience
         self.residuals: list[float] = []
         self._blur, self._max_iter, self._report = blur, max_iter, report
         self._done, self._level_share, self._reported = 0.0, 1.0, 0.0
@@ -241,7 +246,7 @@ class Iteration:
             since_best = 0 if residual < 0.9 * best else since_best + 1
             best = min(best, residual)
             self._report_share(self._done + self._level_share * share_done(first, best, tol))
-            stalled = since_best >= STALLED and (leave or residual <= rounding)
+            stalled = since_best >= self._patience and (leave or residual <= rounding)
             ended = stalled or self.n_iter >= limit or steps.outside_trust_region()
             if residual <= tol or ended:
                 self.status = "max_iter"

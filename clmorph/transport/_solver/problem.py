@@ -116,6 +116,20 @@ class Problem:
         problem.oscillations = largest + offsets[0], largest + offsets[1]
         return problem
 
+    def with_truncation(self, truncation: float | None) -> "Problem":
+        """Return the problem of the same measures, whose softmins choose near pairs of their own.
+
+        It has this problem's clouds, so nothing is uploaded.
+        """
+        rows, columns = self.to_rows, self.to_columns
+        problem = Problem(
+            Softmin(self.operations, rows.rows, rows.columns, rows.weights, truncation),
+            Softmin(self.operations, columns.rows, columns.columns, columns.weights, truncation),
+            rows.weights, self.rho, self.largest_cost,
+        )  # fmt: skip
+        problem.oscillations = self.oscillations
+        return problem
+
     @property
     def operations(self) -> Operations:
         """The backend."""

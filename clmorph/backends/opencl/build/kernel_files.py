@@ -3,7 +3,7 @@
 #: The kernels of each file.
 KERNELS = {
     "log_sum_exp.cl": ("log_sum_exp",),
-    "near_field.cl": ("mark_columns",),
+    "near_field.cl": ("bound_tiles", "mark_columns"),
     "barycentric_projection.cl": ("barycentric_projection",),
     "plan_rows.cl": ("count_plan_rows", "fill_plan_rows"),
     "plan_shares.cl": ("plan_moments", "sample_plan_rows"),

@@ -1,30 +1,34 @@
 """Find pairs of tiles that bounds do not exclude, and choose which of them to keep."""
 
-import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.threads import in_order
 from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS, Cloud, Tiles
+from clmorph.backends.opencl.kernels.tile_bounds import (
+    BoundTiles,
+    TileBoundKernel,
+    TileLists,
+    all_tiles,
+)
 from clmorph.backends.opencl.kernels.tile_pairs import (
     TileBounds,
     TilePairs,
     column_bounds,
     row_bounds,
-    tile_bounds,
 )
 from clmorph.backends.records import Float64
 
-#: The number of entries of a block of bounds, small enough for a core's cache.
-BLOCK_BOUNDS = 1 << 17
 #: The number of pairs of tiles from which groups of tiles are bounded first.
 WIDE_FROM = 1 << 24
-#: The number of pairs of tiles that are handled together.
-CHUNK_PAIRS = 1 << 20
 #: Thresholds at which a list of shares may be cut, as fractions of the budget.
 CUTS = 8.0 ** -np.arange(7)
+
+#: Bounds of pairs of tiles: the terms of the rows' and of the columns' side.
+_Sides = tuple[TileBounds, TileBounds]
 
 
 class Candidates(NamedTuple):
@@ -36,6 +40,7 @@ class Candidates(NamedTuple):
 
 
 def candidates(
+    kernel: TileBoundKernel,
     rows: Cloud,
     columns: Cloud,
     bounds: TileBounds,
@@ -46,8 +51,11 @@ def candidates(
 ) -> Iterator[Candidates]:
     """Yield the pairs of tiles that bounds do not exclude, in parts of the row tiles.
 
+    The device computes the bounds of a part while threads choose among those before.
+
     Parameters
     ----------
+    kernel : TileBoundKernel
     rows, columns : Cloud
     bounds : TileBounds
         Those of the rows: `row_bounds` of `of_rows`.
@@ -57,42 +65,32 @@ def candidates(
     budget : float
         The share of any row's sum that the excluded pairs may hold.
     """
-    n_rows, n_columns = len(rows.centers), len(columns.centers)
-    sides = bounds, column_bounds(columns, of_columns, k)
-    wide = None
-    if n_rows * n_columns >= WIDE_FROM:
-        wide = row_bounds(rows.wide, of_rows, k), column_bounds(columns.wide, of_columns, k)
+    n_columns = len(columns.centers)
+    sides = [(bounds, column_bounds(columns, of_columns, k))]
+    wides: list[_Sides] = []
+    if len(rows.centers) * n_columns >= WIDE_FROM:
+        wides = [(row_bounds(rows.wide, of_rows, k), column_bounds(columns.wide, of_columns, k))]
     # All tiles below this limit together stay within a quarter of the budget, whatever their
     # number; so do all groups of tiles.
-    hopeless = np.float32(np.log2(0.25 * budget / n_columns))
-    first, count = 0, 0
-    lengths: list[NDArray[np.int64]] = []
-    tiles: list[NDArray[np.uint32]] = []
-    shares: list[NDArray[np.float32]] = []
-    wides = [] if wide is None else [wide]
-    limit = float(hopeless) + np.log2(n_columns / -(-n_columns // WIDTH_OF_GROUPS))
-    for section, numbers in _blocks(n_rows, n_columns, wides, k, limit):
-        highest = tile_bounds(sides[0], section, sides[1], k, numbers)
-        # Every row keeps at least the tile with its largest bound.
-        above = highest >= np.minimum(highest.max(axis=1), hopeless)[:, None]
-        places = np.flatnonzero(above)
-        lengths.append(np.count_nonzero(above, axis=1))
-        tiles.append(_numbered(places, above.shape[1], numbers))
+    hopeless = float(np.log2(0.25 * budget / n_columns))
+    limit = hopeless + np.log2(n_columns / -(-n_columns // WIDTH_OF_GROUPS))
+    lists = _lists(kernel, rows, columns, wides, k, limit)
+
+    def chosen(bound: BoundTiles) -> Candidates:
+        starts, tiles, values = _above(bound, lists, hopeless)
         # In units of the budget, because shares of small budgets would underflow.
-        exponents = highest.ravel()[places] - np.float32(np.log2(budget))
-        shares.append(np.exp2(np.minimum(exponents, np.float32(60.0))))
-        count += len(places)
-        if count >= CHUNK_PAIRS or section.stop == n_rows:
-            part = range(first, section.stop)
-            starts = np.concatenate(([0], np.cumsum(np.concatenate(lengths))))
-            keep, unseen = kept_shares(starts, np.concatenate(shares), 0.5)
-            each = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
-            pairs = paired(rows, columns, part, each, np.concatenate(tiles)[keep])
-            yield Candidates(part, pairs, (unseen + 0.5) * budget)
-            first, count, lengths, tiles, shares = section.stop, 0, [], [], []
+        shares = np.exp2(np.minimum(values - np.float32(np.log2(budget)), np.float32(60.0)))
+        keep, unseen = kept_shares(starts, shares, 0.5)
+        each = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
+        pairs = paired(rows, columns, bound.part, each, tiles[keep])
+        return Candidates(bound.part, pairs, (unseen + 0.5) * budget)
+
+    for _, found in in_order(chosen, kernel.bounds(rows, sides, k, lists)):
+        yield found
 
 
 def possible_pairs(
+    kernel: TileBoundKernel,
     rows: Cloud,
     columns: Cloud,
     values: list[tuple[Float64, Float64]],
@@ -102,77 +100,76 @@ def possible_pairs(
 
     Parameters
     ----------
+    kernel : TileBoundKernel
     rows, columns : Cloud
     values : list of (rows', columns') arrays
         Arguments of `row_bounds` and of `column_bounds` (for the largest term).
     k : float
     """
 
-    def bounds_of(one: Tiles, other: Tiles) -> list[tuple[TileBounds, TileBounds]]:
+    def bounds_of(one: Tiles, other: Tiles) -> list[_Sides]:
         return [(row_bounds(one, r, k), column_bounds(other, c, k, True)) for r, c in values]
 
-    n_rows, n_columns = len(rows.centers), len(columns.centers)
     sides = bounds_of(rows, columns)
-    wides = bounds_of(rows.wide, columns.wide) if n_rows * n_columns >= WIDE_FROM else []
-    first, count = 0, 0
-    lengths: list[NDArray[np.int64]] = []
-    tiles: list[NDArray[np.uint32]] = []
-    for section, numbers in _blocks(n_rows, n_columns, wides, k, 0.0):
-        bounds = [tile_bounds(one, section, other, k, numbers) for one, other in sides]
-        highest = functools.reduce(np.maximum, bounds)
-        # Reductions need at least one column tile for each row tile.
-        above = highest >= np.minimum(highest.max(axis=1), 0.0)[:, None]
-        lengths.append(np.count_nonzero(above, axis=1))
-        tiles.append(_numbered(np.flatnonzero(above), above.shape[1], numbers))
-        count += len(tiles[-1])
-        if count >= CHUNK_PAIRS or section.stop == n_rows:
-            part = range(first, section.stop)
-            yield (
-                part,
-                paired(rows, columns, part, np.concatenate(lengths), np.concatenate(tiles)),
-            )
-            first, count, lengths, tiles = section.stop, 0, [], []
+    many = len(rows.centers) * len(columns.centers) >= WIDE_FROM
+    wides = bounds_of(rows.wide, columns.wide) if many else []
+    lists = _lists(kernel, rows, columns, wides, k, 0.0)
+    for bound in kernel.bounds(rows, sides, k, lists):
+        starts, tiles, _ = _above(bound, lists, 0.0)
+        yield bound.part, paired(rows, columns, bound.part, np.diff(starts), tiles)
 
 
-def _blocks(
-    n_rows: int,
-    n_columns: int,
-    wides: list[tuple[TileBounds, TileBounds]],
+def _lists(
+    kernel: TileBoundKernel,
+    rows: Cloud,
+    columns: Cloud,
+    wides: list[_Sides],
     k: float,
     limit: float,
-) -> Iterator[tuple[slice, NDArray[np.int64] | None]]:
-    """Yield row tiles and the numbers of the column tiles to bound for them; None stands for all.
+) -> TileLists:
+    """Return the column tiles to bound for each block of row tiles.
 
     If there are bounds of groups of tiles, groups whose bound is below a limit are left out.
     """
+    n_columns = len(columns.centers)
     if not wides:
-        step = max(1, BLOCK_BOUNDS // n_columns)
-        for begin in range(0, n_rows, step):
-            yield slice(begin, min(begin + step, n_rows)), None
-        return
-    members = np.arange(WIDTH_OF_GROUPS)
-    n_groups = len(wides[0][0].centers)
-    step = max(1, BLOCK_BOUNDS // len(wides[0][1].centers))
-    for begin in range(0, n_groups, step):
-        section = slice(begin, min(begin + step, n_groups))
-        bounds = [tile_bounds(one, section, other, k) for one, other in wides]
-        highest = functools.reduce(np.maximum, bounds)
-        above = highest >= np.minimum(highest.max(axis=1), np.float32(limit))[:, None]
-        for group, kept in enumerate(above, begin):
-            numbers = (WIDTH_OF_GROUPS * np.flatnonzero(kept)[:, None] + members).ravel()
-            first = WIDTH_OF_GROUPS * group
-            yield (
-                slice(first, min(first + WIDTH_OF_GROUPS, n_rows)),
-                numbers[: np.searchsorted(numbers, n_columns)],
-            )
+        return all_tiles(len(rows.centers), n_columns)
+    every = all_tiles(len(rows.wide.centers), len(columns.wide.centers))
+    lengths, numbers = [], []
+    for bound in kernel.bounds(rows, wides, k, every):
+        starts, groups, _ = _above(bound, every, limit)
+        tiles = WIDTH_OF_GROUPS * groups[:, None] + np.arange(WIDTH_OF_GROUPS, dtype=np.uint32)
+        present = tiles < n_columns
+        lengths.append(np.add.reduceat(present.sum(axis=1), starts[:-1]))
+        numbers.append(tiles[present])
+    each = np.concatenate(lengths)
+    return TileLists(np.concatenate(numbers), np.cumsum(each) - each, each)
 
 
-def _numbered(
-    places: NDArray[np.int64], width: int, numbers: NDArray[np.int64] | None
-) -> NDArray[np.uint32]:
-    """Return the column tiles at the given indices of a flattened block of bounds."""
-    tiles = places % width
-    return (tiles if numbers is None else numbers[tiles]).astype(np.uint32)
+def _above(
+    bound: BoundTiles, lists: TileLists, limit: float
+) -> tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.float32]]:
+    """Return the column tiles whose bound is not below a limit, and each row tile's largest one.
+
+    Returns
+    -------
+    starts : (row tiles + 1,) array
+        Index at which the column tiles of each row tile begin; there is at least one.
+    tiles : array
+        Numbers of the column tiles.
+    values : array
+        Their bounds.
+    """
+    values, starts = bound.values, bound.starts
+    above = values >= limit
+    largest = np.maximum.reduceat(values, starts[:-1])
+    for row in np.flatnonzero(largest < limit):
+        own = slice(starts[row], starts[row + 1])
+        above[own] = values[own] == largest[row]
+    places = np.flatnonzero(above)
+    found = np.searchsorted(places, starts)
+    tiles = lists.numbers[places - np.repeat(bound.shifts, np.diff(found))]
+    return found, tiles, values[places]
 
 
 def joined_pairs(rows: Cloud, columns: Cloud, one: TilePairs, other: TilePairs) -> TilePairs:
@@ -195,10 +192,13 @@ def paired(
     """Return the pairs of some row tiles as a list in which other row tiles have no pairs."""
     each = np.zeros(len(rows.centers), np.int64)
     each[part.start : part.stop] = lengths
-    owner = np.repeat(np.arange(len(each)), each)
     distances = np.zeros(len(tiles))
-    for d in range(rows.centers.shape[1]):
-        distances += 0.5 * (rows.centers[owner, d] - columns.centers[tiles, d]) ** 2
+    for own, others in zip(rows.centers.T, columns.centers.T, strict=True):
+        between = np.repeat(own, each)
+        between -= others[tiles]
+        between *= between
+        distances += between
+    distances *= 0.5
     return TilePairs(np.concatenate(([0], np.cumsum(each))), tiles, distances)
 
 

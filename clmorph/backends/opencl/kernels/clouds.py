@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pyopencl as cl
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from clmorph.backends.interface import MAX_POINTS
 from clmorph.backends.opencl.build.constants import SENTINEL, BuildConstants
 from clmorph.backends.opencl.kernels.launches import Workspace
+from clmorph.backends.opencl.kernels.tile_fits import TileFits
 from clmorph.backends.opencl.kernels.tiles import tile_order
 from clmorph.backends.records import Float64
 from clmorph.errors import DeviceError
@@ -31,12 +32,22 @@ class Tiles(Protocol):
     def shifts(self) -> NDArray[np.float32]:
         """Points less their tile's center: (tiles, tile, D) array."""
 
+    @property
+    def fits(self) -> TileFits:
+        """Fits of values over the points of each tile."""
 
-class Wide(NamedTuple):
+
+@dataclass(frozen=True)
+class Wide:
     """Groups of tiles, each of which is a tile of its own."""
 
     centers: Float64
     shifts: NDArray[np.float32]
+
+    @cached_property
+    def fits(self) -> TileFits:
+        """Fits of values over the points of each group."""
+        return TileFits(self.shifts)
 
 
 @dataclass(frozen=True)
@@ -87,6 +98,11 @@ class Cloud:
     def radii(self) -> Float64:
         """Bounds of the distances of points from the centers of their tiles: (tiles,) array."""
         return np.sqrt(np.sum(half_sides(self).astype(float) ** 2, axis=1))
+
+    @cached_property
+    def fits(self) -> TileFits:
+        """Fits of values over the points of each tile."""
+        return TileFits(self.shifts)
 
     @cached_property
     def wide(self) -> Wide:

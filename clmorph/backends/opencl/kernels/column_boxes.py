@@ -8,7 +8,6 @@ import pyopencl as cl
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.clouds import Cloud, half_sides, pad
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
-from clmorph.backends.opencl.kernels.tile_pairs import least_squares_slopes
 from clmorph.backends.records import Float64
 
 
@@ -48,8 +47,7 @@ def column_boxes(
     tiles, _, dimension = shifts.shape
     logits = pad(values, columns.stride, SENTINEL).reshape(tiles, -1)
     present = logits > 0.5 * SENTINEL
-    slopes = least_squares_slopes(shifts, np.where(present, logits / k, 0.0), present)
-    slopes = slopes.astype(np.float32).astype(float)
+    slopes = columns.fits.slopes(np.where(present, logits / k, 0.0), present)
     rest = logits - tile_max[:, None] - k * np.einsum("ntd,nd->nt", shifts, slopes)
     rest = np.where(present, rest, SENTINEL).reshape(tiles, constants.width, -1).max(axis=2)
     points = shifts.reshape(tiles, constants.width, -1, dimension)

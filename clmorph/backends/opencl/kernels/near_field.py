@@ -7,13 +7,13 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clmorph._shared.threads import one_ahead
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.candidates import candidates
 from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
 from clmorph.backends.opencl.kernels.column_boxes import ColumnBoxes, column_boxes
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
+from clmorph.backends.opencl.kernels.tile_bounds import TileBoundKernel
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs, row_bounds
 from clmorph.backends.records import Float64, NearPairs
 
@@ -57,6 +57,7 @@ class NearField:
 
     def __init__(self, loop: RowLoop, log_sum_exp: LogSumExp) -> None:
         self._loop, self._log_sum_exp = loop, log_sum_exp
+        self._bounds = TileBoundKernel(loop)
 
     def near_pairs(
         self,
@@ -69,7 +70,7 @@ class NearField:
     ) -> NearPairs:
         """Find the pairs that contribute to the rows' sums.
 
-        Bounds over pairs of tiles exclude most pairs; a thread seeks the next pairs of tiles while
+        Bounds over pairs of tiles exclude most pairs; threads choose the next pairs of tiles while
         the device looks at those before. Of the other tiles each group of rows takes
         the columns whose exponent is above a threshold in one of its rows. The threshold is such
         that all columns of these tiles below it together are within the budget.
@@ -87,8 +88,9 @@ class NearField:
         slopes = self._loop.work.buffer(k * bounds.slopes)
         boxes = column_boxes(self._loop, columns, values, tile_max, k)
         clouds = _Clouds(rows, columns, exponents, guess, slopes, boxes)
-        parts = candidates(rows, columns, bounds, guess, values, k, UNSEEN * budget)
-        for part, pairs, unseen in one_ahead(parts):
+        for part, pairs, unseen in candidates(
+            self._bounds, rows, columns, bounds, guess, values, k, UNSEEN * budget
+        ):
             starts = pairs.starts[part.start : part.stop + 1]
             lengths = np.diff(starts)
             threshold = (1 - UNSEEN) * budget / (tile * lengths)

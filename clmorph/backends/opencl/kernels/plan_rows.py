@@ -11,6 +11,7 @@ from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.candidates import possible_pairs
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, Exponents, RowLoop
+from clmorph.backends.opencl.kernels.tile_bounds import TileBoundKernel
 from clmorph.backends.opencl.kernels.tile_pairs import TilePairs
 from clmorph.backends.records import Float64, PlanRows
 
@@ -49,7 +50,7 @@ class PlanRowReductions:
     """
 
     def __init__(self, loop: RowLoop) -> None:
-        self._loop = loop
+        self._loop, self.tile_bounds = loop, TileBoundKernel(loop)
         #: Whether rows are searched by lists of tiles however few they are.
         self.always_listed = False
 
@@ -190,7 +191,7 @@ class PlanRowReductions:
         rows, columns = plan.rows, plan.columns
         by_row = _log2_threshold(plan.row_thresholds)[rows.order]
         by_column = _log2_threshold(plan.column_thresholds)[columns.order]
-        for within, pairs in _possible_pairs(plan, self.always_listed):
+        for within, pairs in self._possible_pairs(plan):
             exponents = self._loop.exponents(rows, columns, plan.g, plan.epsilon, pairs, within)
             # log2 pi_ij = e_ij + offsets_i; a row without mass keeps no pair.
             offsets = self._loop.row_offsets(rows, exponents)
@@ -203,34 +204,33 @@ class PlanRowReductions:
             )
             yield Section(within, pairs, exponents, buffers)
 
+    def _possible_pairs(self, plan: Plan) -> Iterator[tuple[range, TilePairs | None]]:
+        """Yield parts of the row tiles, and the pairs of tiles that can hold a kept pair there.
 
-def _possible_pairs(plan: Plan, always_listed: bool) -> Iterator[tuple[range, TilePairs | None]]:
-    """Yield parts of the row tiles, and the pairs of tiles that can hold a kept pair there.
-
-    The pairs of tiles that bounds exclude contain no pair above a threshold, so none is lost.
-    """
-    rows, columns, f, g, epsilon, row_thresholds, column_thresholds, looked_at = plan
-    if looked_at is not None:
-        yield range(len(rows.centers)), looked_at
-        return
-    thresholds = _log2_threshold(row_thresholds), _log2_threshold(column_thresholds)
-    everything = min(float(values.min()) for values in thresholds) <= 0.2 * SENTINEL
-    few = rows.stride * columns.stride < LISTED_FROM and not always_listed
-    if few or everything:
-        yield range(len(rows.centers)), None
-        return
-    k = LOG2_E / epsilon
-    logits = (g[columns.order] - columns.offsets) * k + columns.log2_weights
-    offsets = k * (f[rows.order] - rows.offsets) + rows.log2_weights
-    offsets[rows.log2_weights <= SENTINEL] = SENTINEL
-    by_row = thresholds[0][rows.order] - offsets
-    by_column = logits - thresholds[1][columns.order]
-    # log2 pi_ij is above the threshold of its row, or above that of its column.
-    sides = [
-        (np.minimum(over, -SENTINEL), np.maximum(under, SENTINEL))
-        for over, under in ((by_row, logits), (-offsets, by_column))
-    ]
-    yield from possible_pairs(rows, columns, sides, k)
+        The pairs of tiles that bounds exclude contain no pair above a threshold, so none is lost.
+        """
+        rows, columns, f, g, epsilon, row_thresholds, column_thresholds, looked_at = plan
+        if looked_at is not None:
+            yield range(len(rows.centers)), looked_at
+            return
+        thresholds = _log2_threshold(row_thresholds), _log2_threshold(column_thresholds)
+        everything = min(float(values.min()) for values in thresholds) <= 0.2 * SENTINEL
+        few = rows.stride * columns.stride < LISTED_FROM and not self.always_listed
+        if few or everything:
+            yield range(len(rows.centers)), None
+            return
+        k = LOG2_E / epsilon
+        logits = (g[columns.order] - columns.offsets) * k + columns.log2_weights
+        offsets = k * (f[rows.order] - rows.offsets) + rows.log2_weights
+        offsets[rows.log2_weights <= SENTINEL] = SENTINEL
+        by_row = thresholds[0][rows.order] - offsets
+        by_column = logits - thresholds[1][columns.order]
+        # log2 pi_ij is above the threshold of its row, or above that of its column.
+        sides = [
+            (np.minimum(over, -SENTINEL), np.maximum(under, SENTINEL))
+            for over, under in ((by_row, logits), (-offsets, by_column))
+        ]
+        yield from possible_pairs(self.tile_bounds, rows, columns, sides, k)
 
 
 def _log2_threshold(values: Float64) -> Float64:

@@ -16,7 +16,7 @@ from clmorph.backends.opencl.build.constants import SENTINEL, STORED_UNROLL
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.candidates import joined_pairs
-from clmorph.backends.opencl.kernels.clouds import Cloud
+from clmorph.backends.opencl.kernels.clouds import Cloud, unsort
 from clmorph.backends.opencl.kernels.plan_rows import Plan, PlanRowReductions
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.records import Float64, NearPairs, StoredPairs
@@ -32,9 +32,8 @@ LARGEST_CHANGE = 1e4
 class _Part(NamedTuple):
     """The pairs of some row tiles, in slices."""
 
-    #: The number of each row's point, in the order of the slices. Rows that pad the last tile have
-    #: the numbers after those of the points.
-    points: NDArray[np.int64]
+    #: The place of each row among the sorted points, in the order of the slices.
+    places: NDArray[np.int64]
     starts: cl.Buffer
     columns: cl.MemoryObject
     log2_masses: cl.MemoryObject
@@ -94,12 +93,11 @@ class SlicedEllpack:
             ):
                 return None
             sides.append(self._stored(plan, counts))
-        return StoredPairs((sides[0], sides[1]), n_pairs)
+        return StoredPairs((sides[0], sides[1]), n_pairs, (rows.order, columns.order))
 
     def _stored(self, plan: Plan, counts: NDArray[np.int64]) -> _Side:
         """Write the pairs of every row in slices; `counts` has the caller's order of rows."""
         rows, tile, side = plan.rows, self._constants.tile, self._constants.slice_rows
-        points = np.concatenate((rows.order, np.arange(len(rows), rows.stride)))
         ordered = np.zeros(rows.stride, np.int64)
         ordered[: len(rows)] = counts[rows.order]
         parts = []
@@ -108,8 +106,8 @@ class SlicedEllpack:
                 in_part = slice(part.start * tile, part.stop * tile)
                 order = _by_length(ordered[in_part])
                 longest = ordered[in_part][order].reshape(-1, side).max(axis=1)
-                places = -(-longest // STORED_UNROLL) * STORED_UNROLL
-                starts = np.concatenate(([0], np.cumsum(side * places)))
+                slots = -(-longest // STORED_UNROLL) * STORED_UNROLL
+                starts = np.concatenate(([0], np.cumsum(side * slots)))
                 first = np.empty(len(order), np.int64)
                 first[order] = (starts[:-1, None] + np.arange(side)).ravel()
                 size = max(1, int(starts[-1]))
@@ -117,18 +115,20 @@ class SlicedEllpack:
                 self._work.launch(self._kernel("clear_stored"), (size,), None, *buffers)
                 self._plan_rows.fill(plan, section, part, first, side, buffers)
                 starts_buffer = self._work.buffer(starts, np.uint32)
-                parts.append(_Part(points[in_part][order], starts_buffer, *buffers))
+                parts.append(_Part(in_part.start + order, starts_buffer, *buffers))
         return _Side(rows, plan.columns, parts)
 
-    def sum_stored(self, stored: StoredPairs, changes: Float64, by_column: bool) -> Float64:
+    def sum_stored(
+        self, stored: StoredPairs, changes: Float64, by_column: bool, ordered: bool = False
+    ) -> Float64:
         """Return log sum_j pi_ij exp(changes_j) over the pairs of every row, or column."""
         side: _Side = stored.pairs[by_column]
         rows, columns = side.rows, side.columns
-        change_buffer, middle = self._changes(columns, changes)
+        change_buffer, middle = self._changes(columns, changes, ordered)
         kernel = self._kernel("sum_stored")
         result = np.empty(rows.stride)
         for part in side.parts:
-            n_rows = len(part.points)
+            n_rows = len(part.places)
             found = np.empty((2, n_rows), np.float32)
             out = self._work.empty(4 * n_rows), self._work.empty(4 * n_rows)
             self._work.launch(
@@ -142,10 +142,13 @@ class SlicedEllpack:
             logarithms += middle
             logarithms /= LOG2_E
             np.copyto(logarithms, -np.inf, where=maxima <= 0.4 * SENTINEL)
-            result[part.points] = logarithms
-        return result[: len(rows)]
+            result[part.places] = logarithms
+        result = result[: len(rows)]
+        return result if ordered else unsort(rows, result)
 
-    def _changes(self, columns: Cloud, changes: Float64) -> tuple[cl.MemoryObject, float]:
+    def _changes(
+        self, columns: Cloud, changes: Float64, ordered: bool
+    ) -> tuple[cl.MemoryObject, float]:
         """Return a buffer of the changes minus their midrange, and the midrange, in powers of two.
 
         Around 0 the rounding errors of float32 are smallest.
@@ -156,10 +159,14 @@ class SlicedEllpack:
         centered = changes * LOG2_E
         np.clip(centered, *limits, out=centered)
         centered -= middle
-        ordered = np.zeros(columns.stride, np.float32)
-        ordered[: len(columns)] = centered.astype(np.float32)[columns.order]
-        buffer = self._work.empty(ordered.nbytes)
-        cl.enqueue_copy(self._work.queue, buffer, ordered)
+        values = np.zeros(columns.stride, np.float32)
+        own = values[: len(columns)]
+        if ordered:
+            own[:] = centered
+        else:
+            np.take(centered.astype(np.float32), columns.order, out=own)
+        buffer = self._work.empty(values.nbytes)
+        cl.enqueue_copy(self._work.queue, buffer, values)
         return buffer, middle
 
     def _kernel(self, name: str) -> cl.Kernel:

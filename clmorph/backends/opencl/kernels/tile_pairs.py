@@ -30,9 +30,6 @@ from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels.clouds import Tiles, half_sides
 from clmorph.backends.records import Float64
 
-#: Rounding error of a bound in float32, relative to its largest terms.
-ROUNDOFF = 2.0**-20
-
 
 class TilePairs(NamedTuple):
     """Column tiles of every row tile, and perhaps some columns of each.
@@ -103,8 +100,8 @@ def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False
     """
     c = _padded(values, cloud)
     present = c > 0.5 * SENTINEL
-    half = 0.5 * np.einsum("ntd,ntd->nt", cloud.shifts, cloud.shifts, dtype=float)
-    slopes = -least_squares_slopes(cloud.shifts, np.where(present, c / k - half, 0.0), present)
+    half = cloud.fits.half_squares
+    slopes = -cloud.fits.slopes(np.where(present, c / k - half, 0.0), present)
     flat = c - k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
     flat = np.where(present, flat, SENTINEL)  # the rest of |a - v|^2 / 2 cancels in B
     level = flat.max(axis=1)
@@ -125,67 +122,17 @@ def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
     """
     r = _padded(values, cloud)
     present = r < -0.5 * SENTINEL
-    half = 0.5 * np.einsum("ntd,ntd->nt", cloud.shifts, cloud.shifts, dtype=float)
-    slopes = least_squares_slopes(cloud.shifts, np.where(present, r / k + half, 0.0), present)
+    half = cloud.fits.half_squares
+    slopes = cloud.fits.slopes(np.where(present, r / k + half, 0.0), present)
     flat = r + k * (half - np.einsum("ntd,nd->nt", cloud.shifts, slopes))
     lowest = np.where(present, flat, -SENTINEL).min(axis=1)
     return _bounds(cloud, slopes, np.maximum(-lowest, SENTINEL))
-
-
-def tile_bounds(
-    rows: TileBounds,
-    section: slice,
-    columns: TileBounds,
-    k: float,
-    numbers: NDArray[np.int64] | None = None,
-) -> NDArray[np.float32]:
-    """Return B for some row tiles and all or some column tiles, float32, rounded up."""
-    scale = np.float32(k)
-    if numbers is not None:
-        columns = TileBounds(*(values[numbers] for values in columns))
-    result = rows.level[section, None] + columns.level
-    finite = [np.abs(side.level[side.level > SENTINEL]) for side in (rows, columns)]
-    result += np.float32(ROUNDOFF * (1 + sum(values.max(initial=0.0) for values in finite)))
-    for d in range(rows.centers.shape[1]):
-        p, h, w = (part[section, d, None] for part in (rows.centers, rows.sides, rows.slopes))
-        q, side, a = (part[:, d] for part in (columns.centers, columns.sides, columns.slopes))
-        distance = p - q
-        reach = np.abs(distance - a)
-        reach += h
-        reach *= side
-        reach += h * np.abs(distance + w)
-        distance *= distance
-        distance *= np.float32(0.5)
-        reach -= distance
-        reach *= scale
-        result += reach
-    return result
 
 
 def _padded(values: Float64, cloud: Tiles) -> Float64:
     tiles, size, _ = cloud.shifts.shape
     # The padding repeats the last point and its value; in columns it can only raise the bound.
     return np.pad(values, (0, tiles * size - len(values)), mode="edge").reshape(tiles, size)
-
-
-def least_squares_slopes(
-    shifts: NDArray[np.float32], values: Float64, present: NDArray[np.bool_]
-) -> Float64:
-    """Return the least-squares slopes of values over shifts in each tile: (tiles, D) array.
-
-    Only the points that are present count.
-    """
-    weights = present.astype(float)
-    count = np.maximum(weights.sum(axis=1), 1.0)
-    u = shifts - (np.einsum("ntd,nt->nd", shifts, weights) / count[:, None])[:, None]
-    u *= weights[..., None]
-    v = values - (np.einsum("nt,nt->n", values, weights) / count)[:, None]
-    normal = np.einsum("ntd,nte->nde", u, u)
-    right = np.einsum("ntd,nt->nd", u, v * weights)
-    ridge = 1e-6 * np.trace(normal, axis1=1, axis2=2) + 1e-30
-    normal += ridge[:, None, None] * np.eye(shifts.shape[2])
-    slopes = np.linalg.solve(normal, right[..., None])[..., 0]
-    return slopes.astype(np.float32).astype(float)  # as the bounds use them
 
 
 def _bounds(cloud: Tiles, slopes: Float64, level: Float64) -> TileBounds:

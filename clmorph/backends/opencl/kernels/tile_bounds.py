@@ -1,0 +1,172 @@
+"""Bounds of the shares of pairs of tiles, by ``cl_kernels/near_field.cl``."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS, Cloud
+from clmorph.backends.opencl.kernels.row_loop import RowLoop
+from clmorph.backends.opencl.kernels.tile_pairs import TileBounds
+
+#: The largest number of bounds that one launch writes, but for one block of row tiles.
+LAUNCH_BOUNDS = 1 << 22
+
+
+class TileLists(NamedTuple):
+    """The column tiles to bound for each block of `WIDTH_OF_GROUPS` consecutive row tiles.
+
+    Attributes
+    ----------
+    numbers : (n,) array
+        Numbers of column tiles, ascending in each list.
+    begins, lengths : (blocks,) arrays
+        The part of `numbers` that is the list of a block; later blocks do not begin earlier.
+    """
+
+    numbers: NDArray[np.uint32]
+    begins: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+
+
+class BoundTiles(NamedTuple):
+    """Bounds of consecutive row tiles.
+
+    Attributes
+    ----------
+    part : range
+        The row tiles.
+    starts : (row tiles + 1,) array
+        Index at which the bounds of each row tile begin.
+    shifts : (row tiles,) array
+        `starts` less the index in `TileLists.numbers` at which the list of the row tile begins.
+    values : (n,) array
+        Base-2 logarithms, rounded up.
+    """
+
+    part: range
+    starts: NDArray[np.int64]
+    shifts: NDArray[np.int64]
+    values: NDArray[np.float32]
+
+
+def all_tiles(n_rows: int, n_columns: int) -> TileLists:
+    """Return lists of all column tiles."""
+    blocks = -(-n_rows // WIDTH_OF_GROUPS)
+    return TileLists(
+        np.arange(n_columns, dtype=np.uint32),
+        np.zeros(blocks, np.int64),
+        np.full(blocks, n_columns, np.int64),
+    )
+
+
+class TileBoundKernel:
+    """Computes the bounds B of `clmorph.backends.opencl.kernels.tile_pairs` on the device.
+
+    Parameters
+    ----------
+    loop : RowLoop
+    """
+
+    def __init__(self, loop: RowLoop) -> None:
+        self._loop = loop
+
+    def bounds(
+        self,
+        cloud: Cloud,
+        sides: list[tuple[TileBounds, TileBounds]],
+        k: float,
+        lists: TileLists,
+    ) -> Iterator[BoundTiles]:
+        """Yield the bounds of listed pairs of tiles, in parts of the row tiles.
+
+        Parameters
+        ----------
+        cloud : Cloud
+            Any cloud of the dimension.
+        sides : list of (rows' terms, columns' terms)
+            The largest of several bounds is taken.
+        k : float
+        lists : TileLists
+        """
+        n_rows, n_columns = (len(terms.level) for terms in sides[0])
+        kernel = self._loop.kernel("near_field.cl", "bound_tiles", cloud, listed=True)
+        buffers = [self._buffers(*side) for side in sides]
+        rows_of = np.full(len(lists.lengths), WIDTH_OF_GROUPS)
+        rows_of[-1] = n_rows - WIDTH_OF_GROUPS * (len(rows_of) - 1)
+        done = np.concatenate(([0], np.cumsum(rows_of * lists.lengths)))
+        budget, first = self._loop.budget(kernel), 0
+        while first < len(rows_of):
+            most = min(LAUNCH_BOUNDS, budget.pairs())
+            stop = int(np.searchsorted(done, done[first] + most, side="right")) - 1
+            stop = max(stop, first + 1)
+            blocks = slice(first, stop)
+            begins, lengths = lists.begins[blocks], lists.lengths[blocks]
+            own = slice(int(begins[0]), int(begins[-1] + lengths[-1]))
+            places = done[first:stop] - done[first]
+            table = np.stack((begins - own.start, lengths, places), axis=1)
+            found = self._launch(
+                kernel, (n_rows, n_columns), first, k, buffers, table, lists.numbers[own],
+                int(done[stop] - done[first]),
+            )  # fmt: skip
+            each = np.repeat(lengths, rows_of[blocks])
+            starts = np.concatenate(([0], np.cumsum(each)))
+            part = range(first * WIDTH_OF_GROUPS, min(stop * WIDTH_OF_GROUPS, n_rows))
+            shifts = starts[:-1] - np.repeat(begins, rows_of[blocks])
+            yield BoundTiles(part, starts, shifts, found)
+            first = stop
+
+    def _buffers(self, rows: TileBounds, columns: TileBounds) -> tuple[cl.Buffer, cl.Buffer]:
+        """Return the terms of both sides on the device."""
+        terms = [
+            np.column_stack((side.centers, side.sides, side.slopes, side.level))
+            for side in (rows, columns)
+        ]
+        return self._loop.work.buffer(terms[0]), self._loop.work.buffer(terms[1].T)
+
+    def _launch(
+        self,
+        kernel: cl.Kernel,
+        shape: tuple[int, int],
+        first: int,
+        k: float,
+        sides: list[tuple[cl.Buffer, cl.Buffer]],
+        table: NDArray[np.int64],
+        numbers: NDArray[np.uint32],
+        count: int,
+    ) -> NDArray[np.float32]:
+        """Return the bounds of some blocks of row tiles.
+
+        Parameters
+        ----------
+        kernel : pyopencl.Kernel
+        shape : (row tiles, column tiles)
+        first : int
+            The first block.
+        k : float
+        sides : list of (rows' terms, columns' terms)
+        table : (blocks, 3) array
+            Begin and length of each list, and the place of its first bound.
+        numbers : array
+            The lists.
+        count : int
+            The number of bounds.
+        """
+        work, width = self._loop.work, self._loop.constants.width
+        size = -(-int(table[:, 1].max()) // width), len(table)
+        lists = work.buffer(table, np.uint32), work.buffer(numbers, np.uint32)
+        out = work.empty(4 * count)
+        result: NDArray[np.float32] | None = None
+        for terms in sides:
+            found = np.empty(count, np.float32)
+            with self._loop.budget(kernel).measure(count):
+                work.launch(
+                    kernel, size, None, *map(np.uint32, (*shape, WIDTH_OF_GROUPS, first)),
+                    np.float32(k), *terms, *lists, out,
+                    results=((found, out),),
+                )  # fmt: skip
+            result = found if result is None else np.maximum(result, found, out=result)
+        assert result is not None
+        return result

@@ -1,0 +1,165 @@
+"""Bounds of the shares of pairs of tiles, and the lists that are made of them."""
+
+import numpy as np
+import pytest
+from clouds import PAIRS
+
+from clmorph.backends.numpy import NumPyOperations
+from clmorph.backends.opencl.build.constants import SENTINEL
+from clmorph.backends.opencl.kernels import candidates, tile_bounds
+from clmorph.backends.opencl.kernels.row_loop import LOG2_E
+from clmorph.backends.opencl.kernels.tile_bounds import TileLists, all_tiles
+from clmorph.backends.opencl.kernels.tile_fits import TileFits
+from clmorph.backends.opencl.kernels.tile_pairs import column_bounds, row_bounds
+
+#: The bound of the rounding error, relative to the sum of the sizes of all terms.
+ROUNDOFF = 2.0**-20
+
+
+def in_float64(rows, columns, k):
+    """Return B of all pairs of tiles by the formula of `tile_pairs`, and its terms' sizes."""
+    p, h, w, r = (np.asarray(values, float)[:, None] for values in rows)
+    q, sides, a, level = (np.asarray(values, float)[None] for values in columns)
+    between = p - q
+    reach = h * np.abs(between + w) + sides * (np.abs(between - a) + h) - 0.5 * between**2
+    sizes = h * (np.abs(between) + np.abs(w)) + 0.5 * between**2
+    sizes += sides * (np.abs(between) + np.abs(a) + h)
+    return r + level + k * reach.sum(axis=2), np.abs(r) + np.abs(level) + k * sizes.sum(axis=2)
+
+
+def sides_of(operations, pair, epsilon, rng, largest=False):
+    """Upload two clouds; return them, the terms of their bounds, k, and the logarithms of shares.
+
+    These are log2 of b_j exp((g_j - C_ij) / epsilon) over the sum of its row, for sorted points.
+    """
+    clouds = [operations.upload(*each) for each in pair]
+    g = 3 * epsilon * rng.normal(size=len(pair[1][0]))
+    exact = NumPyOperations()
+    softmin = exact.softmin(*(exact.upload(*each) for each in pair), g, epsilon)
+    rows, columns = clouds
+    k = LOG2_E / epsilon
+    values = np.maximum(g[columns.order] * k + columns.log2_weights, SENTINEL)
+    guess = -k * softmin[rows.order]
+    sides = row_bounds(rows, guess, k), column_bounds(columns, values, k, largest)
+    x, y = (points[cloud.order] for (points, _), cloud in zip(pair, clouds, strict=True))
+    cost = 0.5 * ((x[:, None] - y) ** 2).sum(axis=2)
+    with np.errstate(divide="ignore"):
+        shares = values - k * cost - guess[:, None]
+    shares[:, values == SENTINEL] = -np.inf
+    return clouds, sides, k, shares
+
+
+def of_tiles(shares, tile, largest):
+    """Return the largest logarithm, over the rows of a tile, of a column tile's share."""
+    n_rows, n_columns = (-(-n // tile) for n in shares.shape)
+    found = np.full((n_rows, n_columns), -np.inf)
+    for p in range(n_rows):
+        for q in range(n_columns):
+            block = shares[p * tile : (p + 1) * tile, q * tile : (q + 1) * tile]
+            found[p, q] = (block if largest else np.logaddexp2.reduce(block, axis=1)).max()
+    return found
+
+
+@pytest.mark.parametrize("largest", [False, True], ids=["sums", "largest terms"])
+@pytest.mark.parametrize("name", PAIRS)
+def test_bounds_hold_and_are_those_of_the_formula(variant, rng, name, largest):
+    clouds, sides, k, shares = sides_of(variant, PAIRS[name](rng), 0.01, rng, largest)
+    kernel = variant.plan_row_reductions.tile_bounds
+    n_tiles = [len(cloud.centers) for cloud in clouds]
+    (found,) = kernel.bounds(clouds[0], [sides], k, all_tiles(*n_tiles))
+    assert found.part == range(n_tiles[0])
+    got = found.values.reshape(n_tiles)
+    want, sizes = in_float64(*sides, k)
+    # Rounded up, by no more than twice the bound of the rounding error.
+    assert np.all(got >= want)
+    assert np.all(got <= want + 2 * ROUNDOFF * sizes)
+    assert np.all(got >= of_tiles(shares, variant.constants.tile, largest))
+
+
+def test_lists_of_any_length(variant, rng, monkeypatch):
+    """Blocks have lists of their own, in one launch or several, and take the largest bound."""
+    pair = [(rng.random((n, 5)), np.full(n, 1 / n)) for n in (64 * 21 - 5, 64 * 37 - 9)]
+    clouds, one, k, _ = sides_of(variant, pair, 0.01, rng)
+    n_rows, n_columns = (len(cloud.centers) for cloud in clouds)
+    other = one[0], column_bounds(clouds[1], rng.normal(size=len(clouds[1])), k)
+    lengths = np.array([rng.integers(1, n_columns + 1) for _ in range(-(-n_rows // 8))])
+    lengths[0], lengths[-1] = 1, n_columns
+    numbers = [np.sort(rng.permutation(n_columns)[:length]) for length in lengths]
+    lists = TileLists(
+        np.concatenate(numbers).astype(np.uint32), np.cumsum(lengths) - lengths, lengths
+    )
+    kernel = variant.plan_row_reductions.tile_bounds
+    whole = [in_float64(*sides, k)[0] for sides in (one, other)]
+    results = []
+    for most in (1 << 22, 100):
+        monkeypatch.setattr(tile_bounds, "LAUNCH_BOUNDS", most)
+        parts = list(kernel.bounds(clouds[0], [one, other], k, lists))
+        assert [row for part in parts for row in part.part] == list(range(n_rows))
+        for part in parts:
+            assert len(part.shifts) == len(part.part)
+            for place, row in enumerate(part.part):
+                own = slice(part.starts[place], part.starts[place + 1])
+                listed = lists.numbers[own.start - part.shifts[place] :][: own.stop - own.start]
+                assert np.array_equal(listed, numbers[row // 8])
+                want = np.maximum(*(each[row, listed] for each in whole))
+                assert np.abs(part.values[own] - want).max() <= 1e-5 * np.abs(want).max()
+        results.append(np.concatenate([part.values for part in parts]))
+    assert len(parts) > 1
+    assert np.array_equal(*results)
+
+
+@pytest.mark.parametrize("wide_from", [1, 1 << 62], ids=["groups first", "tiles alone"])
+@pytest.mark.parametrize("blur", [0.5, 0.1, 0.02])
+def test_candidates_leave_out_no_more_than_they_report(device, rng, monkeypatch, wide_from, blur):
+    """Over any row, the shares of tiles that are not candidates are within the bound."""
+    monkeypatch.setattr(candidates, "WIDE_FROM", wide_from)
+    monkeypatch.setattr(tile_bounds, "LAUNCH_BOUNDS", 2000)
+    y, x = np.meshgrid(*[np.linspace(0, 1, 70)] * 2, indexing="ij")
+    colors = np.stack((x * y, np.sin(5 * x + y), 0.1 * rng.random(x.shape)), axis=2)
+    points = np.dstack((x, y, colors)).reshape(-1, 5)
+    pair = [(points[: 4900 - drop], np.full(4900 - drop, 1 / 4900)) for drop in (3, 1000)]
+    rows, columns = (device.upload(*each) for each in pair)
+    k, tile, budget = LOG2_E / blur**2, device.constants.tile, 1e-9
+    g = np.zeros(len(columns))
+    exact = NumPyOperations()
+    softmin = exact.softmin(*(exact.upload(*each) for each in pair), g, blur**2)
+    guess, values = -k * softmin[rows.order], columns.log2_weights
+    kernel = device.plan_row_reductions.tile_bounds
+    x, y = (each[cloud.order] for (each, _), cloud in zip(pair, (rows, columns), strict=True))
+    seen, kept = 0, 0
+    for part, pairs, unseen in candidates.candidates(
+        kernel, rows, columns, row_bounds(rows, guess, k), guess, values, k, budget
+    ):
+        assert part.start == seen
+        seen = part.stop
+        assert unseen.max() <= budget
+        for row_tile in part:
+            own = slice(row_tile * tile, (row_tile + 1) * tile)
+            listed = pairs.tiles[pairs.starts[row_tile] : pairs.starts[row_tile + 1]]
+            assert np.all(np.diff(listed.astype(int)) > 0)
+            assert listed.size
+            kept += listed.size
+            left = ~np.isin(np.arange(len(columns)) // tile, listed)
+            cost = 0.5 * ((x[own, None] - y[left]) ** 2).sum(axis=2)
+            share = np.exp2(values[left] - k * cost - guess[own, None]).sum(axis=1)
+            assert share.max() <= unseen[row_tile - part.start]
+    assert seen == len(rows.centers)
+    if blur == 0.02:
+        assert kept < 0.8 * len(rows.centers) * len(columns.centers)
+
+
+def test_fits_of_all_points_and_of_some(rng):
+    """Slopes of linear values are exact but for the ridge, whichever points are present."""
+    shifts = rng.uniform(-0.1, 0.1, (7, 64, 5)).astype(np.float32)
+    slopes = rng.normal(size=(7, 5))
+    values = np.einsum("ntd,nd->nt", shifts, slopes) + rng.normal(size=(7, 1))
+    present = np.ones((7, 64), bool)
+    fits = TileFits(shifts)
+    assert np.abs(fits.slopes(values, present) - slopes).max() <= 1e-3
+    present[2:4] = rng.random((2, 64)) < 0.5
+    values[~present] = 1e3
+    assert np.abs(fits.slopes(values, present) - slopes).max() <= 1e-3
+    # Points in one place, or without any that is present, have finite slopes.
+    shifts[5] = shifts[5, 0]
+    present[6] = False
+    assert np.all(np.isfinite(TileFits(shifts).slopes(values, present)))
