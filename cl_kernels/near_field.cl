@@ -32,7 +32,8 @@
 #define MANY_EIGHTHS 5 // then all columns take less time, without a look at bits
 #endif
 
-#define BOUND_ROUNDING 9.5367432e-7f // 2^-20: of B, relative to the sum of its terms' sizes
+// Rounding of B, relative to the sum of its terms' sizes: half a square has 3, its place in the sums 4 + DIM.
+#define BOUND_ROUNDING ((DIM + 12) * 5.9604645e-8f) // 2^-24 for each of them, and a reserve
 #define BOUND_TERMS (3 * DIM + 1) // center, half sides and slopes of a tile, and its level: -r or A'
 
 // One number of each of WIDTH tiles.

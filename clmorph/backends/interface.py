@@ -398,7 +398,8 @@ class Operations(Protocol):
         by_column : bool
             Whether to sum over the rows of each column instead; `changes` is then an (N,) array.
         ordered : bool
-            Whether changes and sums have the order of `StoredPairs.orders`, which takes less time.
+            Whether changes and sums have the order of `StoredPairs.orders`, which can take less
+            time.
 
         Returns
         -------

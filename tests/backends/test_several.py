@@ -144,11 +144,13 @@ def test_results_repeat_to_the_bit(device, rng, kind):
             [
                 softmin, near.softmin, near.skipped,
                 operations.sum_stored(stored, g, False), operations.sum_stored(stored, g, True),
+                operations.sum_stored(stored, g[stored.orders[1]], False, ordered=True),
                 *operations.barycentric_projection(cloud, cloud, g, 0.01, True, near),
                 *operations.plan_moments(cloud, cloud, g, softmin, 0.01, True, near),
             ]
         )  # fmt: skip
     assert all(one.tobytes() == other.tobytes() for one, other in zip(*found, strict=True))
+    assert np.array_equal(found[0][5], found[0][3][stored.orders[0]])
 
 
 def _tile_volume(points):

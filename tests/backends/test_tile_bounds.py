@@ -7,13 +7,16 @@ from clouds import PAIRS
 from clmorph.backends.numpy import NumPyOperations
 from clmorph.backends.opencl.build.constants import SENTINEL
 from clmorph.backends.opencl.kernels import candidates, tile_bounds
+from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS
 from clmorph.backends.opencl.kernels.row_loop import LOG2_E
 from clmorph.backends.opencl.kernels.tile_bounds import TileLists, all_tiles
 from clmorph.backends.opencl.kernels.tile_fits import TileFits
 from clmorph.backends.opencl.kernels.tile_pairs import column_bounds, row_bounds
 
-#: The bound of the rounding error, relative to the sum of the sizes of all terms.
-ROUNDOFF = 2.0**-20
+#: The bound of the rounding error in five dimensions, relative to the sum of all terms' sizes.
+ROUNDOFF = 17 * 2.0**-24
+#: Row tiles that share a list.
+BLOCK = WIDTH_OF_GROUPS
 
 
 def in_float64(rows, columns, k):
@@ -66,7 +69,7 @@ def test_bounds_hold_and_are_those_of_the_formula(variant, rng, name, largest):
     clouds, sides, k, shares = sides_of(variant, PAIRS[name](rng), 0.01, rng, largest)
     kernel = variant.plan_row_reductions.tile_bounds
     n_tiles = [len(cloud.centers) for cloud in clouds]
-    (found,) = kernel.bounds(clouds[0], [sides], k, all_tiles(*n_tiles))
+    (found,) = kernel.bounds(clouds[0], [sides], k, [all_tiles(*n_tiles)])
     assert found.part == range(n_tiles[0])
     got = found.values.reshape(n_tiles)
     want, sizes = in_float64(*sides, k)
@@ -82,30 +85,51 @@ def test_lists_of_any_length(variant, rng, monkeypatch):
     clouds, one, k, _ = sides_of(variant, pair, 0.01, rng)
     n_rows, n_columns = (len(cloud.centers) for cloud in clouds)
     other = one[0], column_bounds(clouds[1], rng.normal(size=len(clouds[1])), k)
-    lengths = np.array([rng.integers(1, n_columns + 1) for _ in range(-(-n_rows // 8))])
+    lengths = np.array([rng.integers(1, n_columns + 1) for _ in range(-(-n_rows // BLOCK))])
     lengths[0], lengths[-1] = 1, n_columns
     numbers = [np.sort(rng.permutation(n_columns)[:length]) for length in lengths]
-    lists = TileLists(
-        np.concatenate(numbers).astype(np.uint32), np.cumsum(lengths) - lengths, lengths
+    whole_list = TileLists(
+        0, np.concatenate(numbers).astype(np.uint32), np.cumsum(lengths) - lengths, lengths
     )
+    each = [
+        TileLists(first, own.astype(np.uint32), np.zeros(1, int), lengths[first : first + 1])
+        for first, own in enumerate(numbers)
+    ]
     kernel = variant.plan_row_reductions.tile_bounds
     whole = [in_float64(*sides, k)[0] for sides in (one, other)]
     results = []
-    for most in (1 << 22, 100):
+    for most, lists in ((1 << 22, [whole_list]), (100, [whole_list]), (1 << 22, each)):
         monkeypatch.setattr(tile_bounds, "LAUNCH_BOUNDS", most)
         parts = list(kernel.bounds(clouds[0], [one, other], k, lists))
+        assert (len(parts) > 1) == (lists is each or most == 100)
         assert [row for part in parts for row in part.part] == list(range(n_rows))
         for part in parts:
-            assert len(part.shifts) == len(part.part)
+            assert len(part.list_offsets) == len(part.part)
             for place, row in enumerate(part.part):
                 own = slice(part.starts[place], part.starts[place + 1])
-                listed = lists.numbers[own.start - part.shifts[place] :][: own.stop - own.start]
-                assert np.array_equal(listed, numbers[row // 8])
+                listed = part.numbers[own.start - part.list_offsets[place] :][
+                    : own.stop - own.start
+                ]
+                assert np.array_equal(listed, numbers[row // BLOCK])
                 want = np.maximum(*(each[row, listed] for each in whole))
                 assert np.abs(part.values[own] - want).max() <= 1e-5 * np.abs(want).max()
         results.append(np.concatenate([part.values for part in parts]))
-    assert len(parts) > 1
-    assert np.array_equal(*results)
+    assert np.array_equal(results[0], results[1])
+    assert np.array_equal(results[0], results[2])
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 11])
+def test_bounds_in_other_dimensions(variant, rng, dimension):
+    pair = [(rng.random((n, dimension)), np.full(n, 1 / n)) for n in (200, 150)]
+    clouds, sides, k, shares = sides_of(variant, pair, 0.05, rng)
+    n_tiles = [len(cloud.centers) for cloud in clouds]
+    kernel = variant.plan_row_reductions.tile_bounds
+    (found,) = kernel.bounds(clouds[0], [sides], k, [all_tiles(*n_tiles)])
+    got = found.values.reshape(n_tiles)
+    want, sizes = in_float64(*sides, k)
+    assert np.all(got >= want)
+    assert np.all(got <= want + 2 * (dimension + 12) / 2**24 * sizes)
+    assert np.all(got >= of_tiles(shares, variant.constants.tile, False))
 
 
 @pytest.mark.parametrize("wide_from", [1, 1 << 62], ids=["groups first", "tiles alone"])
@@ -146,6 +170,75 @@ def test_candidates_leave_out_no_more_than_they_report(device, rng, monkeypatch,
     assert seen == len(rows.centers)
     if blur == 0.02:
         assert kept < 0.8 * len(rows.centers) * len(columns.centers)
+
+
+@pytest.mark.parametrize("wide_from", [1, 1 << 62], ids=["groups first", "tiles alone"])
+def test_rows_that_keep_no_pair_list_one_tile(device, rng, monkeypatch, wide_from):
+    """Rows without mass have a bound below the limit everywhere; others list what they need."""
+    monkeypatch.setattr(candidates, "WIDE_FROM", wide_from)
+    points = np.sort(rng.random((64 * 40, 1)), axis=0)
+    weights = np.where(np.arange(len(points)) < 64 * 24, 1.0, 0.0)
+    rows = device.upload(points, weights)
+    columns = device.upload(points, np.ones(len(points)))
+    tile, epsilon = device.constants.tile, 1e-4
+    k = LOG2_E / epsilon
+    threshold = 8.0
+    of_rows = np.where(rows.log2_weights > 0.5 * SENTINEL, -threshold, -SENTINEL)
+    parts = list(
+        candidates.possible_pairs(
+            device.plan_row_reductions.tile_bounds, rows, columns,
+            [(of_rows, np.zeros(len(columns)))], k,
+        )
+    )  # fmt: skip
+    assert [row for part, _ in parts for row in part] == list(range(len(rows.centers)))
+    x, y = points[rows.order, 0], points[columns.order, 0]
+    needed = threshold - 0.5 * k * (x[:, None] - y) ** 2 >= 0
+    needed &= (of_rows < 0)[:, None]
+    for part, pairs in parts:
+        for row_tile in part:
+            own = slice(row_tile * tile, (row_tile + 1) * tile)
+            listed = pairs.tiles[pairs.starts[row_tile] : pairs.starts[row_tile + 1]]
+            wanted = np.unique(np.flatnonzero(needed[own].any(axis=0)) // tile)
+            assert np.isin(wanted, listed).all()
+            if not len(wanted):
+                assert len(listed) == 1
+
+
+def test_bounds_that_overflow_exclude_nothing(device):
+    """Infinite terms make a bound that is no number, and such a tile is kept."""
+    kernel = device.plan_row_reductions.tile_bounds
+    points = np.linspace(0, 1, 130)[:, None]
+    cloud = device.upload(points, np.ones(130))
+    k = LOG2_E / 1e-4
+    sides = (
+        row_bounds(cloud, np.zeros(130), k), column_bounds(cloud, np.zeros(130), k)
+    )  # fmt: skip
+    far = sides[1]._replace(centers=sides[1].centers + np.float32(1e30))
+    n_tiles = len(cloud.centers)
+    (bound,) = kernel.bounds(cloud, [(sides[0], far)], k, [all_tiles(n_tiles, n_tiles)])
+    assert np.isnan(bound.values).all()
+    _, tiles, _ = candidates._above(bound, 0.0)
+    assert tiles.tolist() == n_tiles * list(range(n_tiles))
+
+
+def test_lengths_of_launches_change_no_list(device, rng, monkeypatch):
+    """Near pairs are the same bit by bit, however many bounds a launch computes."""
+    cloud = device.upload(rng.random((64 * 30, 5)), np.full(64 * 30, 1.0))
+    g = 0.1 * rng.random(64 * 30)
+    softmin = device.softmin(cloud, cloud, g, 0.01)
+    found = []
+    for most, chunk in ((1 << 21, 1 << 20), (500, 1 << 20), (500, 1)):
+        monkeypatch.setattr(tile_bounds, "LAUNCH_BOUNDS", most)
+        monkeypatch.setattr(candidates, "CHUNK_PAIRS", chunk)
+        found.append(device.near_pairs(cloud, cloud, g, softmin, 0.01, 1e-6))
+    for near in found[1:]:
+        assert np.array_equal(near.pairs.tiles, found[0].pairs.tiles)
+        assert np.array_equal(near.pairs.starts, found[0].pairs.starts)
+        assert np.array_equal(near.pairs.distances, found[0].pairs.distances)
+        assert np.array_equal(near.softmin, found[0].softmin)
+        assert np.array_equal(near.skipped, found[0].skipped)
+    assert [len(near.pairs.masks) for near in found[:2]] == [1, 1]
+    assert len(found[2].pairs.masks) > 1
 
 
 def test_fits_of_all_points_and_of_some(rng):

@@ -185,3 +185,20 @@ def test_many_memories_are_those_of_each_problem(rng, sizes):
         assert found.tolist() == [bool(extrapolated) for _, extrapolated in want]
         x = [guess for guess, _ in want]
         assert np.allclose(got, np.concatenate(x), rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("patience", [3, 7])
+def test_rounding_ends_an_iteration_after_its_patience(rng, monkeypatch, patience):
+    """A residual that rounding explains, and that does not fall, ends the iteration."""
+    pair = [clmorph.WeightedPoints(rng.random((n, 2)), np.full(n, 1 / n)) for n in (20, 30)]
+    problem = Problem.between(clmorph.get_backend("numpy"), *pair, (0.1, 0.1))
+    monkeypatch.setattr(Problem, "residual", lambda *given: 0.5)
+    for rounding, expected in ((1.0, 1 + patience), (0.01, 40)):
+        monkeypatch.setattr(Problem, "rounding", lambda *given, value=rounding: value)
+        problem.n_softmin = 0
+        iteration = Iteration(
+            problem, 0.1, 1e-3, 40, "float64", lambda share: None, certify=False, patience=patience
+        )
+        iteration.run(np.zeros(30))
+        assert iteration.n_iter == expected
+        assert iteration.status == ("precision" if rounding == 1.0 else "max_iter")

@@ -273,6 +273,29 @@ def test_levels_without_clusters_that_join_points(monkeypatch):
     assert np.abs(found[0].f - found[1].f).max() <= 2e-3 * found[0].epsilon
 
 
+def test_a_level_without_clusters_has_the_clouds_of_the_finer_one(device, rng):
+    """Nothing is uploaded again, and the level chooses near pairs of its own."""
+    points = [rng.random((n, 3)) for n in (150, 130)]
+    pair = [
+        clmorph.WeightedPoints(x, rng.random(len(x)), offsets=rng.random(len(x))) for x in points
+    ]
+    finer = Problem.between(clmorph.get_backend(device), *pair, (0.1, np.inf), 1e-4)
+    level = annealing._Level(0.3, tuple(pair), None, tuple(pair))
+    coarse = annealing._level_problem(finer, level, finer)
+    assert coarse.rows is finer.rows
+    assert coarse.columns is finer.columns
+    assert (coarse.rho, coarse.oscillations) == (finer.rho, finer.oscillations)
+    assert coarse.to_rows is not finer.to_rows
+    assert coarse.to_rows.reserve == coarse.to_columns.reserve == annealing.FAR_RESERVE
+    assert finer.to_rows.reserve != annealing.FAR_RESERVE
+    other = finer.with_truncation(None)
+    assert (other.to_rows.truncation, other.to_columns.truncation) == (None, None)
+    g = 0.1 * rng.random(130)
+    again = Problem.between(clmorph.get_backend(device), *pair, (0.1, np.inf))
+    for epsilon in (0.1, 0.01):
+        assert np.array_equal(other.to_rows(g, epsilon), again.to_rows(g, epsilon))
+
+
 def test_fewer_pairs_are_stored_where_all_would_be_too_many(monkeypatch):
     blur, rho = 0.05, (0.09, 0.09)
     problem, f, g, t_rows, t_columns, grid = stored_near("numpy", 24, blur, rho)

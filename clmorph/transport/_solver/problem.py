@@ -120,6 +120,11 @@ class Problem:
         """Return the problem of the same measures, whose softmins choose near pairs of their own.
 
         It has this problem's clouds, so nothing is uploaded.
+
+        Parameters
+        ----------
+        truncation : float, optional
+            See `clmorph.transport._solver.softmin.Softmin`.
         """
         rows, columns = self.to_rows, self.to_columns
         problem = Problem(

@@ -1,6 +1,6 @@
 """Find pairs of tiles that bounds do not exclude, and choose which of them to keep."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,8 @@ from clmorph.backends.records import Float64
 
 #: The number of pairs of tiles from which groups of tiles are bounded first.
 WIDE_FROM = 1 << 24
+#: The number of pairs of tiles that are yielded together, at least.
+CHUNK_PAIRS = 1 << 20
 #: Thresholds at which a list of shares may be cut, as fractions of the budget.
 CUTS = 8.0 ** -np.arange(7)
 
@@ -51,7 +53,7 @@ def candidates(
 ) -> Iterator[Candidates]:
     """Yield the pairs of tiles that bounds do not exclude, in parts of the row tiles.
 
-    The device computes the bounds of a part while threads choose among those before.
+    The device computes bounds while threads choose tiles by the bounds of earlier parts.
 
     Parameters
     ----------
@@ -74,19 +76,18 @@ def candidates(
     # number; so do all groups of tiles.
     hopeless = float(np.log2(0.25 * budget / n_columns))
     limit = hopeless + np.log2(n_columns / -(-n_columns // WIDTH_OF_GROUPS))
-    lists = _lists(kernel, rows, columns, wides, k, limit)
 
     def chosen(bound: BoundTiles) -> Candidates:
-        starts, tiles, values = _above(bound, lists, hopeless)
+        starts, tiles, values = _above(bound, hopeless)
         # In units of the budget, because shares of small budgets would underflow.
-        shares = np.exp2(np.minimum(values - np.float32(np.log2(budget)), np.float32(60.0)))
+        shares = np.exp2(np.fmin(values - np.float32(np.log2(budget)), np.float32(60.0)))
         keep, unseen = kept_shares(starts, shares, 0.5)
         each = np.add.reduceat(keep, starts[:-1], dtype=np.int64)
         pairs = paired(rows, columns, bound.part, each, tiles[keep])
         return Candidates(bound.part, pairs, (unseen + 0.5) * budget)
 
-    for _, found in in_order(chosen, kernel.bounds(rows, sides, k, lists)):
-        yield found
+    bounded = kernel.bounds(rows, sides, k, _lists(kernel, rows, columns, wides, k, limit))
+    yield from _joined((found for _, found in in_order(chosen, bounded)), len(rows.centers))
 
 
 def possible_pairs(
@@ -96,7 +97,9 @@ def possible_pairs(
     values: list[tuple[Float64, Float64]],
     k: float,
 ) -> Iterator[tuple[range, TilePairs]]:
-    """Yield pairs of tiles for which at least one of several bounds exceeds 0, in parts.
+    """Yield pairs of tiles for which one of several bounds is not below 0, in parts.
+
+    Each row tile keeps at least one column tile, because reductions need one.
 
     Parameters
     ----------
@@ -113,10 +116,36 @@ def possible_pairs(
     sides = bounds_of(rows, columns)
     many = len(rows.centers) * len(columns.centers) >= WIDE_FROM
     wides = bounds_of(rows.wide, columns.wide) if many else []
-    lists = _lists(kernel, rows, columns, wides, k, 0.0)
-    for bound in kernel.bounds(rows, sides, k, lists):
-        starts, tiles, _ = _above(bound, lists, 0.0)
-        yield bound.part, paired(rows, columns, bound.part, np.diff(starts), tiles)
+
+    def possible(bound: BoundTiles) -> Candidates:
+        starts, tiles, _ = _above(bound, 0.0)
+        pairs = paired(rows, columns, bound.part, np.diff(starts), tiles)
+        return Candidates(bound.part, pairs, np.zeros(len(bound.part)))
+
+    bounded = kernel.bounds(rows, sides, k, _lists(kernel, rows, columns, wides, k, 0.0))
+    for part, pairs, _ in _joined(map(possible, bounded), len(rows.centers)):
+        yield part, pairs
+
+
+def _joined(parts: Iterable[Candidates], n_rows: int) -> Iterator[Candidates]:
+    """Yield successive parts together, as many as have `CHUNK_PAIRS` pairs of tiles."""
+    waiting: list[Candidates] = []
+    count = 0
+    for found in parts:
+        waiting.append(found)
+        count += len(found.pairs.tiles)
+        if count < CHUNK_PAIRS and found.part.stop < n_rows:
+            continue
+        own = [each.pairs for each in waiting]
+        # Lists of a part count no pairs of other row tiles.
+        pairs = TilePairs(
+            sum((each.starts for each in own[1:]), own[0].starts),
+            np.concatenate([each.tiles for each in own]),
+            np.concatenate([each.distances for each in own]),
+        )
+        unseen = np.concatenate([each.unseen for each in waiting])
+        yield Candidates(range(waiting[0].part.start, found.part.stop), pairs, unseen)
+        waiting, count = [], 0
 
 
 def _lists(
@@ -126,49 +155,49 @@ def _lists(
     wides: list[_Sides],
     k: float,
     limit: float,
-) -> TileLists:
-    """Return the column tiles to bound for each block of row tiles.
+) -> Iterator[TileLists]:
+    """Yield the column tiles to bound for each block of row tiles.
 
     If there are bounds of groups of tiles, groups whose bound is below a limit are left out.
     """
     n_columns = len(columns.centers)
     if not wides:
-        return all_tiles(len(rows.centers), n_columns)
+        yield all_tiles(len(rows.centers), n_columns)
+        return
     every = all_tiles(len(rows.wide.centers), len(columns.wide.centers))
-    lengths, numbers = [], []
-    for bound in kernel.bounds(rows, wides, k, every):
-        starts, groups, _ = _above(bound, every, limit)
-        tiles = WIDTH_OF_GROUPS * groups[:, None] + np.arange(WIDTH_OF_GROUPS, dtype=np.uint32)
+    for bound in kernel.bounds(rows, wides, k, [every]):
+        starts, groups, _ = _above(bound, limit)
+        members = np.arange(WIDTH_OF_GROUPS, dtype=np.uint32)
+        tiles: NDArray[np.uint32] = np.uint32(WIDTH_OF_GROUPS) * groups[:, None] + members
         present = tiles < n_columns
-        lengths.append(np.add.reduceat(present.sum(axis=1), starts[:-1]))
-        numbers.append(tiles[present])
-    each = np.concatenate(lengths)
-    return TileLists(np.concatenate(numbers), np.cumsum(each) - each, each)
+        lengths = np.add.reduceat(present.sum(axis=1), starts[:-1])
+        yield TileLists(bound.part.start, tiles[present], np.cumsum(lengths) - lengths, lengths)
 
 
 def _above(
-    bound: BoundTiles, lists: TileLists, limit: float
+    bound: BoundTiles, limit: float
 ) -> tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.float32]]:
-    """Return the column tiles whose bound is not below a limit, and each row tile's largest one.
+    """Return the column tiles whose bound is not below a limit.
+
+    A row tile without any keeps the one with the largest bound. A bound that overflows is no
+    number, and is not below a limit.
 
     Returns
     -------
     starts : (row tiles + 1,) array
-        Index at which the column tiles of each row tile begin; there is at least one.
+        Index at which the column tiles of each row tile begin.
     tiles : array
         Numbers of the column tiles.
     values : array
         Their bounds.
     """
     values, starts = bound.values, bound.starts
-    above = values >= limit
-    largest = np.maximum.reduceat(values, starts[:-1])
-    for row in np.flatnonzero(largest < limit):
-        own = slice(starts[row], starts[row + 1])
-        above[own] = values[own] == largest[row]
+    above = ~(values < limit)
+    for row in np.flatnonzero(~np.logical_or.reduceat(above, starts[:-1])):
+        above[starts[row] + np.argmax(values[starts[row] : starts[row + 1]])] = True
     places = np.flatnonzero(above)
     found = np.searchsorted(places, starts)
-    tiles = lists.numbers[places - np.repeat(bound.shifts, np.diff(found))]
+    tiles = bound.numbers[places - np.repeat(bound.list_offsets, np.diff(found))]
     return found, tiles, values[places]
 
 

@@ -70,9 +70,9 @@ class NearField:
     ) -> NearPairs:
         """Find the pairs that contribute to the rows' sums.
 
-        Bounds over pairs of tiles exclude most pairs; threads choose the next pairs of tiles while
-        the device looks at those before. Of the other tiles each group of rows takes
-        the columns whose exponent is above a threshold in one of its rows. The threshold is such
+        Bounds over pairs of tiles exclude most pairs; threads choose pairs of tiles while the
+        device looks at those that were chosen before. Of these tiles each group of rows takes the
+        columns whose exponent is above a threshold in one of its rows. The threshold is such
         that all columns of these tiles below it together are within the budget.
         """
         k, tile, n = LOG2_E / epsilon, self._loop.constants.tile, len(rows)

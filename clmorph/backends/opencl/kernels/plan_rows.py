@@ -191,18 +191,18 @@ class PlanRowReductions:
         rows, columns = plan.rows, plan.columns
         by_row = _log2_threshold(plan.row_thresholds)[rows.order]
         by_column = _log2_threshold(plan.column_thresholds)[columns.order]
+        thresholds = (
+            self._loop.work.buffer(pad(by_row, rows.stride, -SENTINEL)),
+            self._loop.work.buffer(pad(by_column, columns.stride, -SENTINEL)),
+        )
         for within, pairs in self._possible_pairs(plan):
             exponents = self._loop.exponents(rows, columns, plan.g, plan.epsilon, pairs, within)
             # log2 pi_ij = e_ij + offsets_i; a row without mass keeps no pair.
             offsets = self._loop.row_offsets(rows, exponents)
             offsets += plan.f[rows.order] * exponents.k + rows.log2_weights
             offsets[rows.log2_weights <= SENTINEL] = SENTINEL
-            buffers = (
-                self._loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL))),
-                self._loop.work.buffer(pad(by_row, rows.stride, -SENTINEL)),
-                self._loop.work.buffer(pad(by_column, columns.stride, -SENTINEL)),
-            )
-            yield Section(within, pairs, exponents, buffers)
+            own = self._loop.work.buffer(split(pad(offsets, rows.stride, SENTINEL)))
+            yield Section(within, pairs, exponents, (own, *thresholds))
 
     def _possible_pairs(self, plan: Plan) -> Iterator[tuple[range, TilePairs | None]]:
         """Yield parts of the row tiles, and the pairs of tiles that can hold a kept pair there.

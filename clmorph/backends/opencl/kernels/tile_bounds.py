@@ -1,6 +1,6 @@
 """Bounds of the shares of pairs of tiles, by ``cl_kernels/near_field.cl``."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -11,21 +11,26 @@ from clmorph.backends.opencl.kernels.clouds import WIDTH_OF_GROUPS, Cloud
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.tile_pairs import TileBounds
 
-#: The largest number of bounds that one launch writes, but for one block of row tiles.
-LAUNCH_BOUNDS = 1 << 22
+#: The largest number of bounds that one launch writes, unless a single block has more.
+LAUNCH_BOUNDS = 1 << 21
+#: Work-items along a list are a multiple of this.
+ENTRIES = 32
 
 
 class TileLists(NamedTuple):
-    """The column tiles to bound for each block of `WIDTH_OF_GROUPS` consecutive row tiles.
+    """The column tiles to bound for consecutive blocks of `WIDTH_OF_GROUPS` row tiles.
 
     Attributes
     ----------
+    first : int
+        The number of the first block.
     numbers : (n,) array
         Numbers of column tiles, ascending in each list.
     begins, lengths : (blocks,) arrays
         The part of `numbers` that is the list of a block; later blocks do not begin earlier.
     """
 
+    first: int
     numbers: NDArray[np.uint32]
     begins: NDArray[np.int64]
     lengths: NDArray[np.int64]
@@ -40,22 +45,26 @@ class BoundTiles(NamedTuple):
         The row tiles.
     starts : (row tiles + 1,) array
         Index at which the bounds of each row tile begin.
-    shifts : (row tiles,) array
-        `starts` less the index in `TileLists.numbers` at which the list of the row tile begins.
     values : (n,) array
         Base-2 logarithms, rounded up.
+    numbers : array
+        Numbers of column tiles.
+    list_offsets : (row tiles,) array
+        `starts` less the index in `numbers` at which the list of the row tile begins.
     """
 
     part: range
     starts: NDArray[np.int64]
-    shifts: NDArray[np.int64]
     values: NDArray[np.float32]
+    numbers: NDArray[np.uint32]
+    list_offsets: NDArray[np.int64]
 
 
 def all_tiles(n_rows: int, n_columns: int) -> TileLists:
     """Return lists of all column tiles."""
     blocks = -(-n_rows // WIDTH_OF_GROUPS)
     return TileLists(
+        0,
         np.arange(n_columns, dtype=np.uint32),
         np.zeros(blocks, np.int64),
         np.full(blocks, n_columns, np.int64),
@@ -78,7 +87,7 @@ class TileBoundKernel:
         cloud: Cloud,
         sides: list[tuple[TileBounds, TileBounds]],
         k: float,
-        lists: TileLists,
+        lists: Iterable[TileLists],
     ) -> Iterator[BoundTiles]:
         """Yield the bounds of listed pairs of tiles, in parts of the row tiles.
 
@@ -89,34 +98,40 @@ class TileBoundKernel:
         sides : list of (rows' terms, columns' terms)
             The largest of several bounds is taken.
         k : float
-        lists : TileLists
+        lists : iterable of TileLists
         """
         n_rows, n_columns = (len(terms.level) for terms in sides[0])
         kernel = self._loop.kernel("near_field.cl", "bound_tiles", cloud, listed=True)
+        budget = self._loop.budget(kernel)
         buffers = [self._buffers(*side) for side in sides]
-        rows_of = np.full(len(lists.lengths), WIDTH_OF_GROUPS)
-        rows_of[-1] = n_rows - WIDTH_OF_GROUPS * (len(rows_of) - 1)
-        done = np.concatenate(([0], np.cumsum(rows_of * lists.lengths)))
-        budget, first = self._loop.budget(kernel), 0
-        while first < len(rows_of):
-            most = min(LAUNCH_BOUNDS, budget.pairs())
-            stop = int(np.searchsorted(done, done[first] + most, side="right")) - 1
-            stop = max(stop, first + 1)
-            blocks = slice(first, stop)
-            begins, lengths = lists.begins[blocks], lists.lengths[blocks]
-            own = slice(int(begins[0]), int(begins[-1] + lengths[-1]))
-            places = done[first:stop] - done[first]
-            table = np.stack((begins - own.start, lengths, places), axis=1)
-            found = self._launch(
-                kernel, (n_rows, n_columns), first, k, buffers, table, lists.numbers[own],
-                int(done[stop] - done[first]),
-            )  # fmt: skip
-            each = np.repeat(lengths, rows_of[blocks])
-            starts = np.concatenate(([0], np.cumsum(each)))
-            part = range(first * WIDTH_OF_GROUPS, min(stop * WIDTH_OF_GROUPS, n_rows))
-            shifts = starts[:-1] - np.repeat(begins, rows_of[blocks])
-            yield BoundTiles(part, starts, shifts, found)
-            first = stop
+        for of_blocks, numbers, begins, lengths in lists:
+            rows_of = np.full(len(lengths), WIDTH_OF_GROUPS)
+            rows_of[-1] = min(
+                WIDTH_OF_GROUPS, n_rows - (of_blocks + len(lengths) - 1) * WIDTH_OF_GROUPS
+            )
+            done = np.concatenate(([0], np.cumsum(rows_of * lengths)))
+            first = 0
+            while first < len(lengths):
+                most = min(LAUNCH_BOUNDS, budget.pairs())
+                stop = int(np.searchsorted(done, done[first] + most, side="right")) - 1
+                stop = max(stop, first + 1)
+                own = slice(first, stop)
+                listed = slice(int(begins[first]), int((begins[own] + lengths[own]).max()))
+                table = np.stack(
+                    (begins[own] - listed.start, lengths[own], done[own] - done[first]), axis=1
+                )
+                block = of_blocks + first
+                values = self._launch(
+                    kernel, (n_rows, n_columns), block, k, buffers, table, numbers[listed],
+                    int(done[stop] - done[first]),
+                )  # fmt: skip
+                starts = np.concatenate(([0], np.cumsum(np.repeat(lengths[own], rows_of[own]))))
+                begin = block * WIDTH_OF_GROUPS
+                yield BoundTiles(
+                    range(begin, begin + len(starts) - 1), starts, values, numbers[listed],
+                    starts[:-1] - np.repeat(table[:, 0], rows_of[own]),
+                )  # fmt: skip
+                first = stop
 
     def _buffers(self, rows: TileBounds, columns: TileBounds) -> tuple[cl.Buffer, cl.Buffer]:
         """Return the terms of both sides on the device."""
@@ -155,7 +170,8 @@ class TileBoundKernel:
             The number of bounds.
         """
         work, width = self._loop.work, self._loop.constants.width
-        size = -(-int(table[:, 1].max()) // width), len(table)
+        # Whole numbers of work-groups: the kernel leaves out what is beyond a list.
+        size = ENTRIES * -(-int(table[:, 1].max()) // (ENTRIES * width)), len(table)
         lists = work.buffer(table, np.uint32), work.buffer(numbers, np.uint32)
         out = work.empty(4 * count)
         result: NDArray[np.float32] | None = None

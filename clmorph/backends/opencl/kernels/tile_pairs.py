@@ -17,7 +17,7 @@ sum of row i, so the tile's share in any of these rows is at most 2^B,
     B = A + k |a|^2 / 2 - r - k |p - q|^2 / 2 + k (h . |p - q + w| + H . (|p - q - a| + h))
 
 with the half sides h of the row tile's box. The bound holds for any a and w; least squares gives
-good ones.
+good ones. The device computes B and adds a bound of its rounding error.
 """
 
 from typing import NamedTuple
