@@ -273,6 +273,28 @@ def test_levels_without_clusters_that_join_points(monkeypatch):
     assert np.abs(found[0].f - found[1].f).max() <= 2e-3 * found[0].epsilon
 
 
+def test_large_problems_take_clusters_that_save_less(monkeypatch):
+    """Few pairs of each point can be stored there; the solution is the same."""
+    pair = sharp(24)
+    pairs = len(pair[0]) * len(pair[1])
+    blur = next(
+        blur
+        for blur in np.geomspace(0.01, 0.5, 50)
+        if np.prod([len(make_clusters(each, blur).measure) for each in pair]) <= 0.65 * pairs
+    )
+    problem = Problem.between(clmorph.get_backend("numpy"), *pair, (0.09, 0.09))
+    solve = multiscale.Multiscale(problem, pair, blur, 1e-5, 500, "auto", lambda share: None)
+    assert solve._choose_clusters() is None
+    want = sinkhorn(*pair, blur, 0.3, 1e-5, backend="numpy", multiscale=False)
+    monkeypatch.setattr(multiscale, "STORED", 1)
+    clusters = solve._choose_clusters()
+    share = len(clusters[0].measure) * len(clusters[1].measure) / pairs
+    assert multiscale.ENOUGH[-1] < share <= multiscale.ENOUGH_OF_MANY
+    got = sinkhorn(*pair, blur, 0.3, 1e-5, backend="numpy", multiscale=True)
+    assert got.converged
+    assert np.abs(got.f - want.f).max() <= 2e-3 * got.epsilon
+
+
 def test_a_level_without_clusters_has_the_clouds_of_the_finer_one(device, rng):
     """Nothing is uploaded again, and the level chooses near pairs of its own."""
     points = [rng.random((n, 3)) for n in (150, 130)]

@@ -48,8 +48,10 @@ from clmorph.transport._solver.state import (
 
 #: Candidate sides of the clusters at the last blur, in units of this blur, and a bound for each:
 #: the number of pairs of clusters as a share of the number of pairs of points. The first side
-#: within its bound is used.
-SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.4)
+#: within its bound is used. The last bound is larger for large problems, of which fewer pairs can
+#: be stored for each point: there a first cycle of clusters saves more iterations over the points
+#: than it takes time.
+SIDES, ENOUGH, ENOUGH_OF_MANY = (0.5, 0.7, 1.0), (0.03, 0.03, 0.4), 0.7
 #: Residual to reach over the clusters before the first iteration over the points.
 FIRST_TOLERANCE = 5e-2
 #: Truncation of the softmins of clusters, as a multiple of that of the points: they choose the way,
@@ -134,8 +136,12 @@ class Multiscale:
 
     def _choose_clusters(self) -> list[Clusters] | None:
         """Return clusters for the last blur; None if they would save too little."""
-        pairs = len(self.problem.a) * len(self.problem.b)
-        for side, enough in zip(SIDES, ENOUGH, strict=True):
+        sizes = len(self.problem.a), len(self.problem.b)
+        bounds = ENOUGH
+        if STORED_PER_POINT * max(sizes) > STORED:
+            bounds = *ENOUGH[:-1], ENOUGH_OF_MANY
+        pairs = sizes[0] * sizes[1]
+        for side, enough in zip(SIDES, bounds, strict=True):
             clusters = [make_clusters(measure, side * self._blur) for measure in self._pair]
             if len(clusters[0].measure) * len(clusters[1].measure) <= enough * pairs:
                 return clusters
