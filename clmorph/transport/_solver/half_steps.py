@@ -82,6 +82,7 @@ def column_step(
 
 
 def _exp(log_mass: Any) -> Any:
+    """Return the mass, with its logarithm limited so that it does not overflow."""
     return np.exp(np.minimum(log_mass, MAX_EXPONENT))
 
 

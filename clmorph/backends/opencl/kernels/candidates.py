@@ -128,7 +128,7 @@ def possible_pairs(
 
 
 def _joined(parts: Iterable[Candidates], n_rows: int) -> Iterator[Candidates]:
-    """Yield successive parts together, as many as have `CHUNK_PAIRS` pairs of tiles."""
+    """Join successive parts until they have `CHUNK_PAIRS` pairs of tiles, and yield each whole."""
     waiting: list[Candidates] = []
     count = 0
     for found in parts:

@@ -13,7 +13,7 @@ from clmorph.backends.opencl.kernels.tile_pairs import TileBounds
 
 #: The largest number of bounds that one launch writes, unless a single block has more.
 LAUNCH_BOUNDS = 1 << 21
-#: Work-items along a list are a multiple of this.
+#: The number of work-items along a list is a multiple of this, so that work-groups are not small.
 ENTRIES = 32
 
 
@@ -48,7 +48,7 @@ class BoundTiles(NamedTuple):
     values : (n,) array
         Base-2 logarithms, rounded up.
     numbers : array
-        Numbers of column tiles.
+        Numbers of column tiles: the lists of these row tiles.
     list_offsets : (row tiles,) array
         `starts` less the index in `numbers` at which the list of the row tile begins.
     """
