@@ -18,7 +18,7 @@
 #error "BALANCED (which sides are balanced) must be given"
 #endif
 
-#include "vector_steps.cl"
+#include "softmin_vectors.cl"
 
 #define ROW(slot) (rows + (size_t)(slot) * n)
 #define COLUMN(slot) (columns + (size_t)(slot) * m)
@@ -479,7 +479,7 @@ void column_step(
     const double x38 = group_largest(largest_lane(allx38), shared);
     vdouble allx31 = (vdouble)(-INFINITY);
     vdouble allx46 = (vdouble)(-INFINITY);
-    vdouble allx122 = (vdouble)(0.0);
+    vdouble allx123 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v7 = softmin_of(maxima, sums, row_level, COLUMN(COLUMN_OWN_COSTS), shares, m, k, i);
         DSTORE(v7, i, COLUMN(COLUMN_SCRATCH_0));
@@ -492,14 +492,14 @@ void column_step(
         const vdouble v4 = DLOAD(i, COLUMN(COLUMN_LOG_WEIGHTS));
         const vdouble v44 = v7 * (vdouble)(x34);
         const vdouble v45 = v4 - v44;
-        const vdouble v121 = v7 * (vdouble)(nothing);
+        const vdouble v122 = v7 * (vdouble)(nothing);
         allx31 = fmax(allx31, v30);
         allx46 = fmax(allx46, v45);
-        allx122 += v121;
+        allx123 += v122;
     }
     const double x31 = group_largest(largest_lane(allx31), shared);
     const double x46 = group_largest(largest_lane(allx46), shared);
-    const double x122 = group_sum(sum_of_lanes(allx122), shared);
+    const double x123 = group_sum(sum_of_lanes(allx123), shared);
     const double x25 = x24 / epsilon;
     const double x32 = x31 / epsilon;
     const double x33 = fmax(x25, x32);
@@ -640,7 +640,7 @@ void column_step(
     const double x115 = x109 / x114;
     const double x116 = fmin(1.0, x115);
     const bool x117 = x113 > x109;
-    const bool x123 = x100 && x117;
+    const bool x120 = x100 && x117;
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v57 = DLOAD(i, COLUMN(image_at));
         const vdouble v85 = DLOAD(i, COLUMN(residual_at));
@@ -654,9 +654,9 @@ void column_step(
     if (get_local_id(0) == 0) {
         numbers[NUMBER_RESIDUAL_SIZE] = x33;
         numbers[NUMBER_COLUMN_DUAL] = x83;
-        numbers[NUMBER_COLUMN_FINITE] = x122;
         numbers[NUMBER_FOUND] = x100;
-        numbers[NUMBER_CUT] = x123;
+        numbers[NUMBER_CUT] = x120;
+        numbers[NUMBER_COLUMN_FINITE] = x123;
     }
     const bool numbers_found = x100;
 #elif BALANCED == 2
@@ -684,7 +684,7 @@ void column_step(
     const double x31 = group_largest(largest_lane(allx31), shared);
     vdouble allx26 = (vdouble)(-INFINITY);
     vdouble allx37 = (vdouble)(-INFINITY);
-    vdouble allx105 = (vdouble)(0.0);
+    vdouble allx106 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v4 = DLOAD(i, COLUMN(COLUMN_LOG_WEIGHTS));
         const vdouble v6 = softmin_of(maxima, sums, row_level, COLUMN(COLUMN_OWN_COSTS), shares, m, k, i);
@@ -694,14 +694,14 @@ void column_step(
         const vdouble v23 = v9 - v6;
         const vdouble v24 = fabs(v23);
         const vdouble v25 = (v3 > (vdouble)(0.0)) ? v24 : (vdouble)(0.0);
-        const vdouble v104 = v6 * (vdouble)(nothing);
+        const vdouble v105 = v6 * (vdouble)(nothing);
         allx26 = fmax(allx26, v25);
         allx37 = fmax(allx37, v4);
-        allx105 += v104;
+        allx106 += v105;
     }
     const double x26 = group_largest(largest_lane(allx26), shared);
     const double x37 = group_largest(largest_lane(allx37), shared);
-    const double x105 = group_sum(sum_of_lanes(allx105), shared);
+    const double x106 = group_sum(sum_of_lanes(allx106), shared);
     const double x21 = x20 / epsilon;
     const double x27 = x26 / epsilon;
     const double x28 = fmax(x21, x27);
@@ -833,7 +833,7 @@ void column_step(
     const double x98 = x92 / x97;
     const double x99 = fmin(1.0, x98);
     const bool x100 = x96 > x92;
-    const bool x106 = x83 && x100;
+    const bool x103 = x83 && x100;
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v45 = DLOAD(i, COLUMN(image_at));
         const vdouble v68 = DLOAD(i, COLUMN(residual_at));
@@ -847,9 +847,9 @@ void column_step(
     if (get_local_id(0) == 0) {
         numbers[NUMBER_RESIDUAL_SIZE] = x28;
         numbers[NUMBER_COLUMN_DUAL] = x66;
-        numbers[NUMBER_COLUMN_FINITE] = x105;
         numbers[NUMBER_FOUND] = x83;
-        numbers[NUMBER_CUT] = x106;
+        numbers[NUMBER_CUT] = x103;
+        numbers[NUMBER_COLUMN_FINITE] = x106;
     }
     const bool numbers_found = x83;
 #elif BALANCED == 1
@@ -875,7 +875,7 @@ void column_step(
     const double x30 = group_largest(largest_lane(allx30), shared);
     vdouble allx26 = (vdouble)(-INFINITY);
     vdouble allx38 = (vdouble)(-INFINITY);
-    vdouble allx109 = (vdouble)(0.0);
+    vdouble allx110 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v6 = softmin_of(maxima, sums, row_level, COLUMN(COLUMN_OWN_COSTS), shares, m, k, i);
         DSTORE(v6, i, COLUMN(COLUMN_SCRATCH_0));
@@ -888,14 +888,14 @@ void column_step(
         const vdouble v4 = DLOAD(i, COLUMN(COLUMN_LOG_WEIGHTS));
         const vdouble v36 = v6 * (vdouble)(x29);
         const vdouble v37 = v4 - v36;
-        const vdouble v108 = v6 * (vdouble)(nothing);
+        const vdouble v109 = v6 * (vdouble)(nothing);
         allx26 = fmax(allx26, v25);
         allx38 = fmax(allx38, v37);
-        allx109 += v108;
+        allx110 += v109;
     }
     const double x26 = group_largest(largest_lane(allx26), shared);
     const double x38 = group_largest(largest_lane(allx38), shared);
-    const double x109 = group_sum(sum_of_lanes(allx109), shared);
+    const double x110 = group_sum(sum_of_lanes(allx110), shared);
     const double x20 = x19 / epsilon;
     const double x27 = x26 / epsilon;
     const double x28 = fmax(x20, x27);
@@ -1028,7 +1028,7 @@ void column_step(
     const double x102 = x96 / x101;
     const double x103 = fmin(1.0, x102);
     const bool x104 = x100 > x96;
-    const bool x110 = x87 && x104;
+    const bool x107 = x87 && x104;
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v49 = DLOAD(i, COLUMN(image_at));
         const vdouble v72 = DLOAD(i, COLUMN(residual_at));
@@ -1042,9 +1042,9 @@ void column_step(
     if (get_local_id(0) == 0) {
         numbers[NUMBER_RESIDUAL_SIZE] = x28;
         numbers[NUMBER_COLUMN_DUAL] = x70;
-        numbers[NUMBER_COLUMN_FINITE] = x109;
         numbers[NUMBER_FOUND] = x87;
-        numbers[NUMBER_CUT] = x110;
+        numbers[NUMBER_CUT] = x107;
+        numbers[NUMBER_COLUMN_FINITE] = x110;
     }
     const bool numbers_found = x87;
 #elif BALANCED == 3
@@ -1075,7 +1075,7 @@ void column_step(
     for (uint j = 0; j < MEMORY; ++j)
         allx54[j] = (vdouble)(0.0);
     vdouble allx62 = (vdouble)(0.0);
-    vdouble allx82 = (vdouble)(0.0);
+    vdouble allx83 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v5 = softmin_of(maxima, sums, row_level, COLUMN(COLUMN_OWN_COSTS), shares, m, k, i);
         DSTORE(v5, i, COLUMN(image_at));
@@ -1114,7 +1114,7 @@ void column_step(
         const vdouble v53 = v42 * v40;
         const vdouble v60 = v40 * v42;
         const vdouble v61 = v60 * v40;
-        const vdouble v81 = v5 * (vdouble)(nothing);
+        const vdouble v82 = v5 * (vdouble)(nothing);
         allx21 = fmax(allx21, v20);
         allx30 += v29;
         allx37 += v36;
@@ -1123,7 +1123,7 @@ void column_step(
         for (uint j = 0; j < MEMORY; ++j)
             allx54[j] += DLOAD(i, DIFFERENCES(j)) * v53;
         allx62 += v61;
-        allx82 += v81;
+        allx83 += v82;
     }
     const double x21 = group_largest(largest_lane(allx21), shared);
     const double x30 = group_sum(sum_of_lanes(allx30), shared);
@@ -1135,7 +1135,7 @@ void column_step(
     for (uint j = 0; j < MEMORY; ++j)
         x54[j] = group_sum(sum_of_lanes(allx54[j]), shared);
     const double x62 = group_sum(sum_of_lanes(allx62), shared);
-    const double x82 = group_sum(sum_of_lanes(allx82), shared);
+    const double x83 = group_sum(sum_of_lanes(allx83), shared);
     const double x16 = x15 / epsilon;
     const double x22 = x21 / epsilon;
     const double x23 = fmax(x16, x22);
@@ -1167,7 +1167,7 @@ void column_step(
     const double x70 = x64 / x69;
     const double x71 = fmin(1.0, x70);
     const bool x72 = x68 > x64;
-    const bool x83 = x55 && x72;
+    const bool x80 = x55 && x72;
     vdouble allx77 = (vdouble)(0.0);
     for (uint i = FIRST; i < m; i += STEP) {
         const vdouble v3 = DLOAD(i, COLUMN(COLUMN_WEIGHTS));
@@ -1200,9 +1200,9 @@ void column_step(
     if (get_local_id(0) == 0) {
         numbers[NUMBER_RESIDUAL_SIZE] = x23;
         numbers[NUMBER_COLUMN_DUAL] = x38;
-        numbers[NUMBER_COLUMN_FINITE] = x82;
         numbers[NUMBER_FOUND] = x55;
-        numbers[NUMBER_CUT] = x83;
+        numbers[NUMBER_CUT] = x80;
+        numbers[NUMBER_COLUMN_FINITE] = x83;
     }
     const bool numbers_found = x55;
 #endif

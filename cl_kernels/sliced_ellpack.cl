@@ -25,9 +25,10 @@ __kernel void sum_stored(
     const __global uint* restrict starts,         // (slices + 1,)
     const __global int* restrict columns,         // (places,)
     const __global float* restrict log2_masses,   // (places,)
+    const __global uint* restrict places,         // (rows,): where each row's result belongs
     const __global float* restrict changes,       // one for every column
-    __global float* restrict maxima,              // (rows,)
-    __global float* restrict sums)                // (rows,) of 2^(... - maximum)
+    __global float* restrict maxima,              // one for every row
+    __global float* restrict sums)                // one for every row, of 2^(... - maximum)
 {
     const uint row = get_global_id(0) * WIDTH;
     const uint slice = row / SLICE;
@@ -51,8 +52,13 @@ __kernel void sum_stored(
             s += exp2_nonpositive(e[c] - m_new);
         m = m_new;
     }
-    VSTORE(m, row, maxima);
-    VSTORE(s, row, sums);
+    float maxima_found[WIDTH], sums_found[WIDTH];
+    VSTORE(m, 0, maxima_found);
+    VSTORE(s, 0, sums_found);
+    for (int lane = 0; lane < WIDTH; ++lane) {
+        maxima[places[row + lane]] = maxima_found[lane];
+        sums[places[row + lane]] = sums_found[lane];
+    }
 }
 
 // Leave every place over; a kernel of its own, as some runtimes' commands that fill buffers leave

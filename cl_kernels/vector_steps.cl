@@ -1,16 +1,12 @@
-// Vectors of float64 that one work-group holds, for half_steps.cl: sums and maxima over them, the
-// softmin that log_sum_exp.cl has left in parts, what the next softmin needs of a potential, and the
-// normal equations of Anderson's acceleration.
+// Vectors of float64, for half_steps.cl and stored_steps.cl: sums and maxima over what the items of a
+// work-group have, and the normal equations of Anderson's acceleration, which one work-group solves.
 //
-// Launch: one work-group of GROUP; item l takes the entries l * LANES + k * GROUP * LANES. Each item
-// reads only entries that it wrote itself, so that barriers are needed by sums alone.
-//
-// Units: costs and potentials in coordinates squared, k = log2(e) / epsilon in its inverse; levels, logits
-// and maxima in powers of two (log2).
+// Launch: work-groups of GROUP; item l takes the entries l * LANES + k * GROUP * LANES, k = 0, 1, ...,
+// of those of its group. Each item reads only entries that it wrote itself, so that barriers are needed by
+// sums alone.
 //
 // -D LANES   float64 lanes of a work-item: 1 on GPUs; divides TILE
 // -D GROUP   work-items of the group, a power of two
-// -D TILE    points of one tile
 // -D MEMORY  differences of iterates that the acceleration stores
 // -D RIDGE_PPT  regularization of its normal equations, in units of 10^-12
 
@@ -23,9 +19,6 @@
 #endif
 #ifndef GROUP
 #error "GROUP (work-items of a group) must be given"
-#endif
-#ifndef TILE
-#error "TILE (points of one tile) must be given"
 #endif
 #ifndef MEMORY
 #error "MEMORY (stored differences) must be given"
@@ -121,81 +114,6 @@ INLINE double group_largest(const double x, __local double* shared)
 #else
     return x;
 #endif
-}
-
-// The softmin -epsilon log sum_j b_j exp((g_j - C_ij) / epsilon) of LANES rows from i on, from the maxima
-// and sums of log_sum_exp.cl.
-INLINE vdouble softmin_of(
-    const __global float* maxima,      // (shares, n)
-    const __global float* sums,        // (shares, n)
-    const __global double* row_level,  // (n / TILE,): see prepare_softmin
-    const __global double* own_costs,  // (n,): |u|^2 / 2 and the row's offset
-    const uint shares, const uint n, const double k, const uint i)
-{
-    vdouble m = TO_VDOUBLE(SLOAD(i, maxima));
-    vdouble s = TO_VDOUBLE(SLOAD(i, sums));
-    for (uint share = 1; share < shares; ++share) {
-        const vdouble other = TO_VDOUBLE(SLOAD(i, maxima + (size_t)share * n));
-        const vdouble largest = fmax(m, other);
-        s = s * exp2(m - largest)
-            + TO_VDOUBLE(SLOAD(i, sums + (size_t)share * n)) * exp2(other - largest);
-        m = largest;
-    }
-    return ((vdouble)(-1.0 / k)) * (m + ((vdouble)(row_level[i / TILE]) - k * DLOAD(i, own_costs)) + log2(s));
-}
-
-INLINE vdouble logit_of(
-    const __global double* potential, const __global double* offsets,
-    const __global double* log2_weights, const double k, const uint j)
-{
-    const vdouble logit = (DLOAD(j, potential) - DLOAD(j, offsets)) * k + DLOAD(j, log2_weights);
-    return logit < (vdouble)(0.5 * (double)SENTINEL) ? (vdouble)((double)SENTINEL) : logit;
-}
-
-// What row_loop.cl needs of the potential of the columns: logits below the largest of their tile, and the
-// levels of pairs of tiles below the largest of their row, both in float32 with its rounding errors.
-LONG_FUNCTION void prepare_softmin(
-    const __global double* potential,    // (m,)
-    const __global double* offsets,      // (m,)
-    const __global double* log2_weights, // (m,)
-    const __global double* tile_costs,   // (row_tiles, m / TILE): |p - q|^2 / 2 of the tiles' centers
-    const uint m, const uint row_tiles, const uint planes, const double k,
-    __global double* tile_max,           // (m / TILE,)
-    __global double* row_level,          // (row_tiles,)
-    __global float* logits,              // (2, m)
-    __global float* levels)              // (row_tiles, planes, m / TILE)
-{
-    const uint tiles = m / TILE;
-    STEP_BARRIER();
-    for (uint q = get_local_id(0); q < tiles; q += GROUP) {
-        vdouble largest = logit_of(potential, offsets, log2_weights, k, q * TILE);
-        for (uint j = q * TILE + LANES; j < (q + 1) * TILE; j += LANES)
-            largest = fmax(largest, logit_of(potential, offsets, log2_weights, k, j));
-        const double top = largest_lane(largest);
-        tile_max[q] = top;
-        for (uint j = q * TILE; j < (q + 1) * TILE; j += LANES) {
-            const vdouble logit = logit_of(potential, offsets, log2_weights, k, j);
-            const vdouble h = logit == (vdouble)((double)SENTINEL) ? logit : logit - top;
-            const vsingle high = TO_VSINGLE(h);
-            SSTORE(high, j, logits);
-            SSTORE(TO_VSINGLE(h - TO_VDOUBLE(high)), j, logits + m);
-        }
-    }
-    STEP_BARRIER();
-    for (uint p = get_local_id(0); p < row_tiles; p += GROUP) {
-        const __global double* costs = tile_costs + (size_t)p * tiles;
-        double top = tile_max[0] - k * costs[0];
-        for (uint q = 1; q < tiles; ++q)
-            top = fmax(top, tile_max[q] - k * costs[q]);
-        row_level[p] = top;
-        __global float* own_levels = levels + (size_t)p * planes * tiles;
-        for (uint q = 0; q < tiles; ++q) {
-            const double level = fmax(tile_max[q] - k * costs[q] - top, (double)SENTINEL);
-            own_levels[q] = (float)level;
-            if (planes == 2)
-                own_levels[tiles + q] = (float)(level - (double)(float)level);
-        }
-    }
 }
 
 #define SYSTEM_ROW (2 * MEMORY) // a power of two

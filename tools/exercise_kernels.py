@@ -27,8 +27,9 @@ from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.verification.splines import motions
 from clmorph.measures.points import WeightedPoints
 from clmorph.reference import NumPyOperations
+from clmorph.transport._solver.coarse_grid import stored_grid
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport._solver.steps import new_steps
+from clmorph.transport._solver.steps import Steps, new_steps
 
 #: All kinds of devices, with float64 and without, and with loops of any length or short ones.
 BUILDS = {
@@ -44,7 +45,34 @@ def iterated(operations: Operations, rho: tuple[float, float], precise: bool) ->
     rng = np.random.default_rng(2)
     measures = [WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in (130, 67)]
     steps = new_steps(Problem.between(operations, *measures, rho))
-    steps.begin(np.zeros(67), 0.05, precise)
+    return a_few_steps(steps, np.zeros(67), 0.05, precise)
+
+
+def iterated_over_stored(operations: Operations, rho: tuple[float, float]) -> list[np.ndarray]:
+    """Do the same over stored pairs, with corrections."""
+    rng, epsilon = np.random.default_rng(3), 0.05
+    measures = [WeightedPoints(rng.random((n, 5)), np.full(n, 1 / n)) for n in (130, 67)]
+    problem = Problem.between(operations, *measures, rho)
+    g = np.zeros(67)
+    f, g, t_rows, _ = problem.update_f(g, problem.softmin_rows(g, epsilon, False), epsilon)
+    softmins = t_rows, problem.softmin_columns(f, epsilon, False)
+    grid = stored_grid(problem, f, g, softmins, epsilon, 130 * 67)
+    assert grid is not None
+    grid.problem.center_trust_region(grid.source.restrict(f, problem.a))
+    corrections = [
+        side.restrict(0.3 * epsilon * rng.random(size), np.ones(size))
+        for side, size in ((grid.source, 130), (grid.target, 67))
+    ]
+    grid.problem.correct(*corrections, epsilon)
+    own = grid.target.restrict(g, problem.b)
+    *found, duals = a_few_steps(new_steps(grid.problem), own, epsilon, False)
+    sides = grid.source, grid.target, grid.target
+    return [*(of.points_of(x) for of, x in zip(sides, found, strict=True)), duals]
+
+
+def a_few_steps(steps: Steps, g: np.ndarray, epsilon: float, precise: bool) -> list[np.ndarray]:
+    """Iterate from g, and take one extrapolation back."""
+    steps.begin(g, epsilon, precise)
     for extrapolate in (True, True, True):
         steps.update_rows()
         steps.update_columns()
@@ -77,6 +105,8 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     ]
     results += iterated(operations, (0.3, 0.5), precise=False)
     results += iterated(operations, (np.inf, np.inf), precise=True)
+    for rho in ((0.3, 0.5), (np.inf, 0.5), (np.inf, np.inf)):
+        results += iterated_over_stored(operations, rho)
     # Three problems, then the outer two.
     counts = np.array([60, 1, 69]), np.array([1, 40, 26])
     points = [rng.random((size, 5)) for size in (n, m)]

@@ -19,6 +19,7 @@ from clmorph.backends.records import (
     NearPairs,
     PlanRows,
     StoredPairs,
+    StoredVectors,
 )
 
 #: The largest number of points of a cloud: kernels count columns in float32, which is exact up to
@@ -405,6 +406,28 @@ class Operations(Protocol):
         -------
         (N,) array, or (M,), in nats
             -inf where no pair is stored.
+        """
+
+    def start_stored_iteration(
+        self,
+        stored: StoredPairs,
+        vectors: tuple[StoredVectors, StoredVectors],
+        center: Float64,
+        inverse_rho: tuple[float, float],
+    ) -> ResidentIteration | None:
+        """Return an iteration over stored pairs whose vectors stay on the device; None if none is.
+
+        Its potentials and all its other vectors have the order of `StoredPairs.orders`, and its
+        masses and duals are closed forms (`Problem.dual`).
+
+        Parameters
+        ----------
+        stored : StoredPairs
+        vectors : (StoredVectors of the rows, StoredVectors of the columns)
+        center : (N,) array, cost units
+            The center of the trust region of f.
+        inverse_rho : (float, float)
+            As in `start_iteration`.
         """
 
     def barycentric_projection(

@@ -86,6 +86,15 @@ class StoredPairs(NamedTuple):
     orders: tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
+class StoredVectors(NamedTuple):
+    """One side of a problem over stored pairs, in the order of `StoredPairs.orders`, (N,) each."""
+
+    masses: Float64
+    base: Float64  #: the softmin, plus epsilon times the logarithm of the sum over stored pairs
+    alone: Float64  #: the softmin of points without a stored pair, cost units as all that follow
+    origin: Float64  #: the potential for which the pairs were stored
+
+
 class IterationNumbers(NamedTuple):
     """What the host reads after an iteration on the device; see `Iteration`."""
 
@@ -96,6 +105,8 @@ class IterationNumbers(NamedTuple):
     extrapolated: bool  #: whether there is a guess for the next potential
     cut: bool  #: whether the trust region has limited it
     finite: bool  #: whether both softmins are finite
+    #: The farthest move of f from the center of the trust region, cost units; 0 without a region.
+    moved: float = 0.0
 
 
 def bin_grid(shape: tuple[int, int], margin: int, size: float) -> tuple[int, int]:

@@ -34,12 +34,15 @@ def test_the_kernels_are_those_of_the_formulas():
     assert done.returncode == 0
 
 
+@pytest.mark.parametrize("stored", [False, True], ids=["all pairs", "stored pairs"])
 @pytest.mark.parametrize("balanced", range(4))
-def test_iterations_are_what_their_definitions_say(device, balanced):
+def test_iterations_are_what_their_definitions_say(device, balanced, stored):
     resident(device)
     for make in (several_tiles, functools.partial(few_rows, columns=700)):
         case = make(device, NumPyOperations(), 3)
-        for finding in check_iteration(case, balanced):
+        findings = list(check_iteration(case, balanced, stored))
+        assert findings
+        for finding in findings:
             assert finding.passed, str(finding)
 
 

@@ -208,6 +208,7 @@ VARIANTS = [
     ),
     Variant("near_field.cl", 5, listed=True),
     Variant("half_steps.cl", balanced=3),
+    Variant("stored_steps.cl", balanced=3),
     *(Variant(file) for file in KERNELS if file not in (*ROW_FILES, "near_field.cl")),
 ]
 

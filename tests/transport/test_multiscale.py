@@ -16,6 +16,7 @@ from clmorph.transport._solver.coarse_grid import CorrectedProblem, expanded, st
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
+from clmorph.transport._solver.steps import DeviceSteps, HostSteps, new_steps
 
 
 def pictures(side, noise=0.0, color_weight=1.0):
@@ -212,7 +213,8 @@ def stored_near(device, side, blur, rho):
     """A problem, its state after an iteration, and the grid of its pairs that matter."""
     source, target = sharp(side)
     problem, epsilon = Problem.between(clmorph.get_backend(device), source, target, rho), blur**2
-    g = sinkhorn(source, target, blur, rho[0] ** 0.5, 0.3, backend=device).g
+    reach = tuple(None if np.isinf(each) else each**0.5 for each in rho)
+    g = sinkhorn(source, target, blur, reach, 0.3, backend=device).g
     f, g, t_rows, _ = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
     t_columns = problem.softmin_columns(f, epsilon, True)
     grid = stored_grid(problem, f, g, (t_rows, t_columns), epsilon, 10**8)
@@ -226,7 +228,7 @@ def test_stored_pairs_stand_for_the_points(device, rng):
     problem, f, g, t_rows, t_columns, grid = stored_near(device, 32, blur, rho)
     near = grid.problem
     assert near.to_rows.left_out == 0
-    pairs = near.to_rows._stored.n_pairs
+    pairs = near.to_rows.stored.n_pairs
     assert pairs < 0.9 * len(f) * len(g)
     rounding = 20 * problem.rounding(epsilon, True) + near.rounding(epsilon, False) + 1e-5
     if device != "numpy":
@@ -253,6 +255,81 @@ def test_stored_pairs_stand_for_the_points(device, rng):
     assert (
         np.abs(got - grid.source.restrict(want, problem.a)).max() <= (left_out + rounding) * epsilon
     )
+
+
+def iterates(problem):
+    """Return whether iterations run on the problem's device."""
+    masses = problem.a, problem.b
+    started = problem.operations.start_iteration(
+        problem.rows, problem.columns, masses, problem.inverse_rho
+    )
+    return started is not None
+
+
+@pytest.mark.parametrize("rho", [(0.09, 0.2), (np.inf, 0.2), (0.09, np.inf), (np.inf, np.inf)])
+def test_iterations_over_stored_pairs_on_the_device_are_the_hosts(device, rng, rho):
+    """With corrections, more iterates than are stored, an extrapolation taken back."""
+    blur = 0.05
+    epsilon = blur**2
+    problem, f, g, *_, grid = stored_near(device, 24, blur, rho)
+    near = grid.problem
+    near.center_trust_region(grid.source.restrict(f, problem.a))
+    corrections = [epsilon * rng.uniform(-1, 1, len(values)) for values in (f, g)]
+    near.correct(*corrections, epsilon)
+    steps = new_steps(near)
+    if not iterates(problem):
+        assert isinstance(steps, HostSteps)
+        return
+    assert isinstance(steps, DeviceSteps)
+    host = HostSteps(near)
+    own = grid.target.restrict(g, problem.b)
+    # Extrapolations enlarge what rounding has made of their differences.
+    tolerance = 1e-3 if any(near.inverse_rho) else 1e-2
+    for each in (steps, host):
+        each.begin(own, epsilon, False)
+    before = near.n_softmin
+    for number in range(24):
+        found = []
+        for each in (steps, host):
+            each.update_rows()
+            if number == 20:
+                each.take_back()
+                each.update_rows()
+            mass, dual = each.row_dual
+            residual = each.update_columns()
+            moved = each.outside_trust_region()
+            found.append(
+                (mass, dual / (epsilon * mass), residual, each.column_dual / epsilon, moved)
+            )
+            each.accept()
+            if number < 23:
+                each.go_on(True)
+        assert np.allclose(*found, rtol=tolerance, atol=tolerance), number
+    # The device iterates ahead: where it is taken back, one softmin was in vain.
+    assert near.n_softmin - before == 2 * 24 + 2 + 2 * 24 + 1
+    ours, theirs = (each.reached(0.0) for each in (steps, host))
+    shift = 0.0 if any(near.inverse_rho) else np.mean(ours.f - theirs.f)
+    massive = near.a > 0, near.b > 0
+    assert np.abs(ours.f - theirs.f - shift)[massive[0]].max() <= tolerance * epsilon
+    assert np.abs(ours.g - theirs.g + shift)[massive[1]].max() <= tolerance * epsilon
+    # Potentials far away are outside the region on both.
+    away = own + 5 * near.trust_radius * epsilon * rng.uniform(-1, 1, len(own))
+    for each in (steps, host):
+        each.begin(away, epsilon, False)
+        each.update_rows()
+        each.update_columns()
+    assert steps.outside_trust_region() == host.outside_trust_region()
+
+
+def test_closed_forms_with_too_few_digits_are_not_used_on_the_device(device):
+    """Where the penalty is so weak that masses differ by their last digits, the host iterates."""
+    problem, *_, grid = stored_near(device, 16, 0.05, (0.09, 0.09))
+    near = grid.problem
+    near.center_trust_region(np.zeros(len(near.a)))
+    assert (near.start_iteration() is not None) == iterates(problem)
+    near.inverse_rho = 1e-12, 0.0
+    assert near.start_iteration() is None
+    assert isinstance(new_steps(near), HostSteps)
 
 
 def test_levels_without_clusters_that_join_points(monkeypatch):
@@ -322,11 +399,11 @@ def test_fewer_pairs_are_stored_where_all_would_be_too_many(monkeypatch):
     blur, rho = 0.05, (0.09, 0.09)
     problem, f, g, t_rows, t_columns, grid = stored_near("numpy", 24, blur, rho)
     given = problem, f, g, (t_rows, t_columns), blur**2
-    whole = grid.problem.to_rows._stored.n_pairs
+    whole = grid.problem.to_rows.stored.n_pairs
     assert grid.problem.trust_radius == coarse_grid.STORED_CHOICES[0][1]
     fewer = stored_grid(*given, whole - 1).problem
     assert fewer.trust_radius == coarse_grid.STORED_CHOICES[1][1]
-    pairs = fewer.to_rows._stored.n_pairs
+    pairs = fewer.to_rows.stored.n_pairs
     assert pairs < whole
     assert stored_grid(*given, pairs - 1) is None
     # The solve over the fewer pairs has the same solution.

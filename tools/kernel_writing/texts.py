@@ -21,7 +21,7 @@ HEAD = """\
 #error "BALANCED (which sides are balanced) must be given"
 #endif
 
-#include "vector_steps.cl"
+#include "softmin_vectors.cl"
 
 #define ROW(slot) (rows + (size_t)(slot) * n)
 #define COLUMN(slot) (columns + (size_t)(slot) * m)

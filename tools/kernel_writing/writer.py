@@ -5,6 +5,9 @@ from typing import Any
 from clmorph.backends.opencl.build.half_step_slots import COLUMN_SLOTS, ROW_SLOTS, SCRATCH
 from kernel_writing.symbols import Symbol
 
+#: The number of entries of each side's vectors.
+SIZES = {"row": "n", "column": "m"}
+
 #: What stands for NumPy's functions in OpenCL C. Operands are `vdouble`, or `double`.
 OPERATORS = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "greater": ">"}
 FUNCTIONS = {
@@ -25,6 +28,9 @@ class Writer:
     numbers : dict
         Numbers by their place.
     """
+
+    #: The vectors of each side that have places of their own.
+    known = {"row": ROW_SLOTS, "column": COLUMN_SLOTS}  # noqa: RUF012
 
     def __init__(self, results: dict[str, dict[str, Any]], numbers: dict[str, Any]) -> None:
         self.results, self.numbers = results, numbers
@@ -86,16 +92,19 @@ class Writer:
                     self._write_number(symbol)
             for side in ("row", "column"):
                 self._write_loop(stage, side)
-        # Each item has the same numbers; one writes them.
+        self._write_results()
+        return self.lines
+
+    def _write_results(self) -> None:
+        """Write the numbers for the host: each item has the same ones, and one stores them."""
         self.lines.append("    if (get_local_id(0) == 0) {")
         for name, symbol in self.numbers.items():
             self.lines.append(f"        numbers[{name}] = {self._name(symbol)};")
         self.lines.append("    }")
-        return self.lines
 
     def _name(self, part: Any) -> str:
         if isinstance(part, float):
-            return repr(part) if part >= 0 else f"({part!r})"
+            return literal(part) if part >= 0 else f"({literal(part)})"
         if part.operation in ("number", "flag"):
             return str(part.parts[0])
         return f"x{part.number}"
@@ -129,13 +138,7 @@ class Writer:
         wanted = [x for x in self.wanted.get(stage, ()) if x.side == side]
         if not wanted:
             return
-        size = {"row": "n", "column": "m"}[side]
-        reduced = [
-            x for x in sorted(self.scalars, key=lambda each: each.number)
-            if x.stage == stage + 1
-            and (x.operation in ("sum", "largest", "inner_each"))
-            and x.parts[-1].side == side
-        ]  # fmt: skip
+        reduced = self._reduced(stage, side)
         for x in reduced:
             if x.operation == "inner_each":
                 self.lines += [f"    vdouble all{self._name(x)}[MEMORY];",
@@ -144,13 +147,13 @@ class Writer:
             else:
                 begin = "0.0" if x.operation == "sum" else "-INFINITY"
                 self.lines.append(f"    vdouble all{self._name(x)} = (vdouble)({begin});")
-        self.lines.append(f"    for (uint i = FIRST; i < {size}; i += STEP) {{")
+        self.lines.append(self._loop_head(SIZES[side]))
         self.here: dict[Symbol, str] = {}
         for x in sorted(wanted, key=lambda each: each.number):
             value = self._entry(x, stage)
             if x in self.slots and x.stage == stage:
                 for place in self.slots[x]:
-                    self.lines.append(f"        DSTORE({value}, i, {place_of(*place)});")
+                    self._store(value, *place)
         for x in reduced:
             name = self._name(x)
             value = self._entry(x.parts[-1], stage)
@@ -159,53 +162,83 @@ class Writer:
             elif x.operation == "largest":
                 self.lines.append(f"        all{name} = fmax(all{name}, {value});")
             else:
-                self.lines += ["        for (uint j = 0; j < MEMORY; ++j)",
-                               f"            all{name}[j] += "
-                               f"DLOAD(i, {x.parts[0]}(j)) * {value};"]  # fmt: skip
+                self._add_each(f"all{name}[j] += ", str(x.parts[0]), f" * {value};")
         self.lines.append("    }")
         for x in reduced:
-            name = self._name(x)
-            if x.operation == "inner_each":
-                self.lines += [f"    double {name}[MEMORY];",
-                               "    for (uint j = 0; j < MEMORY; ++j)",
-                               f"        {name}[j] = "
-                               f"group_sum(sum_of_lanes(all{name}[j]), shared);"]  # fmt: skip
-            elif x.operation == "sum":
-                self.lines.append(
-                    f"    const double {name} = group_sum(sum_of_lanes(all{name}), shared);"
-                )
-            else:
-                self.lines.append(
-                    f"    const double {name} = group_largest(largest_lane(all{name}), shared);"
-                )
+            self._reduce(x)
+
+    def _reduced(self, stage: int, side: str) -> list[Symbol]:
+        """Return the reductions over vectors of a side in the loop of a stage."""
+        return [
+            x for x in sorted(self.scalars, key=lambda each: each.number)
+            if x.stage == stage + 1
+            and (x.operation in ("sum", "largest", "inner_each"))
+            and x.parts[-1].side == side
+        ]  # fmt: skip
+
+    def _loop_head(self, size: str) -> str:
+        """Return the line that begins the loop over this many entries."""
+        return f"    for (uint i = FIRST; i < {size}; i += STEP) {{"
+
+    def _store(self, value: str, side: str, slot: str) -> None:
+        """Store entries of a vector."""
+        self.lines.append(f"        DSTORE({value}, i, {self._place(side, slot)});")
+
+    def _add_each(self, begin: str, many: str, end: str) -> None:
+        """Add something of each of many vectors."""
+        self.lines += ["        for (uint j = 0; j < MEMORY; ++j)",
+                       f"            {begin}DLOAD(i, {many}(j)){end}"]  # fmt: skip
+
+    def _reduce(self, x: Symbol) -> None:
+        """Reduce what each lane of each item has found."""
+        name = self._name(x)
+        if x.operation == "inner_each":
+            self.lines += [f"    double {name}[MEMORY];",
+                           "    for (uint j = 0; j < MEMORY; ++j)",
+                           f"        {name}[j] = "
+                           f"group_sum(sum_of_lanes(all{name}[j]), shared);"]  # fmt: skip
+        else:
+            self.lines.append(f"    const double {name} = {self._over_group(x)};")
+
+    def _over_group(self, x: Symbol) -> str:
+        """Return the sum or the largest entry over the work-group."""
+        name = self._name(x)
+        if x.operation == "sum":
+            return f"group_sum(sum_of_lanes(all{name}), shared)"
+        return f"group_largest(largest_lane(all{name}), shared)"
+
+    def _place(self, side: str, slot: str) -> str:
+        """Return a vector's place; those that change places have one in a variable."""
+        of = f"{side.upper()}_{slot}" if slot in self.known[side] else f"{slot.lower()}_at"
+        return f"{side.upper()}({of})"
+
+    def _softmin(self, side: str) -> str:
+        """Return the softmin of some points."""
+        own = side.upper()
+        return (f"softmin_of(maxima, sums, row_level, {own}({own}_OWN_COSTS), "
+                f"shares, {SIZES[side]}, k, i)")  # fmt: skip
 
     def _entry(self, part: Any, stage: int) -> str:
         """Return the name of entries of a vector in the loop, which is written before."""
         if not isinstance(part, Symbol):
-            return f"(vdouble)({part!r})"
+            return f"(vdouble)({literal(part)})"
         if not part.side:
-            if part.operation in ("greater", "and", "flag"):
+            if part.operation in ("greater", "and", "flag", "solve"):
                 return self._name(part)
             return f"(vdouble)({self._name(part)})"
         if part in self.here:
             return self.here[part]
-        name, side = f"v{part.number}", part.side.upper()
-        kind = "vdouble"
+        name, kind = f"v{part.number}", "vdouble"
         if part.operation == "vector":
-            text = f"DLOAD(i, {place_of(part.side, str(part.parts[0]))})"
+            text = f"DLOAD(i, {self._place(part.side, str(part.parts[0]))})"
         elif part in self.slots and part.stage < stage:
-            text = f"DLOAD(i, {place_of(*self.slots[part][0])})"
+            text = f"DLOAD(i, {self._place(*self.slots[part][0])})"
         elif part.operation == "softmin":
-            size = {"row": "n", "column": "m"}[part.side]
-            text = (f"softmin_of(maxima, sums, row_level, {side}({side}_OWN_COSTS), "
-                    f"shares, {size}, k, i)")  # fmt: skip
+            text = self._softmin(part.side)
         elif part.operation == "combined":
-            self.lines += [
-                f"        vdouble {name} = (vdouble)(0.0);",
-                "        for (uint j = 0; j < MEMORY; ++j)",
-                f"            {name} += factors{self._name(part.parts[0])}[j] * "
-                f"DLOAD(i, {part.parts[1]}(j));",
-            ]
+            self.lines.append(f"        vdouble {name} = (vdouble)(0.0);")
+            factors = f"factors{self._name(part.parts[0])}[j]"
+            self._add_each(f"{name} += {factors} * ", str(part.parts[1]), ";")
             self.here[part] = name
             return name
         elif part.operation == "greater":
@@ -218,8 +251,6 @@ class Writer:
         return name
 
 
-def place_of(side: str, slot: str) -> str:
-    """Return a vector's place in its buffer; those that change places have one in a variable."""
-    known = {"row": ROW_SLOTS, "column": COLUMN_SLOTS}[side]
-    of = f"{side.upper()}_{slot}" if slot in known else f"{slot.lower()}_at"
-    return f"{side.upper()}({of})"
+def literal(value: float) -> str:
+    """Return a number as OpenCL C has it."""
+    return repr(value).replace("inf", "INFINITY")

@@ -16,6 +16,7 @@ from clmorph.backends.records import (
     NearPairs,
     PlanRows,
     StoredPairs,
+    StoredVectors,
     bin_grid,
 )
 from clmorph.backends.width_levels import WIDTH_LEVELS
@@ -250,6 +251,15 @@ class NumPyOperations:
         largest = np.maximum(exponents.max(axis=1), np.finfo(float).min)
         with np.errstate(divide="ignore"):
             return largest + np.log(np.exp(exponents - largest[:, None]).sum(axis=1))
+
+    def start_stored_iteration(
+        self,
+        stored: StoredPairs,
+        vectors: tuple[StoredVectors, StoredVectors],
+        center: Float64,
+        inverse_rho: tuple[float, float],
+    ) -> None:
+        """Return None: all arithmetic is on the host."""
 
     def barycentric_projection(
         self,

@@ -26,6 +26,7 @@ from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.sliced_ellpack import SlicedEllpack
 from clmorph.backends.opencl.kernels.splat import Splatting
 from clmorph.backends.opencl.kernels.spline import SplineSampling
+from clmorph.backends.opencl.kernels.stored_steps import StoredSteps
 from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import DeviceError
 
@@ -131,6 +132,8 @@ class OpenCLOperations:
         self.sample_plan_rows = take_turns(plan_shares.sample_plan_rows)
         self.store_pairs = take_turns(stored.store_pairs)
         self.sum_stored = take_turns(stored.sum_stored)
+        steps = StoredSteps(loop, take_turns)
+        self.start_stored_iteration = take_turns(steps.start_stored_iteration)
         self.upload_particles = take_turns(splatting.upload_particles)
         self.upload_splats = take_turns(splatting.upload_splats)
         self.upload_spline = take_turns(splines.upload_spline)

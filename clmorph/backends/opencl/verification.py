@@ -144,7 +144,8 @@ def _check_plan_shares(operations: Adjustable, variant: Variant) -> _Checks:
 
 def _check_half_steps(operations: Adjustable, variant: Variant) -> _Checks:
     case = several_tiles(operations, NumPyOperations(), DIMENSION)
-    findings = list(check_iteration(case, variant.balanced))
+    stored = variant.file == "stored_steps.cl"
+    findings = list(check_iteration(case, variant.balanced, stored))
     assert findings, "the device does not iterate, so nothing was checked"
     yield from findings
 
@@ -186,6 +187,7 @@ _CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
     "barycentric_projection.cl": _check_barycentric_projection,
     "plan_shares.cl": _check_plan_shares,
     "half_steps.cl": _check_half_steps,
+    "stored_steps.cl": _check_half_steps,
     "sliced_ellpack.cl": _check_sliced_ellpack,
     "particles.cl": _check_particles,
     "splat.cl": partial(_check_splat, method="gather"),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clmorph._shared.validation import shown
 from clmorph.backends.interface import Operations
-from clmorph.backends.records import Float64, NearPairs
+from clmorph.backends.records import Float64, NearPairs, StoredPairs, StoredVectors
 from clmorph.backends.several.clouds import Cloud, Part, divide_rows
 from clmorph.backends.several.plan_rows import PlanRowsOfParts
 from clmorph.backends.several.team import Team, in_order, own_pairs
@@ -222,6 +222,15 @@ class SeveralDevices:
             return member.row_maxima(part.cloud, whole, potential, epsilon, own_pairs(near, place))
 
         return in_order(rows, self._team.over_parts(rows, of_part))
+
+    def start_stored_iteration(
+        self,
+        stored: StoredPairs,
+        vectors: tuple[StoredVectors, StoredVectors],
+        center: Float64,
+        inverse_rho: tuple[float, float],
+    ) -> None:
+        """Return None: a column's pairs are on several devices."""
 
     def barycentric_projection(
         self,

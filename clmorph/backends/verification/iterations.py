@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clmorph.backends.comparison import Finding
-from clmorph.backends.records import Float64, IterationNumbers
+from clmorph.backends.interface import ResidentIteration
+from clmorph.backends.records import Float64, IterationNumbers, StoredVectors
 from clmorph.backends.verification.clouds import CloudCase
 
 #: Penalties of the marginals in units of epsilon.
@@ -22,6 +24,24 @@ MIXING = 1.5
 PLAIN, UNDAMPED = 6.0, 200.0
 #: A trust region that limits no extrapolation, and one that limits each.
 WIDE, NARROW = 1e9, 1.0
+
+
+class _Started(NamedTuple):
+    """An iteration on the device, and the problem that it iterates, in the caller's order."""
+
+    iteration: ResidentIteration
+    masses: tuple[Float64, Float64]
+    corrections: tuple[Float64, Float64]  #: of both softmins
+    orders: tuple[NDArray[np.intp], NDArray[np.intp]]  #: of the iteration's vectors
+    center: Float64 | None  #: of the trust region
+
+    def potentials(self) -> tuple[Float64, Float64]:
+        """Return f and the image of g after the last iteration."""
+        found = []
+        for order, values in zip(self.orders, self.iteration.potentials()[:2], strict=True):
+            found.append(np.empty_like(values))
+            found[-1][order] = values
+        return found[0], found[1]
 
 
 class _Step(NamedTuple):
@@ -36,7 +56,7 @@ class _Step(NamedTuple):
     column_mass: Float64
 
 
-def check_iteration(case: CloudCase, balanced: int) -> Iterator[Finding]:
+def check_iteration(case: CloudCase, balanced: int, over_stored: bool = False) -> Iterator[Finding]:
     """Compare iterations with their definitions, extrapolated and taken back.
 
     Nothing is compared where the host iterates, whose arithmetic is NumPy's.
@@ -46,6 +66,8 @@ def check_iteration(case: CloudCase, balanced: int) -> Iterator[Finding]:
     case : CloudCase
     balanced : int
         1 if the source is balanced, plus 2 if the target is.
+    over_stored : bool
+        Whether it iterates over stored pairs, with corrections of the softmins.
 
     Yields
     ------
@@ -57,14 +79,14 @@ def check_iteration(case: CloudCase, balanced: int) -> Iterator[Finding]:
         for side, strength in enumerate(STRENGTHS)
     ]
     inverse_rho = tuple(0.0 if np.isinf(each) else 1.0 / each for each in rho)
-    iteration = case.operations.start_iteration(
-        *case.ours, (case.rows[1], case.columns[1]), (inverse_rho[0], inverse_rho[1])
-    )
-    name = f"start_iteration{case.name}, balanced {balanced}"
-    if iteration is None:
+    start = _start_stored if over_stored else _start
+    started = start(case, (inverse_rho[0], inverse_rho[1]))
+    if started is None:
         return
-    iteration.set_potential(case.g, epsilon, False)
-    tolerances = [case.tolerance() * factor for factor in (PLAIN, UNDAMPED)]
+    name = f"start_{'stored_' * over_stored}iteration{case.name}, balanced {balanced}"
+    iteration = started.iteration
+    iteration.set_potential(case.g[started.orders[1]], epsilon, False)
+    tolerances = [(1 + over_stored) * case.tolerance() * factor for factor in (PLAIN, UNDAMPED)]
     later = tolerances[balanced == 3]
     x, stored, previous = case.g, 0, None
     ahead: list[Float64] = []
@@ -72,10 +94,11 @@ def check_iteration(case: CloudCase, balanced: int) -> Iterator[Finding]:
     for number in range(4):
         radius = NARROW if number == 2 else WIDE
         got = iteration.iterate(number > 0, max(number - 1, 0), stored, radius)
-        f, g, _ = iteration.potentials()
-        want = _step(case, x, rho)
+        f, g = started.potentials()
+        want = _step(case, started, x, rho)
         allowed = tolerances[0] if number < 2 else later
-        yield Finding(f"{name}, step {number}", _excess(case, want, got, f, g), allowed, "nats")
+        off = _excess(case, started, want, got, f, g)
+        yield Finding(f"{name}, step {number}", off, allowed, "nats")
         residual = want.image - x
         if previous is None:
             weights = want.column_mass
@@ -95,13 +118,63 @@ def check_iteration(case: CloudCase, balanced: int) -> Iterator[Finding]:
     iteration.iterate(False, 0, 0, WIDE)
     iteration.go_back()
     got = iteration.iterate(False, 0, 0, WIDE)
-    f, g, _ = iteration.potentials()
+    f, g = started.potentials()
     assert previous is not None
-    want = _step(case, previous[0], rho)
-    yield Finding(f"{name}, taken back", _excess(case, want, got, f, g), later, "nats")
+    want = _step(case, started, previous[0], rho)
+    yield Finding(f"{name}, taken back", _excess(case, started, want, got, f, g), later, "nats")
 
 
-def _excess(case: CloudCase, want: _Step, got: IterationNumbers, f: Float64, g: Float64) -> float:
+def _start(case: CloudCase, inverse_rho: tuple[float, float]) -> _Started | None:
+    """Start an iteration over all pairs."""
+    masses = case.rows[1], case.columns[1]
+    iteration = case.operations.start_iteration(*case.ours, masses, inverse_rho)
+    if iteration is None:
+        return None
+    sizes = len(masses[0]), len(masses[1])
+    none, orders = (np.zeros(sizes[0]), np.zeros(sizes[1])), tuple(map(np.arange, sizes))
+    return _Started(iteration, masses, none, (orders[0], orders[1]), None)
+
+
+def _start_stored(case: CloudCase, inverse_rho: tuple[float, float]) -> _Started | None:
+    """Start an iteration over stored pairs, which are all pairs but those of no mass at all."""
+    epsilon, own = case.epsilon, (case.rows[1], case.columns[1])
+    sizes = len(own[0]), len(own[1])
+    stored = case.operations.store_pairs(
+        *case.ours, case.f, case.g, epsilon, np.full(sizes[0], -1e3), np.full(sizes[1], -1e3),
+        sizes[0] * sizes[1],
+    )  # fmt: skip
+    assert stored is not None, "the pairs were not stored"
+    rng = np.random.default_rng(5)
+    corrections = [epsilon * rng.uniform(-1, 1, size) for size in sizes]
+    center = case.f + epsilon * rng.uniform(-3, 3, sizes[0])
+    masses = [mass * np.exp(each / epsilon) for mass, each in zip(own, corrections, strict=True)]
+    potentials = case.f, case.g
+    softmins = case.softmin, case.exact.softmin(*case.theirs[::-1], case.f, epsilon)
+    vectors = []
+    for side, order in enumerate(stored.orders):
+        with np.errstate(divide="ignore"):
+            base = potentials[side] + epsilon * np.log(own[side]) + corrections[side]
+        alone = softmins[side] + corrections[side]
+        of_side = masses[side], base, alone, potentials[side]
+        vectors.append(StoredVectors(*(each[order] for each in of_side)))
+    iteration = case.operations.start_stored_iteration(
+        stored, (vectors[0], vectors[1]), center[stored.orders[0]], inverse_rho
+    )
+    if iteration is None:
+        return None
+    return _Started(
+        iteration, (masses[0], masses[1]), (corrections[0], corrections[1]), stored.orders, center
+    )
+
+
+def _excess(
+    case: CloudCase,
+    started: _Started,
+    want: _Step,
+    got: IterationNumbers,
+    f: Float64,
+    g: Float64,
+) -> float:
     """Return the largest error in nats; duals and masses count relative to the mass."""
     epsilon = case.epsilon
     pairs = [
@@ -110,25 +183,31 @@ def _excess(case: CloudCase, want: _Step, got: IterationNumbers, f: Float64, g: 
         (got.column_dual, want.column_dual, epsilon * want.mass),
         (got.residual, want.residual, 1.0),
     ]
+    if started.center is not None:
+        massive, masses = started.masses[0] > 0, started.masses[0]
+        moved = np.where(massive, want.f - started.center, 0.0)
+        moved -= masses @ moved / masses.sum()
+        pairs.append((got.moved, float(np.abs(moved[massive]).max()), epsilon))
     errors = [abs(one - other) / size for one, other, size in pairs]
-    errors += [
-        float(np.abs(one - other).max()) / epsilon for one, other in ((f, want.f), (g, want.image))
-    ]
+    for one, other, mass in zip((f, g), (want.f, want.image), started.masses, strict=True):
+        # Points without mass have no stored pairs: their softmins stay what they were.
+        counts = np.full(len(mass), started.center is None) | (mass > 0)
+        errors.append(float(np.abs(one - other)[counts].max()) / epsilon)
     return max(errors) if got.finite else np.inf
 
 
-def _step(case: CloudCase, g: Float64, rho: list[float]) -> _Step:
+def _step(case: CloudCase, started: _Started, g: Float64, rho: list[float]) -> _Step:
     """Return what an iteration from g leads to."""
     exact, (x, y), epsilon = case.exact, case.theirs, case.epsilon
-    masses = case.rows[1], case.columns[1]
+    masses, corrections = started.masses, started.corrections
     dampings = [1.0 if np.isinf(each) else each / (each + epsilon) for each in rho]
-    softmin = exact.softmin(x, y, g, epsilon)
+    softmin = exact.softmin(x, y, g, epsilon) + corrections[0]
     s = _shift(masses, rho, (dampings[0], g), softmin, epsilon)
     t_rows, shifted = softmin - s, g + s
     f = dampings[0] * t_rows
     mass = float(np.sum(masses[0] * np.exp((f - t_rows) / epsilon)))
     row_dual = _dual(masses, rho, (f, shifted), mass, epsilon)
-    softmin = exact.softmin(y, x, f, epsilon)
+    softmin = exact.softmin(y, x, f, epsilon) + corrections[1]
     off = np.abs(shifted - dampings[1] * softmin)[masses[1] > 0].max()
     off = max(off, np.abs(f - dampings[0] * t_rows)[masses[0] > 0].max())
     s = _shift(masses[::-1], rho[::-1], (dampings[1], f), softmin, epsilon)

@@ -4,16 +4,18 @@ Values are restricted to a coarse problem by means over the points of a cluster,
 prolonged to the points by a softmin.
 """
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
-from clmorph.backends.records import StoredPairs
+from clmorph.backends.interface import ResidentIteration
+from clmorph.backends.records import StoredPairs, StoredVectors
 from clmorph.measures.cluster import Clusters
 from clmorph.measures.points import AnyMeasure
-from clmorph.transport._solver.problem import Problem
+from clmorph.transport._solver.problem import Problem, has_closed_form
 from clmorph.transport._solver.softmin import Softmin, check_finite
+from clmorph.transport._solver.state import dual_rounding
 from clmorph.transport.certificate import MAX_EXPONENT, Side
 
 #: Choices of the pairs to store: the least share that a pair has in the sum of its row or column,
@@ -23,6 +25,9 @@ from clmorph.transport.certificate import MAX_EXPONENT, Side
 #: and more move as a whole. Nothing proves that these pairs stay negligible within the radius: the
 #: residual over the points shows whether they do.
 STORED_CHOICES = ((1e-13, 60.0), (1e-7, 8.0))
+#: The mass of the plan may fall by this factor while stored pairs are trusted, and closed forms of
+#: the dual still have enough digits.
+PLAN_CHANGE = 10.0
 
 
 class CorrectedProblem(Problem):
@@ -46,8 +51,9 @@ class CorrectedProblem(Problem):
         self._own = weights
         self._corrections: tuple[Array | float, Array | float] = (0.0, 0.0)
 
-    def start_iteration(self) -> None:
-        """Return None: the device has no corrections."""
+    def start_iteration(self) -> ResidentIteration | None:
+        """Return None: iterations over all pairs have no corrections on the device."""
+        return None
 
     def softmin_rows(self, g: Array, epsilon: float, precise: bool, bounded: bool = False) -> Array:
         """T(g), corrected."""
@@ -212,21 +218,37 @@ class StoredSoftmin(Softmin):
         start: Array,
     ) -> None:
         super().__init__(like.operations, like.rows, like.columns, weights)
-        self._stored, self._by_column = stored, by_column
-        self._potential, self._softmin, self._start = potential, softmin, start
+        self.stored, self._by_column = stored, by_column
+        #: The potential for which the pairs were stored.
+        self.origin = potential
+        self._softmin, self._start = softmin, start
 
     def __call__(
         self, potential: Array, epsilon: float, precise: bool = False, bounded: bool = False
     ) -> Array:
         """Return T(potential), (N,) of (M,); flags are ignored, because exponents are small."""
-        changes = (potential - self._potential) / epsilon
-        logarithms = self.operations.sum_stored(self._stored, changes, self._by_column, True)
+        changes = (potential - self.origin) / epsilon
+        logarithms = self.operations.sum_stored(self.stored, changes, self._by_column, True)
         alone = logarithms == -np.inf
         softmin = np.where(alone, 0.0, logarithms)
         softmin *= -epsilon
         softmin += self._start
         np.copyto(softmin, self._softmin, where=alone)
         return softmin
+
+    def vectors(self, masses: Array, correction: Array | float, origin: Array) -> StoredVectors:
+        """Return what an iteration on the device has of the rows.
+
+        Parameters
+        ----------
+        masses : (N,) array
+            The rows' masses.
+        correction : (N,) array or float
+            The correction of this softmin.
+        origin : (N,) array
+            The rows' potential for which the pairs were stored.
+        """
+        return StoredVectors(masses, self._start + correction, self._softmin + correction, origin)
 
     def rounding(self, n_columns: int, largest_cost: float, epsilon: float, precise: bool) -> float:
         """Return the effect of rounding on a softmin in nats; exponents are small here."""
@@ -244,13 +266,43 @@ class StoredProblem(CorrectedProblem):
         The operators over the stored pairs, with their masses.
     trust_radius : float
         See `STORED_CHOICES`, in units of epsilon.
+    plan_mass : float
+        The mass of the plan for which the pairs were stored.
+    epsilon : float
+        Cost units.
     """
 
     center: Array
 
-    def __init__(self, like: Problem, softmins: tuple[Softmin, Softmin], trust_radius: float):
+    def __init__(
+        self,
+        like: Problem,
+        softmins: tuple[StoredSoftmin, StoredSoftmin],
+        trust_radius: float,
+        plan_mass: float,
+        epsilon: float,
+    ) -> None:
         super().__init__(*softmins, softmins[0].weights, like.rho, like.largest_cost)
         self.trust_radius = trust_radius
+        self._softmins, self._plan_mass, self._epsilon = softmins, plan_mass, epsilon
+
+    def start_iteration(self) -> ResidentIteration | None:
+        """Return an iteration on the device, if the backend has it and its closed forms do."""
+        enough = dual_rounding(self, self._epsilon, False) / PLAN_CHANGE
+        for mass, inverse in zip(self.masses, self.inverse_rho, strict=True):
+            if inverse and not has_closed_form(
+                mass, self._plan_mass, inverse, self._epsilon, enough
+            ):
+                return None
+        (to_rows, to_columns), (of_rows, of_columns) = self._softmins, self._corrections
+        return self.operations.start_stored_iteration(
+            to_rows.stored,
+            (
+                to_rows.vectors(self.a, of_rows, to_columns.origin),
+                to_columns.vectors(self.b, of_columns, to_rows.origin),
+            ),
+            self.center, self.inverse_rho,
+        )  # fmt: skip
 
     def center_trust_region(self, f: Array) -> None:
         """Set the potentials, (N,), around which the stored pairs are trusted."""
@@ -258,18 +310,24 @@ class StoredProblem(CorrectedProblem):
 
     def outside_trust_region(self, f: Array, epsilon: float) -> bool:
         """Return whether potentials have moved so far that other pairs can have notable mass."""
-        return bool(self.of_rows.largest(np.abs(self._moved(f))) > self.trust_radius * epsilon)
+        return bool(self.farthest(f) > self.trust_radius * epsilon)
+
+    def farthest(self, f: Any) -> Any:
+        """Return the farthest move of a potential from the center, by points of positive mass."""
+        of, massive = self.of_rows, self.a > 0
+        moved, mean = f - self.center, self._mean_move(f)
+        up, down = (of.largest(np.where(massive, each, -np.inf)) for each in (moved, -moved))
+        return np.maximum(up - mean, down + mean)
 
     def clip_to_trust_region(self, f: Array, epsilon: float) -> Array:
         """Return the nearest potentials to f for which the stored pairs are trusted."""
-        moved = self._moved(f)
+        moved = f - self.center - self._mean_move(f)
         radius = self.trust_radius * epsilon
         return f + np.clip(moved, -radius, radius) - moved
 
-    def _moved(self, f: Array) -> Array:
-        """Return f minus the center, without the mean of this difference by mass."""
-        moved = np.where(self.a > 0, f - self.center, 0.0)
-        return moved - self.of_rows.inner(self.a, moved) / self.masses[0]
+    def _mean_move(self, f: Any) -> Any:
+        """Return the mean by mass of f minus the center: a shift of all potentials moves none."""
+        return self.of_rows.inner(self.a, f - self.center) / self.masses[0]
 
 
 def stored_grid(
@@ -310,7 +368,8 @@ def stored_grid(
         to_columns = StoredSoftmin(
             problem.to_columns, stored, True, (b, a), own_f, t_columns, starts[1]
         )
-        smaller = StoredProblem(problem, (to_rows, to_columns), trust_radius)
+        plan_mass = float(problem.row_mass(f, softmins[0], epsilon).sum())
+        smaller = StoredProblem(problem, (to_rows, to_columns), trust_radius, plan_mass, epsilon)
         return CoarseGrid(smaller, Reordering(of_rows), Reordering(of_columns), to_columns)
     return None
 

@@ -55,6 +55,9 @@ class Problem:
     reductions : (Reductions of the rows, Reductions of the columns)
     """
 
+    #: Radius of the region where the problem is valid, in units of epsilon.
+    trust_radius = np.inf
+
     def __init__(
         self,
         to_rows: Any,
@@ -157,7 +160,11 @@ class Problem:
 
     def outside_trust_region(self, f: Array, epsilon: float) -> bool:
         """Return whether potentials f, (N,), are outside the region where this problem is valid."""
-        return False
+        return bool(self.farthest(f) > self.trust_radius * epsilon)
+
+    def farthest(self, f: Any) -> Any:
+        """Return how far potentials have moved in this region, cost units; 0 without a region."""
+        return 0.0
 
     def damping(self, epsilon: float) -> tuple[float, float]:
         """Return Delta = rho / (rho + epsilon) of both sides, the proximal step of the KL penalty.
@@ -322,9 +329,7 @@ class Problem:
         ):
             if not inverse:
                 value = value + of.inner(weights, potential)
-            elif enough and (
-                MASS_ROUNDING * (mass + plan_mass) <= enough * epsilon * plan_mass * inverse
-            ):
+            elif enough and has_closed_form(mass, plan_mass, inverse, epsilon, enough):
                 value = value + (mass - plan_mass) / inverse
             else:
                 # rho (1 - exp(-f / rho)), without the cancellation at large rho
@@ -360,3 +365,21 @@ def largest_cost(x: Array, y: Array) -> float:
 def cost_across(low: Array, high: Array) -> Any:
     """Return the cost |X - Y|^2 / 2 of opposite corners of boxes, (..., D) arrays."""
     return 0.5 * np.sum((high - low) ** 2, axis=-1)
+
+
+def has_closed_form(
+    mass: Any, plan_mass: Any, inverse_rho: float, epsilon: float, enough: float
+) -> Any:
+    """Return whether a penalty of the dual has enough digits as a difference of masses.
+
+    Parameters
+    ----------
+    mass, plan_mass : float
+        Of the side, and of the plan.
+    inverse_rho : float
+    epsilon : float
+        Cost units.
+    enough : float
+        See `Problem.dual`.
+    """
+    return MASS_ROUNDING * (mass + plan_mass) <= enough * epsilon * plan_mass * inverse_rho

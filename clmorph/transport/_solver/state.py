@@ -11,6 +11,8 @@ from clmorph.transport._solver.problem import Problem
 ROUNDING_MARGIN = 8.0
 #: A dual may seem to have fallen by this share of the largest effect of rounding on the residual.
 SLACK = 1e-2
+#: The share of this fall that the dual's own rounding may be.
+DUAL_SHARE = 0.1
 
 
 class State(NamedTuple):
@@ -55,6 +57,22 @@ def slack_of(problem: Problem, floor: Any, rounding: Any, mass: Any, epsilon: fl
     """
     slack = 1e-12 * abs(floor) + SLACK * rounding * epsilon * mass
     return slack + problem.left_out * epsilon * mass
+
+
+def dual_rounding(problem: Problem, epsilon: float, precise: bool) -> float:
+    """Return the rounding that each penalty of the dual may have; see `Problem.dual`.
+
+    The dual's own rounding is then a small part of `slack_of`.
+
+    Parameters
+    ----------
+    problem : Problem
+    epsilon : float
+        Cost units.
+    precise : bool
+    """
+    rounding: float = ROUNDING_MARGIN * problem.rounding(epsilon, precise)
+    return DUAL_SHARE * SLACK * rounding
 
 
 def share_done(first: float, residual: float, tol: float) -> float:

@@ -19,10 +19,7 @@ from clmorph.transport._solver.half_steps import (
 )
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import overflow
-from clmorph.transport._solver.state import ROUNDING_MARGIN, SLACK
-
-#: The share of the allowed fall of a dual that its own rounding may be.
-DUAL_SHARE = 0.1
+from clmorph.transport._solver.state import dual_rounding
 
 
 class Reached(NamedTuple):
@@ -50,9 +47,7 @@ class HostSteps:
         """Set the potential g, (M,), at which the next iteration begins."""
         self._g, self._epsilon, self._precise = g, epsilon, precise
         self._fallback = g
-        # The dual's own rounding then is a small part of `slack_of`.
-        rounding = ROUNDING_MARGIN * self._problem.rounding(epsilon, precise)
-        self._enough = DUAL_SHARE * SLACK * rounding
+        self._enough = dual_rounding(self._problem, epsilon, precise)
 
     def update_rows(self) -> None:
         """Update f and the shift of g."""
@@ -127,7 +122,7 @@ class DeviceSteps:
 
     def begin(self, g: Array, epsilon: float, precise: bool) -> None:
         """Set the potential g, (M,), at which the next iteration begins."""
-        self._precise, self._guessed = precise, False
+        self._epsilon, self._precise, self._guessed = epsilon, precise, False
         self._iteration.set_potential(g, epsilon, precise)
 
     def update_rows(self) -> None:
@@ -165,8 +160,8 @@ class DeviceSteps:
         return self._numbers.residual
 
     def outside_trust_region(self) -> bool:
-        """Return False: there is no such region."""
-        return False
+        """Return whether f is outside the region where the problem is valid."""
+        return self._numbers.moved > self._problem.trust_radius * self._epsilon
 
     @property
     def column_dual(self) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyopencl as cl
 
-from clmorph.backends.opencl.build import half_step_slots
+from clmorph.backends.opencl.build import half_step_slots, stored_step_slots
 from clmorph.backends.opencl.devices.quirks import LONGEST_LOOP, find_quirks
 from clmorph.backends.width_levels import WIDTH_LEVELS
 
@@ -170,6 +170,11 @@ class BuildConstants:
             "WIDTH_LEVELS": WIDTH_LEVELS.count,
         }
 
+    @property
+    def lanes(self) -> int:
+        """Float64 lanes of a work-item: as many bytes as the float32 ones, but not more than 8."""
+        return max(1, min(8, self.width // 2))
+
     def half_step_macros(self, balanced: int) -> dict[str, int | float]:
         """Return the macros of ``half_steps.cl``.
 
@@ -181,12 +186,19 @@ class BuildConstants:
         return {
             "BALANCED": balanced,
             "GROUP": self.group,
-            # Vectors of float64 have as many bytes as those of float32, but not more than 8 lanes.
-            "LANES": max(1, min(8, self.width // 2)),
+            "LANES": self.lanes,
             "SENTINEL": SENTINEL,
             "TILE": self.tile,
             "WIDTH": self.width,
             **half_step_slots.macros(),
+        }
+
+    def stored_step_macros(self, balanced: int) -> dict[str, int | float]:
+        """Return the macros of ``stored_steps.cl``; see `half_step_macros`."""
+        return {
+            **self.half_step_macros(balanced),
+            "LARGEST_CHANGE": stored_step_slots.LARGEST_CHANGE,
+            **stored_step_slots.macros(),
         }
 
     def gauss_transform_macros(self) -> dict[str, int | float]:

@@ -24,12 +24,19 @@ NUMBERS = (
 
 def macros() -> dict[str, int | float]:
     """Return the macros that name these places."""
-    places = {"ROW": ROW_SLOTS, "COLUMN": COLUMN_SLOTS, "NUMBER": NUMBERS}
+    return macros_of(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
+
+
+def macros_of(
+    rows: tuple[str, ...], columns: tuple[str, ...], numbers: tuple[str, ...]
+) -> dict[str, int | float]:
+    """Return the macros that name places of vectors and numbers, and those of the acceleration."""
+    places = {"ROW": rows, "COLUMN": columns, "NUMBER": numbers}
     named: dict[str, int | float] = {
         f"{kind}_{name}": place
         for kind, names in places.items()
         for place, name in enumerate(names)
     }
     # The differences follow those of the images.
-    named["COLUMN_DIFFERENCES"] = COLUMN_SLOTS.index("AHEAD") + MEMORY
+    named["COLUMN_DIFFERENCES"] = columns.index("AHEAD") + MEMORY
     return named | {"MEMORY": MEMORY, "RIDGE_PPT": round(1e12 * RIDGE)}

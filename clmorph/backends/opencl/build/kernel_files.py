@@ -8,6 +8,9 @@ KERNELS = {
     "plan_rows.cl": ("count_plan_rows", "fill_plan_rows"),
     "plan_shares.cl": ("plan_moments", "sample_plan_rows"),
     "half_steps.cl": ("prepare_rows", "row_step", "column_step"),
+    "stored_steps.cl": (
+        "prepare_changes", "row_loops", "row_joins", "column_loops", "column_joins",
+    ),
     "sliced_ellpack.cl": ("clear_stored", "sum_stored"),
     "particles.cl": (
         "advect", "pack_weights", "choose_width_levels", "count_bins", "fill_bins",

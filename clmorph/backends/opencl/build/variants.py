@@ -53,6 +53,8 @@ class Variant:
         }
         if self.file == "half_steps.cl":
             return constants.half_step_macros(self.balanced)
+        if self.file == "stored_steps.cl":
+            return constants.stored_step_macros(self.balanced)
         if self.file in of_files:
             return of_files[self.file]()
         return constants.row_macros(
@@ -64,7 +66,7 @@ class Variant:
 
         Iterations on the device need float64 and long loops.
         """
-        return self.file != "half_steps.cl" or (
+        return self.file not in ("half_steps.cl", "stored_steps.cl") or (
             constants.precise == 2 and not constants.longest_loop
         )
 

@@ -21,6 +21,7 @@ from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.clouds import Cloud, pad, split, unsort
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
+from clmorph.backends.opencl.kernels.potential_places import PotentialPlaces, read_numbers
 from clmorph.backends.opencl.kernels.row_loop import KEPT_LEVELS, LOG2_E, RowLoop
 from clmorph.backends.records import Float64, IterationNumbers
 
@@ -30,12 +31,9 @@ from clmorph.backends.records import Float64, IterationNumbers
 #: so that a problem is always solved in the same way.
 MOST_PAIRS, MOST_PAIRS_ELSEWHERE = 1 << 25, 1 << 22
 
-_START = COLUMN_SLOTS.index("START")
-_FIRST = {name: COLUMN_SLOTS.index(f"{name}_0") for name in ("IMAGE", "GUESS")}
-
 
 @dataclass(eq=False)
-class DeviceIteration:
+class DeviceIteration(PotentialPlaces):
     """An iteration on the device, as `clmorph.backends.interface.ResidentIteration` has it.
 
     Attributes
@@ -52,12 +50,6 @@ class DeviceIteration:
     work : dict of buffers
     epsilon : float
     precise : bool
-    at : int
-        The slot of the next iteration's g.
-    parity : int
-        Which of two slots the next image has.
-    prepared : int
-        The slot of the potential for which the softmin of the rows is prepared; -1 if none is.
     """
 
     steps: "HalfSteps"
@@ -71,9 +63,9 @@ class DeviceIteration:
     numbers: Float64 = field(default_factory=lambda: np.zeros(len(NUMBERS)))
     epsilon: float = 0.0
     precise: bool = False
-    at: int = _START
-    parity: int = 0
-    prepared: int = -1
+
+    def __post_init__(self) -> None:
+        self.place(COLUMN_SLOTS)
 
     def set_potential(self, g: Float64, epsilon: float, precise: bool) -> None:
         """Set the potential at which the next iteration begins."""
@@ -82,15 +74,6 @@ class DeviceIteration:
     def iterate(self, begun: bool, place: int, count: int, radius: float) -> IterationNumbers:
         """Run one iteration, with one wait."""
         return self.steps.iterate(self, begun, place, count, radius)
-
-    def go_on(self, extrapolated: bool) -> None:
-        """Take the last iteration's guess, or its image, as the next potential."""
-        self.at = _FIRST["GUESS" if extrapolated else "IMAGE"] + self.parity
-        self.parity = 1 - self.parity
-
-    def go_back(self) -> None:
-        """Drop the last iteration, and take the image of the one before as the next potential."""
-        self.at = _FIRST["IMAGE"] + 1 - self.parity
 
     def potentials(self) -> tuple[Float64, Float64, Float64]:
         """Return f, the image of g, and T(f) after the last iteration."""
@@ -211,7 +194,7 @@ class HalfSteps:
         columns, work = iteration.columns, self._loop.work
         values = pad(np.asarray(g, float)[columns.order], columns.stride, 0.0)
         iteration.epsilon, iteration.precise = epsilon, precise
-        iteration.at, iteration.prepared = _START, -1
+        iteration.go_to_start()
         cl.enqueue_copy(work.queue, iteration.work["start"], values, is_blocking=True)
 
     def _budget(self, iteration: DeviceIteration) -> LaunchBudget:
@@ -227,9 +210,7 @@ class HalfSteps:
         check_cancelled()
         work, loop = self._loop.work, self._loop
         bound = self._kernels(iteration)
-        control = np.uint32(
-            iteration.at | iteration.parity << 6 | int(begun) << 7 | place << 8 | count << 12
-        )
+        control = iteration.control(begun, place, count)
         kernels = bound.kernels
         group = (loop.constants.group,)
         events: list[cl.Event] = []
@@ -269,21 +250,15 @@ class HalfSteps:
                 if events:
                     cl.wait_for_events(events[-1:])
         found = dict(zip(NUMBERS, iteration.numbers.tolist(), strict=True))
-        iteration.prepared = (
-            _FIRST["GUESS"] if found["FOUND"] else _FIRST["IMAGE"]
-        ) + iteration.parity
-        return IterationNumbers(
-            found["MASS"], found["ROW_DUAL"], found["RESIDUAL_SIZE"], found["COLUMN_DUAL"],
-            bool(found["FOUND"]), bool(found["CUT"]),
-            found["ROW_FINITE"] == 0 and found["COLUMN_FINITE"] == 0,
-        )  # fmt: skip
+        iteration.has_prepared(bool(found["FOUND"]))
+        return read_numbers(found)
 
     def _potentials(self, iteration: DeviceIteration) -> tuple[Float64, Float64, Float64]:
         """Return f, the image of g, and T(f) after the last iteration."""
         work, found, events = self._loop.work, [], []
-        image = _FIRST["IMAGE"] + iteration.parity
         places = (
-            (0, iteration.rows, ROW_SLOTS.index("SHIFTED")), (1, iteration.columns, image),
+            (0, iteration.rows, ROW_SLOTS.index("SHIFTED")),
+            (1, iteration.columns, iteration.image),
             (1, iteration.columns, COLUMN_SLOTS.index("SOFTMIN")),
         )  # fmt: skip
         try:

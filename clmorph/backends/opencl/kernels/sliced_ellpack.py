@@ -6,13 +6,14 @@ modern processors with wide SIMD units", SIAM J. Sci. Comput. 36(5), C401-C423 (
 `BuildConstants.slice_rows` (``SLICE`` in the kernels) and sigma is `WINDOW`.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL, STORED_UNROLL
+from clmorph.backends.opencl.build.stored_step_slots import LARGEST_CHANGE
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.candidates import joined_pairs
@@ -25,26 +26,30 @@ from clmorph.backends.records import Float64, NearPairs, StoredPairs
 BYTES_PER_PAIR = 18
 #: The format's sigma: the number of consecutive rows that are sorted by length together.
 WINDOW = 1024
-#: The limit (log2) at which changes of potentials are clipped: sums at larger changes are useless.
-LARGEST_CHANGE = 1e4
 
 
-class _Part(NamedTuple):
+class Part(NamedTuple):
     """The pairs of some row tiles, in slices."""
 
-    #: The place of each row among the sorted points, in the order of the slices.
-    places: NDArray[np.int64]
-    starts: cl.Buffer
+    n_rows: int
+    starts: cl.Buffer  #: (slices + 1,) uint32
     columns: cl.MemoryObject
     log2_masses: cl.MemoryObject
+    #: The place of each row among the sorted points, in the order of the slices.
+    places: cl.Buffer
+
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        """The first arguments of the kernel."""
+        return self.starts, self.columns, self.log2_masses, self.places
 
 
-class _Side(NamedTuple):
+class Side(NamedTuple):
     """All stored pairs, row by row."""
 
     rows: Cloud
     columns: Cloud
-    parts: list[_Part]
+    parts: list[Part]
 
 
 class SlicedEllpack:
@@ -95,7 +100,7 @@ class SlicedEllpack:
             sides.append(self._stored(plan, counts))
         return StoredPairs((sides[0], sides[1]), n_pairs, (rows.order, columns.order))
 
-    def _stored(self, plan: Plan, counts: NDArray[np.int64]) -> _Side:
+    def _stored(self, plan: Plan, counts: NDArray[np.int64]) -> Side:
         """Write the pairs of every row in slices; `counts` has the caller's order of rows."""
         rows, tile, side = plan.rows, self._constants.tile, self._constants.slice_rows
         ordered = np.zeros(rows.stride, np.int64)
@@ -114,36 +119,35 @@ class SlicedEllpack:
                 buffers = self._work.empty(4 * size), self._work.empty(4 * size)
                 self._work.launch(self._kernel("clear_stored"), (size,), None, *buffers)
                 self._plan_rows.fill(plan, section, part, first, side, buffers)
-                starts_buffer = self._work.buffer(starts, np.uint32)
-                parts.append(_Part(in_part.start + order, starts_buffer, *buffers))
-        return _Side(rows, plan.columns, parts)
+                made = [
+                    self._work.buffer(each, np.uint32) for each in (starts, in_part.start + order)
+                ]
+                parts.append(Part(len(order), made[0], *buffers, made[1]))
+        return Side(rows, plan.columns, parts)
 
     def sum_stored(
         self, stored: StoredPairs, changes: Float64, by_column: bool, ordered: bool = False
     ) -> Float64:
         """Return log sum_j pi_ij exp(changes_j) over the pairs of every row, or column."""
-        side: _Side = stored.pairs[by_column]
+        side: Side = stored.pairs[by_column]
         rows, columns = side.rows, side.columns
         change_buffer, middle = self._changes(columns, changes, ordered)
         kernel = self._kernel("sum_stored")
-        result = np.empty(rows.stride)
-        for part in side.parts:
-            n_rows = len(part.places)
-            found = np.empty((2, n_rows), np.float32)
-            out = self._work.empty(4 * n_rows), self._work.empty(4 * n_rows)
+        found = np.empty((2, rows.stride), np.float32)
+        out = [self._work.empty(each.nbytes) for each in found]
+        for number, part in enumerate(side.parts, 1):
+            results = tuple(zip(found, out, strict=True)) if number == len(side.parts) else ()
             self._work.launch(
-                kernel, (n_rows // self._constants.width,), None, part.starts, part.columns,
-                part.log2_masses, change_buffer, *out, results=tuple(zip(found, out, strict=True)),
+                kernel, (part.n_rows // self._constants.width,), None, *part.arguments,
+                change_buffer, *out, results=results,
             )  # fmt: skip
-            maxima, sums = found
-            with np.errstate(divide="ignore"):
-                logarithms = np.log2(sums, dtype=float)
-            logarithms += maxima
-            logarithms += middle
-            logarithms /= LOG2_E
-            np.copyto(logarithms, -np.inf, where=maxima <= 0.4 * SENTINEL)
-            result[part.places] = logarithms
-        result = result[: len(rows)]
+        maxima, sums = found[:, : len(rows)]
+        with np.errstate(divide="ignore"):
+            result = np.log2(sums, dtype=float)
+        result += maxima
+        result += middle
+        result /= LOG2_E
+        np.copyto(result, -np.inf, where=maxima <= 0.4 * SENTINEL)
         return result if ordered else unsort(rows, result)
 
     def _changes(

@@ -1,0 +1,150 @@
+"""Write what symbols have recorded as parts of kernels that run in many work-groups."""
+
+import re
+
+from clmorph.backends.interface import MEMORY
+from clmorph.backends.opencl.build import stored_step_slots
+from kernel_writing.symbols import Symbol
+from kernel_writing.writer import SIZES, Writer
+
+
+class StagedWriter(Writer):
+    """Writes loops over vectors that many work-groups share, and what joins their sums.
+
+    A loop and the numbers that its sums lead to are a stage. The groups leave their sums in
+    ``partials``; a single group joins these and keeps the stage's numbers in ``scalars``.
+    """
+
+    known = {  # noqa: RUF012
+        "row": stored_step_slots.ROW_SLOTS, "column": stored_step_slots.COLUMN_SLOTS,
+    }  # fmt: skip
+
+    def stages(self) -> list[tuple[list[str], list[str]]]:
+        """Return for each stage the lines of its loops, and those that join their sums."""
+        self._partials: dict[Symbol, int] = {}
+        self._kept: dict[str, int] = {}  # places of numbers in `scalars`
+        self._texts: dict[str, Symbol] = {self._name(x): x for x in self.scalars}
+        bodies = []
+        last = max(self.wanted)
+        for stage in range(last + 1):
+            self._partials = {}
+            count = 0
+            for side in SIZES:
+                for x in self._reduced(stage, side):
+                    self._partials[x] = count
+                    count += MEMORY if x.operation == "inner_each" else 1
+            assert count <= stored_step_slots.PARTIALS, count
+            self.lines = []
+            for side in SIZES:
+                self._write_loop(stage, side)
+            loops = self._with_numbers(self.lines)
+            self.lines = []
+            for x in self._partials:
+                self._join(x)
+            for x in sorted(self.scalars, key=lambda each: each.number):
+                if x.stage == stage + 1 and x not in self._partials:
+                    self._write_number(x)
+            made = [
+                self._name(x) for x in self.scalars
+                if x.stage == stage + 1 and x.operation != "inner_each"
+            ]  # fmt: skip
+            self.lines.append("    if (get_local_id(0) == 0) {")
+            for name in made:
+                self._keep(name)
+            if stage == last:
+                for place, symbol in self.numbers.items():
+                    self.lines.append(f"        numbers[{place}] = {self._name(symbol)};")
+            self.lines.append("    }")
+            bodies.append((loops, self._with_numbers(self.lines)))
+        return bodies
+
+    def _keep(self, name: str) -> None:
+        """Keep a number for the next stages."""
+        symbol = self._texts[name]
+        place = sum(self._size(each) for each in self._kept)
+        self._kept[name] = place
+        assert place + self._size(name) <= stored_step_slots.SCALARS
+        self.lines.append(f"        scalars[{place}] = {name};")
+        if symbol.operation == "solve":
+            self.lines += ["        for (uint j = 0; j < MEMORY; ++j)",
+                           f"            scalars[{place + 1} + j] = factors{name}[j];"]  # fmt: skip
+
+    def _size(self, name: str) -> int:
+        solved = self._texts[name].operation == "solve"
+        return 1 + MEMORY * solved
+
+    def _with_numbers(self, lines: list[str]) -> list[str]:
+        """Return lines after those that load or compute the numbers which they need."""
+        made = set(re.findall(r"(?:double|bool) (x\d+)", "\n".join(lines)))
+        before: list[str] = []
+
+        def load(text: str) -> None:
+            for factors, name in re.findall(r"\b(factors)?(x\d+)\b", text):
+                key = factors + name
+                if key in made or name in made:
+                    continue
+                made.add(key)
+                symbol = self._texts[name]
+                if factors:
+                    place = self._kept[name] + 1
+                    before.append(f"    const __global double* {key} = scalars + {place};")
+                elif symbol.stage == 0:
+                    line = f"    const double {name} = {self._expression(symbol, self._name)};"
+                    load(line.partition("=")[2])
+                    before.append(line)
+                elif symbol.operation in ("greater", "and", "solve"):
+                    before.append(f"    const bool {name} = scalars[{self._kept[name]}] != 0.0;")
+                else:
+                    before.append(f"    const double {name} = scalars[{self._kept[name]}];")
+
+        load("\n".join(lines))
+        return before + lines
+
+    def _loop_head(self, size: str) -> str:
+        return f"    for (uint i = OWN_FIRST({size}); i < OWN_END({size}); i += STEP) {{"
+
+    def _store(self, value: str, side: str, slot: str) -> None:
+        if slot == "CHANGES":
+            self.lines.append(f"        SSTORE(TO_VSINGLE({value}), i, changes);")
+        else:
+            super()._store(value, side, slot)
+
+    def _place(self, side: str, slot: str) -> str:
+        if slot in stored_step_slots.GIVEN:
+            return f"{side.upper()}_GIVEN(GIVEN_{slot})"
+        return super()._place(side, slot)
+
+    def _add_each(self, begin: str, many: str, end: str) -> None:
+        # Differences that are not stored yet are not read: their memory may hold anything.
+        self.lines += ["#pragma unroll",
+                       "        for (uint j = 0; j < MEMORY; ++j)",
+                       "            if (j < count)",
+                       f"                {begin}DLOAD(i, {many}(j)){end}"]  # fmt: skip
+
+    def _reduce(self, x: Symbol) -> None:
+        place = self._partials[x]
+        name = self._name(x)
+        if x.operation == "inner_each":
+            self.lines += ["    for (uint j = 0; j < MEMORY; ++j)",
+                           f"        leave_partial(group_sum(sum_of_lanes(all{name}[j]), shared), "
+                           f"{place} + j, partials);"]  # fmt: skip
+        else:
+            self.lines.append(f"    leave_partial({self._over_group(x)}, {place}, partials);")
+
+    def _join(self, x: Symbol) -> None:
+        """Join what the groups have left of a sum."""
+        place, name = self._partials[x], self._name(x)
+        if x.operation == "inner_each":
+            joined = f"joined_sum(partials, {place} + j, groups, shared)"
+            self.lines += [f"    double {name}[MEMORY];",
+                           "    for (uint j = 0; j < MEMORY; ++j)",
+                           f"        {name}[j] = {joined};"]  # fmt: skip
+        else:
+            kind = {"sum": "sum", "largest": "largest"}[x.operation]
+            self.lines.append(
+                f"    const double {name} = joined_{kind}(partials, {place}, groups, shared);"
+            )
+
+    def _softmin(self, side: str) -> str:
+        base, alone = (self._place(side, slot) for slot in ("BASE", "ALONE"))
+        return f"stored_softmin(maxima, sums, {base}, {alone}, middle, k, i)"
