@@ -27,7 +27,7 @@ from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.verification.splines import motions
 from clmorph.measures.points import WeightedPoints
 from clmorph.reference import NumPyOperations
-from clmorph.transport._solver.coarse_grid import stored_grid
+from clmorph.transport._solver.coarse_grid import STORED_CHOICES, stored_grid
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.steps import Steps, new_steps
 
@@ -56,7 +56,7 @@ def iterated_over_stored(operations: Operations, rho: tuple[float, float]) -> li
     g = np.zeros(67)
     f, g, t_rows, _ = problem.update_f(g, problem.softmin_rows(g, epsilon, False), epsilon)
     softmins = t_rows, problem.softmin_columns(f, epsilon, False)
-    grid = stored_grid(problem, f, g, softmins, epsilon, 130 * 67)
+    grid = stored_grid(problem, f, g, softmins, epsilon, 130 * 67, STORED_CHOICES)
     assert grid is not None
     grid.problem.center_trust_region(grid.source.restrict(f, problem.a))
     corrections = [

@@ -12,7 +12,12 @@ import clmorph
 from clmorph.measures.cluster import make_clusters
 from clmorph.measures.points import WeightedPoints
 from clmorph.transport._solver import annealing, coarse_grid, multiscale
-from clmorph.transport._solver.coarse_grid import CorrectedProblem, expanded, stored_grid
+from clmorph.transport._solver.coarse_grid import (
+    CorrectedProblem,
+    StoredChoice,
+    expanded,
+    stored_grid,
+)
 from clmorph.transport._solver.iteration import Iteration
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import Softmin
@@ -217,7 +222,9 @@ def stored_near(device, side, blur, rho):
     g = sinkhorn(source, target, blur, reach, 0.3, backend=device).g
     f, g, t_rows, _ = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
     t_columns = problem.softmin_columns(f, epsilon, True)
-    grid = stored_grid(problem, f, g, (t_rows, t_columns), epsilon, 10**8)
+    grid = stored_grid(
+        problem, f, g, (t_rows, t_columns), epsilon, 10**8, coarse_grid.STORED_CHOICES
+    )
     return problem, f, g, t_rows, t_columns, grid
 
 
@@ -247,7 +254,7 @@ def test_stored_pairs_stand_for_the_points(device, rng):
     assert np.abs(held - 7.0 - f).max() <= 1.5 * near.trust_radius * epsilon
     # Each pair that is left out has grown by exp(10) at most against those that are not.
     change = 5 * epsilon * rng.uniform(-1, 1, len(g))
-    share, _ = coarse_grid.STORED_CHOICES[0]
+    share = coarse_grid.STORED_CHOICES[0].share
     left_out = len(g) * share * np.exp(10)
     assert left_out < 1e-4
     got = near.to_rows(g + change, epsilon)
@@ -357,16 +364,16 @@ def test_large_problems_take_clusters_that_save_less(monkeypatch):
     blur = next(
         blur
         for blur in np.geomspace(0.01, 0.5, 50)
-        if np.prod([len(make_clusters(each, blur).measure) for each in pair]) <= 0.65 * pairs
+        if np.prod([len(make_clusters(each, blur).measure) for each in pair]) <= 0.48 * pairs
     )
     problem = Problem.between(clmorph.get_backend("numpy"), *pair, (0.09, 0.09))
     solve = multiscale.Multiscale(problem, pair, blur, 1e-5, 500, "auto", lambda share: None)
     assert solve._choose_clusters() is None
     want = sinkhorn(*pair, blur, 0.3, 1e-5, backend="numpy", multiscale=False)
-    monkeypatch.setattr(multiscale, "STORED", 1)
+    monkeypatch.setattr(multiscale, "ENOUGH_OF_MANY", ((10**6, 0.9), (1, 0.5)))
     clusters = solve._choose_clusters()
     share = len(clusters[0].measure) * len(clusters[1].measure) / pairs
-    assert multiscale.ENOUGH[-1] < share <= multiscale.ENOUGH_OF_MANY
+    assert multiscale.ENOUGH[-1] < share <= 0.5
     got = sinkhorn(*pair, blur, 0.3, 1e-5, backend="numpy", multiscale=True)
     assert got.converged
     assert np.abs(got.f - want.f).max() <= 2e-3 * got.epsilon
@@ -400,12 +407,12 @@ def test_fewer_pairs_are_stored_where_all_would_be_too_many(monkeypatch):
     problem, f, g, t_rows, t_columns, grid = stored_near("numpy", 24, blur, rho)
     given = problem, f, g, (t_rows, t_columns), blur**2
     whole = grid.problem.to_rows.stored.n_pairs
-    assert grid.problem.trust_radius == coarse_grid.STORED_CHOICES[0][1]
-    fewer = stored_grid(*given, whole - 1).problem
-    assert fewer.trust_radius == coarse_grid.STORED_CHOICES[1][1]
+    assert grid.problem.trust_radius == coarse_grid.STORED_CHOICES[0].trust_radius
+    fewer = stored_grid(*given, whole - 1, coarse_grid.STORED_CHOICES[:2]).problem
+    assert fewer.trust_radius == coarse_grid.STORED_CHOICES[1].trust_radius
     pairs = fewer.to_rows.stored.n_pairs
     assert pairs < whole
-    assert stored_grid(*given, pairs - 1) is None
+    assert stored_grid(*given, pairs - 1, coarse_grid.STORED_CHOICES[:2]) is None
     # The solve over the fewer pairs has the same solution.
     monkeypatch.setattr(coarse_grid, "STORED_CHOICES", coarse_grid.STORED_CHOICES[1:])
     source, target = sharp(24)
@@ -413,6 +420,43 @@ def test_fewer_pairs_are_stored_where_all_would_be_too_many(monkeypatch):
     want = sinkhorn(source, target, blur, 0.3, 1e-5, backend="numpy", multiscale=False)
     assert got.converged
     assert np.abs(got.f - want.f).max() <= 2e-3 * got.epsilon
+
+
+def test_choices_that_have_had_too_many_pairs_are_not_tried_again(monkeypatch):
+    """And the last choice is for small residuals alone."""
+    blur = 0.05
+    problem, f, g, t_rows, t_columns, grid = stored_near("numpy", 24, blur, (0.09, 0.09))
+    first, second, last = coarse_grid.STORED_CHOICES
+    tried = []
+
+    def recorded(*arguments):
+        tried.append(list(arguments[-1]))
+        return stored_grid(*arguments)
+
+    monkeypatch.setattr(multiscale, "stored_grid", recorded)
+    monkeypatch.setattr(multiscale, "STORED_PER_POINT", 1)
+    monkeypatch.setattr(multiscale, "STORED", grid.problem.to_rows.stored.n_pairs - 1)
+    solve = multiscale.Multiscale(problem, sharp(24), blur, 1e-5, 500, "auto", lambda share: None)
+    solve.state = multiscale.State(f, g, t_rows, t_columns, 1.1 * last.residual)
+    for _ in range(2):
+        assert solve._stored_grid().problem.choice == second
+    monkeypatch.setattr(multiscale, "STORED", 1)
+    assert solve._stored_grid() is None
+    assert solve._stored_grid() is None
+    solve.state = solve.state._replace(residual=0.9 * last.residual)
+    monkeypatch.setattr(multiscale, "STORED", 10**8)
+    assert solve._stored_grid().problem.choice == last
+    assert tried == [[first, second], [second], [second], [], [last]]
+
+
+def test_the_last_choice_of_stored_pairs_leads_to_the_solution(device, monkeypatch):
+    last = coarse_grid.STORED_CHOICES[-1]
+    monkeypatch.setattr(coarse_grid, "STORED_CHOICES", (last._replace(residual=np.inf),))
+    source, target = sharp(24)
+    got = sinkhorn(source, target, 0.05, 0.3, 1e-4, backend=device, multiscale=True)
+    want = sinkhorn(source, target, 0.05, 0.3, 1e-5, backend="numpy", multiscale=False)
+    assert got.converged
+    same_up_to_a_constant(got, want, 0.02)
 
 
 @pytest.mark.parametrize(
@@ -455,7 +499,7 @@ def test_without_memory_for_pairs_points_are_iterated_over(device, monkeypatch):
 
 def test_pairs_that_mislead_are_left(monkeypatch):
     """With far too few pairs cycles do not converge; the solve does."""
-    monkeypatch.setattr(coarse_grid, "STORED_CHOICES", ((0.3, 50.0),))
+    monkeypatch.setattr(coarse_grid, "STORED_CHOICES", (StoredChoice(0.3, 50.0),))
     source, target = sharp(24)
     got = sinkhorn(source, target, 0.04, 0.3, backend="numpy", multiscale=True)
     assert got.converged

@@ -4,6 +4,7 @@ Values are restricted to a coarse problem by means over the points of a cluster,
 prolonged to the points by a softmin.
 """
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -18,13 +19,24 @@ from clmorph.transport._solver.softmin import Softmin, check_finite
 from clmorph.transport._solver.state import dual_rounding
 from clmorph.transport.certificate import MAX_EXPONENT, Side
 
-#: Choices of the pairs to store: the least share that a pair has in the sum of its row or column,
-#: and the trust radius, the number of epsilons by which potentials may move. If one choice has too
-#: many pairs, the next one is tried. The logarithm of a pair that is not stored grows by the rise
-#: of both its potentials, and mostly by far less: islands of color that move by a hundred epsilons
-#: and more move as a whole. Nothing proves that these pairs stay negligible within the radius: the
-#: residual over the points shows whether they do.
-STORED_CHOICES = ((1e-13, 60.0), (1e-7, 8.0))
+
+class StoredChoice(NamedTuple):
+    """Which pairs are stored."""
+
+    share: float  #: the least share that a pair has in the sum of its row or column
+    trust_radius: float  #: the number of epsilons by which potentials may move
+    residual: float = np.inf  #: the largest residual over the points, in units of epsilon
+
+
+#: Choices of the pairs to store. If one choice has too many pairs, the next one is tried. The
+#: logarithm of a pair that is not stored grows by the rise of both its potentials, and mostly by
+#: far less: islands of color that move by a hundred epsilons and more move as a whole. Nothing
+#: proves that these pairs stay negligible within the radius: the residual over the points shows
+#: whether they do. The last choice is for potentials that will hardly move: it stores what has
+#: nearly all mass now.
+STORED_CHOICES = (
+    StoredChoice(1e-13, 60.0), StoredChoice(1e-7, 8.0), StoredChoice(1e-4, 6.0, residual=1.0),
+)  # fmt: skip
 #: The mass of the plan may fall by this factor while stored pairs are trusted, and closed forms of
 #: the dual still have enough digits.
 PLAN_CHANGE = 10.0
@@ -264,8 +276,8 @@ class StoredProblem(CorrectedProblem):
         The problem over all pairs.
     softmins : (to_rows, to_columns)
         The operators over the stored pairs, with their masses.
-    trust_radius : float
-        See `STORED_CHOICES`, in units of epsilon.
+    choice : StoredChoice
+        The choice of these pairs.
     plan_mass : float
         The mass of the plan for which the pairs were stored.
     epsilon : float
@@ -278,12 +290,12 @@ class StoredProblem(CorrectedProblem):
         self,
         like: Problem,
         softmins: tuple[StoredSoftmin, StoredSoftmin],
-        trust_radius: float,
+        choice: StoredChoice,
         plan_mass: float,
         epsilon: float,
     ) -> None:
         super().__init__(*softmins, softmins[0].weights, like.rho, like.largest_cost)
-        self.trust_radius = trust_radius
+        self.choice, self.trust_radius = choice, choice.trust_radius
         self._softmins, self._plan_mass, self._epsilon = softmins, plan_mass, epsilon
 
     def start_iteration(self) -> ResidentIteration | None:
@@ -331,7 +343,13 @@ class StoredProblem(CorrectedProblem):
 
 
 def stored_grid(
-    problem: Problem, f: Array, g: Array, softmins: tuple[Array, Array], epsilon: float, most: int
+    problem: Problem,
+    f: Array,
+    g: Array,
+    softmins: tuple[Array, Array],
+    epsilon: float,
+    most: int,
+    choices: Iterable[StoredChoice],
 ) -> CoarseGrid | None:
     """Return the problem over the pairs of notable mass near (f, g); None if they are too many.
 
@@ -345,11 +363,13 @@ def stored_grid(
         Cost units.
     most : int
         Largest number of pairs to store.
+    choices : iterable of StoredChoice
+        The first one that has few enough pairs is taken.
     """
     near = problem.to_rows.near, problem.to_columns.near
-    for share, trust_radius in STORED_CHOICES:
+    for choice in choices:
         by_row, by_column = (
-            _threshold(potential, softmin, log_weights, epsilon, share)
+            _threshold(potential, softmin, log_weights, epsilon, choice.share)
             for potential, softmin, log_weights in (
                 (f, softmins[0], problem.log_a), (g, softmins[1], problem.log_b)
             )
@@ -369,7 +389,7 @@ def stored_grid(
             problem.to_columns, stored, True, (b, a), own_f, t_columns, starts[1]
         )
         plan_mass = float(problem.row_mass(f, softmins[0], epsilon).sum())
-        smaller = StoredProblem(problem, (to_rows, to_columns), trust_radius, plan_mass, epsilon)
+        smaller = StoredProblem(problem, (to_rows, to_columns), choice, plan_mass, epsilon)
         return CoarseGrid(smaller, Reordering(of_rows), Reordering(of_columns), to_columns)
     return None
 

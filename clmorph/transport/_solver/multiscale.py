@@ -22,6 +22,7 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph.measures.cluster import Clusters, make_clusters
 from clmorph.measures.points import AnyMeasure
+from clmorph.transport._solver import coarse_grid
 from clmorph.transport._solver.annealing import anneal, ignore, prepare
 from clmorph.transport._solver.coarse_grid import (
     CoarseGrid,
@@ -48,10 +49,11 @@ from clmorph.transport._solver.state import (
 
 #: Candidate sides of the clusters at the last blur, in units of this blur, and a bound for each:
 #: the number of pairs of clusters as a share of the number of pairs of points. The first side
-#: within its bound is used. The last bound is larger for large problems, of which fewer pairs can
-#: be stored for each point: there a first cycle of clusters saves more iterations over the points
-#: than it takes time.
-SIDES, ENOUGH, ENOUGH_OF_MANY = (0.5, 0.7, 1.0), (0.03, 0.03, 0.4), 0.7
+#: within its bound is used.
+SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.4)
+#: The last bound above some numbers of points, of which fewer pairs can be stored for each point:
+#: there a first cycle of clusters saves more iterations over the points than it takes time.
+ENOUGH_OF_MANY = ((1 << 19, 0.7), (1 << 17, 0.5))
 #: Residual to reach over the clusters before the first iteration over the points.
 FIRST_TOLERANCE = 5e-2
 #: Truncation of the softmins of clusters, as a multiple of that of the points: they choose the way,
@@ -73,8 +75,9 @@ PROGRESS, FAILURES = 0.3, 12
 FAR = 1.0
 #: Stored pairs are also kept while the residual over the points is at most this many times theirs.
 AGREEMENT = 2.0
-#: Largest number of stored pairs: for each point, and a number that is always allowed.
-STORED_PER_POINT, STORED = 128, 1 << 24
+#: Largest number of stored pairs: for each point, and a number that is always allowed. Up to the
+#: last number there may be twice as many for each point.
+STORED_PER_POINT, STORED, MANY_STORED = 128, 1 << 24, 1 << 27
 #: Where better exponents than float32 are needed, they are used below this many times its rounding.
 SWITCH = 300.0
 
@@ -110,6 +113,8 @@ class Multiscale:
         self.tol, self.precision = tol, precision
         self.residuals: list[float] = []
         self._blur, self._max_iter, self._report, self._reported = blur, max_iter, report, 0.0
+        #: The choices of pairs to store that are not known to have too many.
+        self._choices = list(coarse_grid.STORED_CHOICES)
 
     @property
     def n_iter(self) -> int:
@@ -137,9 +142,8 @@ class Multiscale:
     def _choose_clusters(self) -> list[Clusters] | None:
         """Return clusters for the last blur; None if they would save too little."""
         sizes = len(self.problem.a), len(self.problem.b)
-        bounds = ENOUGH
-        if STORED_PER_POINT * max(sizes) > STORED:
-            bounds = *ENOUGH[:-1], ENOUGH_OF_MANY
+        many = (enough for points, enough in ENOUGH_OF_MANY if max(sizes) > points)
+        bounds = *ENOUGH[:-1], next(many, ENOUGH[-1])
         pairs = sizes[0] * sizes[1]
         for side, enough in zip(SIDES, bounds, strict=True):
             clusters = [make_clusters(measure, side * self._blur) for measure in self._pair]
@@ -164,9 +168,18 @@ class Multiscale:
 
     def _stored_grid(self) -> CoarseGrid | None:
         """Return the problem of the pairs that have notable mass now; None if they are too many."""
-        f, g, t_rows, t_columns, _ = self.state
-        most = max(STORED, STORED_PER_POINT * max(len(f), len(g)))
-        return stored_grid(self.problem, f, g, (t_rows, t_columns), self._blur**2, most)
+        f, g, t_rows, t_columns, residual = self.state
+        usual = STORED_PER_POINT * max(len(f), len(g))
+        most = max(STORED, usual, min(2 * usual, MANY_STORED))
+        choices = [each for each in self._choices if residual <= each.residual]
+        softmins = t_rows, t_columns
+        grid = stored_grid(self.problem, f, g, softmins, self._blur**2, most, choices)
+        # A choice that has had too many pairs is not tried again.
+        taken = len(choices)
+        if grid is not None and isinstance(grid.problem, StoredProblem):
+            taken = choices.index(grid.problem.choice)
+        self._choices = [each for each in self._choices if each not in choices[:taken]]
+        return grid
 
     def _first(self, grid: CoarseGrid, clusters: list[Clusters], g: Array) -> Array:
         """Solve the problem of the clusters from potentials g and prolong them to the points."""
