@@ -20,19 +20,6 @@
 
 #include "softmin_vectors.cl"
 
-#define ROW(slot) (rows + (size_t)(slot) * n)
-#define COLUMN(slot) (columns + (size_t)(slot) * m)
-#define AHEAD(j) COLUMN(COLUMN_AHEAD + (j))
-#define DIFFERENCES(j) COLUMN(COLUMN_DIFFERENCES + (j))
-
-// `control` has g's place, the parity of the iterate, whether an iterate is stored, the place of
-// its difference, and the number of differences.
-#define G_AT (control & 63u)
-#define PARITY (control >> 6 & 1u)
-#define BEGUN (control >> 7 & 1u)
-#define PLACE (control >> 8 & 15u)
-#define COUNT (control >> 12)
-
 // Prepare the softmin of the rows, T(g), for a new g: the host's, or one of the columns' vectors.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void prepare_rows(

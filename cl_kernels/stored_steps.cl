@@ -27,19 +27,8 @@
 
 #include "vector_steps.cl"
 
-#define ROW(slot) (rows + (size_t)(slot) * n)
-#define COLUMN(slot) (columns + (size_t)(slot) * m)
 #define ROW_GIVEN(slot) (given_rows + (size_t)(slot) * n)
 #define COLUMN_GIVEN(slot) (given_columns + (size_t)(slot) * m)
-#define AHEAD(j) COLUMN(COLUMN_AHEAD + (j))
-#define DIFFERENCES(j) COLUMN(COLUMN_DIFFERENCES + (j))
-
-// `control` is that of half_steps.cl.
-#define G_AT (control & 63u)
-#define PARITY (control >> 6 & 1u)
-#define BEGUN (control >> 7 & 1u)
-#define PLACE (control >> 8 & 15u)
-#define COUNT (control >> 12)
 
 // The entries of a work-item: each group has consecutive ones.
 #define ALL_GROUPS (get_num_groups(0) * STEP)
@@ -585,24 +574,9 @@ void row_joins(
         const double x61 = x60 / inverse_rho_target;
         const double x62 = x55 + x61;
         if (get_local_id(0) == 0) {
-            scalars[3] = x26;
-            scalars[4] = x27;
-            scalars[5] = x28;
-            scalars[6] = x34;
-            scalars[7] = x35;
-            scalars[8] = x36;
-            scalars[9] = x37;
             scalars[10] = x38;
-            scalars[11] = x40;
             scalars[12] = x41;
-            scalars[13] = x44;
             scalars[14] = x45;
-            scalars[15] = x47;
-            scalars[16] = x53;
-            scalars[17] = x54;
-            scalars[18] = x55;
-            scalars[19] = x60;
-            scalars[20] = x61;
             scalars[21] = x62;
         }
     }
@@ -624,17 +598,6 @@ void row_joins(
         const double x91 = x89 + x84;
         const double x92 = fmax(x90, x91);
         if (get_local_id(0) == 0) {
-            scalars[22] = x87;
-            scalars[23] = x83;
-            scalars[24] = x84;
-            scalars[25] = x90;
-            scalars[26] = x89;
-            scalars[27] = x91;
-            scalars[28] = x92;
-            scalars[29] = x76;
-            scalars[30] = x78;
-            scalars[31] = x79;
-            scalars[32] = x80;
             numbers[NUMBER_MASS] = x45;
             numbers[NUMBER_LOG_MASS] = x41;
             numbers[NUMBER_ROW_DUAL] = x62;
@@ -673,18 +636,10 @@ void row_joins(
         const double x45 = target_mass - x34;
         const double x46 = x45 / inverse_rho_target;
         if (get_local_id(0) == 0) {
-            scalars[3] = x20;
-            scalars[4] = x21;
-            scalars[5] = x22;
-            scalars[6] = x26;
-            scalars[7] = x27;
             scalars[8] = x28;
-            scalars[9] = x29;
             scalars[10] = x30;
-            scalars[11] = x33;
             scalars[12] = x34;
             scalars[13] = x36;
-            scalars[14] = x45;
             scalars[15] = x46;
         }
     }
@@ -710,20 +665,6 @@ void row_joins(
         const double x76 = x74 + x69;
         const double x77 = fmax(x75, x76);
         if (get_local_id(0) == 0) {
-            scalars[16] = x38;
-            scalars[17] = x39;
-            scalars[18] = x47;
-            scalars[19] = x72;
-            scalars[20] = x68;
-            scalars[21] = x69;
-            scalars[22] = x75;
-            scalars[23] = x74;
-            scalars[24] = x76;
-            scalars[25] = x77;
-            scalars[26] = x61;
-            scalars[27] = x63;
-            scalars[28] = x64;
-            scalars[29] = x65;
             numbers[NUMBER_MASS] = x34;
             numbers[NUMBER_LOG_MASS] = x28;
             numbers[NUMBER_ROW_DUAL] = x47;
@@ -769,21 +710,9 @@ void row_joins(
         const double x47 = x46 / inverse_rho_source;
         const double x48 = x40 + x47;
         if (get_local_id(0) == 0) {
-            scalars[3] = x19;
-            scalars[4] = x20;
-            scalars[5] = x21;
-            scalars[6] = x27;
-            scalars[7] = x28;
-            scalars[8] = x29;
-            scalars[9] = x30;
             scalars[10] = x31;
-            scalars[11] = x33;
             scalars[12] = x34;
-            scalars[13] = x37;
             scalars[14] = x38;
-            scalars[15] = x40;
-            scalars[16] = x46;
-            scalars[17] = x47;
             scalars[18] = x48;
         }
     }
@@ -807,19 +736,6 @@ void row_joins(
         const double x80 = x78 + x73;
         const double x81 = fmax(x79, x80);
         if (get_local_id(0) == 0) {
-            scalars[19] = x50;
-            scalars[20] = x51;
-            scalars[21] = x76;
-            scalars[22] = x72;
-            scalars[23] = x73;
-            scalars[24] = x79;
-            scalars[25] = x78;
-            scalars[26] = x80;
-            scalars[27] = x81;
-            scalars[28] = x65;
-            scalars[29] = x67;
-            scalars[30] = x68;
-            scalars[31] = x69;
             numbers[NUMBER_MASS] = x38;
             numbers[NUMBER_LOG_MASS] = x34;
             numbers[NUMBER_ROW_DUAL] = x51;
@@ -854,22 +770,6 @@ void row_joins(
         const double x50 = x48 + x43;
         const double x51 = fmax(x49, x50);
         if (get_local_id(0) == 0) {
-            scalars[0] = x17;
-            scalars[1] = x18;
-            scalars[2] = x20;
-            scalars[3] = x21;
-            scalars[4] = x24;
-            scalars[5] = x46;
-            scalars[6] = x42;
-            scalars[7] = x43;
-            scalars[8] = x49;
-            scalars[9] = x48;
-            scalars[10] = x50;
-            scalars[11] = x51;
-            scalars[12] = x35;
-            scalars[13] = x37;
-            scalars[14] = x38;
-            scalars[15] = x39;
             numbers[NUMBER_MASS] = x13;
             numbers[NUMBER_LOG_MASS] = x11;
             numbers[NUMBER_ROW_DUAL] = x21;
@@ -1701,10 +1601,6 @@ void column_joins(
         const double x36 = fmax(x28, x35);
         if (get_local_id(0) == 0) {
             scalars[0] = x41;
-            scalars[1] = x27;
-            scalars[2] = x28;
-            scalars[3] = x34;
-            scalars[4] = x35;
             scalars[5] = x36;
             scalars[6] = x134;
         }
@@ -1735,21 +1631,7 @@ void column_joins(
         const double x77 = x76 / inverse_rho_target;
         const double x78 = x71 + x77;
         if (get_local_id(0) == 0) {
-            scalars[7] = x44;
-            scalars[8] = x45;
-            scalars[9] = x46;
-            scalars[10] = x47;
             scalars[11] = x48;
-            scalars[12] = x50;
-            scalars[13] = x51;
-            scalars[14] = x60;
-            scalars[15] = x61;
-            scalars[16] = x63;
-            scalars[17] = x69;
-            scalars[18] = x70;
-            scalars[19] = x71;
-            scalars[20] = x76;
-            scalars[21] = x77;
             scalars[22] = x78;
         }
     }
@@ -1769,8 +1651,6 @@ void column_joins(
         const double x104 = sqrt(x103);
         const double x105 = radius * x104;
         if (get_local_id(0) == 0) {
-            scalars[23] = x103;
-            scalars[24] = x104;
             scalars[25] = x105;
             scalars[26] = x96;
             for (uint j = 0; j < MEMORY; ++j)
@@ -1788,12 +1668,7 @@ void column_joins(
         const bool x113 = x109 > x105;
         const bool x116 = x96 && x113;
         if (get_local_id(0) == 0) {
-            scalars[43] = x108;
-            scalars[44] = x109;
-            scalars[45] = x110;
-            scalars[46] = x111;
             scalars[47] = x112;
-            scalars[48] = x113;
             scalars[49] = x116;
         }
     }
@@ -1809,10 +1684,6 @@ void column_joins(
         const double x130 = x127 - x129;
         const double x131 = 0.5 * x130;
         if (get_local_id(0) == 0) {
-            scalars[50] = x127;
-            scalars[51] = x129;
-            scalars[52] = x130;
-            scalars[53] = x131;
             numbers[NUMBER_RESIDUAL_SIZE] = x36;
             numbers[NUMBER_COLUMN_DUAL] = x78;
             numbers[NUMBER_FOUND] = x96;
@@ -1833,10 +1704,6 @@ void column_joins(
         const double x31 = fmax(x23, x30);
         if (get_local_id(0) == 0) {
             scalars[0] = x35;
-            scalars[1] = x22;
-            scalars[2] = x23;
-            scalars[3] = x29;
-            scalars[4] = x30;
             scalars[5] = x31;
             scalars[6] = x124;
         }
@@ -1862,17 +1729,8 @@ void column_joins(
         const double x66 = target_mass - x55;
         const double x67 = x66 / inverse_rho_target;
         if (get_local_id(0) == 0) {
-            scalars[7] = x38;
-            scalars[8] = x39;
-            scalars[9] = x40;
-            scalars[10] = x41;
             scalars[11] = x42;
-            scalars[12] = x44;
-            scalars[13] = x45;
-            scalars[14] = x54;
-            scalars[15] = x55;
             scalars[16] = x57;
-            scalars[17] = x66;
             scalars[18] = x67;
         }
     }
@@ -1897,14 +1755,10 @@ void column_joins(
         const double x94 = sqrt(x93);
         const double x95 = radius * x94;
         if (get_local_id(0) == 0) {
-            scalars[19] = x93;
-            scalars[20] = x94;
             scalars[21] = x95;
             scalars[22] = x86;
             for (uint j = 0; j < MEMORY; ++j)
                 scalars[23 + j] = factorsx86[j];
-            scalars[39] = x59;
-            scalars[40] = x60;
             scalars[41] = x68;
         }
     }
@@ -1919,12 +1773,7 @@ void column_joins(
         const bool x103 = x99 > x95;
         const bool x106 = x86 && x103;
         if (get_local_id(0) == 0) {
-            scalars[42] = x98;
-            scalars[43] = x99;
-            scalars[44] = x100;
-            scalars[45] = x101;
             scalars[46] = x102;
-            scalars[47] = x103;
             scalars[48] = x106;
         }
     }
@@ -1940,10 +1789,6 @@ void column_joins(
         const double x120 = x117 - x119;
         const double x121 = 0.5 * x120;
         if (get_local_id(0) == 0) {
-            scalars[49] = x117;
-            scalars[50] = x119;
-            scalars[51] = x120;
-            scalars[52] = x121;
             numbers[NUMBER_RESIDUAL_SIZE] = x31;
             numbers[NUMBER_COLUMN_DUAL] = x68;
             numbers[NUMBER_FOUND] = x86;
@@ -1964,10 +1809,6 @@ void column_joins(
         const double x31 = fmax(x24, x30);
         if (get_local_id(0) == 0) {
             scalars[0] = x32;
-            scalars[1] = x23;
-            scalars[2] = x24;
-            scalars[3] = x29;
-            scalars[4] = x30;
             scalars[5] = x31;
             scalars[6] = x118;
         }
@@ -1988,16 +1829,7 @@ void column_joins(
         const double x58 = x57 / inverse_rho_source;
         const double x59 = x51 + x58;
         if (get_local_id(0) == 0) {
-            scalars[7] = x35;
-            scalars[8] = x36;
-            scalars[9] = x37;
-            scalars[10] = x38;
             scalars[11] = x39;
-            scalars[12] = x48;
-            scalars[13] = x49;
-            scalars[14] = x51;
-            scalars[15] = x57;
-            scalars[16] = x58;
             scalars[17] = x59;
         }
     }
@@ -2020,13 +1852,10 @@ void column_joins(
         const double x88 = sqrt(x87);
         const double x89 = radius * x88;
         if (get_local_id(0) == 0) {
-            scalars[18] = x87;
-            scalars[19] = x88;
             scalars[20] = x89;
             scalars[21] = x80;
             for (uint j = 0; j < MEMORY; ++j)
                 scalars[22 + j] = factorsx80[j];
-            scalars[38] = x61;
             scalars[39] = x62;
         }
     }
@@ -2041,12 +1870,7 @@ void column_joins(
         const bool x97 = x93 > x89;
         const bool x100 = x80 && x97;
         if (get_local_id(0) == 0) {
-            scalars[40] = x92;
-            scalars[41] = x93;
-            scalars[42] = x94;
-            scalars[43] = x95;
             scalars[44] = x96;
-            scalars[45] = x97;
             scalars[46] = x100;
         }
     }
@@ -2062,10 +1886,6 @@ void column_joins(
         const double x114 = x111 - x113;
         const double x115 = 0.5 * x114;
         if (get_local_id(0) == 0) {
-            scalars[47] = x111;
-            scalars[48] = x113;
-            scalars[49] = x114;
-            scalars[50] = x115;
             numbers[NUMBER_RESIDUAL_SIZE] = x31;
             numbers[NUMBER_COLUMN_DUAL] = x62;
             numbers[NUMBER_FOUND] = x80;
@@ -2108,21 +1928,12 @@ void column_joins(
         const double x69 = sqrt(x68);
         const double x70 = radius * x69;
         if (get_local_id(0) == 0) {
-            scalars[0] = x68;
-            scalars[1] = x69;
             scalars[2] = x70;
             scalars[3] = x61;
             for (uint j = 0; j < MEMORY; ++j)
                 scalars[4 + j] = factorsx61[j];
             scalars[20] = x84;
-            scalars[21] = x18;
-            scalars[22] = x19;
-            scalars[23] = x24;
-            scalars[24] = x25;
             scalars[25] = x26;
-            scalars[26] = x39;
-            scalars[27] = x40;
-            scalars[28] = x42;
             scalars[29] = x43;
             scalars[30] = x105;
         }
@@ -2138,12 +1949,7 @@ void column_joins(
         const bool x78 = x74 > x70;
         const bool x87 = x61 && x78;
         if (get_local_id(0) == 0) {
-            scalars[31] = x73;
-            scalars[32] = x74;
-            scalars[33] = x75;
-            scalars[34] = x76;
             scalars[35] = x77;
-            scalars[36] = x78;
             scalars[37] = x87;
         }
     }
@@ -2152,7 +1958,6 @@ void column_joins(
         const double x83 = joined_sum(partials, 0, groups, shared);
         const double x85 = x83 / x84;
         if (get_local_id(0) == 0) {
-            scalars[38] = x83;
             scalars[39] = x85;
         }
     }
@@ -2168,10 +1973,6 @@ void column_joins(
         const double x101 = x98 - x100;
         const double x102 = 0.5 * x101;
         if (get_local_id(0) == 0) {
-            scalars[40] = x98;
-            scalars[41] = x100;
-            scalars[42] = x101;
-            scalars[43] = x102;
             numbers[NUMBER_RESIDUAL_SIZE] = x26;
             numbers[NUMBER_COLUMN_DUAL] = x43;
             numbers[NUMBER_FOUND] = x61;

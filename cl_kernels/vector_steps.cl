@@ -2,8 +2,10 @@
 // work-group have, and the normal equations of Anderson's acceleration, which one work-group solves.
 //
 // Launch: work-groups of GROUP; item l takes the entries l * LANES + k * GROUP * LANES, k = 0, 1, ...,
-// of those of its group. Each item reads only entries that it wrote itself, so that barriers are needed by
-// sums alone.
+// of those of its group. In a launch each item reads only entries of vectors that it wrote itself, so that
+// barriers are needed by sums alone.
+//
+// Shapes: n points of the rows, m of the columns; `rows` and `columns` have one vector after the other.
 //
 // -D LANES   float64 lanes of a work-item: 1 on GPUs; divides TILE
 // -D GROUP   work-items of the group, a power of two
@@ -59,6 +61,20 @@ typedef CONCAT(float, LANES) vsingle;
 #define STEP_BARRIER()
 #define LONG_FUNCTION static __attribute__((noinline))
 #endif
+
+// A vector of the rows or of the columns, and those of the acceleration.
+#define ROW(slot) (rows + (size_t)(slot) * n)
+#define COLUMN(slot) (columns + (size_t)(slot) * m)
+#define AHEAD(j) COLUMN(COLUMN_AHEAD + (j))
+#define DIFFERENCES(j) COLUMN(COLUMN_DIFFERENCES + (j))
+
+// `control` has g's place, the parity of the iterate, whether an iterate is stored, the place of its
+// difference, and the number of differences.
+#define G_AT (control & 63u)
+#define PARITY (control >> 6 & 1u)
+#define BEGUN (control >> 7 & 1u)
+#define PLACE (control >> 8 & 15u)
+#define COUNT (control >> 12)
 
 INLINE double sum_of_lanes(const vdouble v)
 {

@@ -103,7 +103,8 @@ def accelerated(problem: Problem, g: Symbol, step: Any) -> tuple[dict[str, Any],
     )  # fmt: skip
 
 
-#: The share of rounding that the dual may have: of any size, because the host decides.
+#: A rounding that the dual may have, so that its closed forms are recorded:
+#: `StoredProblem.start_iteration` decides whether they have enough digits.
 CLOSED_FORM = 1.0
 
 

@@ -39,7 +39,7 @@ KERNEL_ERROR = 1e-6
 
 
 class ResidentIteration(Protocol):
-    """Sinkhorn's iteration between two clouds, whose vectors stay on the device.
+    """Sinkhorn's iteration between two clouds, or over stored pairs, with vectors on the device.
 
     An iteration is a half-step of f and one of g, each with its shift, and an extrapolation of g:
     the formulas of `clmorph.transport._solver.half_steps`. The host reads a few numbers and
@@ -367,7 +367,9 @@ class Operations(Protocol):
         max_pairs: int,
         near: tuple[NearPairs | None, NearPairs | None] = (None, None),
     ) -> StoredPairs | None:
-        """Store log pi_ij of the pairs above a threshold on the device, for `sum_stored`.
+        """Store log pi_ij of the pairs above a threshold on the device.
+
+        `sum_stored` and `start_stored_iteration` are for them.
 
         Parameters
         ----------
@@ -414,8 +416,11 @@ class Operations(Protocol):
         vectors: tuple[StoredVectors, StoredVectors],
         center: Float64,
         inverse_rho: tuple[float, float],
+        over: Any = None,
     ) -> ResidentIteration | None:
-        """Return an iteration over stored pairs whose vectors stay on the device; None if none is.
+        """Return an iteration over stored pairs whose vectors stay on the device.
+
+        None where the backend has none, or not enough memory for it.
 
         Its potentials and all its other vectors have the order of `StoredPairs.orders`, and its
         masses and duals are closed forms (`Problem.dual`).
@@ -428,6 +433,8 @@ class Operations(Protocol):
             The center of the trust region of f.
         inverse_rho : (float, float)
             As in `start_iteration`.
+        over : ResidentIteration, optional
+            An iteration over the same pairs that is no longer used: its memory is used again.
         """
 
     def barycentric_projection(

@@ -116,11 +116,11 @@ def estimate(
     on CPU runtimes for images of at least 64 x 64 pixels, where it is right within a factor of two.
     Frames are drawn one by one; the estimate does not include frames that are kept. It also does
     not include the pairs that the solver stores (`_solver.coarse_grid`) while potentials are
-    computed at blurs of a few pixels: up to 128 for each point, or 256 if these are at most 2^27,
-    or 2^24 of few points, 18 bytes each, but never more than a quarter of the device's memory. Nor
-    does it include the solver's lists of near pairs. These take 12 bytes for each pair of tiles on
-    the host and, on a CPU, 32 bytes on the device, which is 0.7 GB for each side at 1024 x 1024
-    pixels and a blur of 0.05.
+    computed at blurs of a few pixels: up to 128 for each point, or 256 but at most 2^27 in all, or
+    2^24 of few points, 18 bytes each, but never more than a quarter of the device's memory; with
+    them the device holds 540 bytes for each point of a side. Nor does it include the solver's lists
+    of near pairs. These take 12 bytes for each pair of tiles on the host and, on a CPU, 32 bytes on
+    the device, which is 0.7 GB for each side at 1024 x 1024 pixels and a blur of 0.05.
 
     Parameters
     ----------

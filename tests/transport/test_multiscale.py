@@ -326,6 +326,19 @@ def test_iterations_over_stored_pairs_on_the_device_are_the_hosts(device, rng, r
         each.update_rows()
         each.update_columns()
     assert steps.outside_trust_region() == host.outside_trust_region()
+    # Another iteration over the same pairs takes the memory of the first one.
+    again, host = new_steps(near), HostSteps(near)
+    assert again._iteration.buffers is steps._iteration.buffers
+    found = []
+    for each in (again, host):
+        each.begin(own, epsilon, False)
+        for _ in range(3):
+            each.update_rows()
+            residual = each.update_columns()
+            each.accept()
+            found.append(each.reached(residual).f[massive[0]])
+            each.go_on(True)
+    assert np.abs(np.array(found[:3]) - found[3:]).max() <= tolerance * epsilon
 
 
 def test_closed_forms_with_too_few_digits_are_not_used_on_the_device(device):

@@ -23,6 +23,7 @@ class StagedWriter(Writer):
         """Return for each stage the lines of its loops, and those that join their sums."""
         self._partials: dict[Symbol, int] = {}
         self._kept: dict[str, int] = {}  # places of numbers in `scalars`
+        self._read: set[str] = set()  # those of them that a later stage reads
         self._texts: dict[str, Symbol] = {self._name(x): x for x in self.scalars}
         bodies = []
         last = max(self.wanted)
@@ -56,7 +57,13 @@ class StagedWriter(Writer):
                     self.lines.append(f"        numbers[{place}] = {self._name(symbol)};")
             self.lines.append("    }")
             bodies.append((loops, self._with_numbers(self.lines)))
-        return bodies
+        return [(loops, self._without_unread(joins)) for loops, joins in bodies]
+
+    def _without_unread(self, lines: list[str]) -> list[str]:
+        """Leave out the lines that keep numbers which no later stage reads."""
+        kept = re.compile(r" *scalars\[\d+\] = (x\d+);")
+        found = [(line, kept.fullmatch(line)) for line in lines]
+        return [line for line, match in found if not match or match[1] in self._read]
 
     def _keep(self, name: str) -> None:
         """Keep a number for the next stages."""
@@ -85,6 +92,8 @@ class StagedWriter(Writer):
                     continue
                 made.add(key)
                 symbol = self._texts[name]
+                if name in self._kept:
+                    self._read.add(name)
                 if factors:
                     place = self._kept[name] + 1
                     before.append(f"    const __global double* {key} = scalars + {place};")

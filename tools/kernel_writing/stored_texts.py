@@ -32,19 +32,8 @@ HEAD = """\
 
 #include "vector_steps.cl"
 
-#define ROW(slot) (rows + (size_t)(slot) * n)
-#define COLUMN(slot) (columns + (size_t)(slot) * m)
 #define ROW_GIVEN(slot) (given_rows + (size_t)(slot) * n)
 #define COLUMN_GIVEN(slot) (given_columns + (size_t)(slot) * m)
-#define AHEAD(j) COLUMN(COLUMN_AHEAD + (j))
-#define DIFFERENCES(j) COLUMN(COLUMN_DIFFERENCES + (j))
-
-// `control` is that of half_steps.cl.
-#define G_AT (control & 63u)
-#define PARITY (control >> 6 & 1u)
-#define BEGUN (control >> 7 & 1u)
-#define PLACE (control >> 8 & 15u)
-#define COUNT (control >> 12)
 
 // The entries of a work-item: each group has consecutive ones.
 #define ALL_GROUPS (get_num_groups(0) * STEP)

@@ -1,5 +1,7 @@
 """The operations in NumPy and float64, with which other backends are compared."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -258,6 +260,7 @@ class NumPyOperations:
         vectors: tuple[StoredVectors, StoredVectors],
         center: Float64,
         inverse_rho: tuple[float, float],
+        over: Any = None,
     ) -> None:
         """Return None: all arithmetic is on the host."""
 

@@ -13,6 +13,7 @@ from clmorph.backends.opencl.devices.verdicts import WRONG
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
 from clmorph.backends.opencl.kernels.splat import Splatting
+from clmorph.backends.opencl.kernels.stored_steps import StoredSteps
 from clmorph.backends.verification.batches import check_softmin_batch
 from clmorph.backends.verification.clouds import LONG_ROW, few_rows, several_tiles, splat_case
 from clmorph.backends.verification.iterations import check_iteration
@@ -53,9 +54,12 @@ class Adjustable(Operations, Protocol):
     constants: BuildConstants
     splatting: Splatting
     plan_row_reductions: PlanRowReductions
+    stored_steps: StoredSteps
 
 
 _Checks = Iterator[Finding]
+#: Points of a side whose loops have more work-groups than a group of 64 has items.
+LONG_VECTOR = 5003
 
 
 def check_program(operations: Adjustable, variant: Variant) -> Iterator[Finding]:
@@ -144,10 +148,23 @@ def _check_plan_shares(operations: Adjustable, variant: Variant) -> _Checks:
 
 def _check_half_steps(operations: Adjustable, variant: Variant) -> _Checks:
     case = several_tiles(operations, NumPyOperations(), DIMENSION)
-    stored = variant.file == "stored_steps.cl"
-    findings = list(check_iteration(case, variant.balanced, stored))
+    findings = list(check_iteration(case, variant.balanced))
     assert findings, "the device does not iterate, so nothing was checked"
     yield from findings
+
+
+def _check_stored_steps(operations: Adjustable, variant: Variant) -> _Checks:
+    exact, most = NumPyOperations(), operations.stored_steps.most_groups
+    # Loops of several rounds in two groups, and sums of more groups than a group has items.
+    cases = (
+        (several_tiles(operations, exact, DIMENSION), 2),
+        (few_rows(operations, exact, DIMENSION, LONG_VECTOR), most),
+    )
+    for case, groups in cases:
+        operations.stored_steps.most_groups = groups
+        findings = list(check_iteration(case, variant.balanced, True))
+        assert findings, "the device does not iterate, so nothing was checked"
+        yield from findings
 
 
 def _check_sliced_ellpack(operations: Adjustable, variant: Variant) -> _Checks:
@@ -187,7 +204,7 @@ _CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
     "barycentric_projection.cl": _check_barycentric_projection,
     "plan_shares.cl": _check_plan_shares,
     "half_steps.cl": _check_half_steps,
-    "stored_steps.cl": _check_half_steps,
+    "stored_steps.cl": _check_stored_steps,
     "sliced_ellpack.cl": _check_sliced_ellpack,
     "particles.cl": _check_particles,
     "splat.cl": partial(_check_splat, method="gather"),

@@ -229,6 +229,7 @@ class SeveralDevices:
         vectors: tuple[StoredVectors, StoredVectors],
         center: Float64,
         inverse_rho: tuple[float, float],
+        over: Any = None,
     ) -> None:
         """Return None: a column's pairs are on several devices."""
 

@@ -25,7 +25,8 @@ class StoredChoice(NamedTuple):
 
     share: float  #: the least share that a pair has in the sum of its row or column
     trust_radius: float  #: the number of epsilons by which potentials may move
-    residual: float = np.inf  #: the largest residual over the points, in units of epsilon
+    #: The choice is taken only at residuals over the points up to this, in units of epsilon.
+    residual: float = np.inf
 
 
 #: Choices of the pairs to store. If one choice has too many pairs, the next one is tried. The
@@ -297,9 +298,14 @@ class StoredProblem(CorrectedProblem):
         super().__init__(*softmins, softmins[0].weights, like.rho, like.largest_cost)
         self.choice, self.trust_radius = choice, choice.trust_radius
         self._softmins, self._plan_mass, self._epsilon = softmins, plan_mass, epsilon
+        self._started: ResidentIteration | None = None
 
     def start_iteration(self) -> ResidentIteration | None:
-        """Return an iteration on the device, if the backend has it and its closed forms do."""
+        """Return an iteration on the device, or None.
+
+        The backend must have one, and closed forms of the penalties must have enough digits. The
+        iteration that this function has returned before cannot be used any longer.
+        """
         enough = dual_rounding(self, self._epsilon, False) / PLAN_CHANGE
         for mass, inverse in zip(self.masses, self.inverse_rho, strict=True):
             if inverse and not has_closed_form(
@@ -307,14 +313,15 @@ class StoredProblem(CorrectedProblem):
             ):
                 return None
         (to_rows, to_columns), (of_rows, of_columns) = self._softmins, self._corrections
-        return self.operations.start_stored_iteration(
+        self._started = self.operations.start_stored_iteration(
             to_rows.stored,
             (
                 to_rows.vectors(self.a, of_rows, to_columns.origin),
                 to_columns.vectors(self.b, of_columns, to_rows.origin),
             ),
-            self.center, self.inverse_rho,
+            self.center, self.inverse_rho, self._started,
         )  # fmt: skip
+        return self._started
 
     def center_trust_region(self, f: Array) -> None:
         """Set the potentials, (N,), around which the stored pairs are trusted."""

@@ -2,8 +2,9 @@
 
 `Problem` and these functions use only operators, NumPy's functions of each entry, and the
 reductions of `_solver.reductions`. NumPy's arrays have them. So have the symbols by which
-``tools/make_half_steps.py`` writes the kernels of ``cl_kernels/half_steps.cl``, with which a device
-does the same arithmetic without the host. So each formula stands once.
+``tools/make_half_steps.py`` writes the kernels of ``cl_kernels/half_steps.cl`` and
+``stored_steps.cl``, with which a device does the same arithmetic without the host. So each formula
+stands once.
 """
 
 from typing import Any, NamedTuple

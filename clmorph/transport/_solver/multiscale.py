@@ -51,8 +51,9 @@ from clmorph.transport._solver.state import (
 #: the number of pairs of clusters as a share of the number of pairs of points. The first side
 #: within its bound is used.
 SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.4)
-#: The last bound above some numbers of points, of which fewer pairs can be stored for each point:
-#: there a first cycle of clusters saves more iterations over the points than it takes time.
+#: The last bound above some numbers of points: the more points, the fewer pairs can be stored for
+#: each of them, and a first cycle of clusters saves more iterations over the points than it takes
+#: time.
 ENOUGH_OF_MANY = ((1 << 19, 0.7), (1 << 17, 0.5))
 #: Residual to reach over the clusters before the first iteration over the points.
 FIRST_TOLERANCE = 5e-2

@@ -3,9 +3,10 @@
 from clmorph.backends.interface import MEMORY
 from clmorph.backends.opencl.build import half_step_slots
 
-#: Vectors of either side that the host writes: masses and their logarithms; the softmin where no
-#: potential has changed, and that of points without a stored pair, which stays; the potential for
-#: which the pairs were stored; and the center of the trust region, which the columns do not have.
+#: Vectors of either side that the host writes: masses and their logarithms; the softmin plus
+#: epsilon times the logarithm of the sum over stored pairs, which is the same for all potentials;
+#: the softmin of points without a stored pair, which stays; the potential for which the pairs were
+#: stored; and the center of the trust region, which the columns do not have.
 GIVEN = ("WEIGHTS", "LOG_WEIGHTS", "BASE", "ALONE", "ORIGIN", "CENTER")
 _SCRATCH = tuple(f"SCRATCH_{number}" for number in range(half_step_slots.SCRATCH))
 #: Vectors of the rows, in their order in the buffer.

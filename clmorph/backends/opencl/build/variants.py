@@ -111,6 +111,7 @@ def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
         Variant("half_steps.cl", balanced=3),
         Variant("plan_rows.cl", dimension, listed=True),
         Variant("sliced_ellpack.cl"),
+        Variant("stored_steps.cl"),
     )
 
 

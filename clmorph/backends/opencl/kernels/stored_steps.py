@@ -1,11 +1,13 @@
 """The host side of ``cl_kernels/stored_steps.cl``: iterations over stored pairs on the device."""
 
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import NDArray
 
 from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.interface import MEMORY
@@ -28,6 +30,12 @@ from clmorph.backends.records import Float64, IterationNumbers, StoredPairs, Sto
 
 #: Work-groups of a loop over vectors, for each compute unit.
 GROUPS_PER_UNIT = 8
+#: The numbers of those arguments of the kernels of a stage that change from launch to launch.
+CONTROL, STAGE, RADIUS = 2, 3, 11
+
+
+#: The share of the limits of memory that buffers may take: a pool rounds sizes up.
+MOST_MEMORY = 7 / 8
 
 
 @dataclass(eq=False)
@@ -42,11 +50,15 @@ class StoredIteration(PotentialPlaces):
     balanced : int
     scalars : tuple of float
         Inverses of the marginal penalties, and the masses of both sides.
-    given, vectors : (buffer, buffer)
-        Vectors of the rows and of the columns, (slots, stride) float64: of the host, and others.
-    work : dict of buffers
+    buffers : dict of buffers
+        ``given_rows`` and ``given_columns`` hold vectors that the host writes, ``rows`` and
+        ``columns`` those that kernels write, (slots, stride) float64.
     origin : (M,) array
         Potential of the columns for which the pairs were stored.
+    counted : (M,) array of bool
+        The columns of positive mass.
+    row_middle : float
+        Midrange of the changes of f at the center, in units of cost.
     epsilon : float
     """
 
@@ -54,10 +66,10 @@ class StoredIteration(PotentialPlaces):
     pairs: tuple[Side, Side]
     balanced: int
     scalars: tuple[float, float, float, float]
-    given: tuple[cl.MemoryObject, cl.MemoryObject]
-    vectors: tuple[cl.MemoryObject, cl.MemoryObject]
-    work: dict[str, Any]
+    buffers: dict[str, Any]
     origin: Float64
+    counted: NDArray[np.bool_]
+    row_middle: float
     numbers: Float64 = field(default_factory=lambda: np.zeros(len(NUMBERS)))
     epsilon: float = 0.0
 
@@ -85,11 +97,19 @@ class StoredSteps:
     loop : RowLoop
     take_turns : callable
         Makes methods run one at a time on a device, see `OpenCLOperations`.
+
+    Attributes
+    ----------
+    most_groups : int
+        Largest number of work-groups of a loop over vectors.
     """
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         self._work, self._constants, self._programs = loop.work, loop.constants, loop.programs
         self._kernels: dict[int, dict[str, cl.Kernel]] = {}
+        #: The iteration for which the kernels' arguments are set.
+        self._bound: dict[int, weakref.ref[StoredIteration] | None] = {}
+        self.most_groups: int = GROUPS_PER_UNIT * loop.work.device.max_compute_units
         self.set_potential = take_turns(self._set_potential)
         self.iterate = take_turns(self._iterate)
         self.potentials = take_turns(self._potentials)
@@ -100,90 +120,101 @@ class StoredSteps:
         vectors: tuple[StoredVectors, StoredVectors],
         center: Float64,
         inverse_rho: tuple[float, float],
+        over: StoredIteration | None = None,
     ) -> StoredIteration | None:
         """Put the vectors of an iteration on the device, or return None."""
-        work, device = self._work, self._work.device
-        pairs: tuple[Side, Side] = stored.pairs
-        strides = tuple(side.rows.stride for side in pairs)
-        slots = len(ROW_SLOTS), len(COLUMN_SLOTS) - 2 + 2 * MEMORY
-        n_bytes = [8 * count * stride for count, stride in zip(slots, strides, strict=True)]
-        if (
-            not Variant("stored_steps.cl").suits(self._constants)
-            or max(n_bytes) > device.max_mem_alloc_size
-            or sum(n_bytes) > device.global_mem_size // 4
-        ):
+        if not Variant("stored_steps.cl").suits(self._constants):
             return None
-        given = (
-            self._given(vectors[0], strides[0], center), self._given(vectors[1], strides[1])
-        )  # fmt: skip
-        buffers = work.empty(n_bytes[0]), work.empty(n_bytes[1])
-        longest, groups = max(strides), self._groups(max(strides))
-        sizes = {
-            "start": 8 * strides[1], "maxima": 4 * longest, "sums": 4 * longest,
-            "row_changes": 4 * strides[0], "column_changes": 4 * strides[1],
-            "partials": 8 * PARTIALS * groups, "scalars": 8 * SCALARS, "products": 8 * MEMORY**2,
-            "numbers": 8 * len(NUMBERS),
-        }  # fmt: skip
+        pairs: tuple[Side, Side] = stored.pairs
         balanced = int(inverse_rho[0] == 0) + 2 * int(inverse_rho[1] == 0)
-        rows, columns = (float(each.masses.sum()) for each in vectors)
+        self._own_kernels(balanced)
+        buffers = self._buffers(pairs) if over is None else over.buffers
+        if buffers is None:
+            return None
+        rows, columns = vectors
+        self._give(buffers["given_rows"], pairs[0], rows, center)
+        self._give(buffers["given_columns"], pairs[1], columns)
+        moved = (center - rows.origin)[rows.masses > 0]
         return StoredIteration(
-            self, pairs, balanced, (*inverse_rho, rows, columns), given, buffers,
-            {name: work.empty(size) for name, size in sizes.items()}, vectors[1].origin,
+            self, pairs, balanced,
+            (*inverse_rho, float(rows.masses.sum()), float(columns.masses.sum())), buffers,
+            columns.origin, columns.masses > 0, 0.5 * float(moved.min() + moved.max()),
         )  # fmt: skip
 
-    def _given(self, vectors: StoredVectors, stride: int, *more: Float64) -> cl.MemoryObject:
-        """Return a buffer of the vectors that the host writes for a side."""
+    def _buffers(self, pairs: tuple[Side, Side]) -> dict[str, cl.MemoryObject] | None:
+        """Return the buffers of an iteration, or None if the device's memory is too small."""
+        rows, columns = (side.rows.stride for side in pairs)
+        longest = max(rows, columns)
+        sizes = {
+            "given_rows": 8 * len(GIVEN) * rows, "given_columns": 8 * (len(GIVEN) - 1) * columns,
+            "rows": 8 * len(ROW_SLOTS) * rows,
+            "columns": 8 * (len(COLUMN_SLOTS) - 2 + 2 * MEMORY) * columns,
+            "start": 8 * columns, "maxima": 4 * longest, "sums": 4 * longest,
+            "row_changes": 4 * rows, "column_changes": 4 * columns,
+            "partials": 8 * PARTIALS * self._groups(longest), "scalars": 8 * SCALARS,
+            "products": 8 * MEMORY**2, "numbers": 8 * len(NUMBERS),
+        }  # fmt: skip
+        device = self._work.device
+        if max(sizes.values()) > MOST_MEMORY * device.max_mem_alloc_size or sum(
+            sizes.values()
+        ) > MOST_MEMORY * (device.global_mem_size // 4):
+            return None
+        try:
+            return {name: self._work.empty(size) for name, size in sizes.items()}
+        except (cl.MemoryError, MemoryError):
+            return None
+
+    def _give(
+        self, buffer: cl.MemoryObject, side: Side, vectors: StoredVectors, *more: Float64
+    ) -> None:
+        """Write the vectors of a side that the host has."""
         with np.errstate(divide="ignore"):
             logarithms = np.log(vectors.masses)
         own = vectors.masses, logarithms, vectors.base, vectors.alone, vectors.origin, *more
         # Points that pad a side have no mass.
         fillers = {"LOG_WEIGHTS": -np.inf}
         values = np.stack([
-            pad(each, stride, fillers.get(name, 0.0))
+            pad(each, side.rows.stride, fillers.get(name, 0.0))
             for name, each in zip(GIVEN[: len(own)], own, strict=True)
         ])  # fmt: skip
-        buffer = self._work.empty(values.nbytes)
         cl.enqueue_copy(self._work.queue, buffer, values, is_blocking=True)
-        return buffer
 
     def _groups(self, stride: int) -> int:
         """Return the number of work-groups of the loops over vectors of a length."""
-        at_once = self._constants.group * self._constants.lanes
-        most: int = GROUPS_PER_UNIT * self._work.device.max_compute_units
-        return min(most, -(-stride // at_once))
+        return min(self.most_groups, -(-stride // (self._constants.group * self._constants.lanes)))
 
     def _set_potential(self, iteration: StoredIteration, g: Float64, epsilon: float) -> None:
         """Write the potential at which the next iteration begins; see `ResidentIteration`."""
-        work, stride = self._work, iteration.pairs[1].rows.stride
+        work, k = self._work, LOG2_E / epsilon
+        if epsilon != iteration.epsilon:
+            self._bound[iteration.balanced] = None
         iteration.epsilon = epsilon
         iteration.go_to_start()
-        changes = (g - iteration.origin) * (LOG2_E / epsilon)
+        changes = (g - iteration.origin)[iteration.counted] * k
         np.clip(changes, -LARGEST_CHANGE, LARGEST_CHANGE, out=changes)
         iteration.numbers[:] = 0.0
-        middle = 0.5 * float(changes.min() + changes.max())
-        iteration.numbers[NUMBERS.index("COLUMN_NEXT")] = middle
-        values = pad(np.asarray(g, float), stride, 0.0)
-        cl.enqueue_copy(work.queue, iteration.work["start"], values, is_blocking=True)
-        cl.enqueue_copy(work.queue, iteration.work["numbers"], iteration.numbers, is_blocking=True)
+        middles = k * iteration.row_middle, 0.5 * float(changes.min() + changes.max())
+        for name, middle in zip(("ROW_NEXT", "COLUMN_NEXT"), middles, strict=True):
+            iteration.numbers[NUMBERS.index(name)] = middle
+        values = pad(np.asarray(g, float), iteration.pairs[1].rows.stride, 0.0)
+        for name, content in (("start", values), ("numbers", iteration.numbers)):
+            cl.enqueue_copy(work.queue, iteration.buffers[name], content, is_blocking=True)
 
     def _iterate(
         self, iteration: StoredIteration, begun: bool, place: int, count: int, radius: float
     ) -> IterationNumbers:
         """Enqueue one iteration, wait for it, and return its numbers."""
         check_cancelled()
-        work, own = self._work, iteration.work
-        kernels = self._own_kernels(iteration.balanced)
+        work, own = self._work, iteration.buffers
+        kernels = self._bind(iteration)
         control = iteration.control(begun, place, count)
-        k = np.float64(LOG2_E / iteration.epsilon)
-        rows, columns = (side.rows.stride for side in iteration.pairs)
-        sizes = np.uint32(rows), np.uint32(columns)
         group, width = self._constants.group, self._constants.width
-        groups = self._groups(max(rows, columns))
+        groups = self._groups(max(side.rows.stride for side in iteration.pairs))
         events: list[cl.Event] = []
 
-        def enqueue(name: str, size: int, local: int | None, *arguments: Any) -> None:
+        def enqueue(name: str, size: int, local: int | None, arguments: dict[int, Any]) -> None:
             kernel = kernels[name]
-            for number, argument in enumerate(arguments):
+            for number, argument in arguments.items():
                 kernel.set_arg(number, argument)
             shape = None if local is None else (local,)
             events.append(
@@ -193,30 +224,19 @@ class StoredSteps:
         def half_step(side: int) -> None:
             changes = own["row_changes"], own["column_changes"]
             for part in iteration.pairs[side].parts:
-                enqueue(
-                    "sum_stored", part.n_rows // width, None, *part.arguments, changes[1 - side],
-                    own["maxima"], own["sums"],
-                )  # fmt: skip
+                arguments = *part.arguments, changes[1 - side], own["maxima"], own["sums"]
+                enqueue("sum_stored", part.n_rows // width, None, dict(enumerate(arguments)))
+            changing = {CONTROL: control, RADIUS: np.float64(radius)}
             for stage in range(STAGES[iteration.balanced][side]):
-                arguments = (
-                    *sizes, control, np.uint32(stage), np.uint32(groups), k,
-                    *map(np.float64, (iteration.epsilon, *iteration.scalars, radius)),
-                    own["maxima"], own["sums"], *iteration.given, *iteration.vectors,
-                    changes[side], own["partials"], own["scalars"], own["products"],
-                    own["numbers"],
-                )  # fmt: skip
+                changing[STAGE] = np.uint32(stage)
                 name = ("row", "column")[side]
-                enqueue(f"{name}_loops", groups * group, group, *arguments)
-                enqueue(f"{name}_joins", group, group, *arguments)
+                enqueue(f"{name}_loops", groups * group, group, changing)
+                enqueue(f"{name}_joins", group, group, changing)
 
         prepared, iteration.prepared = iteration.prepared, -1
         try:
             if prepared != iteration.at:
-                enqueue(
-                    "prepare_changes", groups * group, group, sizes[1], control, k,
-                    own["start"], iteration.given[1], iteration.vectors[1], own["column_changes"],
-                    own["numbers"],
-                )  # fmt: skip
+                enqueue("prepare_changes", groups * group, group, {1: control})
             half_step(0)
             half_step(1)
             events.append(
@@ -225,9 +245,11 @@ class StoredSteps:
                     wait_for=events[-1:],
                 )
             )  # fmt: skip
-        finally:
-            if events:
-                cl.wait_for_events(events[-1:])
+            events[-1].wait()
+        except BaseException:
+            # Ctrl-C may come between a command and the list of its event.
+            work.queue.finish()
+            raise
         found = dict(zip(NUMBERS, iteration.numbers.tolist(), strict=True))
         iteration.has_prepared(bool(found["FOUND"]))
         return read_numbers(found)
@@ -235,14 +257,14 @@ class StoredSteps:
     def _potentials(self, iteration: StoredIteration) -> tuple[Float64, Float64, Float64]:
         """Return f, the image of g, and T(f) after the last iteration."""
         found = []
-        for side, slot in (
-            (0, ROW_SLOTS.index("SHIFTED")), (1, iteration.image),
-            (1, COLUMN_SLOTS.index("SOFTMIN")),
+        for side, name, slot in (
+            (0, "rows", ROW_SLOTS.index("SHIFTED")), (1, "columns", iteration.image),
+            (1, "columns", COLUMN_SLOTS.index("SOFTMIN")),
         ):  # fmt: skip
             cloud = iteration.pairs[side].rows
             values = np.empty(len(cloud))
             cl.enqueue_copy(
-                self._work.queue, values, iteration.vectors[side],
+                self._work.queue, values, iteration.buffers[name],
                 src_offset=8 * slot * cloud.stride, is_blocking=True,
             )  # fmt: skip
             found.append(values)
@@ -255,3 +277,36 @@ class StoredSteps:
             sums = self._programs.kernels(Variant("sliced_ellpack.cl"))
             self._kernels[balanced] = {**kernels, "sum_stored": sums["sum_stored"]}
         return self._kernels[balanced]
+
+    def _bind(self, iteration: StoredIteration) -> dict[str, cl.Kernel]:
+        """Return kernels with all arguments set that stay the same while an iteration goes on.
+
+        To set an argument takes some microseconds, and a launch has more than twenty.
+        """
+        balanced = iteration.balanced
+        kernels = self._own_kernels(balanced)
+        bound = self._bound.get(balanced)
+        if bound is not None and bound() is iteration:
+            return kernels
+        self._bound[balanced] = None
+        own = iteration.buffers
+        rows, columns = (np.uint32(side.rows.stride) for side in iteration.pairs)
+        groups = np.uint32(self._groups(max(int(rows), int(columns))))
+        k, none = np.float64(LOG2_E / iteration.epsilon), np.uint32(0)
+        numbers = map(np.float64, (iteration.epsilon, *iteration.scalars, 0.0))
+        names = "maxima", "sums", "given_rows", "given_columns", "rows", "columns"
+        after = "partials", "scalars", "products", "numbers"
+        head = (rows, columns, none, none, groups, k, *numbers, *(own[name] for name in names))
+        for side in ("row", "column"):
+            arguments = *head, own[f"{side}_changes"], *(own[name] for name in after)
+            for kind in ("loops", "joins"):
+                for number, argument in enumerate(arguments):
+                    kernels[f"{side}_{kind}"].set_arg(number, argument)
+        prepare = (
+            columns, none, k, own["start"], own["given_columns"], own["columns"],
+            own["column_changes"], own["numbers"],
+        )  # fmt: skip
+        for number, argument in enumerate(prepare):
+            kernels["prepare_changes"].set_arg(number, argument)
+        self._bound[balanced] = weakref.ref(iteration)
+        return kernels
