@@ -462,6 +462,23 @@ def test_choices_that_have_had_too_many_pairs_are_not_tried_again(monkeypatch):
     assert tried == [[first, second], [second], [second], [], [last]]
 
 
+@pytest.mark.parametrize("counts", [0.2, 1.0])
+def test_cycles_that_end_at_the_edge_of_the_trust_region_are_no_failures(monkeypatch, counts):
+    """They bring potentials that move far to the solution, if they do not count as failures."""
+    monkeypatch.setattr(coarse_grid, "STORED_CHOICES", (StoredChoice(1e-13, 0.2),))
+    monkeypatch.setattr(multiscale, "AT_THE_EDGE", counts)
+    left = []
+    iterate = multiscale.Multiscale._iterate_points
+    monkeypatch.setattr(
+        multiscale.Multiscale, "_iterate_points",
+        lambda self, g: left.append(True) or iterate(self, g),
+    )  # fmt: skip
+    source, target = sharp(24)
+    got = sinkhorn(source, target, 0.05, 0.3, backend="numpy", multiscale=True)
+    assert got.converged
+    assert bool(left) == (counts == 1.0)
+
+
 def test_the_last_choice_of_stored_pairs_leads_to_the_solution(device, monkeypatch):
     last = coarse_grid.STORED_CHOICES[-1]
     monkeypatch.setattr(coarse_grid, "STORED_CHOICES", (last._replace(residual=np.inf),))

@@ -70,8 +70,10 @@ CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.4
 #: least residual at once: they are nearly all of the problem, so that the cycle can be the last.
 ALMOST = 1.5
 #: A coarse problem is kept as long as a cycle leaves at most this share of the residual. After
-#: this many cycles that left more, only iterations over the points follow.
-PROGRESS, FAILURES = 0.3, 12
+#: this many cycles that left more, only iterations over the points follow. A cycle that has ended
+#: at the edge of the trust region counts as this share of one: islands of color that move far take
+#: many such cycles, which take less time than iterations over the points.
+PROGRESS, FAILURES, AT_THE_EDGE = 0.3, 12, 0.2
 #: Iterations over the points choose near pairs for far moves if the residual is above this.
 FAR = 1.0
 #: Stored pairs are also kept while the residual over the points is at most this many times theirs.
@@ -221,7 +223,8 @@ class Multiscale:
     def _cycle(self, grid: CoarseGrid | None, g: Array) -> None:
         """Alternate one iteration over the points with a solve of the coarse problem."""
         problem, epsilon = self.problem, self._blur**2
-        before, expected, reached, failures = np.inf, np.inf, 0.0, 0
+        before, expected, reached, failures = np.inf, np.inf, 0.0, 0.0
+        failure = 1.0  # what a failure of the last cycle counts
         while True:
             # Lists of near pairs leave out large exponents, so the bound can fall meanwhile.
             self.precise = needs_more(problem, self.precision, epsilon, self.tol)
@@ -249,7 +252,7 @@ class Multiscale:
                     return
             image = problem.update_g(f, t_columns, epsilon).new
             if residual > PROGRESS * before:
-                failures += 1
+                failures += failure
             if residual > max(PROGRESS * before, AGREEMENT * reached):
                 # The clusters are too coarse, or pairs that are not stored have gained mass.
                 grid = None
@@ -260,13 +263,14 @@ class Multiscale:
             if grid is None:
                 self._iterate_points(image)
                 return
-            g, reached = self._correct(grid, image)
+            g, reached, left = self._correct(grid, image)
+            failure = AT_THE_EDGE if left else 1.0
             expected = np.inf if np.isinf(before) else residual * min(1.0, residual / before)
             if isinstance(grid.problem, StoredProblem) and reached <= self.tol:
                 expected = reached
             before = residual
 
-    def _correct(self, grid: CoarseGrid, image: Array) -> tuple[Array, float]:
+    def _correct(self, grid: CoarseGrid, image: Array) -> tuple[Array, float, bool]:
         """Solve the corrected coarse problem and prolong its change (a two-grid cycle).
 
         Parameters
@@ -281,6 +285,8 @@ class Multiscale:
             Better potentials g.
         float
             The residual that they leave in the coarse problem.
+        bool
+            Whether the coarse solve has ended at the edge of the trust region.
         """
         epsilon, coarse = self._blur**2, grid.problem
         f, g, t_rows, t_columns, residual = self.state
@@ -296,9 +302,10 @@ class Multiscale:
         if isinstance(coarse, StoredProblem) and tol <= ALMOST * self.tol:
             tol = CYCLE_FLOOR * self.tol
         solved = self._solve_grid(grid, grid.target.restrict(image, self.problem.b), tol)
+        left = coarse.outside_trust_region(solved.f, epsilon)
         new_f = coarse.clip_to_trust_region(solved.f, epsilon)
         change = grid.prolong(new_f, own_f, epsilon)
-        return self.problem.damping(epsilon)[1] * (t_columns + change), solved.residual
+        return self.problem.damping(epsilon)[1] * (t_columns + change), solved.residual, left
 
     def _report_share(self, share: float) -> None:
         """Report the share of the work that is done, which never falls."""
