@@ -16,6 +16,7 @@
 //
 // -D BALANCED  1: inverse_rho_source is 0; 2: inverse_rho_target; 3: both; 0: none
 // -D GIVEN_*, ROW_*, COLUMN_*, NUMBER_*  places of vectors and numbers, see stored_step_slots.py
+// -D PARTIALS  largest number of sums of a stage
 // -D LARGEST_CHANGE  limit of the changes of potentials, powers of two (log2)
 
 #ifndef BALANCED
@@ -23,6 +24,10 @@
 #endif
 #ifndef LARGEST_CHANGE
 #error "LARGEST_CHANGE (limit of the changes of potentials) must be given"
+#endif
+
+#ifndef PARTIALS
+#error "PARTIALS (largest number of sums of a stage) must be given"
 #endif
 
 #include "vector_steps.cl"
@@ -58,23 +63,37 @@ INLINE void leave_partial(const double found, const uint place, __global double*
         partials[(size_t)place * get_num_groups(0) + get_group_id(0)] = found;
 }
 
-// The sum, or the largest, of what groups have left.
-INLINE double joined_sum(
-    const __global double* partials, const uint place, const uint groups, __local double* shared)
+// The sum of x over the group, or the largest, the same number in every item.
+INLINE double group_reduced(const double x, const bool largest, __local double* shared)
 {
-    double found = 0.0;
-    for (uint group = get_local_id(0); group < groups; group += GROUP)
-        found += partials[(size_t)place * groups + group];
-    return group_sum(found, shared);
+#if GROUP > 1
+    const uint item = get_local_id(0);
+    STEP_BARRIER();
+    shared[item] = x;
+    for (uint half_size = GROUP / 2; half_size > 0; half_size /= 2) {
+        STEP_BARRIER();
+        if (item < half_size) {
+            const double other = shared[item + half_size];
+            shared[item] = largest ? fmax(shared[item], other) : shared[item] + other;
+        }
+    }
+    STEP_BARRIER();
+    return shared[0];
+#else
+    return x;
+#endif
 }
 
-INLINE double joined_largest(
-    const __global double* partials, const uint place, const uint groups, __local double* shared)
+// The sum, or the largest, of what an item's groups have left.
+INLINE double joined(
+    const __global double* partials, const uint place, const uint groups, const bool largest)
 {
-    double found = -INFINITY;
-    for (uint group = get_local_id(0); group < groups; group += GROUP)
-        found = fmax(found, partials[(size_t)place * groups + group]);
-    return group_largest(found, shared);
+    double found = largest ? -INFINITY : 0.0;
+    for (uint group = get_local_id(0); group < groups; group += GROUP) {
+        const double other = partials[(size_t)place * groups + group];
+        found = largest ? fmax(found, other) : found + other;
+    }
+    return found;
 }
 
 // What sum_stored takes of a new g: the host's, which is kept, or one of the
@@ -123,6 +142,9 @@ void row_loops(
     __global double* restrict numbers)           // see stored_step_slots.py
 {
     __local double shared[GROUP];
+    double found[PARTIALS];
+    uint n_found = 0;
+    ulong largest = 0;
 #if BALANCED == 0
     if (stage == 0) {
         const double middle = numbers[NUMBER_COLUMN_MIDDLE];
@@ -144,8 +166,8 @@ void row_loops(
             allx31 = fmax(allx31, v30);
             allx65 += v64;
         }
-        leave_partial(group_largest(largest_lane(allx31), shared), 0, partials);
-        leave_partial(group_sum(sum_of_lanes(allx65), shared), 1, partials);
+        found[0] = largest_lane(allx31);
+        found[1] = sum_of_lanes(allx65);
         vdouble allx23 = (vdouble)(-INFINITY);
         for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
             const vdouble v4 = DLOAD(i, COLUMN_GIVEN(GIVEN_LOG_WEIGHTS));
@@ -154,7 +176,9 @@ void row_loops(
             const vdouble v22 = v4 - v21;
             allx23 = fmax(allx23, v22);
         }
-        leave_partial(group_largest(largest_lane(allx23), shared), 2, partials);
+        found[2] = largest_lane(allx23);
+        n_found = 3;
+        largest = 5ul;
     }
     else if (stage == 1) {
         const uint g_at = G_AT;
@@ -174,7 +198,7 @@ void row_loops(
             const vdouble v33 = exp(v32);
             allx34 += v33;
         }
-        leave_partial(group_sum(sum_of_lanes(allx34), shared), 0, partials);
+        found[0] = sum_of_lanes(allx34);
         vdouble allx26 = (vdouble)(0.0);
         for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
             const vdouble v4 = DLOAD(i, COLUMN_GIVEN(GIVEN_LOG_WEIGHTS));
@@ -185,7 +209,9 @@ void row_loops(
             const vdouble v25 = exp(v24);
             allx26 += v25;
         }
-        leave_partial(group_sum(sum_of_lanes(allx26), shared), 1, partials);
+        found[1] = sum_of_lanes(allx26);
+        n_found = 2;
+        largest = 0ul;
     }
     else if (stage == 2) {
         const double next_middle = numbers[NUMBER_ROW_NEXT];
@@ -227,16 +253,18 @@ void row_loops(
             allx87 = fmax(allx87, v86);
             allx89 = fmax(allx89, v88);
         }
-        leave_partial(group_largest(largest_lane(allx76), shared), 0, partials);
-        leave_partial(group_largest(largest_lane(allx78), shared), 1, partials);
-        leave_partial(group_sum(sum_of_lanes(allx83), shared), 2, partials);
-        leave_partial(group_largest(largest_lane(allx87), shared), 3, partials);
-        leave_partial(group_largest(largest_lane(allx89), shared), 4, partials);
+        found[0] = largest_lane(allx76);
+        found[1] = largest_lane(allx78);
+        found[2] = sum_of_lanes(allx83);
+        found[3] = largest_lane(allx87);
+        found[4] = largest_lane(allx89);
         for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
             const vdouble v11 = DLOAD(i, COLUMN(g_at));
             const vdouble v43 = v11 + (vdouble)(x38);
             DSTORE(v43, i, COLUMN(COLUMN_SHIFTED));
         }
+        n_found = 5;
+        largest = 27ul;
     }
 #elif BALANCED == 1
     if (stage == 0) {
@@ -253,8 +281,8 @@ void row_loops(
             allx23 = fmax(allx23, v2);
             allx50 += v49;
         }
-        leave_partial(group_largest(largest_lane(allx23), shared), 0, partials);
-        leave_partial(group_sum(sum_of_lanes(allx50), shared), 1, partials);
+        found[0] = largest_lane(allx23);
+        found[1] = sum_of_lanes(allx50);
         vdouble allx17 = (vdouble)(-INFINITY);
         for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
             const vdouble v4 = DLOAD(i, COLUMN_GIVEN(GIVEN_LOG_WEIGHTS));
@@ -263,7 +291,9 @@ void row_loops(
             const vdouble v16 = v4 - v15;
             allx17 = fmax(allx17, v16);
         }
-        leave_partial(group_largest(largest_lane(allx17), shared), 2, partials);
+        found[2] = largest_lane(allx17);
+        n_found = 3;
+        largest = 5ul;
     }
     else if (stage == 1) {
         const uint g_at = G_AT;
@@ -276,7 +306,7 @@ void row_loops(
             const vdouble v25 = exp(v24);
             allx26 += v25;
         }
-        leave_partial(group_sum(sum_of_lanes(allx26), shared), 0, partials);
+        found[0] = sum_of_lanes(allx26);
         vdouble allx20 = (vdouble)(0.0);
         for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
             const vdouble v4 = DLOAD(i, COLUMN_GIVEN(GIVEN_LOG_WEIGHTS));
@@ -287,7 +317,9 @@ void row_loops(
             const vdouble v19 = exp(v18);
             allx20 += v19;
         }
-        leave_partial(group_sum(sum_of_lanes(allx20), shared), 1, partials);
+        found[1] = sum_of_lanes(allx20);
+        n_found = 2;
+        largest = 0ul;
     }
     else if (stage == 2) {
         const double next_middle = numbers[NUMBER_ROW_NEXT];
@@ -328,17 +360,19 @@ void row_loops(
             allx72 = fmax(allx72, v71);
             allx74 = fmax(allx74, v73);
         }
-        leave_partial(group_sum(sum_of_lanes(allx38), shared), 0, partials);
-        leave_partial(group_largest(largest_lane(allx61), shared), 1, partials);
-        leave_partial(group_largest(largest_lane(allx63), shared), 2, partials);
-        leave_partial(group_sum(sum_of_lanes(allx68), shared), 3, partials);
-        leave_partial(group_largest(largest_lane(allx72), shared), 4, partials);
-        leave_partial(group_largest(largest_lane(allx74), shared), 5, partials);
+        found[0] = sum_of_lanes(allx38);
+        found[1] = largest_lane(allx61);
+        found[2] = largest_lane(allx63);
+        found[3] = sum_of_lanes(allx68);
+        found[4] = largest_lane(allx72);
+        found[5] = largest_lane(allx74);
         for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
             const vdouble v10 = DLOAD(i, COLUMN(g_at));
             const vdouble v32 = v10 + (vdouble)(x30);
             DSTORE(v32, i, COLUMN(COLUMN_SHIFTED));
         }
+        n_found = 6;
+        largest = 54ul;
     }
 #elif BALANCED == 2
     if (stage == 0) {
@@ -360,14 +394,16 @@ void row_loops(
             allx24 = fmax(allx24, v23);
             allx54 += v53;
         }
-        leave_partial(group_largest(largest_lane(allx24), shared), 0, partials);
-        leave_partial(group_sum(sum_of_lanes(allx54), shared), 1, partials);
+        found[0] = largest_lane(allx24);
+        found[1] = sum_of_lanes(allx54);
         vdouble allx16 = (vdouble)(-INFINITY);
         for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
             const vdouble v4 = DLOAD(i, COLUMN_GIVEN(GIVEN_LOG_WEIGHTS));
             allx16 = fmax(allx16, v4);
         }
-        leave_partial(group_largest(largest_lane(allx16), shared), 2, partials);
+        found[2] = largest_lane(allx16);
+        n_found = 3;
+        largest = 5ul;
     }
     else if (stage == 1) {
         const double x12 = epsilon * inverse_rho_source;
@@ -386,7 +422,7 @@ void row_loops(
             const vdouble v26 = exp(v25);
             allx27 += v26;
         }
-        leave_partial(group_sum(sum_of_lanes(allx27), shared), 0, partials);
+        found[0] = sum_of_lanes(allx27);
         vdouble allx19 = (vdouble)(0.0);
         for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
             const vdouble v4 = DLOAD(i, COLUMN_GIVEN(GIVEN_LOG_WEIGHTS));
@@ -394,7 +430,9 @@ void row_loops(
             const vdouble v18 = exp(v17);
             allx19 += v18;
         }
-        leave_partial(group_sum(sum_of_lanes(allx19), shared), 1, partials);
+        found[1] = sum_of_lanes(allx19);
+        n_found = 2;
+        largest = 0ul;
     }
     else if (stage == 2) {
         const double next_middle = numbers[NUMBER_ROW_NEXT];
@@ -436,11 +474,11 @@ void row_loops(
             allx76 = fmax(allx76, v75);
             allx78 = fmax(allx78, v77);
         }
-        leave_partial(group_largest(largest_lane(allx65), shared), 0, partials);
-        leave_partial(group_largest(largest_lane(allx67), shared), 1, partials);
-        leave_partial(group_sum(sum_of_lanes(allx72), shared), 2, partials);
-        leave_partial(group_largest(largest_lane(allx76), shared), 3, partials);
-        leave_partial(group_largest(largest_lane(allx78), shared), 4, partials);
+        found[0] = largest_lane(allx65);
+        found[1] = largest_lane(allx67);
+        found[2] = sum_of_lanes(allx72);
+        found[3] = largest_lane(allx76);
+        found[4] = largest_lane(allx78);
         vdouble allx50 = (vdouble)(0.0);
         for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
             const vdouble v10 = DLOAD(i, COLUMN(g_at));
@@ -450,7 +488,9 @@ void row_loops(
             const vdouble v49 = v3 * v36;
             allx50 += v49;
         }
-        leave_partial(group_sum(sum_of_lanes(allx50), shared), 5, partials);
+        found[5] = sum_of_lanes(allx50);
+        n_found = 6;
+        largest = 27ul;
     }
 #elif BALANCED == 3
     if (stage == 0) {
@@ -495,13 +535,13 @@ void row_loops(
             allx46 = fmax(allx46, v45);
             allx48 = fmax(allx48, v47);
         }
-        leave_partial(group_sum(sum_of_lanes(allx17), shared), 0, partials);
-        leave_partial(group_sum(sum_of_lanes(allx24), shared), 1, partials);
-        leave_partial(group_largest(largest_lane(allx35), shared), 2, partials);
-        leave_partial(group_largest(largest_lane(allx37), shared), 3, partials);
-        leave_partial(group_sum(sum_of_lanes(allx42), shared), 4, partials);
-        leave_partial(group_largest(largest_lane(allx46), shared), 5, partials);
-        leave_partial(group_largest(largest_lane(allx48), shared), 6, partials);
+        found[0] = sum_of_lanes(allx17);
+        found[1] = sum_of_lanes(allx24);
+        found[2] = largest_lane(allx35);
+        found[3] = largest_lane(allx37);
+        found[4] = sum_of_lanes(allx42);
+        found[5] = largest_lane(allx46);
+        found[6] = largest_lane(allx48);
         vdouble allx20 = (vdouble)(0.0);
         for (uint i = OWN_FIRST(m); i < OWN_END(m); i += STEP) {
             const vdouble v9 = DLOAD(i, COLUMN(g_at));
@@ -510,9 +550,13 @@ void row_loops(
             const vdouble v19 = v3 * v9;
             allx20 += v19;
         }
-        leave_partial(group_sum(sum_of_lanes(allx20), shared), 7, partials);
+        found[7] = sum_of_lanes(allx20);
+        n_found = 8;
+        largest = 108ul;
     }
 #endif
+    for (uint place = 0; place < n_found; ++place)
+        leave_partial(group_reduced(found[place], largest >> place & 1ul, shared), place, partials);
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
@@ -534,11 +578,19 @@ void row_joins(
     __global double* restrict numbers)           // see stored_step_slots.py
 {
     __local double shared[GROUP];
+    double found[PARTIALS];
 #if BALANCED == 0
+    const uint n_found = stage == 0 ? 3 : stage == 1 ? 2 : stage == 2 ? 5 : 0;
+    const ulong largest = stage == 0 ? 5 : stage == 1 ? 0 : stage == 2 ? 27 : 0;
+    for (uint place = 0; place < n_found; ++place) {
+        const bool is_largest = largest >> place & 1ul;
+        const double own = joined(partials, place, groups, is_largest);
+        found[place] = group_reduced(own, is_largest, shared);
+    }
     if (stage == 0) {
-        const double x31 = joined_largest(partials, 0, groups, shared);
-        const double x65 = joined_sum(partials, 1, groups, shared);
-        const double x23 = joined_largest(partials, 2, groups, shared);
+        const double x31 = found[0];
+        const double x65 = found[1];
+        const double x23 = found[2];
         if (get_local_id(0) == 0) {
             scalars[0] = x23;
             scalars[1] = x31;
@@ -554,8 +606,8 @@ void row_joins(
         const double x19 = inverse_rho_source * x15;
         const double x20 = x19 + inverse_rho_target;
         const double x46 = (-1.0) * epsilon;
-        const double x34 = joined_sum(partials, 0, groups, shared);
-        const double x26 = joined_sum(partials, 1, groups, shared);
+        const double x34 = found[0];
+        const double x26 = found[1];
         const double x27 = log(x26);
         const double x28 = x23 + x27;
         const double x35 = log(x34);
@@ -586,11 +638,11 @@ void row_joins(
         const double x41 = scalars[12];
         const double x62 = scalars[21];
         const double x65 = scalars[2];
-        const double x76 = joined_largest(partials, 0, groups, shared);
-        const double x78 = joined_largest(partials, 1, groups, shared);
-        const double x83 = joined_sum(partials, 2, groups, shared);
-        const double x87 = joined_largest(partials, 3, groups, shared);
-        const double x89 = joined_largest(partials, 4, groups, shared);
+        const double x76 = found[0];
+        const double x78 = found[1];
+        const double x83 = found[2];
+        const double x87 = found[3];
+        const double x89 = found[4];
         const double x79 = x76 - x78;
         const double x80 = 0.5 * x79;
         const double x84 = x83 / source_mass;
@@ -608,10 +660,17 @@ void row_joins(
         }
     }
 #elif BALANCED == 1
+    const uint n_found = stage == 0 ? 3 : stage == 1 ? 2 : stage == 2 ? 6 : 0;
+    const ulong largest = stage == 0 ? 5 : stage == 1 ? 0 : stage == 2 ? 54 : 0;
+    for (uint place = 0; place < n_found; ++place) {
+        const bool is_largest = largest >> place & 1ul;
+        const double own = joined(partials, place, groups, is_largest);
+        found[place] = group_reduced(own, is_largest, shared);
+    }
     if (stage == 0) {
-        const double x23 = joined_largest(partials, 0, groups, shared);
-        const double x50 = joined_sum(partials, 1, groups, shared);
-        const double x17 = joined_largest(partials, 2, groups, shared);
+        const double x23 = found[0];
+        const double x50 = found[1];
+        const double x17 = found[2];
         if (get_local_id(0) == 0) {
             scalars[0] = x17;
             scalars[1] = x23;
@@ -622,8 +681,8 @@ void row_joins(
         const double x17 = scalars[0];
         const double x23 = scalars[1];
         const double x35 = (-1.0) * epsilon;
-        const double x26 = joined_sum(partials, 0, groups, shared);
-        const double x20 = joined_sum(partials, 1, groups, shared);
+        const double x26 = found[0];
+        const double x20 = found[1];
         const double x21 = log(x20);
         const double x22 = x17 + x21;
         const double x27 = log(x26);
@@ -650,12 +709,12 @@ void row_joins(
         const double x34 = scalars[12];
         const double x28 = scalars[8];
         const double x50 = scalars[2];
-        const double x38 = joined_sum(partials, 0, groups, shared);
-        const double x61 = joined_largest(partials, 1, groups, shared);
-        const double x63 = joined_largest(partials, 2, groups, shared);
-        const double x68 = joined_sum(partials, 3, groups, shared);
-        const double x72 = joined_largest(partials, 4, groups, shared);
-        const double x74 = joined_largest(partials, 5, groups, shared);
+        const double x38 = found[0];
+        const double x61 = found[1];
+        const double x63 = found[2];
+        const double x68 = found[3];
+        const double x72 = found[4];
+        const double x74 = found[5];
         const double x39 = x36 + x38;
         const double x47 = x39 + x46;
         const double x64 = x61 - x63;
@@ -675,10 +734,17 @@ void row_joins(
         }
     }
 #elif BALANCED == 2
+    const uint n_found = stage == 0 ? 3 : stage == 1 ? 2 : stage == 2 ? 6 : 0;
+    const ulong largest = stage == 0 ? 5 : stage == 1 ? 0 : stage == 2 ? 27 : 0;
+    for (uint place = 0; place < n_found; ++place) {
+        const bool is_largest = largest >> place & 1ul;
+        const double own = joined(partials, place, groups, is_largest);
+        found[place] = group_reduced(own, is_largest, shared);
+    }
     if (stage == 0) {
-        const double x24 = joined_largest(partials, 0, groups, shared);
-        const double x54 = joined_sum(partials, 1, groups, shared);
-        const double x16 = joined_largest(partials, 2, groups, shared);
+        const double x24 = found[0];
+        const double x54 = found[1];
+        const double x16 = found[2];
         if (get_local_id(0) == 0) {
             scalars[0] = x16;
             scalars[1] = x24;
@@ -693,8 +759,8 @@ void row_joins(
         const double x14 = 1.0 / x13;
         const double x15 = inverse_rho_source * x14;
         const double x39 = (-1.0) * epsilon;
-        const double x27 = joined_sum(partials, 0, groups, shared);
-        const double x19 = joined_sum(partials, 1, groups, shared);
+        const double x27 = found[0];
+        const double x19 = found[1];
         const double x20 = log(x19);
         const double x21 = x16 + x20;
         const double x28 = log(x27);
@@ -722,12 +788,12 @@ void row_joins(
         const double x38 = scalars[14];
         const double x34 = scalars[12];
         const double x54 = scalars[2];
-        const double x65 = joined_largest(partials, 0, groups, shared);
-        const double x67 = joined_largest(partials, 1, groups, shared);
-        const double x72 = joined_sum(partials, 2, groups, shared);
-        const double x76 = joined_largest(partials, 3, groups, shared);
-        const double x78 = joined_largest(partials, 4, groups, shared);
-        const double x50 = joined_sum(partials, 5, groups, shared);
+        const double x65 = found[0];
+        const double x67 = found[1];
+        const double x72 = found[2];
+        const double x76 = found[3];
+        const double x78 = found[4];
+        const double x50 = found[5];
         const double x51 = x48 + x50;
         const double x68 = x65 - x67;
         const double x69 = 0.5 * x68;
@@ -746,6 +812,13 @@ void row_joins(
         }
     }
 #elif BALANCED == 3
+    const uint n_found = stage == 0 ? 8 : 0;
+    const ulong largest = stage == 0 ? 108 : 0;
+    for (uint place = 0; place < n_found; ++place) {
+        const bool is_largest = largest >> place & 1ul;
+        const double own = joined(partials, place, groups, is_largest);
+        found[place] = group_reduced(own, is_largest, shared);
+    }
     if (stage == 0) {
         const double next_middle = numbers[NUMBER_ROW_NEXT];
         const double x14 = (-1.0) * epsilon;
@@ -753,14 +826,14 @@ void row_joins(
         const double x12 = fmin(x11, 300.0);
         const double x13 = exp(x12);
         const double x15 = x14 * x13;
-        const double x17 = joined_sum(partials, 0, groups, shared);
-        const double x24 = joined_sum(partials, 1, groups, shared);
-        const double x35 = joined_largest(partials, 2, groups, shared);
-        const double x37 = joined_largest(partials, 3, groups, shared);
-        const double x42 = joined_sum(partials, 4, groups, shared);
-        const double x46 = joined_largest(partials, 5, groups, shared);
-        const double x48 = joined_largest(partials, 6, groups, shared);
-        const double x20 = joined_sum(partials, 7, groups, shared);
+        const double x17 = found[0];
+        const double x24 = found[1];
+        const double x35 = found[2];
+        const double x37 = found[3];
+        const double x42 = found[4];
+        const double x46 = found[5];
+        const double x48 = found[6];
+        const double x20 = found[7];
         const double x18 = x15 + x17;
         const double x21 = x18 + x20;
         const double x38 = x35 - x37;
@@ -802,6 +875,9 @@ void column_loops(
     __global double* restrict numbers)           // see stored_step_slots.py
 {
     __local double shared[GROUP];
+    double found[PARTIALS];
+    uint n_found = 0;
+    ulong largest = 0;
 #if BALANCED == 0
     if (stage == 0) {
         const double middle = numbers[NUMBER_ROW_MIDDLE];
@@ -824,7 +900,7 @@ void column_loops(
             const vdouble v26 = (v1 > (vdouble)(0.0)) ? v25 : (vdouble)(0.0);
             allx27 = fmax(allx27, v26);
         }
-        leave_partial(group_largest(largest_lane(allx27), shared), 0, partials);
+        found[0] = largest_lane(allx27);
         vdouble allx34 = (vdouble)(-INFINITY);
         vdouble allx41 = (vdouble)(-INFINITY);
         vdouble allx134 = (vdouble)(0.0);
@@ -845,9 +921,11 @@ void column_loops(
             allx41 = fmax(allx41, v40);
             allx134 += v133;
         }
-        leave_partial(group_largest(largest_lane(allx34), shared), 1, partials);
-        leave_partial(group_largest(largest_lane(allx41), shared), 2, partials);
-        leave_partial(group_sum(sum_of_lanes(allx134), shared), 3, partials);
+        found[1] = largest_lane(allx34);
+        found[2] = largest_lane(allx41);
+        found[3] = sum_of_lanes(allx134);
+        n_found = 4;
+        largest = 7ul;
     }
     else if (stage == 1) {
         const double x19 = epsilon * inverse_rho_target;
@@ -865,7 +943,9 @@ void column_loops(
             const vdouble v43 = exp(v42);
             allx44 += v43;
         }
-        leave_partial(group_sum(sum_of_lanes(allx44), shared), 0, partials);
+        found[0] = sum_of_lanes(allx44);
+        n_found = 1;
+        largest = 0ul;
     }
     else if (stage == 2) {
         const bool begun = BEGUN;
@@ -938,10 +1018,12 @@ void column_loops(
             allx103 += v102;
         }
         for (uint j = 0; j < MEMORY; ++j)
-            leave_partial(group_sum(sum_of_lanes(allx93[j]), shared), 0 + j, partials);
+            found[0 + j] = sum_of_lanes(allx93[j]);
         for (uint j = 0; j < MEMORY; ++j)
-            leave_partial(group_sum(sum_of_lanes(allx95[j]), shared), 16 + j, partials);
-        leave_partial(group_sum(sum_of_lanes(allx103), shared), 32, partials);
+            found[16 + j] = sum_of_lanes(allx95[j]);
+        found[32] = sum_of_lanes(allx103);
+        n_found = 33;
+        largest = 0ul;
     }
     else if (stage == 3) {
         const uint residual_at = COLUMN_RESIDUAL_0 + PARITY;
@@ -963,7 +1045,9 @@ void column_loops(
             const vdouble v107 = v106 * v100;
             allx108 += v107;
         }
-        leave_partial(group_sum(sum_of_lanes(allx108), shared), 0, partials);
+        found[0] = sum_of_lanes(allx108);
+        n_found = 1;
+        largest = 0ul;
     }
     else if (stage == 4) {
         const double next_middle = numbers[NUMBER_COLUMN_NEXT];
@@ -997,8 +1081,10 @@ void column_loops(
             allx127 = fmax(allx127, v124);
             allx129 = fmax(allx129, v128);
         }
-        leave_partial(group_largest(largest_lane(allx127), shared), 0, partials);
-        leave_partial(group_largest(largest_lane(allx129), shared), 1, partials);
+        found[0] = largest_lane(allx127);
+        found[1] = largest_lane(allx129);
+        n_found = 2;
+        largest = 3ul;
     }
 #elif BALANCED == 1
     if (stage == 0) {
@@ -1018,7 +1104,7 @@ void column_loops(
             const vdouble v21 = (v1 > (vdouble)(0.0)) ? v20 : (vdouble)(0.0);
             allx22 = fmax(allx22, v21);
         }
-        leave_partial(group_largest(largest_lane(allx22), shared), 0, partials);
+        found[0] = largest_lane(allx22);
         vdouble allx29 = (vdouble)(-INFINITY);
         vdouble allx35 = (vdouble)(-INFINITY);
         vdouble allx124 = (vdouble)(0.0);
@@ -1039,9 +1125,11 @@ void column_loops(
             allx35 = fmax(allx35, v34);
             allx124 += v123;
         }
-        leave_partial(group_largest(largest_lane(allx29), shared), 1, partials);
-        leave_partial(group_largest(largest_lane(allx35), shared), 2, partials);
-        leave_partial(group_sum(sum_of_lanes(allx124), shared), 3, partials);
+        found[1] = largest_lane(allx29);
+        found[2] = largest_lane(allx35);
+        found[3] = sum_of_lanes(allx124);
+        n_found = 4;
+        largest = 7ul;
     }
     else if (stage == 1) {
         const double x15 = epsilon * inverse_rho_target;
@@ -1059,7 +1147,9 @@ void column_loops(
             const vdouble v37 = exp(v36);
             allx38 += v37;
         }
-        leave_partial(group_sum(sum_of_lanes(allx38), shared), 0, partials);
+        found[0] = sum_of_lanes(allx38);
+        n_found = 1;
+        largest = 0ul;
     }
     else if (stage == 2) {
         const bool begun = BEGUN;
@@ -1084,7 +1174,7 @@ void column_loops(
             const vdouble v58 = v1 * v47;
             allx59 += v58;
         }
-        leave_partial(group_sum(sum_of_lanes(allx59), shared), 0, partials);
+        found[0] = sum_of_lanes(allx59);
         vdouble allx83[MEMORY];
         for (uint j = 0; j < MEMORY; ++j)
             allx83[j] = (vdouble)(0.0);
@@ -1137,10 +1227,12 @@ void column_loops(
             allx93 += v92;
         }
         for (uint j = 0; j < MEMORY; ++j)
-            leave_partial(group_sum(sum_of_lanes(allx83[j]), shared), 1 + j, partials);
+            found[1 + j] = sum_of_lanes(allx83[j]);
         for (uint j = 0; j < MEMORY; ++j)
-            leave_partial(group_sum(sum_of_lanes(allx85[j]), shared), 17 + j, partials);
-        leave_partial(group_sum(sum_of_lanes(allx93), shared), 33, partials);
+            found[17 + j] = sum_of_lanes(allx85[j]);
+        found[33] = sum_of_lanes(allx93);
+        n_found = 34;
+        largest = 0ul;
     }
     else if (stage == 3) {
         const uint residual_at = COLUMN_RESIDUAL_0 + PARITY;
@@ -1162,7 +1254,9 @@ void column_loops(
             const vdouble v97 = v96 * v90;
             allx98 += v97;
         }
-        leave_partial(group_sum(sum_of_lanes(allx98), shared), 0, partials);
+        found[0] = sum_of_lanes(allx98);
+        n_found = 1;
+        largest = 0ul;
     }
     else if (stage == 4) {
         const double next_middle = numbers[NUMBER_COLUMN_NEXT];
@@ -1196,8 +1290,10 @@ void column_loops(
             allx117 = fmax(allx117, v114);
             allx119 = fmax(allx119, v118);
         }
-        leave_partial(group_largest(largest_lane(allx117), shared), 0, partials);
-        leave_partial(group_largest(largest_lane(allx119), shared), 1, partials);
+        found[0] = largest_lane(allx117);
+        found[1] = largest_lane(allx119);
+        n_found = 2;
+        largest = 3ul;
     }
 #elif BALANCED == 2
     if (stage == 0) {
@@ -1217,7 +1313,7 @@ void column_loops(
             const vdouble v22 = (v1 > (vdouble)(0.0)) ? v21 : (vdouble)(0.0);
             allx23 = fmax(allx23, v22);
         }
-        leave_partial(group_largest(largest_lane(allx23), shared), 0, partials);
+        found[0] = largest_lane(allx23);
         vdouble allx29 = (vdouble)(-INFINITY);
         vdouble allx32 = (vdouble)(-INFINITY);
         vdouble allx118 = (vdouble)(0.0);
@@ -1235,9 +1331,11 @@ void column_loops(
             allx32 = fmax(allx32, v4);
             allx118 += v117;
         }
-        leave_partial(group_largest(largest_lane(allx29), shared), 1, partials);
-        leave_partial(group_largest(largest_lane(allx32), shared), 2, partials);
-        leave_partial(group_sum(sum_of_lanes(allx118), shared), 3, partials);
+        found[1] = largest_lane(allx29);
+        found[2] = largest_lane(allx32);
+        found[3] = sum_of_lanes(allx118);
+        n_found = 4;
+        largest = 7ul;
     }
     else if (stage == 1) {
         const double x32 = scalars[0];
@@ -1248,7 +1346,9 @@ void column_loops(
             const vdouble v34 = exp(v33);
             allx35 += v34;
         }
-        leave_partial(group_sum(sum_of_lanes(allx35), shared), 0, partials);
+        found[0] = sum_of_lanes(allx35);
+        n_found = 1;
+        largest = 0ul;
     }
     else if (stage == 2) {
         const bool begun = BEGUN;
@@ -1319,12 +1419,14 @@ void column_loops(
                     allx79[j] += DLOAD(i, DIFFERENCES(j)) * v78;
             allx87 += v86;
         }
-        leave_partial(group_sum(sum_of_lanes(allx61), shared), 0, partials);
+        found[0] = sum_of_lanes(allx61);
         for (uint j = 0; j < MEMORY; ++j)
-            leave_partial(group_sum(sum_of_lanes(allx77[j]), shared), 1 + j, partials);
+            found[1 + j] = sum_of_lanes(allx77[j]);
         for (uint j = 0; j < MEMORY; ++j)
-            leave_partial(group_sum(sum_of_lanes(allx79[j]), shared), 17 + j, partials);
-        leave_partial(group_sum(sum_of_lanes(allx87), shared), 33, partials);
+            found[17 + j] = sum_of_lanes(allx79[j]);
+        found[33] = sum_of_lanes(allx87);
+        n_found = 34;
+        largest = 0ul;
     }
     else if (stage == 3) {
         const uint residual_at = COLUMN_RESIDUAL_0 + PARITY;
@@ -1346,7 +1448,9 @@ void column_loops(
             const vdouble v91 = v90 * v84;
             allx92 += v91;
         }
-        leave_partial(group_sum(sum_of_lanes(allx92), shared), 0, partials);
+        found[0] = sum_of_lanes(allx92);
+        n_found = 1;
+        largest = 0ul;
     }
     else if (stage == 4) {
         const double next_middle = numbers[NUMBER_COLUMN_NEXT];
@@ -1380,8 +1484,10 @@ void column_loops(
             allx111 = fmax(allx111, v108);
             allx113 = fmax(allx113, v112);
         }
-        leave_partial(group_largest(largest_lane(allx111), shared), 0, partials);
-        leave_partial(group_largest(largest_lane(allx113), shared), 1, partials);
+        found[0] = largest_lane(allx111);
+        found[1] = largest_lane(allx113);
+        n_found = 2;
+        largest = 3ul;
     }
 #elif BALANCED == 3
     if (stage == 0) {
@@ -1410,8 +1516,8 @@ void column_loops(
             allx18 = fmax(allx18, v17);
             allx39 += v38;
         }
-        leave_partial(group_largest(largest_lane(allx18), shared), 0, partials);
-        leave_partial(group_sum(sum_of_lanes(allx39), shared), 1, partials);
+        found[0] = largest_lane(allx18);
+        found[1] = sum_of_lanes(allx39);
         vdouble allx24 = (vdouble)(-INFINITY);
         vdouble allx42 = (vdouble)(0.0);
         vdouble allx58[MEMORY];
@@ -1476,15 +1582,17 @@ void column_loops(
             allx84 += v33;
             allx105 += v104;
         }
-        leave_partial(group_largest(largest_lane(allx24), shared), 2, partials);
-        leave_partial(group_sum(sum_of_lanes(allx42), shared), 3, partials);
+        found[2] = largest_lane(allx24);
+        found[3] = sum_of_lanes(allx42);
         for (uint j = 0; j < MEMORY; ++j)
-            leave_partial(group_sum(sum_of_lanes(allx58[j]), shared), 4 + j, partials);
+            found[4 + j] = sum_of_lanes(allx58[j]);
         for (uint j = 0; j < MEMORY; ++j)
-            leave_partial(group_sum(sum_of_lanes(allx60[j]), shared), 20 + j, partials);
-        leave_partial(group_sum(sum_of_lanes(allx68), shared), 36, partials);
-        leave_partial(group_sum(sum_of_lanes(allx84), shared), 37, partials);
-        leave_partial(group_sum(sum_of_lanes(allx105), shared), 38, partials);
+            found[20 + j] = sum_of_lanes(allx60[j]);
+        found[36] = sum_of_lanes(allx68);
+        found[37] = sum_of_lanes(allx84);
+        found[38] = sum_of_lanes(allx105);
+        n_found = 39;
+        largest = 5ul;
     }
     else if (stage == 1) {
         const uint residual_at = COLUMN_RESIDUAL_0 + PARITY;
@@ -1506,7 +1614,9 @@ void column_loops(
             const vdouble v72 = v71 * v65;
             allx73 += v72;
         }
-        leave_partial(group_sum(sum_of_lanes(allx73), shared), 0, partials);
+        found[0] = sum_of_lanes(allx73);
+        n_found = 1;
+        largest = 0ul;
     }
     else if (stage == 2) {
         const uint image_at = COLUMN_IMAGE_0 + PARITY;
@@ -1528,7 +1638,9 @@ void column_loops(
             const vdouble v82 = v33 * v81;
             allx83 += v82;
         }
-        leave_partial(group_sum(sum_of_lanes(allx83), shared), 0, partials);
+        found[0] = sum_of_lanes(allx83);
+        n_found = 1;
+        largest = 0ul;
     }
     else if (stage == 3) {
         const double next_middle = numbers[NUMBER_COLUMN_NEXT];
@@ -1564,10 +1676,14 @@ void column_loops(
             allx98 = fmax(allx98, v95);
             allx100 = fmax(allx100, v99);
         }
-        leave_partial(group_largest(largest_lane(allx98), shared), 0, partials);
-        leave_partial(group_largest(largest_lane(allx100), shared), 1, partials);
+        found[0] = largest_lane(allx98);
+        found[1] = largest_lane(allx100);
+        n_found = 2;
+        largest = 3ul;
     }
 #endif
+    for (uint place = 0; place < n_found; ++place)
+        leave_partial(group_reduced(found[place], largest >> place & 1ul, shared), place, partials);
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
@@ -1589,13 +1705,24 @@ void column_joins(
     __global double* restrict numbers)           // see stored_step_slots.py
 {
     __local double shared[GROUP];
+    double found[PARTIALS];
     __local double system[MEMORY * SYSTEM_ROW];
 #if BALANCED == 0
+    const uint n_found = stage == 0 ? 4 : stage == 1 ? 1 : stage == 2 ? 33 : stage == 3 ? 1 : stage == 4 ? 2 : 0;
+    const ulong largest = stage == 0 ? 7 : stage == 1 ? 0 : stage == 2 ? 0 : stage == 3 ? 0 : stage == 4 ? 3 : 0;
+    for (uint place = 0; place < n_found; ++place) {
+        const bool is_largest = largest >> place & 1ul;
+        const double own = joined(partials, place, groups, is_largest);
+        found[place] = group_reduced(own, is_largest, shared);
+    }
+    double factors[MEMORY];
+    const bool determined = solve_normal(products, found + 0, found + 16, PLACE,
+                                         stage == 2 ? COUNT : 0, system, factors);
     if (stage == 0) {
-        const double x27 = joined_largest(partials, 0, groups, shared);
-        const double x34 = joined_largest(partials, 1, groups, shared);
-        const double x41 = joined_largest(partials, 2, groups, shared);
-        const double x134 = joined_sum(partials, 3, groups, shared);
+        const double x27 = found[0];
+        const double x34 = found[1];
+        const double x41 = found[2];
+        const double x134 = found[3];
         const double x28 = x27 / epsilon;
         const double x35 = x34 / epsilon;
         const double x36 = fmax(x28, x35);
@@ -1614,7 +1741,7 @@ void column_joins(
         const double x37 = inverse_rho_target * x21;
         const double x38 = x37 + inverse_rho_source;
         const double x62 = (-1.0) * epsilon;
-        const double x44 = joined_sum(partials, 0, groups, shared);
+        const double x44 = found[0];
         const double x45 = log(x44);
         const double x46 = x41 + x45;
         const double x47 = log_mass - x46;
@@ -1636,31 +1763,21 @@ void column_joins(
         }
     }
     else if (stage == 2) {
-        const uint place = PLACE;
-        const uint count = COUNT;
-        double x93[MEMORY];
-        for (uint j = 0; j < MEMORY; ++j)
-            x93[j] = joined_sum(partials, 0 + j, groups, shared);
-        double x95[MEMORY];
-        for (uint j = 0; j < MEMORY; ++j)
-            x95[j] = joined_sum(partials, 16 + j, groups, shared);
-        const double x103 = joined_sum(partials, 32, groups, shared);
-        double factorsx96[MEMORY];
-        const bool x96 = solve_normal(
-            products, x93, x95, place, count, system, factorsx96);
+        const double x103 = found[32];
+        const bool x96 = determined;
         const double x104 = sqrt(x103);
         const double x105 = radius * x104;
         if (get_local_id(0) == 0) {
             scalars[25] = x105;
             scalars[26] = x96;
             for (uint j = 0; j < MEMORY; ++j)
-                scalars[27 + j] = factorsx96[j];
+                scalars[27 + j] = factors[j];
         }
     }
     else if (stage == 3) {
         const double x105 = scalars[25];
         const bool x96 = scalars[26] != 0.0;
-        const double x108 = joined_sum(partials, 0, groups, shared);
+        const double x108 = found[0];
         const double x109 = sqrt(x108);
         const double x110 = fmax(x109, 2.2250738585072014e-308);
         const double x111 = x105 / x110;
@@ -1679,8 +1796,8 @@ void column_joins(
         const bool x96 = scalars[26] != 0.0;
         const bool x116 = scalars[49] != 0.0;
         const double x134 = scalars[6];
-        const double x127 = joined_largest(partials, 0, groups, shared);
-        const double x129 = joined_largest(partials, 1, groups, shared);
+        const double x127 = found[0];
+        const double x129 = found[1];
         const double x130 = x127 - x129;
         const double x131 = 0.5 * x130;
         if (get_local_id(0) == 0) {
@@ -1694,11 +1811,21 @@ void column_joins(
         }
     }
 #elif BALANCED == 1
+    const uint n_found = stage == 0 ? 4 : stage == 1 ? 1 : stage == 2 ? 34 : stage == 3 ? 1 : stage == 4 ? 2 : 0;
+    const ulong largest = stage == 0 ? 7 : stage == 1 ? 0 : stage == 2 ? 0 : stage == 3 ? 0 : stage == 4 ? 3 : 0;
+    for (uint place = 0; place < n_found; ++place) {
+        const bool is_largest = largest >> place & 1ul;
+        const double own = joined(partials, place, groups, is_largest);
+        found[place] = group_reduced(own, is_largest, shared);
+    }
+    double factors[MEMORY];
+    const bool determined = solve_normal(products, found + 1, found + 17, PLACE,
+                                         stage == 2 ? COUNT : 0, system, factors);
     if (stage == 0) {
-        const double x22 = joined_largest(partials, 0, groups, shared);
-        const double x29 = joined_largest(partials, 1, groups, shared);
-        const double x35 = joined_largest(partials, 2, groups, shared);
-        const double x124 = joined_sum(partials, 3, groups, shared);
+        const double x22 = found[0];
+        const double x29 = found[1];
+        const double x35 = found[2];
+        const double x124 = found[3];
         const double x23 = x22 / epsilon;
         const double x30 = x29 / epsilon;
         const double x31 = fmax(x23, x30);
@@ -1716,7 +1843,7 @@ void column_joins(
         const double x17 = 1.0 / x16;
         const double x32 = inverse_rho_target * x17;
         const double x56 = (-1.0) * epsilon;
-        const double x38 = joined_sum(partials, 0, groups, shared);
+        const double x38 = found[0];
         const double x39 = log(x38);
         const double x40 = x35 + x39;
         const double x41 = log_mass - x40;
@@ -1735,37 +1862,27 @@ void column_joins(
         }
     }
     else if (stage == 2) {
-        const uint place = PLACE;
-        const uint count = COUNT;
         const double x57 = scalars[16];
         const double x67 = scalars[18];
-        const double x59 = joined_sum(partials, 0, groups, shared);
-        double x83[MEMORY];
-        for (uint j = 0; j < MEMORY; ++j)
-            x83[j] = joined_sum(partials, 1 + j, groups, shared);
-        double x85[MEMORY];
-        for (uint j = 0; j < MEMORY; ++j)
-            x85[j] = joined_sum(partials, 17 + j, groups, shared);
-        const double x93 = joined_sum(partials, 33, groups, shared);
+        const double x59 = found[0];
+        const double x93 = found[33];
         const double x60 = x57 + x59;
         const double x68 = x60 + x67;
-        double factorsx86[MEMORY];
-        const bool x86 = solve_normal(
-            products, x83, x85, place, count, system, factorsx86);
+        const bool x86 = determined;
         const double x94 = sqrt(x93);
         const double x95 = radius * x94;
         if (get_local_id(0) == 0) {
             scalars[21] = x95;
             scalars[22] = x86;
             for (uint j = 0; j < MEMORY; ++j)
-                scalars[23 + j] = factorsx86[j];
+                scalars[23 + j] = factors[j];
             scalars[41] = x68;
         }
     }
     else if (stage == 3) {
         const double x95 = scalars[21];
         const bool x86 = scalars[22] != 0.0;
-        const double x98 = joined_sum(partials, 0, groups, shared);
+        const double x98 = found[0];
         const double x99 = sqrt(x98);
         const double x100 = fmax(x99, 2.2250738585072014e-308);
         const double x101 = x95 / x100;
@@ -1784,8 +1901,8 @@ void column_joins(
         const bool x86 = scalars[22] != 0.0;
         const bool x106 = scalars[48] != 0.0;
         const double x124 = scalars[6];
-        const double x117 = joined_largest(partials, 0, groups, shared);
-        const double x119 = joined_largest(partials, 1, groups, shared);
+        const double x117 = found[0];
+        const double x119 = found[1];
         const double x120 = x117 - x119;
         const double x121 = 0.5 * x120;
         if (get_local_id(0) == 0) {
@@ -1799,11 +1916,21 @@ void column_joins(
         }
     }
 #elif BALANCED == 2
+    const uint n_found = stage == 0 ? 4 : stage == 1 ? 1 : stage == 2 ? 34 : stage == 3 ? 1 : stage == 4 ? 2 : 0;
+    const ulong largest = stage == 0 ? 7 : stage == 1 ? 0 : stage == 2 ? 0 : stage == 3 ? 0 : stage == 4 ? 3 : 0;
+    for (uint place = 0; place < n_found; ++place) {
+        const bool is_largest = largest >> place & 1ul;
+        const double own = joined(partials, place, groups, is_largest);
+        found[place] = group_reduced(own, is_largest, shared);
+    }
+    double factors[MEMORY];
+    const bool determined = solve_normal(products, found + 1, found + 17, PLACE,
+                                         stage == 2 ? COUNT : 0, system, factors);
     if (stage == 0) {
-        const double x23 = joined_largest(partials, 0, groups, shared);
-        const double x29 = joined_largest(partials, 1, groups, shared);
-        const double x32 = joined_largest(partials, 2, groups, shared);
-        const double x118 = joined_sum(partials, 3, groups, shared);
+        const double x23 = found[0];
+        const double x29 = found[1];
+        const double x32 = found[2];
+        const double x118 = found[3];
         const double x24 = x23 / epsilon;
         const double x30 = x29 / epsilon;
         const double x31 = fmax(x24, x30);
@@ -1817,7 +1944,7 @@ void column_joins(
         const double log_mass = numbers[NUMBER_LOG_MASS];
         const double x32 = scalars[0];
         const double x50 = (-1.0) * epsilon;
-        const double x35 = joined_sum(partials, 0, groups, shared);
+        const double x35 = found[0];
         const double x36 = log(x35);
         const double x37 = x32 + x36;
         const double x38 = log_mass - x37;
@@ -1834,35 +1961,25 @@ void column_joins(
         }
     }
     else if (stage == 2) {
-        const uint place = PLACE;
-        const uint count = COUNT;
         const double x59 = scalars[17];
-        const double x61 = joined_sum(partials, 0, groups, shared);
-        double x77[MEMORY];
-        for (uint j = 0; j < MEMORY; ++j)
-            x77[j] = joined_sum(partials, 1 + j, groups, shared);
-        double x79[MEMORY];
-        for (uint j = 0; j < MEMORY; ++j)
-            x79[j] = joined_sum(partials, 17 + j, groups, shared);
-        const double x87 = joined_sum(partials, 33, groups, shared);
+        const double x61 = found[0];
+        const double x87 = found[33];
         const double x62 = x59 + x61;
-        double factorsx80[MEMORY];
-        const bool x80 = solve_normal(
-            products, x77, x79, place, count, system, factorsx80);
+        const bool x80 = determined;
         const double x88 = sqrt(x87);
         const double x89 = radius * x88;
         if (get_local_id(0) == 0) {
             scalars[20] = x89;
             scalars[21] = x80;
             for (uint j = 0; j < MEMORY; ++j)
-                scalars[22 + j] = factorsx80[j];
+                scalars[22 + j] = factors[j];
             scalars[39] = x62;
         }
     }
     else if (stage == 3) {
         const double x89 = scalars[20];
         const bool x80 = scalars[21] != 0.0;
-        const double x92 = joined_sum(partials, 0, groups, shared);
+        const double x92 = found[0];
         const double x93 = sqrt(x92);
         const double x94 = fmax(x93, 2.2250738585072014e-308);
         const double x95 = x89 / x94;
@@ -1881,8 +1998,8 @@ void column_joins(
         const bool x80 = scalars[21] != 0.0;
         const bool x100 = scalars[46] != 0.0;
         const double x118 = scalars[6];
-        const double x111 = joined_largest(partials, 0, groups, shared);
-        const double x113 = joined_largest(partials, 1, groups, shared);
+        const double x111 = found[0];
+        const double x113 = found[1];
         const double x114 = x111 - x113;
         const double x115 = 0.5 * x114;
         if (get_local_id(0) == 0) {
@@ -1896,42 +2013,42 @@ void column_joins(
         }
     }
 #elif BALANCED == 3
+    const uint n_found = stage == 0 ? 39 : stage == 1 ? 1 : stage == 2 ? 1 : stage == 3 ? 2 : 0;
+    const ulong largest = stage == 0 ? 5 : stage == 1 ? 0 : stage == 2 ? 0 : stage == 3 ? 3 : 0;
+    for (uint place = 0; place < n_found; ++place) {
+        const bool is_largest = largest >> place & 1ul;
+        const double own = joined(partials, place, groups, is_largest);
+        found[place] = group_reduced(own, is_largest, shared);
+    }
+    double factors[MEMORY];
+    const bool determined = solve_normal(products, found + 4, found + 20, PLACE,
+                                         stage == 0 ? COUNT : 0, system, factors);
     if (stage == 0) {
-        const uint place = PLACE;
-        const uint count = COUNT;
         const double x36 = (-1.0) * epsilon;
         const double x27 = log(target_mass);
         const double x34 = fmin(x27, 300.0);
         const double x35 = exp(x34);
         const double x37 = x36 * x35;
-        const double x18 = joined_largest(partials, 0, groups, shared);
-        const double x39 = joined_sum(partials, 1, groups, shared);
-        const double x24 = joined_largest(partials, 2, groups, shared);
-        const double x42 = joined_sum(partials, 3, groups, shared);
-        double x58[MEMORY];
-        for (uint j = 0; j < MEMORY; ++j)
-            x58[j] = joined_sum(partials, 4 + j, groups, shared);
-        double x60[MEMORY];
-        for (uint j = 0; j < MEMORY; ++j)
-            x60[j] = joined_sum(partials, 20 + j, groups, shared);
-        const double x68 = joined_sum(partials, 36, groups, shared);
-        const double x84 = joined_sum(partials, 37, groups, shared);
-        const double x105 = joined_sum(partials, 38, groups, shared);
+        const double x18 = found[0];
+        const double x39 = found[1];
+        const double x24 = found[2];
+        const double x42 = found[3];
+        const double x68 = found[36];
+        const double x84 = found[37];
+        const double x105 = found[38];
         const double x19 = x18 / epsilon;
         const double x25 = x24 / epsilon;
         const double x26 = fmax(x19, x25);
         const double x40 = x37 + x39;
         const double x43 = x40 + x42;
-        double factorsx61[MEMORY];
-        const bool x61 = solve_normal(
-            products, x58, x60, place, count, system, factorsx61);
+        const bool x61 = determined;
         const double x69 = sqrt(x68);
         const double x70 = radius * x69;
         if (get_local_id(0) == 0) {
             scalars[2] = x70;
             scalars[3] = x61;
             for (uint j = 0; j < MEMORY; ++j)
-                scalars[4 + j] = factorsx61[j];
+                scalars[4 + j] = factors[j];
             scalars[20] = x84;
             scalars[25] = x26;
             scalars[29] = x43;
@@ -1941,7 +2058,7 @@ void column_joins(
     else if (stage == 1) {
         const double x70 = scalars[2];
         const bool x61 = scalars[3] != 0.0;
-        const double x73 = joined_sum(partials, 0, groups, shared);
+        const double x73 = found[0];
         const double x74 = sqrt(x73);
         const double x75 = fmax(x74, 2.2250738585072014e-308);
         const double x76 = x70 / x75;
@@ -1955,7 +2072,7 @@ void column_joins(
     }
     else if (stage == 2) {
         const double x84 = scalars[20];
-        const double x83 = joined_sum(partials, 0, groups, shared);
+        const double x83 = found[0];
         const double x85 = x83 / x84;
         if (get_local_id(0) == 0) {
             scalars[39] = x85;
@@ -1968,8 +2085,8 @@ void column_joins(
         const bool x61 = scalars[3] != 0.0;
         const bool x87 = scalars[37] != 0.0;
         const double x105 = scalars[30];
-        const double x98 = joined_largest(partials, 0, groups, shared);
-        const double x100 = joined_largest(partials, 1, groups, shared);
+        const double x98 = found[0];
+        const double x100 = found[1];
         const double x101 = x98 - x100;
         const double x102 = 0.5 * x101;
         if (get_local_id(0) == 0) {

@@ -202,15 +202,18 @@ def stored_steps_text() -> str:
         written = {}
         for balanced in product((False, True), repeat=2):
             code = balanced[0] + 2 * balanced[1]
-            written[code] = recorded(StoredProblem, trace, StagedWriter, balanced).stages()
-            assert len(written[code]) == STAGES[code][place], (code, name, len(written[code]))
+            writer = recorded(StoredProblem, trace, StagedWriter, balanced)
+            written[code] = writer, writer.stages()
+            assert len(written[code][1]) == STAGES[code][place], (code, name)
         for part, kind in enumerate(("loops", "joins")):
             text += stored_texts.begin(name, kind)
             for code in sorted(written):
                 text += f"#{'elif' if code else 'if'} BALANCED == {code}\n"
-                for stage, bodies in enumerate(written[code]):
+                writer, stages = written[code]
+                text += stored_texts.joins(writer) * (kind == "joins")
+                for stage, bodies in enumerate(stages):
                     text += stored_texts.stage_text(name, stage, bodies[part])
-            text += "#endif\n}\n"
+            text += "#endif\n" + stored_texts.end(kind)
     return text
 
 

@@ -12,7 +12,9 @@ class StagedWriter(Writer):
     """Writes loops over vectors that many work-groups share, and what joins their sums.
 
     A loop and the numbers that its sums lead to are a stage. The groups leave their sums in
-    ``partials``; a single group joins these and keeps the stage's numbers in ``scalars``.
+    ``partials``; a single group joins these and keeps the stage's numbers in ``scalars``. No stage
+    has a barrier, because some compilers do not bear them in branches: what needs barriers stands
+    before the stages, or after them.
     """
 
     known = {  # noqa: RUF012
@@ -25,6 +27,10 @@ class StagedWriter(Writer):
         self._kept: dict[str, int] = {}  # places of numbers in `scalars`
         self._read: set[str] = set()  # those of them that a later stage reads
         self._texts: dict[str, Symbol] = {self._name(x): x for x in self.scalars}
+        #: The number of partial sums of each stage, and bits of those that are largest entries.
+        self.found: list[tuple[int, int]] = []
+        #: The stage of the normal equations, and the places of their inner products.
+        self.solved_at: tuple[int, int, int] | None = None
         bodies = []
         last = max(self.wanted)
         for stage in range(last + 1):
@@ -35,9 +41,14 @@ class StagedWriter(Writer):
                     self._partials[x] = count
                     count += MEMORY if x.operation == "inner_each" else 1
             assert count <= stored_step_slots.PARTIALS, count
+            largest = sum(
+                1 << place for x, place in self._partials.items() if x.operation == "largest"
+            )
+            self.found.append((count, largest))
             self.lines = []
             for side in SIZES:
                 self._write_loop(stage, side)
+            self.lines += [f"    n_found = {count};", f"    largest = {largest}ul;"]
             loops = self._with_numbers(self.lines)
             self.lines = []
             for x in self._partials:
@@ -45,6 +56,9 @@ class StagedWriter(Writer):
             for x in sorted(self.scalars, key=lambda each: each.number):
                 if x.stage == stage + 1 and x not in self._partials:
                     self._write_number(x)
+                if x.stage == stage + 1 and x.operation == "solve":
+                    row, right = (self._partials[part] for part in x.parts)
+                    self.solved_at = stage, row, right
             made = [
                 self._name(x) for x in self.scalars
                 if x.stage == stage + 1 and x.operation != "inner_each"
@@ -74,7 +88,7 @@ class StagedWriter(Writer):
         self.lines.append(f"        scalars[{place}] = {name};")
         if symbol.operation == "solve":
             self.lines += ["        for (uint j = 0; j < MEMORY; ++j)",
-                           f"            scalars[{place + 1} + j] = factors{name}[j];"]  # fmt: skip
+                           f"            scalars[{place + 1} + j] = factors[j];"]  # fmt: skip
 
     def _size(self, name: str) -> int:
         solved = self._texts[name].operation == "solve"
@@ -131,28 +145,24 @@ class StagedWriter(Writer):
                        f"                {begin}DLOAD(i, {many}(j)){end}"]  # fmt: skip
 
     def _reduce(self, x: Symbol) -> None:
-        place = self._partials[x]
-        name = self._name(x)
-        if x.operation == "inner_each":
-            self.lines += ["    for (uint j = 0; j < MEMORY; ++j)",
-                           f"        leave_partial(group_sum(sum_of_lanes(all{name}[j]), shared), "
-                           f"{place} + j, partials);"]  # fmt: skip
-        else:
-            self.lines.append(f"    leave_partial({self._over_group(x)}, {place}, partials);")
-
-    def _join(self, x: Symbol) -> None:
-        """Join what the groups have left of a sum."""
         place, name = self._partials[x], self._name(x)
         if x.operation == "inner_each":
-            joined = f"joined_sum(partials, {place} + j, groups, shared)"
-            self.lines += [f"    double {name}[MEMORY];",
-                           "    for (uint j = 0; j < MEMORY; ++j)",
-                           f"        {name}[j] = {joined};"]  # fmt: skip
+            self.lines += ["    for (uint j = 0; j < MEMORY; ++j)",
+                           f"        found[{place} + j] = sum_of_lanes(all{name}[j]);"]  # fmt: skip
         else:
-            kind = {"sum": "sum", "largest": "largest"}[x.operation]
-            self.lines.append(
-                f"    const double {name} = joined_{kind}(partials, {place}, groups, shared);"
-            )
+            lanes = {"sum": "sum_of_lanes", "largest": "largest_lane"}[x.operation]
+            self.lines.append(f"    found[{place}] = {lanes}(all{name});")
+
+    def _join(self, x: Symbol) -> None:
+        """Take what the groups' sums have been joined to."""
+        if x.operation != "inner_each":
+            self.lines.append(f"    const double {self._name(x)} = found[{self._partials[x]}];")
+
+    def _write_number(self, symbol: Symbol) -> None:
+        if symbol.operation == "solve":
+            self.lines.append(f"    const bool {self._name(symbol)} = determined;")
+        else:
+            super()._write_number(symbol)
 
     def _softmin(self, side: str) -> str:
         base, alone = (self._place(side, slot) for slot in ("BASE", "ALONE"))

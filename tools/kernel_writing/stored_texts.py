@@ -2,6 +2,8 @@
 
 import re
 
+from kernel_writing.staged import StagedWriter
+
 HEAD = """\
 // The arithmetic of an iteration over stored pairs between two softmins, float64, in many
 // work-groups: the formulas of half_steps.cl, with the closed forms of masses and duals that hold
@@ -21,6 +23,7 @@ HEAD = """\
 //
 // -D BALANCED  1: inverse_rho_source is 0; 2: inverse_rho_target; 3: both; 0: none
 // -D GIVEN_*, ROW_*, COLUMN_*, NUMBER_*  places of vectors and numbers, see stored_step_slots.py
+// -D PARTIALS  largest number of sums of a stage
 // -D LARGEST_CHANGE  limit of the changes of potentials, powers of two (log2)
 
 #ifndef BALANCED
@@ -28,6 +31,10 @@ HEAD = """\
 #endif
 #ifndef LARGEST_CHANGE
 #error "LARGEST_CHANGE (limit of the changes of potentials) must be given"
+#endif
+
+#ifndef PARTIALS
+#error "PARTIALS (largest number of sums of a stage) must be given"
 #endif
 
 #include "vector_steps.cl"
@@ -63,23 +70,37 @@ INLINE void leave_partial(const double found, const uint place, __global double*
         partials[(size_t)place * get_num_groups(0) + get_group_id(0)] = found;
 }
 
-// The sum, or the largest, of what groups have left.
-INLINE double joined_sum(
-    const __global double* partials, const uint place, const uint groups, __local double* shared)
+// The sum of x over the group, or the largest, the same number in every item.
+INLINE double group_reduced(const double x, const bool largest, __local double* shared)
 {
-    double found = 0.0;
-    for (uint group = get_local_id(0); group < groups; group += GROUP)
-        found += partials[(size_t)place * groups + group];
-    return group_sum(found, shared);
+#if GROUP > 1
+    const uint item = get_local_id(0);
+    STEP_BARRIER();
+    shared[item] = x;
+    for (uint half_size = GROUP / 2; half_size > 0; half_size /= 2) {
+        STEP_BARRIER();
+        if (item < half_size) {
+            const double other = shared[item + half_size];
+            shared[item] = largest ? fmax(shared[item], other) : shared[item] + other;
+        }
+    }
+    STEP_BARRIER();
+    return shared[0];
+#else
+    return x;
+#endif
 }
 
-INLINE double joined_largest(
-    const __global double* partials, const uint place, const uint groups, __local double* shared)
+// The sum, or the largest, of what an item's groups have left.
+INLINE double joined(
+    const __global double* partials, const uint place, const uint groups, const bool largest)
 {
-    double found = -INFINITY;
-    for (uint group = get_local_id(0); group < groups; group += GROUP)
-        found = fmax(found, partials[(size_t)place * groups + group]);
-    return group_largest(found, shared);
+    double found = largest ? -INFINITY : 0.0;
+    for (uint group = get_local_id(0); group < groups; group += GROUP) {
+        const double other = partials[(size_t)place * groups + group];
+        found = largest ? fmax(found, other) : found + other;
+    }
+    return found;
 }
 
 // What sum_stored takes of a new g: the host's, which is kept, or one of the
@@ -155,9 +176,46 @@ def begin(name: str, kind: str) -> str:
     text = "\n" + f"// {_COMMENTS[name]}\n" * (kind == "loops")
     text += "__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))\n"
     text += f"void {name}_{kind}(\n{ARGUMENTS.format(size=_SIZES[name])}{{\n"
-    text += "    __local double shared[GROUP];\n"
+    text += "    __local double shared[GROUP];\n    double found[PARTIALS];\n"
     if kind == "joins" and name == "column":
         text += "    __local double system[MEMORY * SYSTEM_ROW];\n"
+    if kind == "loops":
+        text += "    uint n_found = 0;\n    ulong largest = 0;\n"
+    return text
+
+
+def end(kind: str) -> str:
+    """Return the text after the stages of a kernel; see `begin`."""
+    if kind == "joins":
+        return "}\n"
+    return """\
+    for (uint place = 0; place < n_found; ++place)
+        leave_partial(group_reduced(found[place], largest >> place & 1ul, shared), place, partials);
+}
+"""
+
+
+def joins(writer: StagedWriter) -> str:
+    """Return the text before the stages that joins what the groups have left of each sum."""
+    text = ""
+    counts, largest = zip(*writer.found, strict=True)
+    for kind, name, values in (("uint", "n_found", counts), ("ulong", "largest", largest)):
+        choice = " : ".join(f"stage == {stage} ? {value}" for stage, value in enumerate(values))
+        text += f"    const {kind} {name} = {choice} : 0;\n"
+    text += """\
+    for (uint place = 0; place < n_found; ++place) {
+        const bool is_largest = largest >> place & 1ul;
+        const double own = joined(partials, place, groups, is_largest);
+        found[place] = group_reduced(own, is_largest, shared);
+    }
+"""
+    if writer.solved_at is not None:
+        stage, row, right = writer.solved_at
+        text += f"""\
+    double factors[MEMORY];
+    const bool determined = solve_normal(products, found + {row}, found + {right}, PLACE,
+                                         stage == {stage} ? COUNT : 0, system, factors);
+"""
     return text
 
 

@@ -35,4 +35,5 @@ LARGEST_CHANGE = 10_000
 def macros() -> dict[str, int | float]:
     """Return the macros that name these places."""
     given: dict[str, int | float] = {f"GIVEN_{name}": place for place, name in enumerate(GIVEN)}
-    return half_step_slots.macros_of(ROW_SLOTS, COLUMN_SLOTS, NUMBERS) | given
+    named = half_step_slots.macros_of(ROW_SLOTS, COLUMN_SLOTS, NUMBERS)
+    return named | given | {"PARTIALS": PARTIALS}

@@ -32,8 +32,6 @@ from clmorph.backends.records import Float64, IterationNumbers, StoredPairs, Sto
 GROUPS_PER_UNIT = 8
 #: The numbers of those arguments of the kernels of a stage that change from launch to launch.
 CONTROL, STAGE, RADIUS = 2, 3, 11
-
-
 #: The share of the limits of memory that buffers may take: a pool rounds sizes up.
 MOST_MEMORY = 7 / 8
 
