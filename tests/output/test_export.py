@@ -786,7 +786,8 @@ def test_memory_does_not_grow_with_the_number_of_frames(tmp_path, name):
     told = subprocess.run(run, capture_output=True, check=True, text=True).stdout
     one = side**2 * 3 / 1e6
     held = 0.5 if name in (".mp4", ".webm") else 0.1  # of a frame
-    assert float(told) < held * one * (many - some)
+    # How many frames threads hold at once depends on their turns, on a busy machine above all.
+    assert float(told) < held * one * (many - some) + 4 * one
 
 
 @pytest.mark.parametrize("name", list(FORMATS))
