@@ -63,28 +63,7 @@ INLINE void leave_partial(const double found, const uint place, __global double*
         partials[(size_t)place * get_num_groups(0) + get_group_id(0)] = found;
 }
 
-// The sum of x over the group, or the largest, the same number in every item.
-INLINE double group_reduced(const double x, const bool largest, __local double* shared)
-{
-#if GROUP > 1
-    const uint item = get_local_id(0);
-    STEP_BARRIER();
-    shared[item] = x;
-    for (uint half_size = GROUP / 2; half_size > 0; half_size /= 2) {
-        STEP_BARRIER();
-        if (item < half_size) {
-            const double other = shared[item + half_size];
-            shared[item] = largest ? fmax(shared[item], other) : shared[item] + other;
-        }
-    }
-    STEP_BARRIER();
-    return shared[0];
-#else
-    return x;
-#endif
-}
-
-// The sum, or the largest, of what an item's groups have left.
+// The sum, or the largest, of what groups have left, of which each item takes every GROUP-th one.
 INLINE double joined(
     const __global double* partials, const uint place, const uint groups, const bool largest)
 {

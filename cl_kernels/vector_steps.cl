@@ -96,16 +96,19 @@ INLINE double largest_lane(const vdouble v)
     return largest;
 }
 
-// The sum of x over the group, the same number in every item.
-INLINE double group_sum(const double x, __local double* shared)
+// The sum of x over the group, or the largest, the same number in every item.
+INLINE double group_reduced(const double x, const bool largest, __local double* shared)
 {
 #if GROUP > 1
+    const uint item = get_local_id(0);
     STEP_BARRIER();
-    shared[get_local_id(0)] = x;
+    shared[item] = x;
     for (uint half_size = GROUP / 2; half_size > 0; half_size /= 2) {
         STEP_BARRIER();
-        if (get_local_id(0) < half_size)
-            shared[get_local_id(0)] += shared[get_local_id(0) + half_size];
+        if (item < half_size) {
+            const double other = shared[item + half_size];
+            shared[item] = largest ? fmax(shared[item], other) : shared[item] + other;
+        }
     }
     STEP_BARRIER();
     return shared[0];
@@ -114,23 +117,8 @@ INLINE double group_sum(const double x, __local double* shared)
 #endif
 }
 
-// The largest x of the group, the same number in every item.
-INLINE double group_largest(const double x, __local double* shared)
-{
-#if GROUP > 1
-    STEP_BARRIER();
-    shared[get_local_id(0)] = x;
-    for (uint half_size = GROUP / 2; half_size > 0; half_size /= 2) {
-        STEP_BARRIER();
-        if (get_local_id(0) < half_size)
-            shared[get_local_id(0)] = fmax(shared[get_local_id(0)], shared[get_local_id(0) + half_size]);
-    }
-    STEP_BARRIER();
-    return shared[0];
-#else
-    return x;
-#endif
-}
+#define group_sum(x, shared) group_reduced(x, false, shared)
+#define group_largest(x, shared) group_reduced(x, true, shared)
 
 #define SYSTEM_ROW (2 * MEMORY) // a power of two
 

@@ -369,7 +369,7 @@ class Operations(Protocol):
     ) -> StoredPairs | None:
         """Store log pi_ij of the pairs above a threshold on the device.
 
-        `sum_stored` and `start_stored_iteration` are for them.
+        `sum_stored` and `start_stored_iteration` use them.
 
         Parameters
         ----------
@@ -420,10 +420,9 @@ class Operations(Protocol):
     ) -> ResidentIteration | None:
         """Return an iteration over stored pairs whose vectors stay on the device.
 
-        None where the backend has none, or not enough memory for it.
-
-        Its potentials and all its other vectors have the order of `StoredPairs.orders`, and its
-        masses and duals are closed forms (`Problem.dual`).
+        The result is None where the backend has no such iteration, or too little memory for it. The
+        potentials and all other vectors have the order of `StoredPairs.orders`. Masses and duals
+        come from their closed forms (`Problem.dual`).
 
         Parameters
         ----------

@@ -90,9 +90,10 @@ class StoredVectors(NamedTuple):
     """One side of a problem over stored pairs, in the order of `StoredPairs.orders`, (N,) each."""
 
     masses: Float64
-    base: Float64  #: the softmin, plus epsilon times the logarithm of the sum over stored pairs
-    alone: Float64  #: the softmin of points without a stored pair, cost units as all that follow
-    origin: Float64  #: the potential for which the pairs were stored
+    #: The softmin plus epsilon times the logarithm of the sum over stored pairs, cost units.
+    base: Float64
+    alone: Float64  #: the softmin of points without a stored pair, cost units
+    origin: Float64  #: the potential for which the pairs were stored, cost units
 
 
 class IterationNumbers(NamedTuple):

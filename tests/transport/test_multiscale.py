@@ -11,8 +11,9 @@ from plain import reference, sinkhorn
 import clmorph
 from clmorph.measures.cluster import make_clusters
 from clmorph.measures.points import WeightedPoints
-from clmorph.transport._solver import annealing, coarse_grid, multiscale
+from clmorph.transport._solver import annealing, multiscale
 from clmorph.transport._solver.coarse_grid import (
+    STORED_CHOICES,
     CorrectedProblem,
     StoredChoice,
     expanded,
@@ -222,9 +223,7 @@ def stored_near(device, side, blur, rho):
     g = sinkhorn(source, target, blur, reach, 0.3, backend=device).g
     f, g, t_rows, _ = problem.update_f(g, problem.softmin_rows(g, epsilon, True), epsilon)
     t_columns = problem.softmin_columns(f, epsilon, True)
-    grid = stored_grid(
-        problem, f, g, (t_rows, t_columns), epsilon, 10**8, coarse_grid.STORED_CHOICES
-    )
+    grid = stored_grid(problem, f, g, (t_rows, t_columns), epsilon, 10**8, STORED_CHOICES)
     return problem, f, g, t_rows, t_columns, grid
 
 
@@ -254,7 +253,7 @@ def test_stored_pairs_stand_for_the_points(device, rng):
     assert np.abs(held - 7.0 - f).max() <= 1.5 * near.trust_radius * epsilon
     # Each pair that is left out has grown by exp(10) at most against those that are not.
     change = 5 * epsilon * rng.uniform(-1, 1, len(g))
-    share = coarse_grid.STORED_CHOICES[0].share
+    share = STORED_CHOICES[0].share
     left_out = len(g) * share * np.exp(10)
     assert left_out < 1e-4
     got = near.to_rows(g + change, epsilon)
@@ -341,6 +340,30 @@ def test_iterations_over_stored_pairs_on_the_device_are_the_hosts(device, rng, r
     assert np.abs(np.array(found[:3]) - found[3:]).max() <= tolerance * epsilon
 
 
+def test_points_without_mass_do_not_leave_the_trust_region():
+    """Their potentials decide nothing, and a shift of all potentials moves no point."""
+    *_, grid = stored_near("numpy", 16, 0.05, (0.09, 0.09))
+    near = grid.problem
+    near.a = np.where(np.arange(len(near.a)) % 5 == 0, 0.0, near.a)
+    near.masses = float(near.a.sum()), near.masses[1]
+    near.center_trust_region(np.zeros(len(near.a)))
+    far = 3 * near.trust_radius * 0.05**2
+    assert not near.outside_trust_region(np.full(len(near.a), far), 0.05**2)
+    assert not near.outside_trust_region(np.where(near.a > 0, 0.0, far), 0.05**2)
+    assert near.outside_trust_region(np.where(np.arange(len(near.a)) == 1, far, 0.0), 0.05**2)
+
+
+def test_without_memory_for_its_vectors_the_host_iterates(device, monkeypatch):
+    problem, *_, grid = stored_near(device, 16, 0.05, (0.09, 0.09))
+    near = grid.problem
+    near.center_trust_region(np.zeros(len(near.a)))
+    if iterates(problem):
+        from clmorph.backends.opencl.kernels import stored_steps
+
+        monkeypatch.setattr(stored_steps, "MOST_MEMORY", 0.0)
+    assert isinstance(new_steps(near), HostSteps)
+
+
 def test_closed_forms_with_too_few_digits_are_not_used_on_the_device(device):
     """Where the penalty is so weak that masses differ by their last digits, the host iterates."""
     problem, *_, grid = stored_near(device, 16, 0.05, (0.09, 0.09))
@@ -420,14 +443,14 @@ def test_fewer_pairs_are_stored_where_all_would_be_too_many(monkeypatch):
     problem, f, g, t_rows, t_columns, grid = stored_near("numpy", 24, blur, rho)
     given = problem, f, g, (t_rows, t_columns), blur**2
     whole = grid.problem.to_rows.stored.n_pairs
-    assert grid.problem.trust_radius == coarse_grid.STORED_CHOICES[0].trust_radius
-    fewer = stored_grid(*given, whole - 1, coarse_grid.STORED_CHOICES[:2]).problem
-    assert fewer.trust_radius == coarse_grid.STORED_CHOICES[1].trust_radius
+    assert grid.problem.trust_radius == STORED_CHOICES[0].trust_radius
+    fewer = stored_grid(*given, whole - 1, STORED_CHOICES[:2]).problem
+    assert fewer.trust_radius == STORED_CHOICES[1].trust_radius
     pairs = fewer.to_rows.stored.n_pairs
     assert pairs < whole
-    assert stored_grid(*given, pairs - 1, coarse_grid.STORED_CHOICES[:2]) is None
+    assert stored_grid(*given, pairs - 1, STORED_CHOICES[:2]) is None
     # The solve over the fewer pairs has the same solution.
-    monkeypatch.setattr(coarse_grid, "STORED_CHOICES", coarse_grid.STORED_CHOICES[1:])
+    monkeypatch.setattr(multiscale, "STORED_CHOICES", STORED_CHOICES[1:])
     source, target = sharp(24)
     got = sinkhorn(source, target, blur, 0.3, 1e-5, backend="numpy", multiscale=True)
     want = sinkhorn(source, target, blur, 0.3, 1e-5, backend="numpy", multiscale=False)
@@ -439,7 +462,7 @@ def test_choices_that_have_had_too_many_pairs_are_not_tried_again(monkeypatch):
     """And the last choice is for small residuals alone."""
     blur = 0.05
     problem, f, g, t_rows, t_columns, grid = stored_near("numpy", 24, blur, (0.09, 0.09))
-    first, second, last = coarse_grid.STORED_CHOICES
+    first, second, last = STORED_CHOICES
     tried = []
 
     def recorded(*arguments):
@@ -465,7 +488,7 @@ def test_choices_that_have_had_too_many_pairs_are_not_tried_again(monkeypatch):
 @pytest.mark.parametrize("counts", [0.2, 1.0])
 def test_cycles_that_end_at_the_edge_of_the_trust_region_are_no_failures(monkeypatch, counts):
     """They bring potentials that move far to the solution, if they do not count as failures."""
-    monkeypatch.setattr(coarse_grid, "STORED_CHOICES", (StoredChoice(1e-13, 0.2),))
+    monkeypatch.setattr(multiscale, "STORED_CHOICES", (StoredChoice(1e-13, 0.2),))
     monkeypatch.setattr(multiscale, "AT_THE_EDGE", counts)
     left = []
     iterate = multiscale.Multiscale._iterate_points
@@ -480,8 +503,8 @@ def test_cycles_that_end_at_the_edge_of_the_trust_region_are_no_failures(monkeyp
 
 
 def test_the_last_choice_of_stored_pairs_leads_to_the_solution(device, monkeypatch):
-    last = coarse_grid.STORED_CHOICES[-1]
-    monkeypatch.setattr(coarse_grid, "STORED_CHOICES", (last._replace(residual=np.inf),))
+    last = STORED_CHOICES[-1]
+    monkeypatch.setattr(multiscale, "STORED_CHOICES", (last._replace(residual=np.inf),))
     source, target = sharp(24)
     got = sinkhorn(source, target, 0.05, 0.3, 1e-4, backend=device, multiscale=True)
     want = sinkhorn(source, target, 0.05, 0.3, 1e-5, backend="numpy", multiscale=False)
@@ -496,7 +519,7 @@ def test_the_last_choice_of_stored_pairs_leads_to_the_solution(device, monkeypat
 )
 def test_small_blurs_are_solved_over_stored_pairs(device, monkeypatch, reach):
     solved = []
-    original = coarse_grid.stored_grid
+    original = stored_grid
 
     def seen(*arguments):
         solved.append(original(*arguments))
@@ -529,7 +552,7 @@ def test_without_memory_for_pairs_points_are_iterated_over(device, monkeypatch):
 
 def test_pairs_that_mislead_are_left(monkeypatch):
     """With far too few pairs cycles do not converge; the solve does."""
-    monkeypatch.setattr(coarse_grid, "STORED_CHOICES", (StoredChoice(0.3, 50.0),))
+    monkeypatch.setattr(multiscale, "STORED_CHOICES", (StoredChoice(0.3, 50.0),))
     source, target = sharp(24)
     got = sinkhorn(source, target, 0.04, 0.3, backend="numpy", multiscale=True)
     assert got.converged

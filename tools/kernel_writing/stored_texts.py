@@ -3,6 +3,7 @@
 import re
 
 from kernel_writing.staged import StagedWriter
+from kernel_writing.writer import SIZES
 
 HEAD = """\
 // The arithmetic of an iteration over stored pairs between two softmins, float64, in many
@@ -70,28 +71,7 @@ INLINE void leave_partial(const double found, const uint place, __global double*
         partials[(size_t)place * get_num_groups(0) + get_group_id(0)] = found;
 }
 
-// The sum of x over the group, or the largest, the same number in every item.
-INLINE double group_reduced(const double x, const bool largest, __local double* shared)
-{
-#if GROUP > 1
-    const uint item = get_local_id(0);
-    STEP_BARRIER();
-    shared[item] = x;
-    for (uint half_size = GROUP / 2; half_size > 0; half_size /= 2) {
-        STEP_BARRIER();
-        if (item < half_size) {
-            const double other = shared[item + half_size];
-            shared[item] = largest ? fmax(shared[item], other) : shared[item] + other;
-        }
-    }
-    STEP_BARRIER();
-    return shared[0];
-#else
-    return x;
-#endif
-}
-
-// The sum, or the largest, of what an item's groups have left.
+// The sum, or the largest, of what groups have left, of which each item takes every GROUP-th one.
 INLINE double joined(
     const __global double* partials, const uint place, const uint groups, const bool largest)
 {
@@ -146,7 +126,6 @@ ARGUMENTS = """\
     __global double* restrict products,          // (MEMORY, MEMORY)
     __global double* restrict numbers)           // see stored_step_slots.py
 """
-_SIZES = {"row": "n", "column": "m"}
 _COMMENTS = {
     "row": "After T(g): f, the shift of g, the dual, and the changes of f for the next softmin.",
     "column": "After T(f): the residual, the image of g, the shift of f, the dual, and the next g.",
@@ -175,7 +154,7 @@ def begin(name: str, kind: str) -> str:
     """
     text = "\n" + f"// {_COMMENTS[name]}\n" * (kind == "loops")
     text += "__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))\n"
-    text += f"void {name}_{kind}(\n{ARGUMENTS.format(size=_SIZES[name])}{{\n"
+    text += f"void {name}_{kind}(\n{ARGUMENTS.format(size=SIZES[name])}{{\n"
     text += "    __local double shared[GROUP];\n    double found[PARTIALS];\n"
     if kind == "joins" and name == "column":
         text += "    __local double system[MEMORY * SYSTEM_ROW];\n"

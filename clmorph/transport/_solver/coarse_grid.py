@@ -303,8 +303,9 @@ class StoredProblem(CorrectedProblem):
     def start_iteration(self) -> ResidentIteration | None:
         """Return an iteration on the device, or None.
 
-        The backend must have one, and closed forms of the penalties must have enough digits. The
-        iteration that this function has returned before cannot be used any longer.
+        The result is None where the backend has no iteration over stored pairs, and where closed
+        forms of the penalties would have too few digits. An iteration that this function returned
+        before must no longer be used, because the next one takes its memory.
         """
         enough = dual_rounding(self, self._epsilon, False) / PLAN_CHANGE
         for mass, inverse in zip(self.masses, self.inverse_rho, strict=True):
@@ -326,10 +327,6 @@ class StoredProblem(CorrectedProblem):
     def center_trust_region(self, f: Array) -> None:
         """Set the potentials, (N,), around which the stored pairs are trusted."""
         self.center = f
-
-    def outside_trust_region(self, f: Array, epsilon: float) -> bool:
-        """Return whether potentials have moved so far that other pairs can have notable mass."""
-        return bool(self.farthest(f) > self.trust_radius * epsilon)
 
     def farthest(self, f: Any) -> Any:
         """Return the farthest move of a potential from the center, by points of positive mass."""

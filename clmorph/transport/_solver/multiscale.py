@@ -22,9 +22,9 @@ import numpy as np
 from clmorph._shared.typing import Array
 from clmorph.measures.cluster import Clusters, make_clusters
 from clmorph.measures.points import AnyMeasure
-from clmorph.transport._solver import coarse_grid
 from clmorph.transport._solver.annealing import anneal, ignore, prepare
 from clmorph.transport._solver.coarse_grid import (
+    STORED_CHOICES,
     CoarseGrid,
     CorrectedProblem,
     StoredProblem,
@@ -117,7 +117,7 @@ class Multiscale:
         self.residuals: list[float] = []
         self._blur, self._max_iter, self._report, self._reported = blur, max_iter, report, 0.0
         #: The choices of pairs to store that are not known to have too many.
-        self._choices = list(coarse_grid.STORED_CHOICES)
+        self._choices = list(STORED_CHOICES)
 
     @property
     def n_iter(self) -> int:
@@ -178,10 +178,11 @@ class Multiscale:
         softmins = t_rows, t_columns
         grid = stored_grid(self.problem, f, g, softmins, self._blur**2, most, choices)
         # A choice that has had too many pairs is not tried again.
-        taken = len(choices)
-        if grid is not None and isinstance(grid.problem, StoredProblem):
-            taken = choices.index(grid.problem.choice)
-        self._choices = [each for each in self._choices if each not in choices[:taken]]
+        too_many = choices
+        if grid is not None:
+            assert isinstance(grid.problem, StoredProblem)
+            too_many = choices[: choices.index(grid.problem.choice)]
+        self._choices = [each for each in self._choices if each not in too_many]
         return grid
 
     def _first(self, grid: CoarseGrid, clusters: list[Clusters], g: Array) -> Array:

@@ -26,7 +26,7 @@ NUMBERS = (
 )  # fmt: skip
 #: The largest number of sums of one stage, and of numbers that stages leave to later ones.
 PARTIALS, SCALARS = 2 * MEMORY + 8, MEMORY + 48
-#: The number of stages of the half-step of f and of that of g: by which sides are balanced.
+#: The number of stages of the half-step of f and of that of g, for each value of BALANCED.
 STAGES = {0: (3, 5), 1: (3, 5), 2: (3, 5), 3: (1, 4)}
 #: The limit (log2) at which changes of potentials are clipped: sums at larger changes are useless.
 LARGEST_CHANGE = 10_000

@@ -56,7 +56,7 @@ class StoredIteration(PotentialPlaces):
     counted : (M,) array of bool
         The columns of positive mass.
     row_middle : float
-        Midrange of the changes of f at the center, in units of cost.
+        Midrange of the changes of f at the center of the trust region, cost units.
     epsilon : float
     """
 
@@ -153,9 +153,10 @@ class StoredSteps:
             "products": 8 * MEMORY**2, "numbers": 8 * len(NUMBERS),
         }  # fmt: skip
         device = self._work.device
-        if max(sizes.values()) > MOST_MEMORY * device.max_mem_alloc_size or sum(
-            sizes.values()
-        ) > MOST_MEMORY * (device.global_mem_size // 4):
+        largest, total = max(sizes.values()), sum(sizes.values())
+        if largest > MOST_MEMORY * device.max_mem_alloc_size:
+            return None
+        if total > MOST_MEMORY * (device.global_mem_size // 4):
             return None
         try:
             return {name: self._work.empty(size) for name, size in sizes.items()}
