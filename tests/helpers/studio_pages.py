@@ -113,7 +113,9 @@ def run(page):
 
 def finished(page):
     until(page, "!document.getElementById('downloads').hidden")
+    # The answer to the request, with the command, can come after the result.
     until(page, "studio.state.shown === studio.state.number")
+    until(page, "studio.state.told === studio.state.number")
 
 
 def fetched(page, ending):

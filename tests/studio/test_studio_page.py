@@ -85,6 +85,25 @@ def test_a_chain_and_all_its_files(opened, pictures, place):
     assert fetched(page, "mp4")[4:8] == b"ftyp"
 
 
+def test_the_command_is_that_of_a_run_whose_result_comes_before_its_answer(opened, pictures, place):
+    """On a busy machine a small run ends before the answer to its request is read."""
+    page = opened()
+    take(page, pictures)
+    previewed(page)
+    page.evaluate(
+        """() => { const plain = window.fetch;
+        window.fetch = async (path, ...more) => { const answer = await plain(path, ...more);
+            if (path.endsWith("/run")) while (document.getElementById("downloads").hidden)
+                await new Promise((resolve) => setTimeout(resolve, 10));
+            return answer; }; }"""
+    )
+    fill(page, size="24", frames="3")
+    run(page)
+    assert "--frames 3" in page.input_value("#command")
+    own = [(path, path.name) for path in pictures]
+    assert same_by(page, "command", place / "late", own, "morph.gif") == fetched(page, "gif")
+
+
 def test_pictures_of_one_name_keep_apart(opened, pictures, place):
     """The command needs names that differ, those of painted regions included."""
     (place / "other").mkdir()

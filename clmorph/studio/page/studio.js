@@ -5,7 +5,7 @@ const $ = (id) => document.getElementById(id);
 const PAUSE = 60;
 const state = {
   tab: "", pictures: [], number: 0, running: null, shown: 0, view: null, coming: null, timer: 0, log: [],
-  kind: null, asks: new Map(), viewed: null, heard: -1, ran: null,
+  kind: null, asks: new Map(), viewed: null, heard: -1, told: -1, ran: null,
 };
 const landmarks = makeLandmarks(() => { marked(); later(); });
 const brush = makeBrush(painted);
@@ -208,7 +208,7 @@ function choose(kind) {
   if (state.kind === kind) return;
   if (state.running !== null) ask(of("/cancel"), undefined).catch(() => {});
   state.running = null;
-  state.number += 1; // what is on its way for the tab before is not shown
+  state.told = state.number += 1; // what is on its way for the tab before is not shown
   state.kind = kind;
   controls = kind.controls;
   fail("");
@@ -383,8 +383,7 @@ async function preview() {
     if (number !== state.number) return;
     const found = await ask(of("/preview"), remembered(number));
     known(number, found);
-    if (number !== state.number && state.running !== null) return;
-    settled(found);
+    settled(found, number);
     stale();
     if (state.running === null && state.heard < number) say(found.before ? `waiting for ${found.before} task${found.before > 1 ? "s" : ""} of other tabs` : "preview …");
   } catch (error) {
@@ -392,7 +391,10 @@ async function preview() {
   }
 }
 
-function settled(found) {
+/** Show the defaults and the command of a request, unless those of a later one are there. */
+function settled(found, number) {
+  if (number <= state.told) return;
+  state.told = number;
   for (const [name, control] of controls) if (control.value() === undefined) control.usual(found.options[name]);
   $("command").value = found.command;
   $("python").value = found.python;
@@ -413,7 +415,7 @@ async function run() {
     const found = await ask(of("/run"), remembered(number));
     known(number, found);
     state.ran = state.asks.get(number);
-    if (state.heard < number) settled(found);
+    settled(found, number);
     if (state.running === number && found.before) say(`waiting for ${found.before} task${found.before > 1 ? "s" : ""} of other tabs`);
   } catch (error) {
     state.running = null;
@@ -448,7 +450,12 @@ function heard(message) {
     show(message, number);
     $("downloads").hidden = false;
     $("stale").hidden = true;
-    if (message.command) [$("command").value, $("python").value] = [message.command, message.python];
+    if (message.command && number >= state.told) {
+      // Its own answer, which does not know the limit of memory, may still be on its way.
+      state.told = number;
+      [$("command").value, $("python").value] = [message.command, message.python];
+      $("copied").hidden = false;
+    }
     say([`made in ${message.seconds} s`, message.message, ...message.notes].filter(Boolean).join("; "));
   } else if (type === "error" && (number === state.number || number === state.running)) {
     if (number === state.running) state.running = null;
