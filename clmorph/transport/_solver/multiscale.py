@@ -36,6 +36,7 @@ from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import (
     LEAST_RESERVE,
     MANY_PAIRS,
+    RESERVE,
     SETTLED_RESERVE,
     Softmin,
 )
@@ -63,9 +64,14 @@ COARSER = 10.0
 #: Nats that the softmins which prolong changes of coarse potentials may miss, at least: two of them
 #: are subtracted, and they miss the same pairs.
 PROLONGATION_TRUNCATION = 3e-3
+#: Near pairs of the points are chosen for this share of the truncation after clusters, whose pairs
+#: are at most this share of the pairs of points: the fewer clusters, the less potentials move
+#: afterwards. Measured moves are 0.5 to 1 nat, 1 to 2 nats, and more.
+FIRST_RESERVES = ((0.03, RESERVE), (0.3, 3e-2), (1.0, 3e-6))
 #: Residual to reach in the coarse problem: this share of the residual over the points, and at
-#: least this share of `tol`.
-CYCLE_SHARE, CYCLE_FLOOR = 0.02, 0.4
+#: least this share of `tol`, for clusters and for stored pairs. An iteration over clusters takes a
+#: tenth of one over the points, so that what they leave must not cost another one.
+CYCLE_SHARE, CLUSTERS_FLOOR, CYCLE_FLOOR = 0.02, 0.1, 0.4
 #: Where this share of the residual is below this many times `tol`, stored pairs are solved to the
 #: least residual at once: they are nearly all of the problem, so that the cycle can be the last.
 ALMOST = 1.5
@@ -137,8 +143,12 @@ class Multiscale:
             if clusters is not None and grid is not None:
                 g = self._first(grid, clusters, g)
                 self._report_share(0.3)
-        if grid is None:
+        if clusters is None:
             prepare(self.problem, LEAST_RESERVE)
+        else:
+            sizes = zip(clusters, self._pair, strict=True)
+            share = np.prod([len(own.measure) / len(points) for own, points in sizes])
+            prepare(self.problem, next(each for most, each in FIRST_RESERVES if share <= most))
         self._cycle(grid, g)
         self._report_share(1.0)
 
@@ -299,9 +309,11 @@ class Multiscale:
             grid.target.restrict(t_columns, self.problem.b) - coarse.to_columns(own_f, epsilon),
             epsilon,
         )
-        tol = max(CYCLE_SHARE * residual, CYCLE_FLOOR * self.tol)
-        if isinstance(coarse, StoredProblem) and tol <= ALMOST * self.tol:
-            tol = CYCLE_FLOOR * self.tol
+        stored = isinstance(coarse, StoredProblem)
+        floor = (CYCLE_FLOOR if stored else CLUSTERS_FLOOR) * self.tol
+        tol = max(CYCLE_SHARE * residual, floor)
+        if stored and tol <= ALMOST * self.tol:
+            tol = floor
         solved = self._solve_grid(grid, grid.target.restrict(image, self.problem.b), tol)
         left = coarse.outside_trust_region(solved.f, epsilon)
         new_f = coarse.clip_to_trust_region(solved.f, epsilon)

@@ -16,7 +16,7 @@ MANY_PAIRS = 1 << 27
 #: Near pairs are chosen for a share of the truncation, so that they remain valid while potentials
 #: move. The constants are the first share, its largest factor after each move that was too far, and
 #: the least share. A share below the factor is squared.
-RESERVE, SCARCER, LEAST_RESERVE = 3e-2, 1e-4, 1e-50
+RESERVE, SCARCER, LEAST_RESERVE = 0.15, 1e-4, 1e-50
 #: Once the residual is this small, potentials have little way left. Near pairs that are valid for
 #: far moves are then chosen anew, once, for this share: half as many pairs are left.
 SETTLED, SETTLED_RESERVE = 3e-2, 1e-6

@@ -206,10 +206,18 @@ def _batch(
 ) -> Batch:
     shifts = planes[0].T.reshape(len(centers), -1, centers.shape[1])
     cloud = Cloud(
-        order, centers, log2_weights, offsets, own_costs, len(order), shifts,
-        work.buffer(planes), work.buffer(centers), np.stack((boxes[:, 0].min(axis=0),
-        boxes[:, 1].max(axis=0))), planes,
-    )  # fmt: skip
+        order=order,
+        centers=centers,
+        log2_weights=log2_weights,
+        offsets=offsets,
+        own_costs=own_costs,
+        stride=len(order),
+        shifts=shifts,
+        shifts_buffer=work.buffer(planes),
+        centers_buffer=work.buffer(centers),
+        box=np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0))),
+        planes=planes,
+    )
     return Batch(cloud, counts, tiles, boxes, {})
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -21,45 +21,42 @@ from clmorph.errors import DeviceError
 WIDTH_OF_GROUPS = 8
 
 
-class Tiles(Protocol):
-    """Points in tiles."""
-
-    @property
-    def centers(self) -> Float64:
-        """Centers of the tiles: (tiles, D) array, exact in float32."""
-
-    @property
-    def shifts(self) -> NDArray[np.float32]:
-        """Points less their tile's center: (tiles, tile, D) array."""
-
-    @property
-    def fits(self) -> TileFits:
-        """Fits of values over the points of each tile."""
-
-
 @dataclass(frozen=True)
-class Wide:
-    """Groups of tiles, each of which is a tile of its own."""
+class Tiles:
+    """Points in tiles, or in groups of tiles, each of which is a tile of its own.
+
+    Attributes
+    ----------
+    centers : (tiles, D) array
+        Tile centers; exact in float32.
+    shifts : (tiles, tile, D) float32 array
+        Points less their tile's center; the padding of the last tile repeats the last point.
+    """
 
     centers: Float64
     shifts: NDArray[np.float32]
 
     @cached_property
     def fits(self) -> TileFits:
-        """Fits of values over the points of each group."""
+        """Fits of values over the points of each tile."""
         return TileFits(self.shifts)
 
+    @cached_property
+    def half_sides(self) -> NDArray[np.float32]:
+        """Half sides of the tiles' boxes, rounded up: (tiles, D) array."""
+        return np.abs(self.shifts).max(axis=1) * np.float32(1 + 1e-6)
 
-@dataclass(frozen=True)
-class Cloud:
+
+@dataclass(frozen=True, kw_only=True)
+class Cloud(Tiles):
     """A cloud on the device, sorted into tiles and padded to whole ones.
 
     Attributes
     ----------
+    centers, shifts
+        See `Tiles`.
     order : (N,) array
         Index of each sorted point in the caller's arrays.
-    centers : (tiles, D) array
-        Tile centers; exact in float32.
     log2_weights : (N,) array
         Logarithms of the masses of the sorted points; SENTINEL for zero mass.
     offsets : (N,) array
@@ -68,8 +65,6 @@ class Cloud:
         Half the squared distance of each sorted point to its tile's center, plus its offset.
     stride : int
         N rounded up to whole tiles.
-    shifts : (tiles, tile, D) float32 array
-        Points less their tile's center; the padding of the last tile repeats the last point.
     shifts_buffer : (2, D, stride) float32
         Points less their tile's center, and the rounding errors of these differences.
     centers_buffer : (tiles, D) float32
@@ -80,12 +75,10 @@ class Cloud:
     """
 
     order: NDArray[np.intp]
-    centers: Float64
     log2_weights: Float64
     offsets: Float64
     own_costs: Float64
     stride: int
-    shifts: NDArray[np.float32]
     shifts_buffer: cl.Buffer
     centers_buffer: cl.Buffer
     box: Float64
@@ -97,15 +90,10 @@ class Cloud:
     @cached_property
     def radii(self) -> Float64:
         """Bounds of the distances of points from the centers of their tiles: (tiles,) array."""
-        return np.sqrt(np.sum(half_sides(self).astype(float) ** 2, axis=1))
+        return np.sqrt(np.sum(self.half_sides.astype(float) ** 2, axis=1))
 
     @cached_property
-    def fits(self) -> TileFits:
-        """Fits of values over the points of each tile."""
-        return TileFits(self.shifts)
-
-    @cached_property
-    def wide(self) -> Wide:
+    def wide(self) -> Tiles:
         """The same points in groups of tiles."""
         tiles, tile, dimension = self.shifts.shape
         missing = -tiles % WIDTH_OF_GROUPS
@@ -114,12 +102,7 @@ class Cloud:
         points = listed.reshape(-1, WIDTH_OF_GROUPS * tile, dimension)
         centers = 0.5 * (points.min(axis=1) + points.max(axis=1))
         centers = centers.astype(np.float32).astype(float)
-        return Wide(centers, (points - centers[:, None]).astype(np.float32))
-
-
-def half_sides(cloud: Tiles) -> NDArray[np.float32]:
-    """Return the half sides of the tiles' boxes, rounded up: (tiles, D) array."""
-    return np.abs(cloud.shifts).max(axis=1) * np.float32(1 + 1e-6)
+        return Tiles(centers, (points - centers[:, None]).astype(np.float32))
 
 
 class CloudStore:

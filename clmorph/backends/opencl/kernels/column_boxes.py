@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 
 from clmorph.backends.opencl.build.constants import SENTINEL
-from clmorph.backends.opencl.kernels.clouds import Cloud, half_sides, pad
+from clmorph.backends.opencl.kernels.clouds import Cloud, pad
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.records import Float64
 
@@ -54,5 +54,5 @@ def column_boxes(
     lows, highs = (ends.reshape(-1, dimension).T for ends in (points.min(2), points.max(2)))
     return ColumnBoxes(
         work.buffer(lows), work.buffer(highs), work.buffer(rest), work.buffer(slopes),
-        work.buffer(half_sides(columns)),
+        work.buffer(columns.half_sides),
     )  # fmt: skip

@@ -142,7 +142,10 @@ class LogSumExp:
             "log_sum_exp.cl", "log_sum_exp", rows, precise, pairs is not None,
             2 if float32 else int(bounded), masked,
         )  # fmt: skip
-        exponents = loop.exponents(rows, columns, potential, epsilon, pairs, precise=precise)
+        if pairs is None:
+            exponents = loop.exponents(rows, columns, potential, epsilon, precise=precise)
+        else:
+            exponents = loop.listed_exponents(rows, columns, potential, LOG2_E / epsilon, precise)
         shares = loop.column_shares(rows, columns, pairs)
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
         for part, chosen in loop.masked_parts(kernel, rows, columns, pairs, shares):
@@ -151,12 +154,13 @@ class LogSumExp:
             # The buffer holds the sums and the rounding errors of their nearest float32.
             planes = np.empty((2 if bounded else 1, shares, n_rows), np.float32)
             buffers = loop.work.empty(found.nbytes), loop.work.empty(planes.nbytes)
+            levels = None if pairs is None else loop.levels(exponents, pairs, part)
             if float32 is not None:
-                flags = float32.chosen(part, exponents.row_level, exponents.tile_max)
-                chosen.append(loop.work.buffer(flags, np.uint8))
+                assert levels is not None
+                chosen.append(loop.work.buffer(float32.chosen(part, levels), np.uint8))
             loop.launch(
                 kernel, rows, columns, exponents, part, *chosen, np.uint32(n_rows), *buffers,
-                shares=shares, precise=precise, pairs=pairs,
+                shares=shares, precise=precise, pairs=pairs, levels=levels,
                 results=tuple(zip((found, planes), buffers, strict=True)),
             )  # fmt: skip
             section = slice(part.start * tile, part.stop * tile)

@@ -79,14 +79,13 @@ class NearField:
         values = (potential[columns.order] - columns.offsets) * k + columns.log2_weights
         guess = -k * (softmin[rows.order] - rows.offsets)
         values = np.maximum(values, SENTINEL)
-        logits, tile_max = self._loop.column_logits(columns, potential, k)
         # The level of each row tile is set by the pairs that a launch visits.
-        exponents = Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
+        exponents = self._loop.listed_exponents(rows, columns, potential, k)
         left, kept = np.empty(len(rows.centers)), _Kept([], [], [], [], [])
         farthest, farthest_kept = 0.0, 0.0
         bounds = row_bounds(rows, guess, k)
         slopes = self._loop.work.buffer(k * bounds.slopes)
-        boxes = column_boxes(self._loop, columns, values, tile_max, k)
+        boxes = column_boxes(self._loop, columns, values, exponents.tile_max, k)
         clouds = _Clouds(rows, columns, exponents, guess, slopes, boxes)
         for part, pairs, unseen in candidates(
             self._bounds, rows, columns, bounds, guess, values, k, UNSEEN * budget
@@ -94,19 +93,24 @@ class NearField:
             starts = pairs.starts[part.start : part.stop + 1]
             lengths = np.diff(starts)
             threshold = (1 - UNSEEN) * budget / (tile * lengths)
-            costs = _largest_costs(rows, columns, pairs)
+            own = np.maximum.reduceat(pairs.distances, starts[:-1])
+            reach = rows.radii[part.start : part.stop] + columns.radii.max()
+            farthest = max(farthest, _largest_cost(own, reach))
             masks, marked = self._marked(clouds, pairs, part, np.log2(threshold))
             of_groups = np.add.reduceat(marked, starts[:-1], axis=0, dtype=np.int64)
             _complete(masks, marked, of_groups, starts, pairs.distances, tile)
             keep = functools.reduce(np.maximum, marked.T) > 0
+            places = np.flatnonzero(keep)
             below = tile * lengths - of_groups.min(axis=1)
             left[part.start : part.stop] = unseen + below * threshold
-            farthest = max(farthest, float(costs.max()))
-            farthest_kept = max(farthest_kept, float(costs[keep].max()))
             kept.lengths.append(np.add.reduceat(keep, starts[:-1], dtype=np.int64))
-            kept.tiles.append(pairs.tiles[keep])
-            kept.distances.append(pairs.distances[keep])
-            kept.masks.append((part, self._loop.work.buffer(masks[keep], np.uint64)))
+            kept.tiles.append(pairs.tiles[places])
+            kept.distances.append(pairs.distances[places])
+            reach = np.repeat(rows.radii[part.start : part.stop], kept.lengths[-1])
+            reach += columns.radii[kept.tiles[-1]]
+            farthest_kept = max(farthest_kept, _largest_cost(kept.distances[-1], reach))
+            masks = masks.take(places, axis=0)
+            kept.masks.append((part, self._loop.work.buffer(masks, np.uint64)))
             kept.columns.append(of_groups)
         counts, lengths = np.concatenate(kept.columns), np.concatenate(kept.lengths)
         rows_of_group = tile // counts.shape[1]
@@ -150,15 +154,14 @@ class NearField:
         """
         (rows, columns, exponents, guess, slopes, boxes), loop = clouds, self._loop
         n = len(rows)
-        tile_max, row_level, k = exponents.tile_max, exponents.row_level, exponents.k
+        row_level, k = exponents.row_level, exponents.k
         kernel = loop.kernel("near_field.cl", "mark_columns", rows, listed=True)
         tile = loop.constants.tile
         shape = tile // loop.constants.group_rows, -(-tile // 64)
         masks = np.empty((len(pairs.tiles), *shape), np.uint64)
         counts = np.empty(masks.shape[:2], np.uint16)
         for launch in loop.parts(kernel, rows, columns, pairs=pairs, within=part):
-            starts, _, levels = pairs.levels(launch, tile_max, k)
-            row_level[launch.start : launch.stop] = np.maximum.reduceat(levels, starts[:-1])
+            levels = loop.levels(exponents, pairs, launch)
             section = slice(launch.start * tile, min(n, launch.stop * tile))
             own = slice(launch.start - part.start, launch.stop - part.start)
             # No column counts for the rows of the padding.
@@ -172,7 +175,7 @@ class NearField:
             loop.launch(
                 kernel, rows, columns, exponents, launch,
                 loop.work.buffer(np.clip(limits, SENTINEL, -SENTINEL)), slopes, *boxes, *buffers,
-                pairs=pairs, results=tuple(zip(found, buffers, strict=True)),
+                pairs=pairs, levels=levels, results=tuple(zip(found, buffers, strict=True)),
             )  # fmt: skip
         return masks, counts
 
@@ -197,11 +200,17 @@ def _complete(
         counts[nearest, group] = of_groups[row_tile, group] = tile
 
 
-def _largest_costs(rows: Cloud, columns: Cloud, pairs: TilePairs) -> Float64:
-    """Return for each pair of tiles a bound of the cost of all its pairs of points."""
-    own = np.repeat(rows.radii, np.diff(pairs.starts))
-    farthest: Float64 = np.sqrt(2 * pairs.distances) + own + columns.radii[pairs.tiles]
-    return 0.5 * farthest**2
+def _largest_cost(distances: Float64, radii: Float64) -> float:
+    """Return a bound of the costs between pairs of tiles.
+
+    Parameters
+    ----------
+    distances : array
+        Half the squared distances of their centers.
+    radii : array
+        The sum of the radii of both tiles.
+    """
+    return 0.5 * float((np.sqrt(2 * distances) + radii).max()) ** 2
 
 
 def _starts(lengths: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -119,22 +119,20 @@ class Float32Pairs:
         # Tiles without mass have levels so low that they are not chosen.
         self._spreads = np.where(massive.any(axis=1), highest - lowest, 0.0)
 
-    def chosen(self, part: range, row_level: Float64, tile_max: Float64) -> NDArray[np.uint8]:
+    def chosen(self, part: range, levels: Float64) -> NDArray[np.uint8]:
         """Return for each listed pair of some row tiles whether it is chosen.
 
         Parameters
         ----------
         part : range
-        row_level, tile_max : arrays
-            See `clmorph.backends.opencl.kernels.row_loop.Exponents`.
+        levels : (pairs of the part,) array
+            See `clmorph.backends.opencl.kernels.row_loop.RowLoop.levels`.
         """
-        starts, tiles, levels = self._pairs.levels(part, tile_max, self._k)
-        section = slice(part.start, part.stop)
-        lengths = np.diff(starts)
-        levels -= np.repeat(row_level[section], lengths)
-        own = np.repeat(self._rows.radii[section], lengths)
+        lengths = np.diff(self._pairs.starts[part.start : part.stop + 1])
+        own = np.repeat(self._rows.radii[part.start : part.stop], lengths)
+        listed = self._pairs.section(part)
+        tiles = self._pairs.tiles[listed]
         radii = self._columns.radii[tiles]
-        listed = slice(self._pairs.starts[part.start], self._pairs.starts[part.stop])
         apart = np.sqrt(2 * self._pairs.distances[listed])
         products = self._k * own * (radii + apart)
         rest = np.abs(levels) + self._spreads[tiles] + self._k * radii * (apart + 0.5 * radii)

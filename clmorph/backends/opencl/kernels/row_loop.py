@@ -144,6 +144,24 @@ class RowLoop:
                 row_level[section] = np.maximum.reduceat(levels, starts[:-1])
         return Exponents(logits, tile_max, row_level, k, kept)
 
+    def listed_exponents(
+        self, rows: Cloud, columns: Cloud, potential: Float64, k: float, precise: bool = True
+    ) -> Exponents:
+        """Return the terms of the rows' exponents over lists, whose levels `levels` sets."""
+        logits, tile_max = self.column_logits(columns, potential, k, precise)
+        return Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
+
+    def levels(self, exponents: Exponents, pairs: TilePairs, part: range) -> Float64:
+        """Set the levels of some row tiles; return those of their listed pairs less these.
+
+        A launch that is given them needs no other look at the lists, which are long.
+        """
+        starts, _, levels = pairs.levels(part, exponents.tile_max, exponents.k)
+        own = np.maximum.reduceat(levels, starts[:-1])
+        exponents.row_level[part.start : part.stop] = own
+        levels -= np.repeat(own, np.diff(starts))
+        return levels
+
     def row_offsets(self, rows: Cloud, exponents: Exponents) -> Float64:
         """Return the term missing in e_ij, the level of the row's tile less its own cost: (N,)."""
         levels = np.repeat(exponents.row_level, self.constants.tile)[: len(rows)]
@@ -245,6 +263,7 @@ class RowLoop:
         shares: int | None = None,
         precise: bool = False,
         pairs: TilePairs | None = None,
+        levels: Float64 | None = None,
         results: Results = (),
     ) -> None:
         """Run a kernel over some row tiles, read its results, and wait for both.
@@ -264,6 +283,8 @@ class RowLoop:
             Whether the kernel was built with precise exponents.
         pairs : TilePairs, optional
             The pairs of tiles to visit, for a kernel that was built with lists.
+        levels : (pairs of the part,) array, optional
+            What `levels` has returned for the part.
         results : sequence of (array, buffer), optional
             See `Workspace.launch`.
         """
@@ -273,14 +294,17 @@ class RowLoop:
         lists: tuple[Any, ...] = ()
         if pairs is None:
             if known is None:
-                levels = _levels(rows.centers[section], columns.centers, tile_max, k)
+                known = _levels(rows.centers[section], columns.centers, tile_max, k)
             else:
-                levels = known[section]
-            levels = levels - row_level[section, None]
+                known = known[section]
+            levels = known - row_level[section, None]
             work = n_rows * columns.stride
         else:
-            starts, listed, levels = pairs.levels(part, tile_max, k)
-            levels -= np.repeat(row_level[section], np.diff(starts))
+            starts = pairs.starts[part.start : part.stop + 1] - pairs.starts[part.start]
+            listed = pairs.tiles[pairs.section(part)]
+            if levels is None:
+                levels = pairs.levels(part, tile_max, k)[2]
+                levels -= np.repeat(row_level[section], np.diff(starts))
             done = pairs.done(self.constants.tile)
             work = int(done[part.stop] - done[part.start])
             lists = (

@@ -27,7 +27,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL
-from clmorph.backends.opencl.kernels.clouds import Tiles, half_sides
+from clmorph.backends.opencl.kernels.clouds import Tiles
 from clmorph.backends.records import Float64
 
 
@@ -137,6 +137,6 @@ def _padded(values: Float64, cloud: Tiles) -> Float64:
 
 def _bounds(cloud: Tiles, slopes: Float64, level: Float64) -> TileBounds:
     return TileBounds(
-        cloud.centers.astype(np.float32), half_sides(cloud), slopes.astype(np.float32),
+        cloud.centers.astype(np.float32), cloud.half_sides, slopes.astype(np.float32),
         level.astype(np.float32),
     )  # fmt: skip

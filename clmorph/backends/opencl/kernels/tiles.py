@@ -69,4 +69,5 @@ def tile_order(
         keys &= 2**POINT_BITS - 1
         order, columns = order[keys], columns.take(keys, axis=1)
         middle = starts + unit * ((units + 1) // 2)
-        bounds = np.unique(np.concatenate((bounds, middle[units > 1])))
+        # All are distinct, and a stable sort of two ascending runs merges them.
+        bounds = np.sort(np.concatenate((bounds, middle[units > 1])), kind="stable")
