@@ -16,6 +16,7 @@ from clmorph.transport._solver.coarse_grid import (
     STORED_CHOICES,
     CorrectedProblem,
     StoredChoice,
+    StoredProblem,
     expanded,
     stored_grid,
 )
@@ -500,6 +501,76 @@ def test_cycles_that_end_at_the_edge_of_the_trust_region_are_no_failures(monkeyp
     got = sinkhorn(source, target, 0.05, 0.3, backend="numpy", multiscale=True)
     assert got.converged
     assert bool(left) == (counts == 1.0)
+
+
+def test_exactly_as_many_pairs_as_are_allowed_are_stored(device):
+    problem, f, g, t_rows, t_columns, grid = stored_near(device, 24, 0.05, (0.09, 0.09))
+    given = problem, f, g, (t_rows, t_columns), 0.05**2
+    pairs = grid.problem.to_rows.stored.n_pairs
+    same = stored_grid(*given, pairs, STORED_CHOICES[:1])
+    assert same.problem.to_rows.stored.n_pairs == pairs
+    for most in (pairs - 1, pairs // 2, 0):
+        assert stored_grid(*given, most, STORED_CHOICES[:1]) is None
+
+
+def test_pairs_that_wait_for_a_smaller_residual_are_stored_then(device, monkeypatch):
+    """Iterations over the points reach the residual; cycles over the pairs follow."""
+    choice = StoredChoice(1e-4, 6.0, residual=0.5)
+    monkeypatch.setattr(multiscale, "STORED_CHOICES", (choice,))
+    tried, shares = [], []
+
+    def recorded(*arguments):
+        tried.append((list(arguments[-1]), stored_grid(*arguments)))
+        return tried[-1][1]
+
+    monkeypatch.setattr(multiscale, "stored_grid", recorded)
+    pair = sharp(32)
+    got = sinkhorn(
+        *pair, 0.03, 0.3, 1e-4, backend=device, multiscale=True,
+        progress=lambda share: shares.append(float(share)),
+    )  # fmt: skip
+    assert [choices for choices, _ in tried] == [[], [choice]]
+    assert tried[1][1] is not None
+    assert got.converged
+    assert np.all(np.diff(shares) >= 0)
+    want = sinkhorn(*pair, 0.03, 0.3, 1e-5, backend="numpy", multiscale=False)
+    assert got.n_iter < want.n_iter
+    same_up_to_a_constant(got, want, 0.02)
+
+
+@pytest.mark.parametrize(("tol", "max_iter"), [(1e-4, 6), (1e-4, 8), (1e-4, 20), (0.3, 500)])
+def test_waiting_for_a_smaller_residual_keeps_the_limits(device, monkeypatch, tol, max_iter):
+    """The largest number of iterations holds meanwhile, and so does a tolerance above 0.2."""
+    choice = StoredChoice(1e-4, 6.0, residual=0.5)
+    monkeypatch.setattr(multiscale, "STORED_CHOICES", (choice,))
+    pair = sharp(32)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
+        got = sinkhorn(*pair, 0.03, 0.3, tol, max_iter=max_iter, backend=device, multiscale=True)
+    assert got.n_iter <= max_iter
+    assert got.converged == (got.residual <= tol)
+    assert got.converged or got.status == "max_iter"
+    assert got.converged or tol < 0.3
+
+
+def test_many_clusters_give_only_the_first_potentials(device, monkeypatch):
+    """Cycles correct few clusters; after many they are those of stored pairs."""
+    source, target = pictures(40)
+    corrected = []
+    correct = multiscale.Multiscale._correct
+    monkeypatch.setattr(
+        multiscale.Multiscale, "_correct",
+        lambda self, grid, image: corrected.append(grid.problem) or correct(self, grid, image),
+    )  # fmt: skip
+    found = []
+    for cycles in (True, False):
+        fineness = multiscale.Fineness(1.0, 1e-12, 3e-6, cycles)
+        monkeypatch.setattr(multiscale, "FINENESSES", (fineness,))
+        corrected.clear()
+        found.append(sinkhorn(source, target, 0.05, 0.3, 1e-4, backend=device, multiscale=True))
+        assert found[-1].converged
+        assert isinstance(corrected[0], StoredProblem) == (not cycles)
+    same_up_to_a_constant(*found, 0.02)
 
 
 def test_the_last_choice_of_stored_pairs_leads_to_the_solution(device, monkeypatch):

@@ -391,11 +391,12 @@ async function preview() {
   }
 }
 
-/** Show the defaults and the command of a request, unless those of a later one are there. */
+/** Show the defaults and the command of a request, unless later ones are there. */
 function settled(found, number) {
-  if (number <= state.told) return;
-  state.told = number;
+  if (number < state.told) return;
   for (const [name, control] of controls) if (control.value() === undefined) control.usual(found.options[name]);
+  if (number === state.told) return; // the command came with the result
+  state.told = number;
   $("command").value = found.command;
   $("python").value = found.python;
   $("copied").hidden = false;
@@ -451,7 +452,7 @@ function heard(message) {
     $("downloads").hidden = false;
     $("stale").hidden = true;
     if (message.command && number >= state.told) {
-      // Its own answer, which does not know the limit of memory, may still be on its way.
+      // The answer to the request, which does not know the limit of memory, can still come.
       state.told = number;
       [$("command").value, $("python").value] = [message.command, message.python];
       $("copied").hidden = false;

@@ -23,7 +23,9 @@ from clmorph.transport.certificate import MAX_EXPONENT, Side
 class StoredChoice(NamedTuple):
     """Which pairs are stored."""
 
-    share: float  #: the least share that a pair has in the sum of its row or column
+    #: The least share that a pair has in the sum of its row or column. Pairs that lists of near
+    #: pairs leave out are not stored, whatever their share.
+    share: float
     trust_radius: float  #: the number of epsilons by which potentials may move
     #: The choice is taken only at residuals over the points up to this, in units of epsilon.
     residual: float = np.inf

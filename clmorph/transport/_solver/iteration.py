@@ -83,6 +83,8 @@ class Iteration:
         Largest residual that rounding alone can cause, in units of epsilon.
     precise : bool
         Whether float32 exponents were too coarse for `tol`.
+    n_measured : int
+        Number of softmins that only measured or certified: they are no iterations.
     """
 
     state: State
@@ -107,12 +109,12 @@ class Iteration:
         self.residuals: list[float] = []
         self._blur, self._max_iter, self._report = blur, max_iter, report
         self._done, self._level_share, self._reported = 0.0, 1.0, 0.0
-        self._measured = 0  # number of softmins that were no updates
+        self.n_measured = 0
 
     @property
     def n_iter(self) -> int:
         """Iterations so far; softmins that only measure or certify do not count."""
-        return -(-(self.problem.n_softmin - self._measured) // 2)
+        return -(-(self.problem.n_softmin - self.n_measured) // 2)
 
     def run(self, start: Array | None) -> None:
         """Iterate from potentials g, or from the largest blur of the annealing."""
@@ -183,10 +185,10 @@ class Iteration:
             self.state = measured(self.problem, f, g, epsilon)
         else:
             t_rows = self.problem.softmin_rows(g, epsilon, precise)
-            self._measured += 1
+            self.n_measured += 1
             if precise != was_precise:
                 t_columns = self.problem.softmin_columns(f, epsilon, precise)
-                self._measured += 1
+                self.n_measured += 1
             residual = self.problem.residual(f, g, t_rows, t_columns, epsilon)
             self.state = State(f, g, t_rows, t_columns, residual)
         self.residuals.append(self.state.residual)
@@ -200,7 +202,7 @@ class Iteration:
         """Return by how much T(g) changes with precise exponents, in units of epsilon."""
         coarse = self.problem.softmin_rows(g, epsilon, precise=False)
         fine = self.problem.softmin_rows(g, epsilon, precise=True)
-        self._measured += 2
+        self.n_measured += 2
         return float(np.abs(coarse - fine)[self.problem.a > 0].max() / epsilon)
 
     def _iterate(

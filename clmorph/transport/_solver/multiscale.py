@@ -7,8 +7,9 @@ of the points themselves is solved in cycles of a two-grid method. One iteration
 shows by how much the softmins of the clusters are off. The problem of the clusters is then solved
 with this correction, and the change of its solution is prolonged to the points. Each cycle leaves
 a few percent of the residual, so a few iterations over the points are enough. Their residual
-decides when the solve ends. Where the blur is so small that clusters save nothing,
-the problem of the pairs with notable mass takes their place (`_solver.coarse_grid`).
+decides when the solve ends. Where the blur is so small that clusters save little, they give first
+potentials at most, and the problem of the pairs with notable mass takes their place
+(`_solver.coarse_grid`).
 
 Sources of the ideas: Schmitzer, "Stabilized sparse scaling algorithms for entropy regularized
 transport problems" (2019), for annealing with refinement; Brandt, "Multi-level adaptive
@@ -16,6 +17,7 @@ solutions to boundary-value problems" (1977), for the correction (his full appro
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,8 +55,7 @@ from clmorph.transport._solver.state import (
 #: within its bound is used.
 SIDES, ENOUGH = (0.5, 0.7, 1.0), (0.03, 0.03, 0.4)
 #: The last bound above some numbers of points: the more points, the fewer pairs can be stored for
-#: each of them, and a first cycle of clusters saves more iterations over the points than it takes
-#: time.
+#: each of them at large residuals, and the better must the first potentials be.
 ENOUGH_OF_MANY = ((1 << 19, 0.7), (1 << 17, 0.5))
 #: Residual to reach over the clusters before the first iteration over the points.
 FIRST_TOLERANCE = 5e-2
@@ -64,10 +65,6 @@ COARSER = 10.0
 #: Nats that the softmins which prolong changes of coarse potentials may miss, at least: two of them
 #: are subtracted, and they miss the same pairs.
 PROLONGATION_TRUNCATION = 3e-3
-#: Near pairs of the points are chosen for this share of the truncation after clusters, whose pairs
-#: are at most this share of the pairs of points: the fewer clusters, the less potentials move
-#: afterwards. Measured moves are 0.5 to 1 nat, 1 to 2 nats, and more.
-FIRST_RESERVES = ((0.03, RESERVE), (0.3, 3e-2), (1.0, 3e-6))
 #: Residual to reach in the coarse problem: this share of the residual over the points, and at
 #: least this share of `tol`, for clusters and for stored pairs. An iteration over clusters takes a
 #: tenth of one over the points, so that what they leave must not cost another one.
@@ -80,15 +77,36 @@ ALMOST = 1.5
 #: at the edge of the trust region counts as this share of one: islands of color that move far take
 #: many such cycles, which take less time than iterations over the points.
 PROGRESS, FAILURES, AT_THE_EDGE = 0.3, 12, 0.2
-#: Iterations over the points choose near pairs for far moves if the residual is above this.
+#: Where a choice of pairs to store waits for a smaller residual, iterations over the points go on
+#: to this one. They leave a few iterations of the limit to the rest of the solve.
+STORED_FROM, SPARE_ITERATIONS = 0.2, 3
+#: The last iterations over the points choose near pairs for far moves if the residual is above
+#: this.
 FAR = 1.0
 #: Stored pairs are also kept while the residual over the points is at most this many times theirs.
 AGREEMENT = 2.0
 #: Largest number of stored pairs: for each point, and a number that is always allowed. Up to the
 #: last number there may be twice as many for each point.
-STORED_PER_POINT, STORED, MANY_STORED = 128, 1 << 24, 1 << 27
+STORED_PER_POINT, STORED, MANY_STORED = 160, 1 << 24, 1 << 27
 #: Where better exponents than float32 are needed, they are used below this many times its rounding.
 SWITCH = 300.0
+
+
+class Fineness(NamedTuple):
+    """How clusters are used, by their number of pairs as a share of the pairs of points."""
+
+    most: float  #: the largest share
+    clusters: float  #: the reserve of softmins between clusters: see `Softmin.reserve`
+    points: float  #: the reserve of softmins between points, after the clusters are solved
+    cycles: bool  #: whether cycles correct the clusters, or they give only the first potentials
+
+
+#: Potentials were seen to move after clusters by 0.5 to 1 nat, by 1 to 2 nats, and by more. While
+#: clusters are solved, they move by 10 nats and more.
+FINENESSES = (
+    Fineness(0.03, 1e-6, RESERVE, True), Fineness(0.3, 1e-6, 3e-2, True),
+    Fineness(1.0, 1e-12, 3e-6, False),
+)  # fmt: skip
 
 
 class Multiscale:
@@ -122,35 +140,41 @@ class Multiscale:
         self.tol, self.precision = tol, precision
         self.residuals: list[float] = []
         self._blur, self._max_iter, self._report, self._reported = blur, max_iter, report, 0.0
+        self._measured = 0  # softmins of iterations over the points that only measured
         #: The choices of pairs to store that are not known to have too many.
         self._choices = list(STORED_CHOICES)
 
     @property
     def n_iter(self) -> int:
         """Iterations over the points so far."""
-        return -(-self.problem.n_softmin // 2)
+        return -(-(self.problem.n_softmin - self._measured) // 2)
 
     def run(self, start: Array | None) -> None:
         """Solve from potentials g, or from the largest blur of the annealing."""
+        self._cycle(*self._begin(start))
+        self._report_share(1.0)
+
+    def _begin(self, start: Array | None) -> tuple[CoarseGrid | None, Array]:
+        """Return the problem of the clusters, if cycles correct it, and first potentials g."""
         clusters = self._choose_clusters()
-        grid = None if clusters is None else self._clusters_grid(*clusters)
-        finest = self.problem if grid is None else grid.problem
+        if clusters is None:
+            g = start
+            if g is None:
+                g = anneal(self.problem, self._pair, self.problem, self._blur, self._max_iter)
+            prepare(self.problem, LEAST_RESERVE)
+            return None, g
+        grid, fineness = self._clusters_grid(*clusters), self._fineness(clusters)
+        prepare(grid.problem, fineness.clusters)
         g = start
         if g is None:
-            coarse = self._pair if clusters is None else (clusters[0].measure, clusters[1].measure)
-            g = anneal(self.problem, coarse, finest, self._blur, self._max_iter)
+            coarse = clusters[0].measure, clusters[1].measure
+            g = anneal(self.problem, coarse, grid.problem, self._blur, self._max_iter)
             self._report_share(0.2)
-            if clusters is not None and grid is not None:
-                g = self._first(grid, clusters, g)
-                self._report_share(0.3)
-        if clusters is None:
-            prepare(self.problem, LEAST_RESERVE)
-        else:
-            sizes = zip(clusters, self._pair, strict=True)
-            share = np.prod([len(own.measure) / len(points) for own, points in sizes])
-            prepare(self.problem, next(each for most, each in FIRST_RESERVES if share <= most))
-        self._cycle(grid, g)
-        self._report_share(1.0)
+            g = self._first(grid, clusters, g)
+            self._report_share(0.3)
+        prepare(self.problem, fineness.points)
+        # A start may be far from the solution, and nothing else corrects it as a whole.
+        return grid if fineness.cycles or start is not None else None, g
 
     def _choose_clusters(self) -> list[Clusters] | None:
         """Return clusters for the last blur; None if they would save too little."""
@@ -163,6 +187,12 @@ class Multiscale:
             if len(clusters[0].measure) * len(clusters[1].measure) <= enough * pairs:
                 return clusters
         return None
+
+    def _fineness(self, clusters: list[Clusters]) -> Fineness:
+        """Return how these clusters are used."""
+        sizes = zip(clusters, self._pair, strict=True)
+        share = np.prod([len(own.measure) / len(points) for own, points in sizes])
+        return next(each for each in FINENESSES if share <= each.most)
 
     def _clusters_grid(self, source: Clusters, target: Clusters) -> CoarseGrid:
         """Return the problem of the clusters, with the softmin that prolongs its solution."""
@@ -218,6 +248,19 @@ class Multiscale:
         iteration.run(g)
         return iteration.state
 
+    def _iterate_to(self, tol: float, g: Array) -> Array:
+        """Return potentials g after iterations over the points alone to a residual."""
+        reported = self._reported
+        end = max(reported, 0.3 + 0.7 * share_done(self.residuals[0], tol, self.tol))
+        iteration = Iteration(
+            self.problem, self._blur, tol, self._max_iter - SPARE_ITERATIONS, self.precision,
+            lambda share: self._report_share(reported + (end - reported) * share), certify=False,
+        )  # fmt: skip
+        iteration.run(g)
+        self._measured += iteration.n_measured
+        self.residuals += iteration.residuals[:-1]  # the last one is measured again
+        return iteration.state.g
+
     def _iterate_points(self, g: Array) -> None:
         """Continue with iterations over the points alone."""
         reported = self._reported
@@ -227,6 +270,7 @@ class Multiscale:
             lambda share: self._report_share(reported + (1 - reported) * share),
         )  # fmt: skip
         iteration.run(g)
+        self._measured += iteration.n_measured
         self.state, self.status, self.precise = iteration.state, iteration.status, iteration.precise
         self.rounding = iteration.rounding
         self.residuals += iteration.residuals
@@ -236,6 +280,7 @@ class Multiscale:
         problem, epsilon = self.problem, self._blur**2
         before, expected, reached, failures = np.inf, np.inf, 0.0, 0.0
         failure = 1.0  # what a failure of the last cycle counts
+        waits = True  # whether iterations over the points may lead to pairs that can be stored
         while True:
             # Lists of near pairs leave out large exponents, so the bound can fall meanwhile.
             self.precise = needs_more(problem, self.precision, epsilon, self.tol)
@@ -272,6 +317,12 @@ class Multiscale:
             elif grid is None:
                 grid = self._stored_grid()
             if grid is None:
+                more = self.n_iter + SPARE_ITERATIONS < self._max_iter
+                if waits and more and any(each.residual < residual for each in self._choices):
+                    # Once the residual is small, one of these choices may have few enough pairs.
+                    g, waits = self._iterate_to(max(STORED_FROM, self.tol), image), False
+                    before = expected = np.inf
+                    continue
                 self._iterate_points(image)
                 return
             g, reached, left = self._correct(grid, image)

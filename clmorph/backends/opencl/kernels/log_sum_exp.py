@@ -145,7 +145,7 @@ class LogSumExp:
         if pairs is None:
             exponents = loop.exponents(rows, columns, potential, epsilon, precise=precise)
         else:
-            exponents = loop.listed_exponents(rows, columns, potential, LOG2_E / epsilon, precise)
+            exponents = loop.listed_exponents(rows, columns, potential, epsilon, precise)
         shares = loop.column_shares(rows, columns, pairs)
         maxima, sums = np.empty(rows.stride), np.empty(rows.stride)
         for part, chosen in loop.masked_parts(kernel, rows, columns, pairs, shares):
@@ -154,7 +154,7 @@ class LogSumExp:
             # The buffer holds the sums and the rounding errors of their nearest float32.
             planes = np.empty((2 if bounded else 1, shares, n_rows), np.float32)
             buffers = loop.work.empty(found.nbytes), loop.work.empty(planes.nbytes)
-            levels = None if pairs is None else loop.levels(exponents, pairs, part)
+            levels = None if pairs is None else loop.set_levels(exponents, pairs, part)
             if float32 is not None:
                 assert levels is not None
                 chosen.append(loop.work.buffer(float32.chosen(part, levels), np.uint8))

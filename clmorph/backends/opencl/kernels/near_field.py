@@ -80,7 +80,7 @@ class NearField:
         guess = -k * (softmin[rows.order] - rows.offsets)
         values = np.maximum(values, SENTINEL)
         # The level of each row tile is set by the pairs that a launch visits.
-        exponents = self._loop.listed_exponents(rows, columns, potential, k)
+        exponents = self._loop.listed_exponents(rows, columns, potential, epsilon)
         left, kept = np.empty(len(rows.centers)), _Kept([], [], [], [], [])
         farthest, farthest_kept = 0.0, 0.0
         bounds = row_bounds(rows, guess, k)
@@ -94,8 +94,8 @@ class NearField:
             lengths = np.diff(starts)
             threshold = (1 - UNSEEN) * budget / (tile * lengths)
             own = np.maximum.reduceat(pairs.distances, starts[:-1])
-            reach = rows.radii[part.start : part.stop] + columns.radii.max()
-            farthest = max(farthest, _largest_cost(own, reach))
+            radii = rows.radii[part.start : part.stop] + columns.radii.max()
+            farthest = max(farthest, _largest_cost(own, radii))
             masks, marked = self._marked(clouds, pairs, part, np.log2(threshold))
             of_groups = np.add.reduceat(marked, starts[:-1], axis=0, dtype=np.int64)
             _complete(masks, marked, of_groups, starts, pairs.distances, tile)
@@ -106,9 +106,9 @@ class NearField:
             kept.lengths.append(np.add.reduceat(keep, starts[:-1], dtype=np.int64))
             kept.tiles.append(pairs.tiles[places])
             kept.distances.append(pairs.distances[places])
-            reach = np.repeat(rows.radii[part.start : part.stop], kept.lengths[-1])
-            reach += columns.radii[kept.tiles[-1]]
-            farthest_kept = max(farthest_kept, _largest_cost(kept.distances[-1], reach))
+            radii = np.repeat(rows.radii[part.start : part.stop], kept.lengths[-1])
+            radii += columns.radii[kept.tiles[-1]]
+            farthest_kept = max(farthest_kept, _largest_cost(kept.distances[-1], radii))
             masks = masks.take(places, axis=0)
             kept.masks.append((part, self._loop.work.buffer(masks, np.uint64)))
             kept.columns.append(of_groups)
@@ -161,7 +161,7 @@ class NearField:
         masks = np.empty((len(pairs.tiles), *shape), np.uint64)
         counts = np.empty(masks.shape[:2], np.uint16)
         for launch in loop.parts(kernel, rows, columns, pairs=pairs, within=part):
-            levels = loop.levels(exponents, pairs, launch)
+            levels = loop.set_levels(exponents, pairs, launch)
             section = slice(launch.start * tile, min(n, launch.stop * tile))
             own = slice(launch.start - part.start, launch.stop - part.start)
             # No column counts for the rows of the padding.

@@ -70,7 +70,7 @@ class PlanRowReductions:
             Plan(rows, columns, f, g, epsilon, row_thresholds, column_thresholds), precise
         )
 
-    def count(self, plan: Plan, precise: bool = False) -> NDArray[np.int64]:
+    def count(self, plan: Plan, precise: bool = False, most: float = np.inf) -> NDArray[np.int64]:
         """Return how many pairs of each row of a plan are kept: (N,) array.
 
         Parameters
@@ -78,9 +78,12 @@ class PlanRowReductions:
         plan : Plan
         precise : bool
             As in `softmin`.
+        most : float
+            Where more pairs than this are kept in all, counting ends early: some counts are too
+            small then, but their sum is above `most`.
         """
         rows, tile = plan.rows, self._loop.constants.tile
-        counts = np.empty(rows.stride, np.int32)
+        counts, total = np.zeros(rows.stride, np.int32), 0
         for section in self.sections(plan):
             kernel = self._kernel("count_plan_rows", plan, section, precise)
             for part in self._loop.parts(
@@ -90,6 +93,9 @@ class PlanRowReductions:
                 self._launch(kernel, plan, section, part, precise, out)
                 found = counts[part.start * tile : part.stop * tile]
                 cl.enqueue_copy(self._loop.work.queue, found, out)
+                total += int(found.sum(dtype=np.int64))
+                if total > most:
+                    return unsort(rows, counts[: len(rows)].astype(np.int64))
         return unsort(rows, counts[: len(rows)].astype(np.int64))
 
     def fill(

@@ -126,7 +126,7 @@ class Float32Pairs:
         ----------
         part : range
         levels : (pairs of the part,) array
-            See `clmorph.backends.opencl.kernels.row_loop.RowLoop.levels`.
+            See `clmorph.backends.opencl.kernels.row_loop.RowLoop.set_levels`.
         """
         lengths = np.diff(self._pairs.starts[part.start : part.stop + 1])
         own = np.repeat(self._rows.radii[part.start : part.stop], lengths)

@@ -124,37 +124,42 @@ class RowLoop:
         precise : bool
             Whether a kernel with precise exponents may use them.
         """
-        k = LOG2_E / epsilon
-        logits, tile_max = self.column_logits(columns, potential, k, precise)
-        row_level = np.zeros(len(rows.centers))
+        found = self.listed_exponents(rows, columns, potential, epsilon, precise)
+        _, tile_max, row_level, k, _ = found
         within = within or range(len(row_level))
         each = len(tile_max) if pairs is None else -(-len(pairs.tiles) // len(within))
         step = max(1, (1 << 22) // max(1, each))
-        kept = None
         for first in range(within.start, within.stop, step):
             block = range(first, min(first + step, within.stop))
+            if pairs is not None:
+                self.set_levels(found, pairs, block)
+                continue
             section = slice(block.start, block.stop)
-            if pairs is None:
-                levels = _levels(rows.centers[section], columns.centers, tile_max, k)
-                row_level[section] = levels.max(axis=1)
-                if levels.size <= KEPT_LEVELS and len(levels) == len(row_level):
-                    kept = levels
-            else:
-                starts, _, levels = pairs.levels(block, tile_max, k)
-                row_level[section] = np.maximum.reduceat(levels, starts[:-1])
-        return Exponents(logits, tile_max, row_level, k, kept)
+            levels = _levels(rows.centers[section], columns.centers, tile_max, k)
+            row_level[section] = levels.max(axis=1)
+            if levels.size <= KEPT_LEVELS and len(levels) == len(row_level):
+                found = found._replace(levels=levels)
+        return found
 
     def listed_exponents(
-        self, rows: Cloud, columns: Cloud, potential: Float64, k: float, precise: bool = True
+        self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool = True
     ) -> Exponents:
-        """Return the terms of the rows' exponents over lists, whose levels `levels` sets."""
+        """Return the terms of the rows' exponents without levels, which `set_levels` sets.
+
+        The parameters are those of `exponents`.
+        """
+        k = LOG2_E / epsilon
         logits, tile_max = self.column_logits(columns, potential, k, precise)
         return Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
 
-    def levels(self, exponents: Exponents, pairs: TilePairs, part: range) -> Float64:
-        """Set the levels of some row tiles; return those of their listed pairs less these.
+    def set_levels(self, exponents: Exponents, pairs: TilePairs, part: range) -> Float64:
+        """Set the level of each row tile of a part to the largest level of its listed pairs.
 
-        A launch that is given them needs no other look at the lists, which are long.
+        Returns
+        -------
+        (pairs of the part,) array
+            The levels of the pairs, less those of their row tiles. A launch that is given them
+            forms none of its own: lists are long.
         """
         starts, _, levels = pairs.levels(part, exponents.tile_max, exponents.k)
         own = np.maximum.reduceat(levels, starts[:-1])
@@ -284,7 +289,7 @@ class RowLoop:
         pairs : TilePairs, optional
             The pairs of tiles to visit, for a kernel that was built with lists.
         levels : (pairs of the part,) array, optional
-            What `levels` has returned for the part.
+            What `set_levels` has returned for the part.
         results : sequence of (array, buffer), optional
             See `Workspace.launch`.
         """

@@ -81,7 +81,8 @@ class SlicedEllpack:
     ) -> StoredPairs | None:
         """Store the pairs of a plan above a threshold twice: by row and by column."""
         sides = []
-        n_pairs = 0
+        n_pairs, memory = 0, self._work.device.global_mem_size // 4
+        most = min(max_pairs, memory // BYTES_PER_PAIR)
         for plan, (own, other) in (
             (Plan(rows, columns, f, g, epsilon, row_thresholds, column_thresholds), near),
             (Plan(columns, rows, g, f, epsilon, column_thresholds, row_thresholds), near[::-1]),
@@ -89,13 +90,10 @@ class SlicedEllpack:
             if own is not None and other is not None:
                 looked_at = joined_pairs(plan.rows, plan.columns, own.pairs, other.pairs)
                 plan = plan._replace(looked_at=looked_at)
-            counts = self._plan_rows.count(plan)
+            counts = self._plan_rows.count(plan, most=most)
             n_pairs = int(counts.sum())
-            if (
-                n_pairs > max_pairs
-                or counts.max(initial=0) > loop_limits.stored_pairs(self._constants)
-                or BYTES_PER_PAIR * n_pairs > self._work.device.global_mem_size // 4
-            ):
+            longest = counts.max(initial=0)
+            if n_pairs > most or longest > loop_limits.stored_pairs(self._constants):
                 return None
             sides.append(self._stored(plan, counts))
         return StoredPairs((sides[0], sides[1]), n_pairs, (rows.order, columns.order))
