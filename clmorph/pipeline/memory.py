@@ -116,7 +116,7 @@ def estimate(
     on CPU runtimes for images of at least 64 x 64 pixels, where it is right within a factor of two.
     Frames are drawn one by one; the estimate does not include frames that are kept. It also does
     not include the pairs that the solver stores (`_solver.coarse_grid`) while potentials are
-    computed at blurs of a few pixels: up to 128 for each point, or 256 but at most 2^27 in all, or
+    computed at blurs of a few pixels: up to 160 for each point, or 320 but at most 2^27 in all, or
     2^24 of few points, 18 bytes each, but never more than a quarter of the device's memory; with
     them the device holds 540 bytes for each point of a side. Nor does it include the solver's lists
     of near pairs. These take 12 bytes for each pair of tiles on the host and, on a CPU, 32 bytes on
