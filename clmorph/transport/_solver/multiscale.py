@@ -66,9 +66,9 @@ COARSER = 10.0
 #: are subtracted, and they miss the same pairs.
 PROLONGATION_TRUNCATION = 3e-3
 #: Residual to reach in the coarse problem: this share of the residual over the points, and at
-#: least this share of `tol`, for clusters and for stored pairs. An iteration over clusters takes a
+#: least this share of `tol`. Few clusters go on to the last share: an iteration over them takes a
 #: tenth of one over the points, so that what they leave must not cost another one.
-CYCLE_SHARE, CLUSTERS_FLOOR, CYCLE_FLOOR = 0.02, 0.1, 0.4
+CYCLE_SHARE, CYCLE_FLOOR, FEW_CLUSTERS_FLOOR = 0.02, 0.4, 0.1
 #: Where this share of the residual is below this many times `tol`, stored pairs are solved to the
 #: least residual at once: they are nearly all of the problem, so that the cycle can be the last.
 ALMOST = 1.5
@@ -99,12 +99,13 @@ class Fineness(NamedTuple):
     clusters: float  #: the reserve of softmins between clusters: see `Softmin.reserve`
     points: float  #: the reserve of softmins between points, after the clusters are solved
     cycles: bool  #: whether cycles correct the clusters, or they give only the first potentials
+    floor: float = CYCLE_FLOOR  #: the least residual that they leave, as a share of `tol`
 
 
 #: Potentials were seen to move after clusters by 0.5 to 1 nat, by 1 to 2 nats, and by more. While
 #: clusters are solved, they move by 10 nats and more.
 FINENESSES = (
-    Fineness(0.03, 1e-6, RESERVE, True), Fineness(0.3, 1e-6, 3e-2, True),
+    Fineness(0.03, 1e-6, RESERVE, True, FEW_CLUSTERS_FLOOR), Fineness(0.3, 1e-6, 3e-2, True),
     Fineness(1.0, 1e-12, 3e-6, False),
 )  # fmt: skip
 
@@ -140,6 +141,7 @@ class Multiscale:
         self.tol, self.precision = tol, precision
         self.residuals: list[float] = []
         self._blur, self._max_iter, self._report, self._reported = blur, max_iter, report, 0.0
+        self._floor = CYCLE_FLOOR  # of the clusters
         self._measured = 0  # softmins of iterations over the points that only measured
         #: The choices of pairs to store that are not known to have too many.
         self._choices = list(STORED_CHOICES)
@@ -165,6 +167,7 @@ class Multiscale:
             return None, g
         grid, fineness = self._clusters_grid(*clusters), self._fineness(clusters)
         prepare(grid.problem, fineness.clusters)
+        self._floor = fineness.floor
         g = start
         if g is None:
             coarse = clusters[0].measure, clusters[1].measure
@@ -361,7 +364,7 @@ class Multiscale:
             epsilon,
         )
         stored = isinstance(coarse, StoredProblem)
-        floor = (CYCLE_FLOOR if stored else CLUSTERS_FLOOR) * self.tol
+        floor = (CYCLE_FLOOR if stored else self._floor) * self.tol
         tol = max(CYCLE_SHARE * residual, floor)
         if stored and tol <= ALMOST * self.tol:
             tol = floor
