@@ -98,8 +98,9 @@ class Fineness(NamedTuple):
     most: float  #: the largest share
     clusters: float  #: the reserve of softmins between clusters: see `Softmin.reserve`
     points: float  #: the reserve of softmins between points, after the clusters are solved
-    cycles: bool  #: whether cycles correct the clusters, or they give only the first potentials
-    floor: float = CYCLE_FLOOR  #: the least residual that they leave, as a share of `tol`
+    cycles: bool  #: whether cycles correct the clusters; if not, they give only first potentials
+    #: The residual below which clusters are not solved further, as a share of `tol`.
+    floor: float = CYCLE_FLOOR
 
 
 #: Potentials were seen to move after clusters by 0.5 to 1 nat, by 1 to 2 nats, and by more. While
