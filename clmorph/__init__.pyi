@@ -41,6 +41,7 @@ from .errors import (
 )
 from .errors import (
     ImageWarning as ImageWarning,
+    OptionWarning as OptionWarning,
 )
 from .errors import (
     InputError as InputError,
@@ -212,6 +213,7 @@ __all__ = [
     "FileError",
     "Gradient",
     "ImageWarning",
+    "OptionWarning",
     "InputError",
     "Inspection",
     "Measure",

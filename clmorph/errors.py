@@ -185,6 +185,20 @@ class PruningWarning(ClmorphWarning):
     """
 
 
+class OptionWarning(ClmorphWarning):
+    """A value of an option has another name now; the old one works until version 1.0.
+
+    Examples
+    --------
+    >>> import clmorph, warnings
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     options = clmorph.MorphOptions(detail="carried")
+    >>> caught[0].category.__name__, options.detail
+    ('OptionWarning', 'layers')
+    """
+
+
 class ImageWarning(ClmorphWarning):
     """An image file was read, but not all of it was used: a color profile, bits, later pictures.
 

@@ -24,7 +24,7 @@ from clmorph.backends.opencl.build import constants as build_constants
 from clmorph.backends.opencl.build.constants import cpu_constants, gpu_constants, lanes_constants
 from clmorph.backends.opencl.devices.find import raw_devices
 from clmorph.backends.opencl.kernels.launches import Workspace
-from clmorph.backends.verification.splines import motions
+from clmorph.backends.verification.layers import mean_cases, path_cases, scenes
 from clmorph.measures.points import WeightedPoints
 from clmorph.reference import NumPyOperations
 from clmorph.transport._solver.coarse_grid import STORED_CHOICES, stored_grid
@@ -163,9 +163,12 @@ def exercise(operations: Operations) -> list[np.ndarray]:
     # Sums far above 1 make no draw beyond those of their row.
     draws = operations.sample_plan_rows(rows, columns, g, softmin + 0.1, 0.01, thresholds)
     results.append(np.array([float(draws.max() < m)]))
-    spline = operations.upload_spline(rng.normal(size=(11, 9, 3)).astype(np.float32))
-    for motion in motions((11, 9)).values():
-        results.append(operations.sample_spline(spline, motion, 2, motion.shape[0]))
+    results += [operations.edge_preserving_mean(*case) for case in mean_cases((7, 9)).values()]
+    for name, case in path_cases((5, 6)).items():
+        paths = operations.follow_paths(*case)
+        # Where a field folds, rounding decides which way a path goes.
+        results.append(np.isfinite(paths).astype(float) if name == "folding" else paths)
+    results += [scene.draw(operations) for scene in scenes((11, 9)).values()]
     moving = operations.upload_particles(
         rng.random((40, 6)), rng.integers(0, 40, (150, 2)).astype(np.uint32), rng.random((150, 2))
     )

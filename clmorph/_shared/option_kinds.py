@@ -5,6 +5,7 @@ converted to a value, and how JSON Schema describes the value.
 """
 
 import math
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
@@ -16,7 +17,7 @@ from clmorph._shared.validation import (
     check_integer,
     check_number,
 )
-from clmorph.errors import InputError
+from clmorph.errors import InputError, OptionWarning
 
 
 @dataclass(frozen=True)
@@ -90,11 +91,31 @@ def integer(low: int, high: int) -> Kind:
     )  # fmt: skip
 
 
-def choice(literal: Any) -> Kind:
-    """Return the kind of the texts of a `Literal`."""
-    choices = get_args(literal)
+def choice(literal: Any, former: Mapping[str, str] | None = None) -> Kind:
+    """Return the kind of the texts of a `Literal`.
+
+    Parameters
+    ----------
+    literal : Literal
+    former : mapping, optional
+        Texts of earlier versions, with those that have taken their place. They give a warning.
+    """
+    choices, old = get_args(literal), former or {}
+
+    def check(name: str, value: Any) -> str:
+        if isinstance(value, str) and value in old:
+            warnings.warn(
+                OptionWarning(
+                    f"{name}={value!r} means {name}={old[value]!r} now, and works until version "
+                    f"1.0: write {old[value]!r}"
+                ),
+                stacklevel=2,
+            )
+            value = old[value]
+        return str(check_choice(name, value, choices))
+
     return Kind(
-        lambda name, value: check_choice(name, value, choices),
+        check,
         f"one of {', '.join(map(repr, choices))}", "|".join(choices), str,
         {"enum": list(choices)}, lambda value: isinstance(value, str),
     )  # fmt: skip

@@ -1,4 +1,7 @@
-"""Measures of frames: divergence on the path (paper, 4.3, Table 2), holes, sharpness, specks."""
+"""Measures of frames: divergence on the path (paper, 4.3, Table 2), holes, sharpness, specks.
+
+Those of whole films stand in `clmorph.analysis.film_metrics`, and are names of this module too.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +15,21 @@ from numpy.typing import ArrayLike, NDArray
 from clmorph._shared.validation import (
     check_choice,
     check_integer,
-    check_number,
     check_progress,
     shown,
+)
+from clmorph.analysis.film_metrics import (
+    FilmMeasures,
+    as_times,
+    crossfade_share,
+    film_measures,
+    flicker,
+    ghost,
+    low_band_distance,
+    relative_crumbs,
+    relative_sharpness,
+    speck_share,
+    unevenness,
 )
 from clmorph.backends.arrays import as_floats
 from clmorph.backends.select import Backend
@@ -36,23 +51,29 @@ from clmorph.transport.options import SolverOptions
 from clmorph.transport.regularization import regularization
 
 __all__ = [
+    "FilmMeasures",
+    "crossfade_share",
     "crumbs",
+    "film_measures",
+    "flicker",
     "frame_measure",
+    "ghost",
     "hole_fraction",
+    "low_band_distance",
     "mean_gradient",
     "particle_measure",
     "path_divergence",
+    "relative_crumbs",
+    "relative_sharpness",
     "sharpness",
     "step_sizes",
+    "unevenness",
 ]
 
 Array = NDArray[np.float64]
 
 #: The measures with which frames can be compared: the target image, or the particles.
 REFERENCES = ("target", "particles")
-
-#: The difference from the median of 3 x 3 pixels beyond which a pixel is a speck.
-SPECK = 0.06
 
 #: The largest value that a coverage or a frame may have, whose square is still finite.
 LARGEST = 1e30
@@ -129,11 +150,7 @@ def path_divergence(
         weights = "uniform" if to == "target" else "kernel"
     max_points = check_integer("max_points", max_points, 16, 1 << 20)
     check_choice("weights", weights, FRAME_WEIGHTS)
-    moments = np.atleast_1d(as_floats("times", times, "times from 0 to 1"))
-    if moments.ndim > 1 or not moments.size:
-        raise InputError(f"times have shape {moments.shape}: expected (n,) times from 0 to 1")
-    for t in moments:
-        check_number("times", float(t), 0.0, 1.0)
+    moments = as_times(times)
     result = []
     # Frames have no landmarks and no features: pictures are compared.
     plainly = replace(morph.target, warped=None, features=None)
@@ -213,10 +230,7 @@ def crumbs(frame: ArrayLike) -> float:
     >>> crumbs(frame)
     0.01
     """
-    from scipy.ndimage import median_filter
-
-    luma = _luma(frame)
-    return float(np.mean(np.abs(luma - median_filter(luma, 3, mode="nearest")) > SPECK))
+    return speck_share(_luma(frame))
 
 
 def mean_gradient(frame: ArrayLike) -> float:

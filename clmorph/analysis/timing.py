@@ -9,12 +9,10 @@ import numpy as np
 
 from clmorph._shared.typing import IntArray
 from clmorph.backends.interface import Operations
-from clmorph.frames.bands import band_width
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.options import Detail, RenderOptions
 from clmorph.frames.particles import particles
-from clmorph.frames.render import Widths
 from clmorph.images.detail import auto_sigma
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_pair
@@ -61,7 +59,7 @@ def frame_seconds(
         Number of pairs that the plan keeps; a plan of means has one per row.
     n_frames : int
     operations : Operations
-    detail : {"carried", "particles", "shapes", "pixels"}
+    detail : {"layers", "cells", "pixels", "particles"}
     labels : pair of integer arrays, optional
         See `clmorph.frames.particles.Particles`.
 
@@ -151,8 +149,7 @@ def _time(
         made[0].prepare()
 
     # Kernels are built first.
-    band = band_width(source.shape)
-    renderer("particles").sums(0.5, Widths(band))
+    renderer("particles").sums(0.5)
     if any(measure.alpha is not None for measure in (source, target)):
         renderer("particles").frame(0.5)
     once = _seconds(prepare)

@@ -5,17 +5,19 @@ these methods with these signatures. All other mathematics of the package is wri
 these methods, so a disagreement between two backends can be traced to one operation.
 """
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.records import (
+    Affine,
     Bins,
     Float32,
     Float64,
     IterationNumbers,
-    Motion,
+    LayerView,
     NearPairs,
     PlanRows,
     StoredPairs,
@@ -564,30 +566,111 @@ class Operations(Protocol):
         splats
         """
 
-    def upload_spline(self, coefficients: NDArray[np.float32]) -> Any:
-        """Upload a picture, as the coefficients of a cubic spline: (H, W, 3) array.
+    def edge_preserving_mean(
+        self,
+        values: Float32,
+        weights: Float32,
+        guide: Float32,
+        fine_guide: Float32,
+        sigma: float,
+        tolerance: float,
+    ) -> Float64:
+        """Average values over neighbors of like color (a joint bilateral filter).
 
-        They are those of `scipy.ndimage.spline_filter` with the mode "mirror".
-        """
+        A point p of a grid over the same extent takes the mean over cells q with the weights
 
-    def sample_spline(
-        self, spline: Any, motion: Motion, first: int, stop: int
-    ) -> NDArray[np.float32]:
-        """Sample a picture at the places of some rows of a canvas.
+            weights(q) exp(-|p - q|^2 / (2 sigma^2)) (like + 1e-9),
+            like = exp(-|G(p) - g(q)|^2 / (2 tolerance^2)),
 
-        Beyond its border the picture is mirrored about the centers of its outermost pixels.
+        where |p - q| is in cells, and q is at most ceil(2 sigma) rows and columns from the cell
+        nearest to p. Where the weights add up to less than 1e-30 the mean is near 0.
 
         Parameters
         ----------
-        spline
-            What `upload_spline` has returned.
-        motion : Motion
-        first, stop : int
-            The first row of the canvas, and the one after the last.
+        values : (h, w, C) array
+            At most 8 channels.
+        weights : (h, w) array
+            At least 0.
+        guide : (h, w, G) array
+            Colors g of the cells, at most 8 channels.
+        fine_guide : (H, W, G) array
+            Colors G of the points; `guide` itself smooths over cells.
+        sigma : float
+            In cells.
+        tolerance : float
+            In units of the guide.
 
         Returns
         -------
-        (stop - first, width, 3) array
+        (H, W, C) array
+        """
+
+    def follow_paths(
+        self, field: Float32, to_field: Affine, shape: tuple[int, int], steps: int, rounds: int
+    ) -> Float32:
+        """Follow the place that each point of a grid shows, while a field moves it.
+
+        At time t a point that stands at z on the field's grid shows what was at x = z - t v(x).
+        From x = z at t = 0, each step to the next time takes some rounds of
+        x <- (x + z - t v(x)) / 2; so a point stays with its branch where the motion folds.
+
+        Parameters
+        ----------
+        field : (h, w, 2) array
+            v, in points of its grid (row, column); linear in between, and constant outside.
+        to_field : Affine
+            From points of the other grid to points of the field.
+        shape : (H, W)
+            Shape of the other grid.
+        steps, rounds : int
+
+        Returns
+        -------
+        (steps + 1, H, W, 2) array
+            x - z at the times 0, 1 / steps, ..., 1.
+        """
+
+    def upload_spline(self, coefficients: NDArray[np.float32]) -> Any:
+        """Upload a picture, as the coefficients of a cubic spline: (H, W, 4) array.
+
+        They are those of `scipy.ndimage.spline_filter` with the mode "mirror". Beyond its border
+        the picture is mirrored about the centers of its outermost pixels.
+        """
+
+    def upload_layer(self, paths: Float32, change: Float32) -> Any:
+        """Upload what moves and recolors a picture.
+
+        Parameters
+        ----------
+        paths : (S + 1, H, W, 2) array
+            What `follow_paths` has returned; S >= 1.
+        change : (h, w, 4) array
+            Change of color on the grid of the field.
+
+        Returns
+        -------
+        layer
+        """
+
+    def draw_layers(
+        self, views: Sequence[LayerView], low: Float32, shape: tuple[int, int]
+    ) -> Float32:
+        """Draw two layers over one another: the sum of both, each times its weight, plus `low`.
+
+        Between stored times and between grid points paths are linear. Where neighbors take their
+        colors from places more than `records.TEAR` times as far apart as pixels, a pixel is, by
+        and by, the binomial mean over 3 x 3 pixels: a tear has no steps.
+
+        Parameters
+        ----------
+        views : two of LayerView
+        low : (h, w, 4) array
+            Added to the frame, on a grid over the extent of the canvas: linear in between.
+        shape : (height, width) of the canvas, in pixels
+
+        Returns
+        -------
+        (height, width, 4) array
         """
 
     def upload_splats(

@@ -17,26 +17,65 @@ class PlanRows(NamedTuple):
     mass: Float64  #: (kept,) mass of each pair
 
 
-class Motion(NamedTuple):
-    """Where each pixel of a canvas takes its sample from a picture.
+#: Neighbors that a layer takes from places this many times as far apart as pixels stand beside a
+#: tear: from here to twice as far, pixels change to means over 3 x 3 pixels.
+TEAR = 3.0
 
-    A pixel takes it at `origin` + `step` * (row, column) + displacement, in pixels of the picture,
-    (row, column).
+
+class Affine(NamedTuple):
+    """How one grid lies on another: a point (row, column) stands at origin + step * (row, column).
 
     Attributes
     ----------
-    shape : (height, width)
-        The shape of the canvas.
     origin, step : (row, column)
-    displacements : (h, w, 2) array
-        On a grid over the extent of the canvas. Between its points they are linear, and beyond the
-        outermost ones constant.
+        In pixels of the other grid.
     """
 
-    shape: tuple[int, int]
     origin: tuple[float, float]
     step: tuple[float, float]
-    displacements: Float64
+
+    def places(self, shape: tuple[int, int]) -> Float64:
+        """Return where each point of a grid of some shape stands: (H, W, 2) array."""
+        rows, columns = (
+            origin + step * np.arange(side)
+            for origin, step, side in zip(self.origin, self.step, shape, strict=True)
+        )
+        return np.stack(np.broadcast_arrays(rows[:, None], columns), axis=-1)
+
+
+class LayerView(NamedTuple):
+    """One picture, moved and recolored, as `Operations.draw_layers` draws it.
+
+    A pixel of the canvas stands at `to_paths` on the grid of the paths and at `to_field` on that of
+    the field. It shows what is at the place x = `to_field` + path of the field's grid: the picture
+    at `to_picture` applied to x, plus `way` times the change of color at x.
+
+    Attributes
+    ----------
+    picture
+        What `Operations.upload_spline` has returned.
+    layer
+        What `Operations.upload_layer` has returned.
+    way : float
+        Share of its way that the picture has gone, from 0 to 1.
+    to_paths, to_field : Affine
+        From pixels of the canvas.
+    to_picture : Affine
+        From points of the field.
+    weights : (h, w) array
+        Weight of the first three channels, on the grid of the paths.
+    share : float
+        Weight of the fourth channel.
+    """
+
+    picture: Any
+    layer: Any
+    way: float
+    to_paths: Affine
+    to_field: Affine
+    to_picture: Affine
+    weights: Float32
+    share: float
 
 
 class Bins(NamedTuple):

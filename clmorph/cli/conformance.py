@@ -16,6 +16,7 @@ from clmorph.backends.opencl.build.kernel_files import KERNELS
 from clmorph.backends.verification.batches import check_softmin_batch
 from clmorph.backends.verification.clouds import CloudCase, splat_case
 from clmorph.backends.verification.iterations import check_iteration
+from clmorph.backends.verification.layers import check_layers, check_mean, check_paths
 from clmorph.backends.verification.plans import check_plan_rows, check_stored
 from clmorph.backends.verification.reductions import (
     ENOUGH,
@@ -36,7 +37,6 @@ from clmorph.backends.verification.splats import (
     check_splat,
     thinned,
 )
-from clmorph.backends.verification.splines import check_spline
 from clmorph.errors import InputError
 from clmorph.measures.lift import lift
 from clmorph.measures.measure import Measure
@@ -177,7 +177,12 @@ def _checks(operations: Operations) -> Iterator[Check]:
         (*_SORT, "choose_width_levels", "splat", *_CELLS), partial(check_own_widths, fewer, 0.7)
     )
     yield Check((*_SORT, "advect", "choose_width_levels", "splat"), partial(check_advect, fewer))
-    yield Check(("sample_spline",), partial(check_spline, operations, exact))
+    for kernels, run in (
+        (("edge_preserving_mean",), partial(check_mean, operations, exact, (37, 52))),
+        (("follow_paths",), partial(check_paths, operations, exact, (61, 83))),
+        (("place_layer", "draw_layers"), partial(check_layers, operations, exact, (150, 211))),
+    ):
+        yield Check(kernels, run)
     yield Check(_EVERY, partial(_check_morph, operations))
 
 

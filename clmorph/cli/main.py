@@ -1,5 +1,6 @@
 """The command ``clmorph``."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,7 @@ from clmorph._shared.version import __version__
 from clmorph.cli import config as files
 from clmorph.cli import options
 from clmorph.cli.reporting import run
-from clmorph.errors import InputError
+from clmorph.errors import InputError, OptionWarning
 from clmorph.images.pixels import MAX_PIXELS
 from clmorph.pipeline.options import MorphOptions, preset_options
 from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS, drafted
@@ -700,8 +701,17 @@ def completion(shell: str) -> None:
     click.echo(kind(cli, {}, "clmorph", "_CLMORPH_COMPLETE").source())
 
 
+def _note(message: Warning | str, *others: Any, **more: Any) -> None:
+    """Print a warning as a note; the signature is that of `warnings.showwarning`."""
+    from clmorph.cli.common import note_warning
+
+    note_warning([], message, *others, **more)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     names = {str(parameter.name): parameter.opts[-1] for parameter in (*morph.params, *mix.params)}
-    with terminable() as ending:
+    with terminable() as ending, warnings.catch_warnings():
+        warnings.simplefilter("always", OptionWarning)
+        warnings.showwarning = _note
         return run(cli, arguments, names | options.names_outside(), ending)

@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
-from clmorph.frames.bands import coarse_band_width, coarse_canvas
 from clmorph.frames.canvas import Canvas, canvas_at
-from clmorph.frames.carried_detail import MOST_LABELS, CarriedDetail, labels_to_carry
 from clmorph.frames.endpoints import (
     EndCorrection,
     Lacking,
@@ -20,19 +18,17 @@ from clmorph.frames.endpoints import (
     share,
 )
 from clmorph.frames.ends import ends_of
-from clmorph.frames.halfway import Halfway
 from clmorph.frames.kernel_width import KernelWidth
+from clmorph.frames.layers import Layers
 from clmorph.frames.opacity import alpha_particles, opacity
-from clmorph.frames.particles import Particles
+from clmorph.frames.particles import Particles, with_ground
 from clmorph.frames.render import Sums, Widths, render
-from clmorph.frames.shapes import Shapes
+from clmorph.frames.sprites import Sprites
 from clmorph.images.color import from_space, to_space
 from clmorph.measures.measure import Measure
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
 
-#: The values of `detail` that draw flat shapes.
-FLAT = ("shapes", "pixels")
 #: The opacity below which a pixel is invisible in 8 bits.
 UNSEEN = 1 / 1024
 
@@ -53,10 +49,10 @@ class FrameRenderer:
     operations : Operations
     endpoints : {"exact", "paper"}
     unmatched : {"fade", "grow", "drop"}
-    detail : {"carried", "particles", "shapes", "pixels"}
+    detail : {"layers", "cells", "pixels", "particles"}
     pictures : pair of (H, W, 3) arrays, optional
         What frames show at both ends, if it has more pixels than the measures: opaque images,
-        for carried detail alone.
+        for layers and cells alone.
     """
 
     def __init__(
@@ -74,7 +70,11 @@ class FrameRenderer:
     ) -> None:
         #: The renderer on another device, whose data on the host this one uses.
         self._like: FrameRenderer | None = None
-        self._measures, self._plan, self._particles = (source, target), plan, particles
+        self._measures, self._plan, self._given = (source, target), plan, particles
+        opaque = source.alpha is None and target.alpha is None
+        if detail == "particles" and endpoints == "exact" and opaque:
+            particles = with_ground(particles, source, target)
+        self._particles = particles
         self._kernel_width, self._operations = kernel_width, operations
         self._endpoints, self._unmatched, self._detail = endpoints, unmatched, detail
         self._pictures, self._ends = pictures, ends_of((source, target), pictures)
@@ -88,15 +88,8 @@ class FrameRenderer:
 
     @property
     def detail(self) -> str:
-        """What draws the fine detail of the frames, see `clmorph.frames.options.Detail`."""
-        carries = all(measure.alpha is None for measure in self._measures)
-        carries = carries and len(labels_to_carry(self._particles)) <= MOST_LABELS
-        return self._detail if carries or self._detail != "carried" else "particles"
-
-    @property
-    def halfway(self) -> Halfway | None:
-        """The motion of carried detail; None if particles or flat shapes draw the frames."""
-        return None if self._carried is None else self._carried.motion
+        """What draws the frames, see `clmorph.frames.options.Detail`."""
+        return self._detail
 
     def on(self, operations: Operations, like: "FrameRenderer | None" = None) -> "FrameRenderer":
         """Return a renderer of the same morph on another device.
@@ -109,7 +102,7 @@ class FrameRenderer:
             default the new one itself.
         """
         other = FrameRenderer(
-            *self._measures, self._plan, self._particles, self._kernel_width, operations,
+            *self._measures, self._plan, self._given, self._kernel_width, operations,
             self._endpoints, self._unmatched, self._detail, self._pictures,
         )  # fmt: skip
         other._like = like
@@ -117,7 +110,7 @@ class FrameRenderer:
 
     def prepare(self) -> None:
         """Compute what all frames share, which otherwise the first frame does."""
-        _ = self._correction, self._carried, self._shapes
+        _ = self._correction, self.layers, self._sprites
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t."""
@@ -126,6 +119,8 @@ class FrameRenderer:
 
     def frame(self, t: float) -> NDArray[np.float64]:
         """Render the frame at time t: (H, W, 3) or, with opacity, (H, W, 4) array."""
+        if t in (0.0, 1.0) and self.layers is not None and self.layers.exact:
+            return self._ends[int(t)].colors
         canvas = self.canvas(t)
         picture = self._picture(t, self._correction)
         if self._correction is not None:
@@ -185,48 +180,41 @@ class FrameRenderer:
 
     def _picture(self, t: float, correction: EndCorrection | None) -> NDArray[np.float64]:
         """Return colors and, if there is one, opacity, before the resting correction is added."""
-        canvas, carried = self.canvas(t), self._carried
-        if self._shapes is not None:
-            return self._shapes.frame(t, canvas)
-        if carried is not None:
-            width = carried.kernel_width(t, canvas)
-            smooth = self.sums(t, Widths(width), coarse_canvas(canvas))
-            colors = carried.frame(t, canvas, smooth.colors)
-        else:
-            colors = self.sums(t).colors
-            if correction is not None:
-                colors = colors + correction.moving(t, canvas, self._kernel_width.at(t, canvas))
+        canvas = self.canvas(t)
+        if self.layers is not None:
+            return self.layers.frame(t, canvas)
+        if self._sprites is not None:
+            return self._sprites.frame(t, canvas)
+        colors = self.sums(t).colors
+        if correction is not None:
+            colors = colors + correction.moving(t, canvas, self._kernel_width.at(t, canvas))
         picture = from_space(colors, self._particles.path_space)
         if self._alpha_particles is None:
             return picture
         return np.dstack((picture, self._opacity(t)))
 
     @cached_property
-    def _carried(self) -> CarriedDetail | None:
-        """The detail of both images; None if particles alone draw the frames."""
-        if self.detail != "carried":
+    def layers(self) -> Layers | None:
+        """The layers of both pictures; None if particles draw the frames."""
+        if self._detail != "layers":
             return None
         if self._like is not None:
-            return self._like._carried
-        start, middle, end = (self.canvas(t) for t in (0.0, 0.5, 1.0))
-        first, last = (
-            self.sums(t, Widths(coarse_band_width(canvas)), coarse_canvas(canvas)).colors
-            for t, canvas in ((0.0, start), (1.0, end))
-        )
-        return CarriedDetail(
-            self._ends, self._particles, (start, middle, end), (first, last), self._operations
-        )
+            layers = self._like.layers
+            return None if layers is None else layers.on(self._operations)
+        return Layers(
+            self._ends, self._measures, self._particles, (self.canvas(0.0), self.canvas(1.0)),
+            self._operations,
+        )  # fmt: skip
 
     @cached_property
-    def _shapes(self) -> Shapes | None:
-        """The parts of flat images; None if particles or carried detail draw the frames."""
-        if self.detail not in FLAT:
+    def _sprites(self) -> Sprites | None:
+        """The parts of sprites, whole pixels of which move; None if something else is drawn."""
+        if self._detail != "pixels":
             return None
         if self._like is not None:
-            shapes = self._like._shapes
-            return None if shapes is None else shapes.on(self._operations)
-        crisp = self.detail == "pixels"
-        return Shapes(self._measures, self._particles, self._operations, crisp=crisp)
+            sprites = self._like._sprites
+            return None if sprites is None else sprites.on(self._operations)
+        return Sprites(self._measures, self._particles, self._operations)
 
     @cached_property
     def _correction(self) -> EndCorrection | None:
@@ -236,9 +224,11 @@ class FrameRenderer:
         if self._like is not None:
             correction = self._like._correction
             return None if correction is None else correction.on(self._operations)
-        flat = self._shapes is not None
-        correction = EndCorrection((None, None), brief_share if flat else share)
-        if self._carried is None and not flat:
+        if self.layers is not None and self.layers.exact:
+            return None
+        layered = self.layers is not None or self._sprites is not None
+        correction = EndCorrection((None, None), brief_share if layered else share)
+        if not layered:
             lacking = self._lacking(0.0), self._lacking(1.0)
             correction = EndCorrection(
                 make_details(self._operations, self._measures, self._plan, lacking, self._unmatched)

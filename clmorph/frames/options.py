@@ -22,10 +22,9 @@ ENDPOINTS = get_args(Endpoints)
 #: it shrinks into and grows out of the nearest mass that travels; or it is left out.
 Unmatched = Literal["fade", "grow", "drop"]
 UNMATCHED = get_args(Unmatched)
-#: Where the fine detail of a frame comes from: from both images, carried along the mean motion;
-#: from the particles alone, as in the paper; or from the outlines of flat shapes, smooth or of
-#: pixels.
-Detail = Literal["carried", "particles", "shapes", "pixels"]
+#: What draws a frame: both pictures in motion, one of which is seen at each place; their blocks,
+#: which move as wholes; whole pixels of sprites; or the particles alone, as in the paper.
+Detail = Literal["layers", "cells", "pixels", "particles"]
 #: A kernel width in pixels, or "auto": half the smallest detail of the image.
 Sigma = float | Literal["auto"]
 
@@ -41,10 +40,10 @@ class RenderOptions(Options):
     """Options of the frames."""
 
     detail: Detail = option(
-        "carried", choice(Detail),
-        "Fine detail of a frame: carried from both pictures along the mean motion (pictures with "
-        "opacity: as particles); that of the particles alone (particles), which options of their "
-        "kernel below imply; flat parts with sharp outlines (shapes); or whole pixels (pixels).",
+        "layers", choice(Detail, {"carried": "layers", "shapes": "layers"}),
+        "What draws a frame: both pictures in motion, one of which is seen at each place (layers); "
+        "their blocks, which move as wholes (cells); whole pixels of sprites (pixels); or the "
+        "particles alone, as in the paper (particles), which options of their kernel below imply.",
         "Drawing", word="",
     )  # fmt: skip
     splatting: Splatting = option(

@@ -1,6 +1,6 @@
 """Particles that travel along the plan, births and deaths included."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,9 @@ from clmorph.measures.measure import Measure
 from clmorph.measures.points import as_image_measure
 from clmorph.transport.barycentric import Barycentric, check_barycentric
 from clmorph.transport.plan import Plan, check_plan
+
+#: Mass of a pixel of the ground, relative to an even spread of all mass.
+GROUND = 0.02
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -211,6 +214,26 @@ def particles(
         fading[len(dies) :, 1] = born[comes]
         weights = np.concatenate((weights, fading))
     return Particles(table, links.astype(np.uint32), weights, path_space, n_grown)
+
+
+def with_ground(particles: Particles, source: Measure, target: Measure) -> Particles:
+    """Add pixels without mass as a faint ground at rest, over which other particles prevail.
+
+    Without it a flat background, which has no mass, would be drawn as what is next to it.
+    """
+    sizes = len(source), len(target)
+    bare = [np.flatnonzero(measure.weights == 0) for measure in (source, target)]
+    rows = np.concatenate((bare[0], sizes[0] + bare[1]))
+    weights = np.zeros((len(rows), 2))
+    for end, size in enumerate(sizes):
+        mass = float(particles.weights[:, end].sum())
+        first = end * len(bare[0])
+        weights[first : first + len(bare[end]), end] = GROUND * mass / size
+    return replace(
+        particles,
+        links=np.concatenate((particles.links, np.column_stack((rows, rows)).astype(np.uint32))),
+        weights=np.concatenate((particles.weights, weights)),
+    )
 
 
 def _shared_out(

@@ -83,7 +83,7 @@ class FrameSequence(Sequence[Frame]):
     @property
     @abstractmethod
     def detail(self) -> str:
-        """What draws the fine detail of the frames: "carried" or "particles"."""
+        """What draws the frames: the option `detail`."""
 
     @property
     @abstractmethod

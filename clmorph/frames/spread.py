@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from clmorph.backends.several import frame_turns, members_of, results_in_order
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.frame_renderer import FrameRenderer
-from clmorph.frames.halfway import Halfway
+from clmorph.frames.layers import Layers
 from clmorph.frames.render import Sums, Widths
 
 
@@ -61,13 +61,13 @@ class SpreadRenderer:
 
     @property
     def detail(self) -> str:
-        """What draws the fine detail of the frames; see `FrameRenderer.detail`."""
+        """What draws the frames; see `FrameRenderer.detail`."""
         return self._first.detail
 
     @property
-    def halfway(self) -> Halfway | None:
-        """The motion of carried detail; see `FrameRenderer.halfway`."""
-        return self._first.halfway
+    def layers(self) -> Layers | None:
+        """The layers of both pictures; None if something else draws the frames."""
+        return self._first.layers
 
     @property
     def at_once(self) -> bool:

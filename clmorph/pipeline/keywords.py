@@ -30,7 +30,7 @@ class MorphKeywords(TypedDict, total=False):
     barycentric: bool
     sample: int | None
     seed: int
-    detail: Literal["carried", "particles", "shapes", "pixels"]
+    detail: Literal["layers", "cells", "pixels", "particles"]
     splatting: Literal["local", "adaptive", "fixed", "none"]
     sigma_start: float | Literal["auto"]
     sigma_end: float | Literal["auto"]

@@ -164,7 +164,7 @@ def takes_copies(
     shapes: Sequence[tuple[int, ...]], options: MorphOptions, beside: Maps = NO_MAPS
 ) -> bool:
     """Return whether `small_copies` of images with these shapes (H, W, C) are lifted."""
-    drawn = options.detail == "carried" and options.endpoints == "exact" and options.sigma is None
+    drawn = options.detail == "layers" and options.endpoints == "exact" and options.sigma is None
     drawn = drawn and options.solve_size is not None and options.solve_size <= MOST_CARRIED
     mapped = (beside.weights, beside.color_metric, beside.labels, beside.features)
     if not drawn or any(each is not None for each in mapped):

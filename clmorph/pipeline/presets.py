@@ -45,7 +45,7 @@ PRESETS: dict[str, Preset] = {
     ),
     "logo": Preset(
         "For logos and flat drawings: shapes become shapes, and the background stays.",
-        {"mass": "foreground", "reach": math.inf, "blur": 0.02, "detail": "shapes"},
+        {"mass": "foreground", "reach": math.inf, "blur": 0.02, "detail": "layers"},
     ),
     "pixel-art": Preset(
         "For sprites: whole pixels move, and blocks of enlarged sprites become pixels.",

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from clmorph._shared.validation import check_integer, check_number
 from clmorph.backends.arrays import pyopencl_needed
 from clmorph.backends.interface import Operations
+from clmorph.errors import InputError
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.frame_renderer import FrameRenderer
-from clmorph.frames.halfway import Halfway
 from clmorph.frames.kernel_width import KernelWidth
+from clmorph.frames.layers import Layers
 from clmorph.frames.particles import Particles
 from clmorph.frames.render import Sums, Widths, check_widths
 from clmorph.frames.sequence import Frame, FrameSequence
@@ -207,39 +208,41 @@ class Morph(FrameSequence):
 
     @property
     def detail(self) -> str:
-        """What draws the fine detail of the frames: "carried", "particles", "shapes" or "pixels".
+        """What draws the frames: "layers", "cells", "pixels" or "particles".
 
-        It is the option `detail`, but "particles" where it is "carried" and pictures have opacity
-        or more than 16 labels.
+        It is the option `detail`, but "particles" with ``endpoints="paper"`` or optimal widths.
         """
         return self._renderer.detail
 
     @property
-    def halfway(self) -> Halfway | None:
-        """The motion along which detail is carried; None unless `detail` is "carried".
+    def layers(self) -> Layers:
+        """Both pictures in motion, with ``detail="layers"``: fields, agreement, times.
 
-        Its `at` returns the displacement of what is at a place at time t. With labels it is the
-        motion of the first one.
+        Raises
+        ------
+        InputError
+            If something else draws the frames.
         """
-        return self._renderer.halfway
+        layers = self._renderer.layers
+        if layers is None:
+            raise InputError(f'detail={self.detail!r}: expected "layers"; only they have layers')
+        return layers
 
     @property
     def sigma(self) -> NDArray[np.float64]:
         """(n_frames,) kernel width at `times`, in pixels; 0 where there is no kernel.
 
-        It is the width for ``detail="particles"`` and for `sums`; flat shapes have their own. Where
-        detail is carried,
-        particles show the lower band alone, with the width
-        `clmorph.frames.bands.band_width`.
+        It is the width for ``detail="particles"`` and for `sums`.
         """
         return np.array([self.kernel_width.at(t, self.canvas(t)) for t in self.times])
 
     def frame(self, t: float) -> NDArray[np.float32]:
         """Render the frame at time t.
 
-        With ``detail="carried"`` the particles show the lower band of a frame, and its fine detail
-        is that of both images (`clmorph.frames.carried_detail`). With "shapes" and "pixels" it
-        shows the densest part of flat images (`clmorph.frames.shapes`). With "particles" a pixel is
+        With ``detail="layers"`` each place shows one of the two pictures, moved and recolored along
+        the plan (`clmorph.frames.layers`); with "cells" the blocks of both move as wholes
+        (`clmorph.frames.cells`), and with "pixels" whole pixels of sprites
+        (`clmorph.frames.sprites`). With "particles" a pixel is
         the weighted mean of Eq. 4 where `coverage` is at least `filling.HOLE_COVERAGE`
         (with "local" splatting, and where it is not torn out of its surroundings). Where coverage
         is at most half of that, the kernels' tails would decide, and

@@ -157,6 +157,7 @@ def cases() -> dict[str, dict[str, Any]]:
     """Return good arguments, all of them, of every public function."""
     some = examples()
     images = {"image_a": some["a"], "image_b": some["b"]}
+    film = [some["a"], some["b"], some["a"]]
     measures = {"source": some["source"], "target": some["target"]}
     planned = measures | {"potentials": some["potentials"], "backend": "numpy"}
     shared = {"size": None, "solve_size": None, "max_particles": None, "max_memory": None,
@@ -319,6 +320,14 @@ def cases() -> dict[str, dict[str, Any]]:
         "quality.crumbs": {"frame": some["a"]},
         "quality.mean_gradient": {"frame": some["a"]},
         "quality.step_sizes": {"frames": [some["a"], some["b"]]},
+        "quality.film_measures": {"frames": film, "particles": film, "times": (0.5,)},
+        "quality.ghost": {"frame": some["a"]} | images,
+        "quality.crossfade_share": {"frame": some["a"]} | images,
+        "quality.relative_sharpness": {"frame": some["a"]} | images | {"t": 0.5},
+        "quality.relative_crumbs": {"frame": some["a"]} | images | {"t": 0.5},
+        "quality.low_band_distance": {"frame": some["a"], "particles": some["b"]},
+        "quality.unevenness": {"frames": film},
+        "quality.flicker": {"frames": film},
         "baseline.channel_morph": images | STRENGTHS | SOLVER | WIDTHS | {
             "n_frames": 2, "backend": "numpy", "extent": "true",
         },

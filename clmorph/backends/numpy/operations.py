@@ -1,5 +1,6 @@
 """The operations in NumPy and float64, with which other backends are compared."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,13 @@ from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.numpy.batches import Batch, divide, for_each
 from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
 from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
-from clmorph.backends.numpy.spline import sample_spline
+from clmorph.backends.numpy.layers import draw_layers, edge_preserving_mean, follow_paths
 from clmorph.backends.records import (
+    Affine,
     Bins,
     Float32,
     Float64,
-    Motion,
+    LayerView,
     NearPairs,
     PlanRows,
     StoredPairs,
@@ -352,13 +354,37 @@ class NumPyOperations:
         spacings = moved[:, 5] * 0.5 * (scale[0] + scale[1])
         return Splats(positions, moved[:, 2:5], weights, spacings)
 
+    def edge_preserving_mean(
+        self,
+        values: Float32,
+        weights: Float32,
+        guide: Float32,
+        fine_guide: Float32,
+        sigma: float,
+        tolerance: float,
+    ) -> Float64:
+        """Average values over neighbors of like color."""
+        return edge_preserving_mean(values, weights, guide, fine_guide, sigma, tolerance)
+
+    def follow_paths(
+        self, field: Float32, to_field: Affine, shape: tuple[int, int], steps: int, rounds: int
+    ) -> Float32:
+        """Follow the place that each point of a grid shows, while a field moves it."""
+        return follow_paths(field, to_field, shape, steps, rounds)
+
     def upload_spline(self, coefficients: Float32) -> Float32:
         """Upload a picture, as the coefficients of a cubic spline."""
         return coefficients
 
-    def sample_spline(self, spline: Float32, motion: Motion, first: int, stop: int) -> Float32:
-        """Sample a picture at the places of some rows of a canvas."""
-        return sample_spline(spline, motion, first, stop)
+    def upload_layer(self, paths: Float32, change: Float32) -> tuple[Float32, Float32]:
+        """Upload what moves and recolors a picture."""
+        return paths, change
+
+    def draw_layers(
+        self, views: Sequence[LayerView], low: Float32, shape: tuple[int, int]
+    ) -> Float32:
+        """Draw two layers over one another."""
+        return draw_layers(views, low, shape)
 
     def upload_splats(
         self,

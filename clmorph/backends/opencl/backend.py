@@ -18,6 +18,7 @@ from clmorph.backends.opencl.kernels.batches import BatchLogSumExp
 from clmorph.backends.opencl.kernels.clouds import CloudStore
 from clmorph.backends.opencl.kernels.half_steps import HalfSteps
 from clmorph.backends.opencl.kernels.launches import Workspace
+from clmorph.backends.opencl.kernels.layers import Layers
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
 from clmorph.backends.opencl.kernels.near_field import NearField
 from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
@@ -25,7 +26,6 @@ from clmorph.backends.opencl.kernels.plan_shares import PlanShares
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.sliced_ellpack import SlicedEllpack
 from clmorph.backends.opencl.kernels.splat import Splatting
-from clmorph.backends.opencl.kernels.spline import SplineSampling
 from clmorph.backends.opencl.kernels.stored_steps import StoredSteps
 from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import DeviceError
@@ -112,7 +112,7 @@ class OpenCLOperations:
         stored = SlicedEllpack(loop, plan_rows)
         splatting = self.splatting = Splatting(self.work, self.constants, self.programs)
 
-        splines = SplineSampling(self.work, self.programs)
+        layers = Layers(self.work, self.constants, self.programs)
 
         take_turns = self._take_turns
         self.upload = take_turns(clouds.upload)
@@ -136,8 +136,11 @@ class OpenCLOperations:
         self.start_stored_iteration = take_turns(self.stored_steps.start_stored_iteration)
         self.upload_particles = take_turns(splatting.upload_particles)
         self.upload_splats = take_turns(splatting.upload_splats)
-        self.upload_spline = take_turns(splines.upload_spline)
-        self.sample_spline = take_turns(splines.sample_spline)
+        self.edge_preserving_mean = take_turns(layers.edge_preserving_mean)
+        self.follow_paths = take_turns(layers.follow_paths)
+        self.upload_spline = take_turns(layers.upload_spline)
+        self.upload_layer = take_turns(layers.upload_layer)
+        self.draw_layers = take_turns(layers.draw_layers)
         self.advect = take_turns(splatting.advect)
         self.deposit = take_turns(splatting.deposit)
         self.adapt_widths = take_turns(splatting.adapt_widths)

@@ -17,6 +17,7 @@ from clmorph.backends.opencl.kernels.stored_steps import StoredSteps
 from clmorph.backends.verification.batches import check_softmin_batch
 from clmorph.backends.verification.clouds import LONG_ROW, few_rows, several_tiles, splat_case
 from clmorph.backends.verification.iterations import check_iteration
+from clmorph.backends.verification.layers import check_layers, check_mean, check_paths
 from clmorph.backends.verification.plans import check_plan_rows, check_stored
 from clmorph.backends.verification.reductions import (
     ENOUGH,
@@ -36,7 +37,6 @@ from clmorph.backends.verification.splats import (
     check_splat,
     thinned,
 )
-from clmorph.backends.verification.splines import check_spline
 from clmorph.errors import ClmorphError
 
 #: Number of splats and canvas of the checks: bins of more than MOMENT_CHUNK splats, several blocks
@@ -193,8 +193,9 @@ def _check_splat(operations: Adjustable, variant: Variant, method: str) -> _Chec
     yield from check_own_widths(thinned(case, FEWER), 1.1)
 
 
-def _check_spline(operations: Adjustable, variant: Variant) -> _Checks:
-    yield from check_spline(operations, NumPyOperations())
+def _check_layers(operations: Adjustable, variant: Variant) -> _Checks:
+    for check in (check_mean, check_paths, check_layers):
+        yield from check(operations, NumPyOperations())
 
 
 _CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
@@ -208,6 +209,6 @@ _CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
     "sliced_ellpack.cl": _check_sliced_ellpack,
     "particles.cl": _check_particles,
     "splat.cl": partial(_check_splat, method="gather"),
-    "spline.cl": _check_spline,
+    "layers.cl": _check_layers,
     "gauss_transform.cl": partial(_check_splat, method="moments"),
 }

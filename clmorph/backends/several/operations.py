@@ -101,7 +101,10 @@ class SeveralDevices:
         self.bounded_softmin_batch = lone.bounded_softmin_batch
         self.upload_particles = lone.upload_particles
         self.upload_splats = lone.upload_splats
-        self.upload_spline, self.sample_spline = lone.upload_spline, lone.sample_spline
+        self.edge_preserving_mean = lone.edge_preserving_mean
+        self.follow_paths = lone.follow_paths
+        self.upload_spline, self.upload_layer = lone.upload_spline, lone.upload_layer
+        self.draw_layers = lone.draw_layers
         self.advect = lone.advect
         self.deposit = lone.deposit
         self.adapt_widths = lone.adapt_widths

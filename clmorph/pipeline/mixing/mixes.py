@@ -17,8 +17,7 @@ from clmorph._shared.typing import Array, ArrayLike
 from clmorph._shared.validation import check_integer
 from clmorph.backends.interface import Operations
 from clmorph.frames.ends import ends_of
-from clmorph.frames.mixes.particles import MixedParticles
-from clmorph.frames.mixes.renderer import MixRenderer
+from clmorph.frames.mixes import MixRenderer
 from clmorph.frames.sequence import Frame
 from clmorph.images.detail import is_pixel_art
 from clmorph.output.options import FrameStyle
@@ -33,7 +32,6 @@ from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import Picture
 from clmorph.pipeline.recipe import recipe
 from clmorph.pipeline.result import Morph
-from clmorph.transport.plan import Plan
 
 #: Largest number of particles of each pixel.
 DRAWS = 8
@@ -122,13 +120,12 @@ class Mixes(Sequence[Frame]):
 
     @property
     def carries(self) -> bool:
-        """Whether mixes of three or more images are drawn from the particles of all pairs.
+        """Whether mixes of three or more images are drawn from the layers of all pairs.
 
-        Flat shapes, pixel art, images with opacity and other ways to draw detail than "carried"
-        are mixed step by step: mixes of the first and of the second half of the images, and then a
-        morph between both.
+        Other ways to draw than "layers" are mixed step by step: mixes of the first and of the
+        second half of the images, and then a morph between both.
         """
-        return self.options.detail == "carried" and not self.clear and not self.options.barycentric
+        return self.options.detail == "layers"
 
     def frame(self, weights: ArrayLike) -> Frame:
         """Draw the mix with some weights.
@@ -326,26 +323,17 @@ class Mixes(Sequence[Frame]):
     @cached_property
     def _renderer(self) -> MixRenderer:
         """The renderer of mixes of three and more images."""
-        plans, motions = {}, {}
-        for second in range(len(self.images)):
-            for first in range(second):
-                morph = self.morph(first, second)
-                assert isinstance(morph.plan, Plan)
-                assert morph.halfway is not None
-                plans[first, second], motions[first, second] = morph.plan, morph.halfway
+        layers = {
+            (first, second): self.morph(first, second).layers
+            for second in range(len(self.images))
+            for first in range(second)
+        }
         # In each pair with an image its measure, and its picture, are the same.
         pairs = [self.morph(0, k) for k in range(1, len(self.images))]
         measures = [pairs[0].source, *(pair.target for pair in pairs)]
         ends = [ends_of((pair.source, pair.target), pair.pictures) for pair in pairs]
         pictures = [ends[0][0], *(end for _, end in ends)]
-        options = self.options
-        n = sum(map(len, measures))
-        draws = DRAWS if options.max_particles is None else options.max_particles // n
-        particles = MixedParticles(
-            measures, plans, options.unmatched, options.path_space, min(max(draws, 1), DRAWS),
-            options.seed,
-        )  # fmt: skip
-        return MixRenderer(pictures, particles, motions, options.path_space, self.operations)
+        return MixRenderer(pictures, measures, layers, self.options.path_space, self.operations)
 
     def _halves(self, weights: Array) -> tuple[Array, Array, bytes]:
         """Return the weights of the mixes of both halves of the images that are shown."""

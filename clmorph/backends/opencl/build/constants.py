@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyopencl as cl
 
+from clmorph.backends.numpy.layers import LEAST_LIKENESS
 from clmorph.backends.opencl.build import half_step_slots, stored_step_slots
 from clmorph.backends.opencl.devices.quirks import LONGEST_LOOP, find_quirks
 from clmorph.backends.width_levels import WIDTH_LEVELS
@@ -160,6 +161,10 @@ class BuildConstants:
     def common_macros(self) -> dict[str, int | float]:
         """Return the macros of ``common.cl``, for files that have none of their own."""
         return {"EXP2_BUILTIN": self.exp2_builtin, "SENTINEL": SENTINEL, "WIDTH": self.width}
+
+    def layer_macros(self) -> dict[str, int | float]:
+        """Return the macros of ``layers.cl``."""
+        return {**self.common_macros(), "LEAST_LIKENESS": LEAST_LIKENESS}
 
     def particle_macros(self) -> dict[str, int | float]:
         """Return the macros of ``particles.cl``."""

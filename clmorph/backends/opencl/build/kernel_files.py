@@ -16,6 +16,6 @@ KERNELS = {
         "advect", "pack_weights", "choose_width_levels", "count_bins", "fill_bins",
     ),
     "splat.cl": ("splat",),
-    "spline.cl": ("sample_spline",),
+    "layers.cl": ("edge_preserving_mean", "follow_paths", "place_layer", "draw_layers"),
     "gauss_transform.cl": ("sum_moments", "sum_rows", "sum_columns"),
 }  # fmt: skip

@@ -49,7 +49,7 @@ class Variant:
             "particles.cl": constants.particle_macros,
             "splat.cl": constants.splat_macros,
             "gauss_transform.cl": constants.gauss_transform_macros,
-            "spline.cl": constants.common_macros,
+            "layers.cl": constants.layer_macros,
         }
         if self.file == "half_steps.cl":
             return constants.half_step_macros(self.balanced)

@@ -28,6 +28,22 @@ def column_tiles(constants: BuildConstants, dimension: int) -> int:
     return max(1, constants.longest_loop // (2 * in_tile))
 
 
+def mean_rows(constants: BuildConstants, window: int) -> int:
+    """Return the rows of cells that a mean takes in one launch of ``edge_preserving_mean``.
+
+    Parameters
+    ----------
+    constants : BuildConstants
+    window : int
+        Cells of a row.
+    """
+    if not constants.longest_loop:
+        return NO_LIMIT
+    # For each vector of cells there are two loops over eight channels; lanes are added up at last.
+    around = 4 * 9 + 9 * (constants.width + 1)
+    return max(1, (constants.longest_loop - around) // (19 * (window // constants.width + 1)))
+
+
 def draws(constants: BuildConstants) -> int:
     """Return the number of draws of a row in one launch of ``sample_plan_rows``."""
     if not constants.longest_loop:

@@ -1,14 +1,10 @@
-"""Frames of flat shapes: what stands before a background moves as a whole and keeps its outlines.
+"""Frames of sprites: whole pixels move, and what stands before a background keeps its outline.
 
 Pixels of the foreground are those with mass. Both images are divided into regions of one color,
 and the particles into parts, by the regions in which they start and end. A frame shows, in each
-pixel, the part that is densest there, and the background where all parts together are thin:
-
-- The threshold between shape and background is the density at which the foreground's share of the
-  canvas goes linearly from that of the source to that of the target. So shapes neither fade nor
-  swell, however the particles spread.
-- Outlines are anti-aliased over one pixel. In pixel art each pixel belongs to one part alone.
-- The background stays where it is and mixes the colors of both.
+pixel, the part that is densest there, and the background where all parts together are thin: the
+foreground's share of the canvas goes linearly from that of the source to that of the target. The
+background stays where it is and mixes the colors of both.
 """
 
 from copy import copy
@@ -29,18 +25,10 @@ from clmorph.measures.measure import Measure
 Array = NDArray[np.float64]
 _Bool = NDArray[np.bool_]
 
-#: Largest number of regions of an image: a drawing's and a sprite's.
-DRAWN_COLORS, SPRITE_COLORS = 6, 16
-#: Kernel width of parts: a share of the canvas's longer side and at least some pixels; a sprite's.
-SHAPE_SHARE, NARROWEST, SPRITE_WIDTH = 0.004, 0.7, 0.45
-#: Power of densities by which parts are mixed: edges between parts are about a pixel wide.
-CONTRAST = 16
+#: Largest number of regions of an image, and kernel width of parts in pixels.
+COLORS, WIDTH = 16, 0.45
 #: Parts with less mass than this share of a pixel's are left out: they prevail nowhere.
 SMALLEST = 0.25
-#: Least relative change of density over a pixel, and density (of an even spread) of no shape.
-FLATTEST, THINNEST = 0.05, 1e-6
-#: Rounds of bisection for the threshold of density.
-ROUNDS = 40
 #: Opacity from which a shape counts as opaque.
 OPAQUE = 0.999
 
@@ -54,7 +42,7 @@ class _Side(NamedTuple):
     ground_alpha: float
 
 
-class Shapes:
+class Sprites:
     """The parts of a morph between flat images.
 
     Parameters
@@ -62,8 +50,6 @@ class Shapes:
     measures : (source, target)
     particles : Particles
     operations : Operations
-    crisp : bool
-        Whether the images are pixel art, whose edges are not anti-aliased.
     """
 
     def __init__(
@@ -71,12 +57,9 @@ class Shapes:
         measures: tuple[Measure, Measure],
         particles: Particles,
         operations: Operations,
-        *,
-        crisp: bool,
     ) -> None:
-        self._crisp = crisp
         self._space = particles.path_space
-        self._sides = [_side(measure, crisp) for measure in measures]
+        self._sides = [_side(measure) for measure in measures]
         #: Whether frames have a fourth channel, and whether shapes are translucent somewhere.
         self.clear = any(measure.alpha is not None for measure in measures)
         self._translucent = any(
@@ -103,7 +86,7 @@ class Shapes:
         self._parts = Parts(operations, particles, flat, self._divided(measures, particles))
         self._opacities = Parts(operations, particles, opacity, [np.arange(len(links))])
 
-    def on(self, operations: Operations) -> "Shapes":
+    def on(self, operations: Operations) -> "Sprites":
         """Return the same parts for another device."""
         other = copy(self)
         other._parts, other._opacities = self._parts.on(operations), self._opacities.on(operations)
@@ -111,15 +94,12 @@ class Shapes:
 
     def frame(self, t: float, canvas: Canvas) -> Array:
         """Return a frame: (H, W, 3) array of sRGB, or (H, W, 4) with opacity."""
-        sigma = SPRITE_WIDTH
-        if not self._crisp:
-            sigma = max(NARROWEST, SHAPE_SHARE * max(canvas.shape))
-        density, colors = self._mixed(t, canvas, sigma)
+        density, colors = self._mixed(t, canvas)
         colors = from_space(colors, self._space)
         area = float(np.dot((1 - t, t), [side.inside.mean() for side in self._sides]))
-        opaque = _inside(density, area, crisp=self._crisp)[..., None]
+        opaque = _inside(density, area)[..., None]
         if self._translucent:
-            opaque = opaque * self._opacity(t, canvas, sigma)[..., None]
+            opaque = opaque * self._opacity(t, canvas)[..., None]
         ground, alpha = self._ground(t)
         if not self.clear:
             return np.asarray(opaque * colors + (1 - opaque) * ground)
@@ -152,27 +132,20 @@ class Shapes:
         ]  # fmt: skip
         return large or found
 
-    def _mixed(self, t: float, canvas: Canvas, sigma: float) -> tuple[Array, Array]:
+    def _mixed(self, t: float, canvas: Canvas) -> tuple[Array, Array]:
         """Return the density of all parts, and the color of the densest: (H, W), (H, W, 3)."""
         total, share = np.zeros(canvas.shape), np.zeros(canvas.shape)
         colors = np.zeros((*canvas.shape, 3))
-        for mean, density in self._parts.drawn(t, canvas, sigma):
+        for mean, density in self._parts.drawn(t, canvas, WIDTH):
             total += density
-            if self._crisp:
-                prevails = density > share
-                colors[prevails], share[prevails] = mean[prevails], density[prevails]
-            else:
-                power = density**CONTRAST
-                colors += power[..., None] * mean
-                share += power
+            prevails = density > share
+            colors[prevails], share[prevails] = mean[prevails], density[prevails]
         known = share > 0
-        if not self._crisp:
-            colors[known] /= share[known][..., None]
         return total, colors if known.all() else colors[_nearest(known)]
 
-    def _opacity(self, t: float, canvas: Canvas, sigma: float) -> Array:
+    def _opacity(self, t: float, canvas: Canvas) -> Array:
         """Return the mean opacity of the particles around each pixel: (H, W) array."""
-        ((mean, density),) = self._opacities.drawn(t, canvas, sigma)
+        ((mean, density),) = self._opacities.drawn(t, canvas, WIDTH)
         return np.clip(mean[..., 0][_nearest(density > 0)], 0.0, 1.0)
 
     def _ground(self, t: float) -> tuple[Array, float]:
@@ -185,7 +158,7 @@ class Shapes:
         return from_space(share @ colors / alpha, self._space), alpha
 
 
-def _side(measure: Measure, crisp: bool) -> _Side:
+def _side(measure: Measure) -> _Side:
     """Divide an image into background and regions."""
     colors = measure.colors.reshape(*measure.shape, 3)
     inside = (measure.weights > 0).reshape(measure.shape)
@@ -195,8 +168,7 @@ def _side(measure: Measure, crisp: bool) -> _Side:
         # A pixel of an edge belongs to the shape if it is mostly opaque.
         solid = inside & foreground(colors, alpha)
         inside = solid if solid.any() else inside
-    most = SPRITE_COLORS if crisp else DRAWN_COLORS
-    regions = flat_regions(colors, alpha, inside, most, edges=not crisp)
+    regions = flat_regions(colors, alpha, inside, COLORS, edges=False)
     if inside.all():
         return _Side(inside, regions, np.zeros(3), 0.0)
     clear = measure.alpha is not None
@@ -212,34 +184,9 @@ def _nearest(known: _Bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return rows, columns
 
 
-def _inside(density: Array, area: float, *, crisp: bool) -> Array:
-    """Return how far each pixel lies inside the shapes, from 0 to 1: (H, W) array.
-
-    Parameters
-    ----------
-    density : (H, W) array
-        Relative to an even spread.
-    area : float
-        The shapes' share of the canvas; the threshold of the density follows from it.
-    crisp : bool
-        Whether each pixel is either inside or outside.
-    """
-    size = density.size
-    if area >= 1 - 0.5 / size:
-        return np.ones(density.shape)
-    if crisp:
-        found = np.zeros(size)
-        found[np.argsort(-density.ravel(), kind="stable")[: max(1, round(area * size))]] = 1.0
-        return found.reshape(density.shape)
-    level = np.log(np.maximum(density, THINNEST))
-    slopes = [
-        np.gradient(level, axis=axis) if density.shape[axis] > 1 else np.zeros(density.shape)
-        for axis in (0, 1)
-    ]
-    slope = np.maximum(np.hypot(*slopes), FLATTEST)
-    low, high = float(level.min()) - 1.0, float(level.max()) + 1.0
-    for _ in range(ROUNDS):
-        threshold = 0.5 * (low + high)
-        found = np.clip(0.5 + (level - threshold) / slope, 0.0, 1.0)
-        low, high = (threshold, high) if found.mean() > area else (low, threshold)
-    return np.asarray(found)
+def _inside(density: Array, area: float) -> Array:
+    """Return 1 for the densest pixels, which cover an area (a share of the canvas), and else 0."""
+    found = np.zeros(density.size)
+    densest = np.argsort(-density.ravel(), kind="stable")
+    found[densest[: max(1, round(area * density.size))]] = 1.0
+    return found.reshape(density.shape)

@@ -1,0 +1,366 @@
+// Fields of a morph's layers, paths along them, and frames: the sum of two layers, each a picture that
+// moves and changes its colors. The formulas stand in clmorph/backends/interface.py, Operations.
+//
+// A picture is the cubic spline through its pixels, whose coefficients come from the host (Unser
+// 1999). Beyond its border it is mirrored about the centers of its outermost pixels.
+//
+// Places come from the host, in float64, for each row and each column of a grid, as a pair: a whole
+// number and what is to be added to it, so that float32 is as exact at pixel 4000 as at pixel 0.
+//
+// Launch: one work-item for each point of some rows of a grid, or pixel of the canvas: get_global_id(0) is
+// the column, which may exceed the grid, and get_global_id(1) the row, counted from `first_row`.
+// `place_layer` has one for each point of the paths' grid, in any order.
+//
+// Units: places and displacements in points of a grid, (row, column) in this order as .x and .y.
+//
+// -D WIDTH       cells that a mean takes at once, see common.cl
+// -D LEAST_LIKENESS=x  what unlike cells count in a mean
+
+#include "common.cl"
+
+#ifndef LEAST_LIKENESS
+#error "LEAST_LIKENESS (what unlike cells count in a mean) must be given"
+#endif
+
+// Channels of values and of guides at most.
+#define CHANNELS 8
+// A place farther outside would leave the range of integers.
+#define FARTHEST 1e6f
+
+INLINE float sum_of_lanes(const vreal v)
+{
+#if WIDTH == 1
+    return v;
+#else
+    float lanes[WIDTH];
+    VSTORE(v, 0, lanes);
+    float sum = 0.0f;
+    for (int lane = 0; lane < WIDTH; ++lane)
+        sum += lanes[lane];
+    return sum;
+#endif
+}
+
+// Sums over some rows of the cells around each point, added to those that are there: the weights,
+// then each channel of the values times the weights.
+__kernel void edge_preserving_mean(
+    const uint first_row, const uint width,       // of the points
+    const uint2 channels,                         // of the values and of the guide
+    const int2 cells,                             // rows of cells, and cells of a padded row
+    const int2 window,                            // rows and cells of a row around a point
+    const int2 rows,                              // of the window: the first one, and the end
+    const float sharpness,                        // such that exp2(-|sharpness (G - g)|^2) is the likeness
+    const __global int* restrict first_rows,      // (points' rows,): the first cell around a point
+    const __global int* restrict first_columns,   // (width,)
+    const __global float* restrict down,          // (points' rows, window.x): weights of distances
+    const __global float* restrict along,         // (width, window.y)
+    const __global float* restrict planes,        // (1 + channels, cells): weights, values, guide
+    const __global float* restrict fine_guide,    // (points' rows, width, channels.y)
+    __global float* restrict sums)                // (points' rows, width, 1 + channels.x)
+{
+    const uint column = get_global_id(0);
+    if (column >= width)
+        return;
+    const size_t row = (size_t)first_row + get_global_id(1);
+    const size_t point = row * width + column;
+    const size_t plane = (size_t)cells.x * cells.y;
+    float own[CHANNELS];
+    vreal found[CHANNELS], total = 0.0f;
+#pragma unroll
+    for (uint c = 0; c < CHANNELS; ++c) {
+        own[c] = c < channels.y ? fine_guide[point * channels.y + c] : 0.0f;
+        found[c] = 0.0f;
+    }
+    const __global float* along_row = along + (size_t)column * window.y;
+    for (int k = rows.x; k < rows.y; ++k) {
+        const int i = first_rows[row] + k;
+        if (i < 0 || i >= cells.x)
+            continue;
+        const float far = down[row * window.x + k];
+        const __global float* cell = planes + (size_t)i * cells.y + first_columns[column];
+        for (int j = 0; j < window.y; j += WIDTH, cell += WIDTH) {
+            const __global float* at = cell + (1 + channels.x) * plane;
+            vreal unlike = 0.0f;
+#pragma unroll
+            for (uint c = 0; c < CHANNELS; ++c)
+                if (c < channels.y) {
+                    const vreal apart = sharpness * (own[c] - VLOAD(0, at + c * plane));
+                    unlike += apart * apart;
+                }
+            const vreal likeness = exp2_nonpositive(-unlike) + LEAST_LIKENESS;
+            const vreal weight = likeness * VLOAD(0, cell) * (far * VLOAD(j, along_row));
+            total += weight;
+            at = cell + plane;
+#pragma unroll
+            for (uint c = 0; c < CHANNELS; ++c)
+                if (c < channels.x)
+                    found[c] += weight * VLOAD(0, at + c * plane);
+        }
+    }
+    __global float* of_point = sums + point * (1 + channels.x);
+    of_point[0] += sum_of_lanes(total);
+#pragma unroll
+    for (uint c = 0; c < CHANNELS; ++c)
+        if (c < channels.x)
+            of_point[1 + c] += sum_of_lanes(found[c]);
+}
+
+// The two neighbors of a place on a grid that is constant beyond its border, and the weight of the second one.
+typedef struct {
+    int first, second;
+    float weight;
+} Between;
+
+INLINE Between between(const float whole, const float part, const int side)
+{
+    const float near = clamp(part, -FARTHEST, FARTHEST);
+    const float lower = floor(near);
+    const int i = (int)whole + (int)lower;
+    Between found;
+    found.first = clamp(i, 0, side - 1);
+    found.second = clamp(i + 1, 0, side - 1);
+    found.weight = near - lower;
+    return found;
+}
+
+// Displacements along a field at the times 0, 1 / steps, ..., 1. Each work-item follows one point.
+__kernel void follow_paths(
+    const uint first_row, const uint2 shape,      // rows and columns of the points
+    const int2 grid,                              // height and width of the field
+    const uint steps, const uint rounds,
+    const __global float2* restrict rows,         // (shape.x,): places on the field
+    const __global float2* restrict columns,      // (shape.y,)
+    const __global float2* restrict field,        // (grid height, grid width)
+    __global float2* restrict paths)              // (steps + 1, shape.x, shape.y)
+{
+    const uint column = get_global_id(0);
+    if (column >= shape.y)
+        return;
+    const uint row = first_row + get_global_id(1);
+    const size_t point = (size_t)row * shape.y + column, points = (size_t)shape.x * shape.y;
+    const float2 y = rows[row], x = columns[column];
+    float2 moved = (float2)(0.0f);
+    paths[point] = moved;
+    for (uint step = 1; step <= steps; ++step) {
+        const float t = (float)step / (float)steps;
+        for (uint round = 0; round < rounds; ++round) {
+            const Between i = between(y.x, y.y + moved.x, grid.x);
+            const Between j = between(x.x, x.y + moved.y, grid.y);
+            const __global float2* above = field + (size_t)i.first * grid.y;
+            const __global float2* below = field + (size_t)i.second * grid.y;
+            const float2 v = mix(
+                mix(above[j.first], above[j.second], j.weight),
+                mix(below[j.first], below[j.second], j.weight), i.weight);
+            moved = 0.5f * (moved - t * v);
+        }
+        paths[step * points + point] = moved;
+    }
+}
+
+// A layer at one time: displacement (.x, .y) and weight (.z) of each point of the paths' grid.
+__kernel void place_layer(
+    const uint points, const uint step, const float weight, // of the step after this one
+    const __global float2* restrict paths,        // (steps + 1, points)
+    const __global float* restrict weights,       // (points,)
+    __global float4* restrict layer)              // (points,)
+{
+    const uint point = get_global_id(0);
+    if (point >= points)
+        return;
+    const size_t at = (size_t)step * points + point;
+    const float2 moved = mix(paths[at], paths[at + points], weight);
+    layer[point] = (float4)(moved.x, moved.y, weights[point], 0.0f);
+}
+
+// A layer, and where the pixels of the canvas stand on its grids: tables of places, as there are
+// PLACES of them, for the rows and for the columns of the canvas. On the paths' grid, places are
+// inside it.
+#define ON_PATHS 0
+#define ON_FIELD 1
+#define ON_PICTURE 2
+#define PLACES 3
+
+typedef struct {
+    const __global float2* rows;                  // (PLACES, canvas height)
+    const __global float2* columns;               // (PLACES, canvas width)
+    const __global float4* points;                // (paths.x, paths.y), see place_layer
+    const __global float4* change;                // (field.x, field.y)
+    const __global float4* coefficients;          // (picture.x, picture.y)
+    int2 canvas, paths, field, picture;           // height and width
+    float2 step;                                  // from points of the field to pixels of the picture
+    float tearing;                                // 1 over the distance at which tears begin
+    float way, share;
+} Layer;
+
+// Displacement (.x, .y) and weight (.z) at a pixel.
+INLINE float4 at_pixel(const Layer layer, const int row, const int column)
+{
+    const float2 y = layer.rows[ON_PATHS * layer.canvas.x + row];
+    const float2 x = layer.columns[ON_PATHS * layer.canvas.y + column];
+    const int i = (int)y.x, j = (int)x.x;
+    const __global float4* above = layer.points + (size_t)i * layer.paths.y + j;
+    const __global float4* below = above + (i + 1 < layer.paths.x ? layer.paths.y : 0);
+    const int right = j + 1 < layer.paths.y ? 1 : 0;
+    return mix(mix(above[0], above[right], x.y), mix(below[0], below[right], x.y), y.y);
+}
+
+// The index inside 0 <= i < n that a place mirrors, which may be far outside.
+INLINE int mirrored(const int i, const int n)
+{
+    const int period = max(2 * n - 2, 1);
+    const int once = (int)((uint)abs(i) % (uint)period);
+    return min(once, period - once);
+}
+
+// Weights of the four coefficients around a place, f pixels after the second one.
+INLINE float4 cubic_weights(const float f)
+{
+    const float r = 1.0f - f;
+    const float first = r * r * r * (1.0f / 6.0f);
+    const float last = f * f * f * (1.0f / 6.0f);
+    const float second = 2.0f / 3.0f - 0.5f * f * f * (2.0f - f);
+    return (float4)(first, second, 1.0f - first - second - last, last);
+}
+
+// What a picture shows at a place: whole numbers plus a part.
+INLINE float4 of_picture(
+    const __global float4* coefficients, const int2 shape, const int2 whole, const float2 part)
+{
+    const float2 near = clamp(part, -FARTHEST, FARTHEST);
+    const float2 lower = floor(near);
+    const float4 along_rows = cubic_weights(near.x - lower.x);
+    const float4 along_columns = cubic_weights(near.y - lower.y);
+    const int y = whole.x + (int)lower.x - 1, x = whole.y + (int)lower.y - 1;
+    float wy[4], wx[4];
+    vstore4(along_rows, 0, wy);
+    vstore4(along_columns, 0, wx);
+    float4 sum = (float4)(0.0f);
+    if (y >= 0 && x >= 0 && y + 3 < shape.x && x + 3 < shape.y) {
+        const __global float4* corner = coefficients + (size_t)y * shape.y + x;
+#pragma unroll
+        for (int a = 0; a < 4; ++a) {
+            const __global float4* line = corner + (size_t)a * shape.y;
+            sum += wy[a] * (wx[0] * line[0] + wx[1] * line[1] + wx[2] * line[2] + wx[3] * line[3]);
+        }
+    } else {
+        for (int a = 0; a < 4; ++a) {
+            const __global float4* line = coefficients + (size_t)mirrored(y + a, shape.x) * shape.y;
+            for (int b = 0; b < 4; ++b)
+                sum += wy[a] * wx[b] * line[mirrored(x + b, shape.y)];
+        }
+    }
+    return sum;
+}
+
+// The color that a layer has at a pixel of this displacement.
+INLINE float4 color_at(const Layer layer, const int row, const int column, const float2 moved)
+{
+    float2 y = layer.rows[ON_PICTURE * layer.canvas.x + row];
+    float2 x = layer.columns[ON_PICTURE * layer.canvas.y + column];
+    const float4 picture = of_picture(
+        layer.coefficients, layer.picture, (int2)((int)y.x, (int)x.x),
+        (float2)(y.y, x.y) + layer.step * moved);
+    y = layer.rows[ON_FIELD * layer.canvas.x + row];
+    x = layer.columns[ON_FIELD * layer.canvas.y + column];
+    const Between i = between(y.x, y.y + moved.x, layer.field.x);
+    const Between j = between(x.x, x.y + moved.y, layer.field.y);
+    const __global float4* above = layer.change + (size_t)i.first * layer.field.y;
+    const __global float4* below = layer.change + (size_t)i.second * layer.field.y;
+    const float4 change = mix(
+        mix(above[j.first], above[j.second], j.weight),
+        mix(below[j.first], below[j.second], j.weight), i.weight);
+    return picture + layer.way * change;
+}
+
+// Square of the distance in the picture between a pixel and a neighbor, which stands inside the canvas.
+INLINE float apart(
+    const Layer layer, const int row, const int column, const int other_row,
+    const int other_column, const float2 moved)
+{
+    const __global float2* rows = layer.rows + ON_PICTURE * layer.canvas.x;
+    const __global float2* columns = layer.columns + ON_PICTURE * layer.canvas.y;
+    const float2 y = rows[other_row] - rows[row], x = columns[other_column] - columns[column];
+    const float4 other = at_pixel(layer, other_row, other_column);
+    const float2 way = (float2)(y.x + y.y, x.x + x.y)
+        + layer.step * ((float2)(other.x, other.y) - moved);
+    return way.x * way.x + way.y * way.y;
+}
+
+// What a layer adds to a pixel.
+INLINE float4 of_layer(const Layer layer, const int row, const int column)
+{
+    const float4 here = at_pixel(layer, row, column);
+    if (here.z == 0.0f && layer.share == 0.0f)
+        return (float4)(0.0f);
+    const float2 moved = (float2)(here.x, here.y);
+    const int up = max(row - 1, 0), low = min(row + 1, layer.canvas.x - 1);
+    const int left = max(column - 1, 0), right = min(column + 1, layer.canvas.y - 1);
+    const float farthest = max(
+        max(apart(layer, row, column, up, column, moved),
+            apart(layer, row, column, low, column, moved)),
+        max(apart(layer, row, column, row, left, moved),
+            apart(layer, row, column, row, right, moved)));
+    const float torn = clamp(sqrt(farthest) * layer.tearing - 1.0f, 0.0f, 1.0f);
+    float4 color = color_at(layer, row, column, moved);
+    if (torn > 0.0f) {
+        float4 mean = (float4)(0.0f);
+        for (int place = 0; place < 9; ++place) {
+            const int down = place / 3 - 1, across = place % 3 - 1;
+            const int i = clamp(row + down, 0, layer.canvas.x - 1);
+            const int j = clamp(column + across, 0, layer.canvas.y - 1);
+            const float4 other = at_pixel(layer, i, j);
+            const float weight = (down ? 0.25f : 0.5f) * (across ? 0.25f : 0.5f);
+            mean += weight * color_at(layer, i, j, (float2)(other.x, other.y));
+        }
+        color = mix(color, mean, torn);
+    }
+    return (float4)(here.z, here.z, here.z, layer.share) * color;
+}
+
+// Two layers, each times its weight, plus an image on a grid over the canvas.
+__kernel void draw_layers(
+    const uint first_row,
+    const int2 canvas,                            // height and width
+    const __global float2* restrict rows,         // (1 + 2 PLACES, canvas height): the first on `low`
+    const __global float2* restrict columns,      // (1 + 2 PLACES, canvas width)
+    const int2 low_shape, const __global float4* restrict low,
+    const int4 paths, const int4 fields, const int4 pictures, // height and width of both layers'
+    const float4 step,                            // those of both layers
+    const float2 tearing, const float2 way, const float2 share,
+    const __global float4* restrict points_a, const __global float4* restrict change_a,
+    const __global float4* restrict coefficients_a,
+    const __global float4* restrict points_b, const __global float4* restrict change_b,
+    const __global float4* restrict coefficients_b,
+    __global float4* restrict frame)              // (rows of this launch, canvas width)
+{
+    const int column = get_global_id(0);
+    if (column >= canvas.y)
+        return;
+    const int local_row = get_global_id(1);
+    const int row = (int)first_row + local_row;
+
+    const float2 y = rows[row], x = columns[column];
+    const __global float4* above = low + (size_t)(int)y.x * low_shape.y + (int)x.x;
+    const __global float4* below = above + ((int)y.x + 1 < low_shape.x ? low_shape.y : 0);
+    const int right = (int)x.x + 1 < low_shape.y ? 1 : 0;
+    float4 sum = mix(mix(above[0], above[right], x.y), mix(below[0], below[right], x.y), y.y);
+
+    Layer layer;
+    layer.canvas = canvas;
+    for (int second = 0; second < 2; ++second) {
+        layer.rows = rows + (1 + second * PLACES) * canvas.x;
+        layer.columns = columns + (1 + second * PLACES) * canvas.y;
+        layer.points = second ? points_b : points_a;
+        layer.change = second ? change_b : change_a;
+        layer.coefficients = second ? coefficients_b : coefficients_a;
+        layer.paths = second ? (int2)(paths.z, paths.w) : (int2)(paths.x, paths.y);
+        layer.field = second ? (int2)(fields.z, fields.w) : (int2)(fields.x, fields.y);
+        layer.picture = second ? (int2)(pictures.z, pictures.w) : (int2)(pictures.x, pictures.y);
+        layer.step = second ? (float2)(step.z, step.w) : (float2)(step.x, step.y);
+        layer.tearing = second ? tearing.y : tearing.x;
+        layer.way = second ? way.y : way.x;
+        layer.share = second ? share.y : share.x;
+        sum += of_layer(layer, row, column);
+    }
+    frame[(size_t)local_row * canvas.y + column] = sum;
+}

@@ -1,0 +1,236 @@
+"""How each picture of a morph moves and changes its colors: one field over each picture.
+
+The plan sends the mass of a pixel to many places. Its mean displacement and mean change of color
+are averaged over cells, then over neighbors of like color, and enlarged to the grid of the field
+along the picture's own colors (Kopf et al., "Joint bilateral upsampling", 2007). So motion is
+torn along the edges of the picture and nowhere else, and what has no partner follows its like.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import Operations
+from clmorph.backends.records import Affine
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.particles import Particles
+from clmorph.frames.resampling import reduced
+
+Array = NDArray[np.float64]
+
+#: Cells and points of a field along the longer side.
+CELLS, POINTS = 64, 256
+#: Standard deviations of the mean over cells of like color and of the enlargement, in cells; rounds
+#: of that mean; the distances of colors that count as like. Colors of all spaces are scaled so that
+#: two random ones are equally far apart.
+SIGMA, SIGMA_FINE, ROUNDS = 3.3, 1.2, 3
+LIKE, LIKE_FINE = 0.26, 0.22
+#: Share of the points' longer side over which a field is smoothed: paths need a slope.
+SOFT = 1 / 144
+#: Weight of a cell whose mass has no partner; and the share of such mass that takes the color that
+#: the other picture has at its place.
+LONELY, RECOLORED = 1e-3, 0.7
+#: Distance of labels in a guide: no mean crosses their borders.
+LABEL_STEP = 3.0
+
+
+class Field(NamedTuple):
+    """The motion of a picture.
+
+    Attributes
+    ----------
+    move : (h, w, 2) array
+        Displacement (x, y) from this end to the other one, in units of the common frame.
+    change : (h, w, 3) array
+        Change of color, in the space of the path.
+    canvas : Canvas
+        One pixel for each point, over the picture's extent.
+    """
+
+    move: Array
+    change: Array
+    canvas: Canvas
+
+    def steps(self) -> NDArray[np.float32]:
+        """Return the displacement in points of the field: (h, w, 2) array (row, column)."""
+        return (self.move[..., ::-1] * self.canvas.scale[::-1]).astype(np.float32)
+
+
+def affine(here: Canvas, there: Canvas) -> Affine:
+    """Return where the pixels of one canvas stand on another one of the same common frame."""
+    step = [to / max(own, 1e-9) for to, own in zip(there.scale, here.scale, strict=True)]
+    origin = [
+        center - ratio * own
+        for center, ratio, own in zip(there.center, step, here.center, strict=True)
+    ]
+    return Affine((origin[1], origin[0]), (step[1], step[0]))
+
+
+class _Cells(NamedTuple):
+    """Means over the cells of one picture: displacement, change of color, share with a partner."""
+
+    values: Array  # (h, w, 5)
+    matched: Array  # (h, w)
+    mass: Array  # (h, w)
+
+
+def _cells(particles: Particles, end: int, sizes: tuple[int, int], grid: Canvas) -> _Cells:
+    """Add up the particles that start (end 0) or end (end 1) at a picture's pixels."""
+    n, _ = sizes
+    known = len(particles.table) - particles.n_grown
+    links = particles.links.astype(np.int64)
+    own, other = links[:, end], links[:, 1 - end]
+    if end == 0:
+        mine, paired = own < n, (own < n) & (other >= n)
+    else:
+        mine = (own >= n) & (own < known)
+        paired = mine & ((other < n) | (other >= known))
+    mass = particles.weights[:, end] * mine
+    positions = particles.table[:, :2]
+    row, column = (
+        np.clip(np.rint(place).astype(np.int64), 0, side - 1)
+        for place, side in zip(grid.places(positions[own]), grid.shape, strict=True)
+    )
+    cell = row * grid.shape[1] + column
+
+    def total(values: Array) -> Array:
+        sums = np.bincount(cell, values, grid.shape[0] * grid.shape[1])
+        return np.asarray(sums, dtype=np.float64).reshape(grid.shape)
+
+    partners = mass * paired
+    matched = total(partners)
+    ways = particles.table[other, :5] - particles.table[own, :5]
+    sums = np.stack([total(partners * ways[:, axis]) for axis in range(5)], axis=-1)
+    tiny = np.finfo(np.float64).tiny
+    return _Cells(sums / np.maximum(matched, tiny)[..., None], matched, total(mass))
+
+
+def field_of(
+    particles: Particles,
+    end: int,
+    sizes: tuple[int, int],
+    colors: tuple[NDArray[np.floating], NDArray[np.floating]],
+    canvases: tuple[Canvas, Canvas],
+    operations: Operations,
+    labels: NDArray[np.int64] | None = None,
+    *,
+    figure: bool = False,
+) -> Field:
+    """Return the field of one picture.
+
+    Parameters
+    ----------
+    particles : Particles
+    end : {0, 1}
+        The source's picture, or the target's.
+    sizes : (int, int)
+        Numbers of points of source and target.
+    colors : two of (H, W, 3) arrays
+        Both pictures in the space of the path.
+    canvases : two of Canvas
+        Theirs.
+    operations : Operations
+    labels : (h, w) array of int, optional
+        Labels of this picture's pixels; no mean crosses their borders.
+    figure : bool
+        Whether only pixels with mass count, and the rest moves as the nearest of them.
+    """
+    picture, other = (np.asarray(colors[each], np.float32) for each in (end, 1 - end))
+    canvas = canvases[end]
+    grid, points = canvas.reduced(CELLS), canvas.reduced(POINTS)
+    cells = _cells(particles, end, sizes, grid)
+    tiny = np.finfo(np.float64).tiny
+    share = cells.matched / np.maximum(cells.mass, tiny)
+    guide, fine = (reduced(picture, each.shape).astype(float) for each in (grid, points))
+    values = cells.values
+    if figure:
+        weights = cells.matched / max(float(cells.matched.max()), tiny)
+    else:
+        there = canvases[1 - end].reduced(CELLS)
+        others = sampled(reduced(other, there.shape), there.places(grid.positions()))
+        lonely = 1.0 - np.minimum(share, 1.0)[..., None]
+        values[..., 2:] *= 1.0 - lonely
+        values[..., 2:] += RECOLORED * lonely * (others - guide)
+        weights = np.minimum(share, 1.0) ** 2 + LONELY
+    if labels is not None:
+        guide, fine = (
+            np.dstack((colored, LABEL_STEP * _nearest(labels, colored.shape[:2])))
+            for colored in (guide, fine)
+        )
+    own, finer = guide.astype(np.float32), fine.astype(np.float32)
+    known = np.maximum(weights, 1e-9).astype(np.float32)
+    for _ in range(ROUNDS):
+        values = operations.edge_preserving_mean(
+            values.astype(np.float32), known, own, own, SIGMA, LIKE
+        )
+    if figure:
+        values = _spread(values, weights)
+    values = operations.edge_preserving_mean(
+        values.astype(np.float32), np.ones(grid.shape, np.float32), own, finer,
+        SIGMA_FINE, LIKE_FINE,
+    )  # fmt: skip
+    values = blurred(values, (2.0 if figure else 1.0) * SOFT * max(points.shape))
+    return Field(values[..., :2], values[..., 2:5], points)
+
+
+def _nearest(labels: NDArray[np.int64], shape: tuple[int, ...]) -> Array:
+    """Return the labels at the pixels of a smaller canvas: (h, w) array."""
+    rows, columns = (
+        np.clip(((np.arange(few) + 0.5) * many / few).astype(int), 0, many - 1)
+        for many, few in zip(labels.shape, shape, strict=True)
+    )
+    return labels[np.ix_(rows, columns)].astype(float)
+
+
+def _spread(values: Array, weights: Array) -> Array:
+    """Give cells without mass the values of the nearest cells with mass, smoothly."""
+    from scipy.ndimage import gaussian_filter
+
+    known = np.clip(20 * weights / weights.max(), 0.0, 1.0)
+    found, width = values, 1.0
+    filled = known
+    while width < max(weights.shape):
+        total = gaussian_filter(filled, width, mode="constant")
+        means = np.stack(
+            [
+                gaussian_filter(found[..., channel] * filled, width, mode="constant")
+                for channel in range(values.shape[2])
+            ],
+            axis=-1,
+        ) / np.maximum(total, 1e-9)[..., None]  # fmt: skip
+        reached = np.clip(total / 0.02, 0.0, 1.0) * (1 - filled)
+        found = found + reached[..., None] * (means - found)
+        filled = filled + reached
+        width *= 2
+    return known[..., None] * values + (1 - known[..., None]) * found
+
+
+def sampled(image: NDArray[np.floating], places: Array) -> Array:
+    """Interpolate an image (H, W, C) linearly at pixel coordinates (2, ...): (..., C) array.
+
+    Beyond its border the image is constant.
+    """
+    height, width, channels = image.shape
+    flat = image.reshape(-1, channels)
+    sides: list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] = []
+    for place, side in zip(places, (height, width), strict=True):
+        inside = np.clip(place, 0, side - 1)
+        low = np.minimum(inside.astype(np.int64), max(side - 2, 0))
+        sides.append((low, np.minimum(low + 1, side - 1), (inside - low)[..., None]))
+    (above, below, down), (left, right, along) = sides
+    lines = [
+        flat[row * width + left] * (1 - along) + flat[row * width + right] * along
+        for row in (above, below)
+    ]
+    return np.asarray(lines[0] * (1 - down) + lines[1] * down)
+
+
+def blurred(image: Array, width: float) -> Array:
+    """Return an image (H, W) or (H, W, C) under a Gaussian of some pixels."""
+    from scipy.ndimage import gaussian_filter
+
+    widths = (width, width, 0.0)[: image.ndim]
+    return np.asarray(gaussian_filter(image, widths, mode="nearest"))

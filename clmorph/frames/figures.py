@@ -1,0 +1,115 @@
+"""Figures before a flat or transparent ground: their outlines, and their colors beyond these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.frames.ends import End
+from clmorph.images.flat_colors import LEVEL, foreground
+from clmorph.measures.measure import Measure
+
+Array = NDArray[np.float64]
+_Bool = NDArray[np.bool_]
+
+#: Share of the pixels without mass that must have one color, so that they are a ground.
+FLAT_SHARE = 0.75
+#: Distances in pixels: from the outline up to which pixels mix figure and ground; from the pixels
+#: within it from which a figure is so thin that all of its pixels count.
+EDGE, THIN = 2, 3.5
+#: Opacity from which a figure counts as opaque; bounds of the opacity of an edge.
+OPAQUE, CLEAR, SOLID = 0.999, 0.05, 0.95
+
+
+class Figure(NamedTuple):
+    """What stands before the ground of a picture.
+
+    Attributes
+    ----------
+    inside : (H, W) array of bool
+    distance : (H, W) array
+        Signed distance from the outline in pixels, positive inside.
+    alpha : (H, W) array
+        Opacity, continued beyond the outline.
+    softness : float
+        Width of the outline in pixels.
+    ground : (3,) array
+        The color of the ground, sRGB.
+    ground_alpha : float
+        Its opacity: 1, or 0 if it is transparent or there is none.
+    """
+
+    inside: _Bool
+    distance: Array
+    alpha: Array
+    softness: float
+    ground: Array
+    ground_alpha: float
+
+    @property
+    def translucent(self) -> bool:
+        """Whether the figure is translucent somewhere."""
+        return bool(self.alpha.min() < OPAQUE)
+
+
+def figures_of(measures: Sequence[Measure], ends: Sequence[End]) -> list[Figure] | None:
+    """Return the figures of some pictures; None if none has a ground."""
+    masks = [_inside(measure, end) for measure, end in zip(measures, ends, strict=True)]
+    if all(mask is None or mask.all() for mask in masks) and all(e.alpha is None for e in ends):
+        return None
+    return [
+        _figure(np.ones(end.shape, dtype=bool) if mask is None else mask, end)
+        for mask, end in zip(masks, ends, strict=True)
+    ]
+
+
+def _inside(measure: Measure, end: End) -> _Bool | None:
+    """Return which pixels belong to the figure; None if there is no ground."""
+    massive = (measure.weights > 0).reshape(measure.shape)
+    if measure.shape != end.shape:
+        massive = np.ones(end.shape, bool) if massive.all() else foreground(end.colors, end.alpha)
+    if end.alpha is not None:
+        # A pixel of an edge belongs to the figure if it is mostly opaque.
+        solid = massive & foreground(end.colors, end.alpha)
+        return solid if solid.any() else massive
+    if massive.all():
+        return None
+    bare = end.colors[~massive]
+    flat = np.abs(bare - np.median(bare, axis=0)).max(axis=1) <= LEVEL
+    return massive if flat.mean() >= FLAT_SHARE else None
+
+
+def _figure(inside: _Bool, end: End) -> Figure:
+    from scipy.ndimage import distance_transform_edt
+
+    if inside.all():
+        far = float(max(inside.shape))
+        alpha = np.ones(inside.shape) if end.alpha is None else end.alpha
+        return Figure(inside, np.full(inside.shape, far), alpha, 1.0, np.zeros(3), 0.0)
+    distance = distance_transform_edt(inside) - distance_transform_edt(~inside)
+    distance = distance + np.where(inside, -0.5, 0.5)
+    if end.alpha is None:
+        ground = np.median(end.colors[~inside], axis=0)
+        return Figure(inside, distance, np.ones(inside.shape), 1.0, ground, 1.0)
+    alpha = beyond(end.alpha[..., None], inside)[..., 0]
+    edge = (end.alpha > CLEAR) & (end.alpha < SOLID) & (np.abs(distance) < 0.1 * max(alpha.shape))
+    outline = (np.abs(distance) <= 0.5).sum()
+    softness = float(np.clip(float(edge.sum()) / max(float(outline), 1.0), 1.0, 16.0))
+    return Figure(inside, distance, alpha, softness, np.zeros(3), 0.0)
+
+
+def beyond(image: Array, inside: _Bool) -> Array:
+    """Return an image (H, W, C) whose figure is continued over the ground, edge pixels included."""
+    from scipy.ndimage import binary_erosion, distance_transform_edt
+
+    if inside.all():
+        return image
+    core = binary_erosion(inside, iterations=EDGE, border_value=1)
+    known = inside
+    if core.any():
+        known = core | (inside & (distance_transform_edt(~core) > THIN))
+    rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return image[rows, columns]

@@ -1,0 +1,460 @@
+"""Frames that show one picture at each place: two layers, drawn backwards along their fields.
+
+Each picture is moved and recolored along the plan by its own field (`fields`), so that at time t
+both layers show the masses and colors of the interpolation. A pixel of a layer shows its picture at
+the place that it has followed since the picture's own end (`Operations.follow_paths`): nothing
+has holes or jumps. Where both layers agree (`registration`) they are mixed, which is a warp.
+Elsewhere one of them is seen, and the place changes hands within a short part of the film
+(`switching`), after "Regenerative Morphing" (Shechtman et al., CVPR 2010). Only the lowest band is
+drawn partly towards the mean of both.
+
+Before a flat or transparent ground the figures alone move. Their outline at time t is a level of
+the mean of both layers' signed distances, (1 - t) of the one and t of the other; the level is that
+at which the figure's area goes linearly from the one to the other (`figures`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from functools import lru_cache, reduce
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import Operations
+from clmorph.backends.records import LayerView
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.ends import End
+from clmorph.frames.fields import POINTS, Field, affine, blurred, field_of, sampled
+from clmorph.frames.figures import Figure, beyond, figures_of
+from clmorph.frames.particles import Particles
+from clmorph.frames.registration import PATH_ROUNDS, STEPS, Scene
+from clmorph.frames.resampling import reduced
+from clmorph.frames.switching import switched, switching_times
+from clmorph.images.color import from_space, to_space
+from clmorph.measures.measure import Measure
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+#: How far the lowest band is drawn towards the mean of both layers; its width as a share of the
+#: longer side, and the pixels along that side by which it is computed.
+MEAN_SHARE, LOW, LOW_PIXELS = 0.3, 1 / 16, 64
+#: A layer is sampled from a copy with half the pixels where a frame has a pixel for so many.
+CLOSE = 1.5
+#: The largest level of distance, in the common frame, that keeps a figure's area.
+LEVEL = 0.06
+ROUNDS = 40
+#: Agreement below this is none.
+FAINT = 0.01
+
+
+class Layer(NamedTuple):
+    """One picture and what moves it.
+
+    Attributes
+    ----------
+    canvas : Canvas
+        The picture's.
+    field : Field
+    handle
+        What `Operations.upload_layer` has returned.
+    """
+
+    canvas: Canvas
+    field: Field
+    handle: Any
+
+
+class Channels:
+    """A picture of four channels, ready to be sampled at any scale.
+
+    Parameters
+    ----------
+    image : (H, W, 3) or (H, W, 4) array
+    operations : Operations
+    """
+
+    def __init__(self, image: Array, operations: Operations) -> None:
+        self._image, self._operations = image, operations
+        self.level = lru_cache(maxsize=None)(self._level)
+
+    def on(self, operations: Operations) -> Channels:
+        """Return the same picture for another device."""
+        return Channels(self._image, operations)
+
+    def _level(self, halvings: int) -> tuple[Any, tuple[int, int]]:
+        """Return the picture with fewer pixels, and its shape."""
+        from scipy.ndimage import spline_filter
+
+        shape = [max(1, round(side / 2**halvings)) for side in self._image.shape[:2]]
+        image = reduced(self._image, tuple(shape))
+        spline = np.zeros((*shape, 4), np.float32)
+        for channel in range(image.shape[2]):
+            spline[..., channel] = spline_filter(
+                image[..., channel], order=3, mode="mirror", output=np.float32
+            )
+        return self._operations.upload_spline(spline), (shape[0], shape[1])
+
+
+def stage_of(canvases: Sequence[Canvas]) -> Canvas:
+    """Return a grid over everything that some canvases show."""
+    extents = np.array(
+        [
+            [
+                side / scale if scale > 0 else 1.0
+                for side, scale in zip(c.shape, c.scale[::-1], strict=True)
+            ]
+            for c in canvases
+        ]
+    ).max(axis=0)
+    longest = max(max(canvas.shape) for canvas in canvases)
+    per_unit = min(POINTS, longest) / float(extents.max())
+    height, width = (max(1, round(extent * per_unit)) for extent in extents)
+    return Canvas((height, width), (per_unit, per_unit))
+
+
+def lightness_of(space: str) -> Array:
+    """Return the weights of a color's coordinates in its lightness."""
+    return np.array([0.3, 0.59, 0.11] if space in ("srgb", "linear") else [1.0, 0.0, 0.0])
+
+
+def view(
+    layer: Layer,
+    channels: Channels,
+    way: float,
+    canvas: Canvas,
+    stage: Canvas,
+    weights: Float32,
+    share: float,
+) -> LayerView:
+    """Return how a layer is drawn on a canvas; see `LayerView`."""
+    to_field = affine(canvas, layer.field.canvas)
+    step = max(
+        side / max(points, 1) * abs(ratio)
+        for side, points, ratio in zip(
+            layer.canvas.shape, layer.field.canvas.shape, to_field.step, strict=True
+        )
+    )
+    halvings = int(max(0.0, np.ceil(np.log2(max(step, 1e-9) / CLOSE))))
+    picture, shape = channels.level(halvings)
+    ratio = [few / many for few, many in zip(shape, layer.canvas.shape, strict=True)]
+    x, y = layer.canvas.scale
+    small = Canvas(shape, (x * ratio[1], y * ratio[0]))
+    return LayerView(
+        picture, layer.handle, way, affine(canvas, stage), to_field,
+        affine(layer.field.canvas, small), weights, share,
+    )  # fmt: skip
+
+
+class Pictures:
+    """The pictures of a film or of mixes: what layers sample, and how a frame is put together.
+
+    Parameters
+    ----------
+    ends : sequence of End
+        The pictures that frames show.
+    canvases : sequence of Canvas
+        Theirs.
+    figures : sequence of Figure, optional
+        What stands before their grounds; None if all pixels belong to the pictures.
+    space : str
+        The space of the path.
+    operations : Operations
+    """
+
+    def __init__(
+        self,
+        ends: Sequence[End],
+        canvases: Sequence[Canvas],
+        figures: Sequence[Figure] | None,
+        space: str,
+        operations: Operations,
+    ) -> None:
+        self._space, self._operations, self.canvases = space, operations, list(canvases)
+        self.figures = figures
+        #: Whether frames have opacity.
+        self.clear = any(end.alpha is not None for end in ends)
+        self.stage = stage_of(canvases)
+        #: The pictures, those whose figures are continued, and those that are sampled by name.
+        self.own = [_single(to_space(end.colors, space)) for end in ends]
+        self.continued = self.own
+        self._images: dict[str, list[Any]] = {"own": self.own}
+        if figures is not None:
+            self.continued = [
+                _single(to_space(beyond(end.colors, figure.inside), space))
+                for end, figure in zip(ends, figures, strict=True)
+            ]
+            self._images["figure"] = [
+                np.dstack((colors, figure.distance / max(*canvas.scale, 1e-9)))
+                for colors, figure, canvas in zip(self.continued, figures, canvases, strict=True)
+            ]
+        if figures is not None and self.clear:
+            opacities = [np.ones(end.shape) if end.alpha is None else end.alpha for end in ends]
+            # Transparent pixels have the colors of the figure beside them.
+            self.own = [
+                np.where(alpha[..., None] > 0, own, continued)
+                for alpha, own, continued in zip(opacities, self.own, self.continued, strict=True)
+            ]
+            self._images["own"] = [
+                np.dstack((own, alpha)) for own, alpha in zip(self.own, opacities, strict=True)
+            ]
+            if any(figure.translucent for figure in figures):
+                self._images["alpha"] = [
+                    np.dstack((np.zeros((*figure.alpha.shape, 3)), figure.alpha))
+                    for figure in figures
+                ]
+        self._upload()
+
+    def _upload(self) -> None:
+        self._channels = {
+            name: [Channels(image, self._operations) for image in images]
+            for name, images in self._images.items()
+        }
+
+    def on(self, operations: Operations) -> Pictures:
+        """Return the same pictures for another device."""
+        other = copy(self)
+        other._operations = operations
+        other._upload()
+        return other
+
+    def outlines(self, shapes: Sequence[tuple[int, int]]) -> list[Array]:
+        """Return the signed distances from the figures' outlines, in the common frame."""
+        if self.figures is None:
+            return [np.zeros(shape) for shape in shapes]
+        return [
+            reduced(figure.distance[..., None], shape)[..., 0] / max(*canvas.scale, 1e-9)
+            for figure, canvas, shape in zip(self.figures, self.canvases, shapes, strict=True)
+        ]
+
+    def frame(
+        self,
+        layers: Sequence[Layer],
+        ways: Sequence[float],
+        shares: Sequence[float],
+        weights: Sequence[Array],
+        agreement: Array,
+        canvas: Canvas,
+    ) -> Array:
+        """Return a frame: (H, W, 3) array of sRGB, or (H, W, 4) with opacity.
+
+        Parameters
+        ----------
+        layers : sequence of Layer
+            One for each picture.
+        ways : sequence of float
+            Share of its way that each of them has gone.
+        shares : sequence of float
+            Share of each picture in the frame, with the sum 1.
+        weights : sequence of (h, w) arrays
+            Which picture is seen at each place of the stage, with the sum 1.
+        agreement : (h, w) array
+            How far all pictures agree there, from 0 to 1.
+        canvas : Canvas
+        """
+
+        def drawn(
+            name: str, seen: Sequence[Array], on: Canvas, low: Array | None = None
+        ) -> Float32:
+            return self._drawn(name, layers, ways, shares, seen, on, low)
+
+        even = [np.full(self.stage.shape, share) for share in shares]
+        if self.figures is None:
+            coarse = canvas.reduced(LOW_PIXELS)
+            apart = drawn("own", [e - w for e, w in zip(even, weights, strict=True)], coarse)
+            low = MEAN_SHARE * blurred(apart.astype(float), LOW * max(coarse.shape))
+            low[..., 3] = 0.0
+            return self._shown(drawn("own", weights, canvas, low)[..., :3])
+        figure = drawn("figure", weights, canvas).astype(float)
+        area = float(np.dot(shares, [each.inside.mean() for each in self.figures]))
+        softness = float(np.dot(shares, [each.softness for each in self.figures]))
+        most = np.inf if any(each.inside.all() for each in self.figures) else LEVEL
+        unit = max(*canvas.scale, 1e-9)
+        opaque = _inside(figure[..., 3], area, softness / unit, most)[..., None]
+        if "alpha" in self._channels:
+            opaque = opaque * np.clip(drawn("alpha", weights, canvas)[..., 3:], 0, 1)
+        ground, alpha = self._ground(shares)
+        whole = opaque + (1 - opaque) * alpha
+        colors = opaque * figure[..., :3] + (1 - opaque) * alpha * ground
+        colors = colors / np.maximum(whole, 1e-6)
+        if agreement.max() > FAINT:
+            # What agrees is a warp of both pictures, with the edges that they have.
+            own = drawn("own", even, canvas)
+            seen = sampled(agreement[..., None], self.stage.places(canvas.positions()))
+            colors = colors + seen * (own[..., :3] - colors)
+            if self.clear:
+                whole = whole + seen * (own[..., 3:] - whole)
+        frame = self._shown(colors)
+        return np.dstack((frame, np.clip(whole, 0.0, 1.0))) if self.clear else frame
+
+    def _shown(self, colors: NDArray[np.floating]) -> Array:
+        """Return colors of the path as sRGB."""
+        return np.clip(from_space(colors, self._space), 0.0, 1.0)
+
+    def _drawn(
+        self,
+        name: str,
+        layers: Sequence[Layer],
+        ways: Sequence[float],
+        shares: Sequence[float],
+        weights: Sequence[Array],
+        canvas: Canvas,
+        low: Array | None,
+    ) -> Float32:
+        """Return the weighted sum of all layers: (H, W, 4) array."""
+        views = [
+            view(layer, picture, way, canvas, self.stage, weight.astype(np.float32), share)
+            for layer, picture, way, share, weight in zip(
+                layers, self._channels[name], ways, shares, weights, strict=True
+            )
+        ]
+        if len(views) % 2:
+            views.append(views[-1]._replace(weights=0 * views[-1].weights, share=0.0))
+        lows = [np.zeros((1, 1, 4)) if low is None else low] + [np.zeros((1, 1, 4))] * len(views)
+        return reduce(
+            np.add,
+            (
+                self._operations.draw_layers(
+                    views[first : first + 2], lows[first].astype(np.float32), canvas.shape
+                )
+                for first in range(0, len(views), 2)
+            ),
+        )
+
+    def _ground(self, shares: Sequence[float]) -> tuple[Array, float]:
+        """Return color, in the space of the path, and opacity of the ground of a frame."""
+        assert self.figures is not None
+        parts = np.array(shares) * [figure.ground_alpha for figure in self.figures]
+        alpha = float(parts.sum())
+        if alpha == 0:
+            return np.zeros(3), 0.0
+        colors = to_space(np.array([figure.ground for figure in self.figures]), self._space)
+        return parts @ colors / alpha, alpha
+
+
+class Layers:
+    """Both layers of a morph.
+
+    Parameters
+    ----------
+    ends : (source, target)
+        The pictures that frames show at both ends.
+    measures : (source, target)
+    particles : Particles
+    canvases : two of Canvas
+        At t = 0 and t = 1.
+    operations : Operations
+
+    Attributes
+    ----------
+    fields : list of Field
+        How each picture moves to the other end.
+    stage : Canvas
+        The grid of `agreement` and `times`.
+    agreement : (h, w) array
+        How far both pictures agree at t = 1/2, from 0 to 1.
+    times : (h, w) array
+        When each place changes hands, see `clmorph.frames.switching`.
+    """
+
+    def __init__(
+        self,
+        ends: tuple[End, End],
+        measures: tuple[Measure, Measure],
+        particles: Particles,
+        canvases: tuple[Canvas, Canvas],
+        operations: Operations,
+    ) -> None:
+        space = particles.path_space
+        self._operations = operations
+        figures = figures_of(measures, ends)
+        self._pictures = pictures = Pictures(ends, canvases, figures, space, operations)
+        self.stage = pictures.stage
+        sizes = len(measures[0]), len(measures[1])
+        labels = particles.labels
+        first, second = pictures.continued
+        fields = [
+            field_of(
+                particles, number, sizes, (first, second), canvases, operations,
+                None if labels is None else labels[number].reshape(measure.shape),
+                figure=figures is not None,
+            )
+            for number, measure in enumerate(measures)
+        ]  # fmt: skip
+        shapes = [field.canvas.shape for field in fields]
+        small = [reduced(own, shape) for own, shape in zip(pictures.own, shapes, strict=True)]
+        lightness = lightness_of(space)
+        scene = Scene(fields, small, pictures.outlines(shapes), lightness, self.stage, operations)
+        if figures is not None:
+            scene.meet_outlines()
+        self.agreement = scene.meet_details()
+        self.fields = scene.fields
+        self.times = switching_times(
+            [half.colors for half in scene.halves()], lightness, self.stage, operations
+        )
+        self._paths = [follow(field, self.stage, operations) for field in self.fields]
+        self._upload()
+
+    def _upload(self) -> None:
+        self._layers = [
+            layer_of(field, canvas, paths, self._operations)
+            for field, canvas, paths in zip(
+                self.fields, self._pictures.canvases, self._paths, strict=True
+            )
+        ]
+
+    def on(self, operations: Operations) -> Layers:
+        """Return the same layers for another device."""
+        other = copy(self)
+        other._operations, other._pictures = operations, self._pictures.on(operations)
+        other._upload()
+        return other
+
+    @property
+    def exact(self) -> bool:
+        """Whether the first and the last frame are the pictures, without a correction."""
+        return self._pictures.figures is None
+
+    def frame(self, t: float, canvas: Canvas) -> Array:
+        """Return a frame: (H, W, 3) array of sRGB, or (H, W, 4) with opacity."""
+        second = switched(self.times, self.agreement, t)
+        return self._pictures.frame(
+            self._layers, (t, 1 - t), (1 - t, t), (1 - second, second), self.agreement, canvas
+        )
+
+
+def follow(field: Field, stage: Canvas, operations: Operations) -> Float32:
+    """Return the paths along a field, from all points of a stage."""
+    return operations.follow_paths(
+        field.steps(), affine(stage, field.canvas), stage.shape, STEPS, PATH_ROUNDS
+    )
+
+
+def layer_of(field: Field, canvas: Canvas, paths: Float32, operations: Operations) -> Layer:
+    """Upload a layer."""
+    change = np.zeros((*field.canvas.shape, 4), np.float32)
+    change[..., :3] = field.change
+    return Layer(canvas, field, operations.upload_layer(paths, change))
+
+
+def _single(image: Array) -> Any:
+    """Return an image in float32: large pictures are held for as long as the film is."""
+    return image.astype(np.float32)
+
+
+def _inside(distance: Array, area: float, softness: float, most: float) -> Array:
+    """Return how far each pixel lies inside the figure, 0 to 1, so that it has an area."""
+    if area >= 1 - 0.5 / distance.size:
+        return np.ones(distance.shape)
+    low, high = float(distance.min()) - softness, float(distance.max()) + softness
+    low, high = max(low, -most), min(high, most)
+    if low > high:
+        low = high = float(np.clip(0.0, high, low))
+    for _ in range(ROUNDS):
+        level = 0.5 * (low + high)
+        found = np.clip(0.5 + (distance - level) / softness, 0.0, 1.0)
+        low, high = (level, high) if found.mean() > area else (low, level)
+    return np.asarray(found)

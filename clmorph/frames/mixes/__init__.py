@@ -1,1 +1,0 @@
-"""Frames that mix several images."""

@@ -1,0 +1,118 @@
+"""When each place of a film changes from the one picture to the other.
+
+Two pictures that are seen through each other are a double exposure, so each place shows one of
+them, and changes hands within a short part of the film: region by region, along the edges of
+both pictures, first where both are most alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clmorph.backends.interface import Operations
+from clmorph.frames.canvas import Canvas
+from clmorph.frames.fields import CELLS, LIKE, LIKE_FINE, SIGMA, SIGMA_FINE, blurred
+from clmorph.frames.resampling import reduced
+
+Array = NDArray[np.float64]
+
+#: Share of the film within which a place changes hands.
+DURATION = 0.1
+#: Widths, as shares of the longer side, over which both pictures are compared: details, regions;
+#: and of the random order of regions, with its strength beside the order by likeness.
+DETAIL, REGION, DISORDER, STRENGTH = 0.01, 1 / 24, 0.1, 0.7
+#: Rounds of the mean over like neighbors, and the factor of its tolerance: it compares two colors.
+ROUNDS, BOTH = 3, np.sqrt(2.0)
+#: What a place without any detail weighs, relative to the mean.
+PLAIN = 0.2
+
+
+def switching_times(
+    halves: Sequence[Array], lightness: Array, stage: Canvas, operations: Operations, seed: int = 0
+) -> Array:
+    """Return the time, from 0 to 1, at which each place changes hands: (H, W) array.
+
+    Parameters
+    ----------
+    halves : two of (H, W, 3) arrays
+        Both pictures at t = 1/2 on the stage.
+    lightness : (3,) array
+        Weights of the coordinates of a color in its lightness.
+    stage : Canvas
+    operations : Operations
+    seed : int
+    """
+    longest = max(stage.shape)
+    first, second = (blurred(half, DETAIL * longest) for half in halves)
+    unlike = np.linalg.norm(first - second, axis=2)
+    noise = np.random.default_rng(seed).standard_normal(stage.shape)
+    order = _standard(blurred(unlike, REGION * longest)) + STRENGTH * _standard(
+        blurred(noise, DISORDER * longest)
+    )
+    cells = stage.reduced(CELLS)
+    fine = np.concatenate(list(halves), axis=2)
+    guide = reduced(fine, cells.shape).astype(np.float32)
+    found = reduced(order[..., None], cells.shape)
+    even = np.ones(cells.shape, np.float32)
+    for _ in range(ROUNDS):
+        found = operations.edge_preserving_mean(
+            found.astype(np.float32), even, guide, guide, SIGMA, BOTH * LIKE
+        )
+    found = operations.edge_preserving_mean(
+        found.astype(np.float32), even, guide, fine.astype(np.float32), SIGMA_FINE,
+        BOTH * LIKE_FINE,
+    )  # fmt: skip
+    order = blurred(found[..., 0], longest / 256)
+    # Time passes with what changes, so that a plain ground takes no time of its own.
+    weight = np.full(stage.shape, PLAIN)
+    steepness = [
+        blurred(np.hypot(*np.gradient(half @ lightness)), DETAIL * longest)
+        if min(stage.shape) > 1
+        else np.zeros(stage.shape)
+        for half in halves
+    ]
+    for part in (unlike, *steepness):
+        weight += part / max(float(part.mean()), 1e-9)
+    ranks = np.argsort(order, axis=None, kind="stable")
+    passed = np.cumsum(weight.ravel()[ranks])
+    times = np.empty(order.size)
+    times[ranks] = (passed - 0.5 * weight.ravel()[ranks]) / passed[-1]
+    return times.reshape(stage.shape)
+
+
+def _standard(values: Array) -> Array:
+    """Return values in units of their standard deviation."""
+    return np.asarray(values / max(float(values.std()), 1e-9))
+
+
+def switched(times: Array, agreement: Array, t: float) -> Array:
+    """Return the weight of the second picture at time t: (H, W) array.
+
+    Where both pictures agree, both are seen all the time, as a warp.
+    """
+    return turns(times, agreement, (1 - t, t))[1]
+
+
+def turns(times: Array, agreement: Array, shares: Sequence[float]) -> list[Array]:
+    """Return the weight of each picture at each place: (H, W) arrays with the sum 1.
+
+    Parameters
+    ----------
+    times : (H, W) array
+        From 0 to 1: where it is large, an earlier one of the pictures is seen.
+    agreement : (H, W) array
+        Where all pictures agree, all are seen with their shares.
+    shares : sequence of float
+        With the sum 1.
+    """
+    later = np.cumsum(np.asarray(shares, dtype=float)[::-1])[::-1]
+    seen = [np.ones_like(times)]
+    seen += [np.clip((each - (1 - DURATION) * times) / DURATION, 0.0, 1.0) for each in later[1:]]
+    seen.append(np.zeros_like(times))
+    return [
+        (1 - agreement) * (seen[number] - seen[number + 1]) + agreement * share
+        for number, share in enumerate(shares)
+    ]
