@@ -26,8 +26,8 @@ DURATION = 0.1
 DETAIL, REGION, DISORDER, STRENGTH = 0.01, 1 / 24, 0.1, 0.7
 #: Rounds of the mean over like neighbors, and the factor of its tolerance: it compares two colors.
 ROUNDS, BOTH = 3, np.sqrt(2.0)
-#: What a place without any detail weighs, relative to the mean.
-PLAIN = 0.2
+#: What a change of color, and a place without any detail, weigh relative to the mean detail.
+CHANGING, PLAIN = 0.3, 0.2
 
 
 def switching_times(
@@ -66,21 +66,24 @@ def switching_times(
         BOTH * LIKE_FINE,
     )  # fmt: skip
     order = blurred(found[..., 0], longest / 256)
-    # Time passes with what changes, so that a plain ground takes no time of its own.
-    weight = np.full(stage.shape, PLAIN)
-    steepness = [
-        blurred(np.hypot(*np.gradient(half @ lightness)), DETAIL * longest)
-        if min(stage.shape) > 1
-        else np.zeros(stage.shape)
-        for half in halves
-    ]
-    for part in (unlike, *steepness):
-        weight += part / max(float(part.mean()), 1e-9)
+    # Time passes with the detail that changes hands, and less with plain places.
+    detail = sum(_steepness(half @ lightness, DETAIL * longest) for half in halves)
+    weight = detail / max(float(np.mean(detail)), 1e-9)
+    weight += CHANGING * unlike / max(float(unlike.mean()), 1e-9) + PLAIN
     ranks = np.argsort(order, axis=None, kind="stable")
     passed = np.cumsum(weight.ravel()[ranks])
     times = np.empty(order.size)
     times[ranks] = (passed - 0.5 * weight.ravel()[ranks]) / passed[-1]
     return times.reshape(stage.shape)
+
+
+def _steepness(image: Array, width: float) -> Array:
+    """Return the mean gradient around each place; 0 along a side of one pixel."""
+    slopes = [
+        np.gradient(image, axis=axis) if image.shape[axis] > 1 else np.zeros(image.shape)
+        for axis in (0, 1)
+    ]
+    return blurred(np.hypot(*slopes), width)
 
 
 def _standard(values: Array) -> Array:
