@@ -4,8 +4,8 @@
 // A picture is the cubic spline through its pixels, whose coefficients come from the host (Unser
 // 1999). Beyond its border it is mirrored about the centers of its outermost pixels.
 //
-// Places come from the host, in float64, for each row and each column of a grid, as a pair: a whole
-// number and what is to be added to it, so that float32 is as exact at pixel 4000 as at pixel 0.
+// Places come from the host, in float64, for each row and each column of a grid, as two numbers: a
+// whole one, and the part to be added to it, so that float32 is as exact at pixel 4000 as at pixel 0.
 //
 // Launch: one work-item for each point of some rows of a grid, or pixel of the canvas: get_global_id(0) is
 // the column, which may exceed the grid, and get_global_id(1) the row, counted from `first_row`.
@@ -105,22 +105,15 @@ __kernel void edge_preserving_mean(
             of_point[1 + c] += sum_of_lanes(found[c]);
 }
 
-// The two neighbors of a place on a grid that is constant beyond its border, and the weight of the second one.
-typedef struct {
-    int first, second;
-    float weight;
-} Between;
-
-INLINE Between between(const float whole, const float part, const int side)
+// The two neighbors of a place on a grid that is constant beyond its border, and the weight of the
+// second one.
+INLINE int2 between(const float whole, const float part, const int side, float* weight)
 {
     const float near = clamp(part, -FARTHEST, FARTHEST);
     const float lower = floor(near);
     const int i = (int)whole + (int)lower;
-    Between found;
-    found.first = clamp(i, 0, side - 1);
-    found.second = clamp(i + 1, 0, side - 1);
-    found.weight = near - lower;
-    return found;
+    *weight = near - lower;
+    return (int2)(clamp(i, 0, side - 1), clamp(i + 1, 0, side - 1));
 }
 
 // Displacements along a field at the times 0, 1 / steps, ..., 1. Each work-item follows one point.
@@ -128,8 +121,8 @@ __kernel void follow_paths(
     const uint first_row, const uint2 shape,      // rows and columns of the points
     const int2 grid,                              // height and width of the field
     const uint steps, const uint rounds,
-    const __global float2* restrict rows,         // (shape.x,): places on the field
-    const __global float2* restrict columns,      // (shape.y,)
+    const __global float* restrict rows,          // (2, shape.x): places on the field
+    const __global float* restrict columns,       // (2, shape.y)
     const __global float2* restrict field,        // (grid height, grid width)
     __global float2* restrict paths)              // (steps + 1, shape.x, shape.y)
 {
@@ -138,19 +131,21 @@ __kernel void follow_paths(
         return;
     const uint row = first_row + get_global_id(1);
     const size_t point = (size_t)row * shape.y + column, points = (size_t)shape.x * shape.y;
-    const float2 y = rows[row], x = columns[column];
+    const float2 whole = (float2)(rows[row], columns[column]);
+    const float2 part = (float2)(rows[shape.x + row], columns[shape.y + column]);
     float2 moved = (float2)(0.0f);
     paths[point] = moved;
     for (uint step = 1; step <= steps; ++step) {
         const float t = (float)step / (float)steps;
         for (uint round = 0; round < rounds; ++round) {
-            const Between i = between(y.x, y.y + moved.x, grid.x);
-            const Between j = between(x.x, x.y + moved.y, grid.y);
-            const __global float2* above = field + (size_t)i.first * grid.y;
-            const __global float2* below = field + (size_t)i.second * grid.y;
+            const float2 place = part + moved;
+            float down, across;
+            const int2 i = between(whole.x, place.x, grid.x, &down);
+            const int2 j = between(whole.y, place.y, grid.y, &across);
+            const __global float2* above = field + (size_t)i.x * grid.y;
+            const __global float2* below = field + (size_t)i.y * grid.y;
             const float2 v = mix(
-                mix(above[j.first], above[j.second], j.weight),
-                mix(below[j.first], below[j.second], j.weight), i.weight);
+                mix(above[j.x], above[j.y], across), mix(below[j.x], below[j.y], across), down);
             moved = 0.5f * (moved - t * v);
         }
         paths[step * points + point] = moved;
@@ -162,27 +157,31 @@ __kernel void place_layer(
     const uint points, const uint step, const float weight, // of the step after this one
     const __global float2* restrict paths,        // (steps + 1, points)
     const __global float* restrict weights,       // (points,)
-    __global float4* restrict layer)              // (points,)
+    __global float* restrict layer)               // (points, 4)
 {
     const uint point = get_global_id(0);
     if (point >= points)
         return;
     const size_t at = (size_t)step * points + point;
     const float2 moved = mix(paths[at], paths[at + points], weight);
-    layer[point] = (float4)(moved.x, moved.y, weights[point], 0.0f);
+    // Oclgrind takes a vector with one constant for uninitialized.
+    __global float* own = layer + 4 * (size_t)point;
+    own[0] = moved.x;
+    own[1] = moved.y;
+    own[2] = weights[point];
+    own[3] = 0.0f;
 }
 
-// A layer, and where the pixels of the canvas stand on its grids: tables of places, as there are
-// PLACES of them, for the rows and for the columns of the canvas. On the paths' grid, places are
-// inside it.
+// A layer, and where the pixels of the canvas stand on its grids: tables of whole numbers and parts for
+// the rows and the columns of the canvas. On the paths' grid places are inside it.
 #define ON_PATHS 0
-#define ON_FIELD 1
-#define ON_PICTURE 2
-#define PLACES 3
+#define ON_FIELD 2
+#define ON_PICTURE 4
+#define TABLES 6
 
 typedef struct {
-    const __global float2* rows;                  // (PLACES, canvas height)
-    const __global float2* columns;               // (PLACES, canvas width)
+    const __global float* rows;                   // (TABLES, canvas height)
+    const __global float* columns;                // (TABLES, canvas width)
     const __global float4* points;                // (paths.x, paths.y), see place_layer
     const __global float4* change;                // (field.x, field.y)
     const __global float4* coefficients;          // (picture.x, picture.y)
@@ -192,16 +191,31 @@ typedef struct {
     float way, share;
 } Layer;
 
+// Whole numbers, or parts, of a pixel's place.
+INLINE float2 in_tables(const Layer layer, const int table, const int row, const int column)
+{
+    return (float2)(layer.rows[table * layer.canvas.x + row],
+                    layer.columns[table * layer.canvas.y + column]);
+}
+
+// What an image on a grid shows at a place inside it.
+INLINE float4 inside(
+    const __global float4* image, const int2 shape, const float2 whole, const float2 part)
+{
+    const int i = (int)whole.x, j = (int)whole.y;
+    const __global float4* above = image + (size_t)i * shape.y + j;
+    const __global float4* below = above + (i + 1 < shape.x ? shape.y : 0);
+    const int right = j + 1 < shape.y ? 1 : 0;
+    return mix(
+        mix(above[0], above[right], part.y), mix(below[0], below[right], part.y), part.x);
+}
+
 // Displacement (.x, .y) and weight (.z) at a pixel.
 INLINE float4 at_pixel(const Layer layer, const int row, const int column)
 {
-    const float2 y = layer.rows[ON_PATHS * layer.canvas.x + row];
-    const float2 x = layer.columns[ON_PATHS * layer.canvas.y + column];
-    const int i = (int)y.x, j = (int)x.x;
-    const __global float4* above = layer.points + (size_t)i * layer.paths.y + j;
-    const __global float4* below = above + (i + 1 < layer.paths.x ? layer.paths.y : 0);
-    const int right = j + 1 < layer.paths.y ? 1 : 0;
-    return mix(mix(above[0], above[right], x.y), mix(below[0], below[right], x.y), y.y);
+    return inside(
+        layer.points, layer.paths, in_tables(layer, ON_PATHS, row, column),
+        in_tables(layer, ON_PATHS + 1, row, column));
 }
 
 // The index inside 0 <= i < n that a place mirrors, which may be far outside.
@@ -222,15 +236,15 @@ INLINE float4 cubic_weights(const float f)
     return (float4)(first, second, 1.0f - first - second - last, last);
 }
 
-// What a picture shows at a place: whole numbers plus a part.
+// What a picture shows at a place.
 INLINE float4 of_picture(
-    const __global float4* coefficients, const int2 shape, const int2 whole, const float2 part)
+    const __global float4* coefficients, const int2 shape, const float2 whole, const float2 part)
 {
     const float2 near = clamp(part, -FARTHEST, FARTHEST);
     const float2 lower = floor(near);
     const float4 along_rows = cubic_weights(near.x - lower.x);
     const float4 along_columns = cubic_weights(near.y - lower.y);
-    const int y = whole.x + (int)lower.x - 1, x = whole.y + (int)lower.y - 1;
+    const int y = (int)whole.x + (int)lower.x - 1, x = (int)whole.y + (int)lower.y - 1;
     float wy[4], wx[4];
     vstore4(along_rows, 0, wy);
     vstore4(along_columns, 0, wx);
@@ -255,20 +269,18 @@ INLINE float4 of_picture(
 // The color that a layer has at a pixel of this displacement.
 INLINE float4 color_at(const Layer layer, const int row, const int column, const float2 moved)
 {
-    float2 y = layer.rows[ON_PICTURE * layer.canvas.x + row];
-    float2 x = layer.columns[ON_PICTURE * layer.canvas.y + column];
     const float4 picture = of_picture(
-        layer.coefficients, layer.picture, (int2)((int)y.x, (int)x.x),
-        (float2)(y.y, x.y) + layer.step * moved);
-    y = layer.rows[ON_FIELD * layer.canvas.x + row];
-    x = layer.columns[ON_FIELD * layer.canvas.y + column];
-    const Between i = between(y.x, y.y + moved.x, layer.field.x);
-    const Between j = between(x.x, x.y + moved.y, layer.field.y);
-    const __global float4* above = layer.change + (size_t)i.first * layer.field.y;
-    const __global float4* below = layer.change + (size_t)i.second * layer.field.y;
+        layer.coefficients, layer.picture, in_tables(layer, ON_PICTURE, row, column),
+        in_tables(layer, ON_PICTURE + 1, row, column) + layer.step * moved);
+    const float2 whole = in_tables(layer, ON_FIELD, row, column);
+    const float2 place = in_tables(layer, ON_FIELD + 1, row, column) + moved;
+    float down, across;
+    const int2 i = between(whole.x, place.x, layer.field.x, &down);
+    const int2 j = between(whole.y, place.y, layer.field.y, &across);
+    const __global float4* above = layer.change + (size_t)i.x * layer.field.y;
+    const __global float4* below = layer.change + (size_t)i.y * layer.field.y;
     const float4 change = mix(
-        mix(above[j.first], above[j.second], j.weight),
-        mix(below[j.first], below[j.second], j.weight), i.weight);
+        mix(above[j.x], above[j.y], across), mix(below[j.x], below[j.y], across), down);
     return picture + layer.way * change;
 }
 
@@ -277,13 +289,13 @@ INLINE float apart(
     const Layer layer, const int row, const int column, const int other_row,
     const int other_column, const float2 moved)
 {
-    const __global float2* rows = layer.rows + ON_PICTURE * layer.canvas.x;
-    const __global float2* columns = layer.columns + ON_PICTURE * layer.canvas.y;
-    const float2 y = rows[other_row] - rows[row], x = columns[other_column] - columns[column];
     const float4 other = at_pixel(layer, other_row, other_column);
-    const float2 way = (float2)(y.x + y.y, x.x + x.y)
+    const float2 way = in_tables(layer, ON_PICTURE, other_row, other_column)
+        - in_tables(layer, ON_PICTURE, row, column)
+        + (in_tables(layer, ON_PICTURE + 1, other_row, other_column)
+           - in_tables(layer, ON_PICTURE + 1, row, column))
         + layer.step * ((float2)(other.x, other.y) - moved);
-    return way.x * way.x + way.y * way.y;
+    return dot(way, way);
 }
 
 // What a layer adds to a pixel.
@@ -304,13 +316,14 @@ INLINE float4 of_layer(const Layer layer, const int row, const int column)
     float4 color = color_at(layer, row, column, moved);
     if (torn > 0.0f) {
         float4 mean = (float4)(0.0f);
-        for (int place = 0; place < 9; ++place) {
-            const int down = place / 3 - 1, across = place % 3 - 1;
-            const int i = clamp(row + down, 0, layer.canvas.x - 1);
-            const int j = clamp(column + across, 0, layer.canvas.y - 1);
-            const float4 other = at_pixel(layer, i, j);
-            const float weight = (down ? 0.25f : 0.5f) * (across ? 0.25f : 0.5f);
-            mean += weight * color_at(layer, i, j, (float2)(other.x, other.y));
+        for (int down = -1; down <= 1; ++down) {
+            for (int across = -1; across <= 1; ++across) {
+                const int i = clamp(row + down, 0, layer.canvas.x - 1);
+                const int j = clamp(column + across, 0, layer.canvas.y - 1);
+                const float4 other = at_pixel(layer, i, j);
+                const float weight = (down ? 0.25f : 0.5f) * (across ? 0.25f : 0.5f);
+                mean += weight * color_at(layer, i, j, (float2)(other.x, other.y));
+            }
         }
         color = mix(color, mean, torn);
     }
@@ -321,8 +334,8 @@ INLINE float4 of_layer(const Layer layer, const int row, const int column)
 __kernel void draw_layers(
     const uint first_row,
     const int2 canvas,                            // height and width
-    const __global float2* restrict rows,         // (1 + 2 PLACES, canvas height): the first on `low`
-    const __global float2* restrict columns,      // (1 + 2 PLACES, canvas width)
+    const __global float* restrict rows,          // (2 + 2 TABLES, canvas height): the first on `low`
+    const __global float* restrict columns,       // (2 + 2 TABLES, canvas width)
     const int2 low_shape, const __global float4* restrict low,
     const int4 paths, const int4 fields, const int4 pictures, // height and width of both layers'
     const float4 step,                            // those of both layers
@@ -339,17 +352,15 @@ __kernel void draw_layers(
     const int local_row = get_global_id(1);
     const int row = (int)first_row + local_row;
 
-    const float2 y = rows[row], x = columns[column];
-    const __global float4* above = low + (size_t)(int)y.x * low_shape.y + (int)x.x;
-    const __global float4* below = above + ((int)y.x + 1 < low_shape.x ? low_shape.y : 0);
-    const int right = (int)x.x + 1 < low_shape.y ? 1 : 0;
-    float4 sum = mix(mix(above[0], above[right], x.y), mix(below[0], below[right], x.y), y.y);
+    float4 sum = inside(
+        low, low_shape, (float2)(rows[row], columns[column]),
+        (float2)(rows[canvas.x + row], columns[canvas.y + column]));
 
     Layer layer;
     layer.canvas = canvas;
     for (int second = 0; second < 2; ++second) {
-        layer.rows = rows + (1 + second * PLACES) * canvas.x;
-        layer.columns = columns + (1 + second * PLACES) * canvas.y;
+        layer.rows = rows + (2 + second * TABLES) * canvas.x;
+        layer.columns = columns + (2 + second * TABLES) * canvas.y;
         layer.points = second ? points_b : points_a;
         layer.change = second ? change_b : change_a;
         layer.coefficients = second ? coefficients_b : coefficients_a;

@@ -144,7 +144,8 @@ def field_of(
     cells = _cells(particles, end, sizes, grid)
     tiny = np.finfo(np.float64).tiny
     share = cells.matched / np.maximum(cells.mass, tiny)
-    guide, fine = (reduced(picture, each.shape).astype(float) for each in (grid, points))
+    small = reduced(picture, points.shape)
+    guide, fine = reduced(small, grid.shape).astype(float), small.astype(float)
     values = cells.values
     if figure:
         weights = cells.matched / max(float(cells.matched.max()), tiny)

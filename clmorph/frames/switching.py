@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from clmorph._shared.enlarging import enlarged
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.fields import CELLS, LIKE, LIKE_FINE, SIGMA, SIGMA_FINE, blurred
@@ -24,6 +25,8 @@ DURATION = 0.1
 #: Widths, as shares of the longer side, over which both pictures are compared: details, regions;
 #: and of the random order of regions, with its strength beside the order by likeness.
 DETAIL, REGION, DISORDER, STRENGTH = 0.01, 1 / 24, 0.1, 0.7
+#: Points of that disorder along the longer side.
+NOISE_POINTS = 40
 #: Rounds of the mean over like neighbors, and the factor of its tolerance: it compares two colors.
 ROUNDS, BOTH = 3, np.sqrt(2.0)
 #: What a change of color, and a place without any detail, weigh relative to the mean detail.
@@ -48,10 +51,11 @@ def switching_times(
     longest = max(stage.shape)
     first, second = (blurred(half, DETAIL * longest) for half in halves)
     unlike = np.linalg.norm(first - second, axis=2)
-    noise = np.random.default_rng(seed).standard_normal(stage.shape)
-    order = _standard(blurred(unlike, REGION * longest)) + STRENGTH * _standard(
-        blurred(noise, DISORDER * longest)
-    )
+    # The same disorder at all sizes, so that a preview shows what the film will.
+    shape = [max(1, round(NOISE_POINTS * side / longest)) for side in stage.shape]
+    noise = np.random.default_rng(seed).standard_normal((*shape, 1))
+    noise = enlarged(blurred(noise, DISORDER * NOISE_POINTS), stage.shape)[..., 0]
+    order = _standard(blurred(unlike, REGION * longest)) + STRENGTH * _standard(noise)
     cells = stage.reduced(CELLS)
     fine = np.concatenate(list(halves), axis=2)
     guide = reduced(fine, cells.shape).astype(np.float32)

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, get_args
 from clmorph.images.kind import Kind
 
 PresetName = Literal[
-    "auto", "photo", "portrait", "logo", "pixel-art", "balanced", "crossfade", "paper"
+    "auto", "photo", "portrait", "logo", "pixel-art", "balanced", "mosaic", "crossfade", "paper"
 ]
 #: The default of `clmorph.morph` and of ``clmorph morph``.
 AUTO: PresetName = "auto"
@@ -38,7 +38,7 @@ class Preset(NamedTuple):
 
 
 PRESETS: dict[str, Preset] = {
-    "photo": Preset("For any two pictures: sharp ends, no holes, colors that change.", {}),
+    "photo": Preset("For any two pictures: one of them is seen at each place, and ends are exact.", {}),
     "portrait": Preset(
         "For faces in similar places: features stay where they are and change their colors.",
         {"color_weight": 0.15},
@@ -60,6 +60,10 @@ PRESETS: dict[str, Preset] = {
     "balanced": Preset(
         "Nothing fades: all mass of one picture moves into the other, however far.",
         {"reach": math.inf},
+    ),
+    "mosaic": Preset(
+        "Bold: blocks of the one picture move to their places in the other, and nothing is blended.",
+        {"detail": "cells"},
     ),
     "crossfade": Preset(
         "Nothing moves: one picture fades into the other, to compare with.",

@@ -54,8 +54,9 @@ def mean_radius(sigma: float) -> int:
 
 def nearest_cells(few: int, many: int) -> tuple[Float64, NDArray[np.int64]]:
     """Return where many points stand among few cells over the same extent, and the nearest cell."""
-    places = (np.arange(many) + 0.5) * (few / many) - 0.5
-    return places, np.floor(places + 0.5).astype(np.int64)
+    places = (np.arange(many, dtype=float) + 0.5) * (few / many) - 0.5
+    centers: NDArray[np.int64] = np.floor(places + 0.5).astype(np.int64)
+    return places, centers
 
 
 def follow_paths(

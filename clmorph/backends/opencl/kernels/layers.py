@@ -258,29 +258,29 @@ def _rows(
 def _places(affine: Affine, shape: tuple[int, int]) -> Iterator[Float64]:
     """Yield where the rows, then the columns, of a grid stand on another one."""
     for origin, step, side in zip(affine.origin, affine.step, shape, strict=True):
-        yield origin + step * np.arange(side)
+        yield origin + step * np.arange(side, dtype=float)
 
 
 def _over(few: int, many: int) -> Float64:
     """Return where many pixels stand on few ones over the same extent."""
-    return (np.arange(many) - (many - 1) / 2) * (few / many) + (few - 1) / 2
+    return (np.arange(many, dtype=float) - (many - 1) / 2) * (few / many) + (few - 1) / 2
 
 
 def _apart(places: Float64) -> Float32:
-    """Return places as whole numbers and what is to be added to them: (N, 2) array."""
+    """Return places as whole numbers and the parts to be added to them: (2, N) array."""
     places = np.clip(places, -FARTHEST, FARTHEST)
     whole = np.floor(places)
-    return np.stack([whole, places - whole], axis=-1).astype(np.float32)
+    return np.stack([whole, places - whole]).astype(np.float32)
 
 
 def _between(places: Float64, side: int) -> Float32:
-    """Return the first of the two points around each place, and the other's weight: (N, 2) array.
+    """Return the first of the two points around each place, and the other's weight: (2, N).
 
     Places outside are moved to the border.
     """
     places = np.clip(places, 0.0, side - 1)
     low = np.minimum(np.floor(places), max(side - 2, 0))
-    return np.stack([low, places - low], axis=-1).astype(np.float32)
+    return np.stack([low, places - low]).astype(np.float32)
 
 
 def _tables(view: LayerView, shape: tuple[int, int]) -> Iterator[list[Float32]]:
