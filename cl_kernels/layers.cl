@@ -9,12 +9,11 @@
 //
 // Launch: one work-item for each point of some rows of a grid, or pixel of the canvas: get_global_id(0) is
 // the column, which may exceed the grid, and get_global_id(1) the row, counted from `first_row`.
-// `place_layer` has one for each point of the paths' grid, in any order.
 //
 // Units: places and displacements in points of a grid, (row, column) in this order as .x and .y.
 //
-// -D WIDTH       cells that a mean takes at once, see common.cl
-// -D LEAST_LIKENESS=x  what unlike cells count in a mean
+// -D WIDTH           cells that a mean takes at once, see common.cl
+// -D LEAST_LIKENESS  what unlike cells count in a mean
 
 #include "common.cl"
 
@@ -152,24 +151,52 @@ __kernel void follow_paths(
     }
 }
 
-// A layer at one time: displacement (.x, .y) and weight (.z) of each point of the paths' grid.
-__kernel void place_layer(
-    const uint points, const uint step, const float weight, // of the step after this one
-    const __global float2* restrict paths,        // (steps + 1, points)
-    const __global float* restrict weights,       // (points,)
-    __global float* restrict layer)               // (points, 4)
+// The displacement of a point between two stored steps.
+INLINE float2 at_point(
+    const __global float2* paths, const size_t point, const size_t points, const float weight)
 {
-    const uint point = get_global_id(0);
-    if (point >= points)
+    return mix(paths[point], paths[points + point], weight);
+}
+
+INLINE float squared(const float2 v)
+{
+    return dot(v, v);
+}
+
+// A layer at one time, for each point of the paths' grid: displacement (.x, .y), weight (.z), and 1
+// where a point next to it comes from farther away than `limit`, else 0 (.w). Inside a cell whose
+// corners have 0, and between it and the next, nothing is torn.
+__kernel void place_layer(
+    const uint first_row, const int2 shape,       // height and width of the grid
+    const float weight,                           // of the second of the two stored steps
+    const float2 step,                            // from points of the field to pixels of the picture
+    const float limit,                            // in pixels of the picture, squared; below 0: none
+    const __global float2* restrict paths,        // (steps + 1, height, width)
+    const uint stored,                            // the first of the two steps
+    const __global float* restrict weights,       // (height, width)
+    __global float* restrict layer)               // (height, width, 4)
+{
+    const int column = get_global_id(0);
+    if (column >= shape.y)
         return;
-    const size_t at = (size_t)step * points + point;
-    const float2 moved = mix(paths[at], paths[at + points], weight);
+    const int row = (int)first_row + (int)get_global_id(1);
+    const size_t points = (size_t)shape.x * shape.y;
+    const __global float2* at = paths + stored * points;
+    const size_t point = (size_t)row * shape.y + column;
+    const size_t up = row > 0 ? shape.y : 0, down = row + 1 < shape.x ? shape.y : 0;
+    const size_t left = column > 0 ? 1 : 0, right = column + 1 < shape.y ? 1 : 0;
+    const float2 moved = at_point(at, point, points, weight);
+    const float farthest = max(
+        max(squared(step * (at_point(at, point - up, points, weight) - moved)),
+            squared(step * (at_point(at, point + down, points, weight) - moved))),
+        max(squared(step * (at_point(at, point - left, points, weight) - moved)),
+            squared(step * (at_point(at, point + right, points, weight) - moved))));
     // Oclgrind takes a vector with one constant for uninitialized.
-    __global float* own = layer + 4 * (size_t)point;
+    __global float* own = layer + 4 * point;
     own[0] = moved.x;
     own[1] = moved.y;
     own[2] = weights[point];
-    own[3] = 0.0f;
+    own[3] = farthest > limit ? 1.0f : 0.0f;
 }
 
 // A layer, and where the pixels of the canvas stand on its grids: tables of whole numbers and parts for
@@ -191,7 +218,8 @@ typedef struct {
     float way, share;
 } Layer;
 
-// Whole numbers, or parts, of a pixel's place.
+// Whole numbers, or parts, of a pixel's place. Places are added as vectors: Oclgrind 21.10 crashes
+// where .x of one vector and .y of another are added.
 INLINE float2 in_tables(const Layer layer, const int table, const int row, const int column)
 {
     return (float2)(layer.rows[table * layer.canvas.x + row],
@@ -210,7 +238,7 @@ INLINE float4 inside(
         mix(above[0], above[right], part.y), mix(below[0], below[right], part.y), part.x);
 }
 
-// Displacement (.x, .y) and weight (.z) at a pixel.
+// Displacement (.x, .y), weight (.z), and 0 (.w) where nothing can be torn, at a pixel.
 INLINE float4 at_pixel(const Layer layer, const int row, const int column)
 {
     return inside(
@@ -295,7 +323,7 @@ INLINE float apart(
         + (in_tables(layer, ON_PICTURE + 1, other_row, other_column)
            - in_tables(layer, ON_PICTURE + 1, row, column))
         + layer.step * ((float2)(other.x, other.y) - moved);
-    return dot(way, way);
+    return squared(way);
 }
 
 // What a layer adds to a pixel.
@@ -305,15 +333,18 @@ INLINE float4 of_layer(const Layer layer, const int row, const int column)
     if (here.z == 0.0f && layer.share == 0.0f)
         return (float4)(0.0f);
     const float2 moved = (float2)(here.x, here.y);
-    const int up = max(row - 1, 0), low = min(row + 1, layer.canvas.x - 1);
-    const int left = max(column - 1, 0), right = min(column + 1, layer.canvas.y - 1);
-    const float farthest = max(
-        max(apart(layer, row, column, up, column, moved),
-            apart(layer, row, column, low, column, moved)),
-        max(apart(layer, row, column, row, left, moved),
-            apart(layer, row, column, row, right, moved)));
-    const float torn = clamp(sqrt(farthest) * layer.tearing - 1.0f, 0.0f, 1.0f);
     float4 color = color_at(layer, row, column, moved);
+    float torn = 0.0f;
+    if (here.w > 0.0f) {
+        const int up = max(row - 1, 0), low = min(row + 1, layer.canvas.x - 1);
+        const int left = max(column - 1, 0), right = min(column + 1, layer.canvas.y - 1);
+        const float farthest = max(
+            max(apart(layer, row, column, up, column, moved),
+                apart(layer, row, column, low, column, moved)),
+            max(apart(layer, row, column, row, left, moved),
+                apart(layer, row, column, row, right, moved)));
+        torn = clamp(sqrt(farthest) * layer.tearing - 1.0f, 0.0f, 1.0f);
+    }
     if (torn > 0.0f) {
         float4 mean = (float4)(0.0f);
         for (int down = -1; down <= 1; ++down) {

@@ -182,6 +182,9 @@ def exercise(operations: Operations) -> list[np.ndarray]:
         rng.random(90).astype(np.float32),
     )
     results.append(operations.bin_splats(resting, (16, 21), 1).order.astype(float))
+    seeds = rng.uniform(-9, 30, (190, 2)).astype(np.float32)
+    for count in (1, 190):
+        results.append(operations.nearest_seeds(seeds[:count], (16, 21)).astype(float))
     for method in ("gather", "moments"):
         if isinstance(operations, OpenCLOperations):
             operations.splatting.method = method

@@ -778,3 +778,22 @@ class Operations(Protocol):
         denominator : (height, width) array
             sum_k w_k K(p - p_k)
         """
+
+    def nearest_seeds(self, seeds: Float32, shape: tuple[int, int]) -> NDArray[np.int32]:
+        """Return the nearest seed of each pixel: the Voronoi cell that it is in.
+
+        It minimizes the square of the distance, (x - x_k)^2 + (y - y_k)^2. A backend may round the
+        four operations to float32; it takes the lowest index of the seeds that are equally near
+        then, as seeds in the same place always are.
+
+        Parameters
+        ----------
+        seeds : (K, 2) array, in pixels
+            Positions (x, y), inside the canvas or outside of it, finite and at most 1e18; K >= 1.
+        shape : (height, width) of the canvas, in pixels
+
+        Returns
+        -------
+        (height, width) array
+            Indices of seeds.
+        """

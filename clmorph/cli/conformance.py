@@ -29,6 +29,7 @@ from clmorph.backends.verification.reductions import (
     check_row_maxima,
     check_softmin,
 )
+from clmorph.backends.verification.seeds import check_nearest_seeds
 from clmorph.backends.verification.splats import (
     check_advect,
     check_bins,
@@ -183,6 +184,9 @@ def _checks(operations: Operations) -> Iterator[Check]:
         (("place_layer", "draw_layers"), partial(check_layers, operations, exact, (150, 211))),
     ):
         yield Check(kernels, run)
+    yield Check(
+        ("nearest_seeds",), partial(check_nearest_seeds, operations, exact, (120, 160), 20_000)
+    )
     yield Check(_EVERY, partial(_check_morph, operations))
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas, canvas_at
+from clmorph.frames.cells import Cells, cells_of_plan
 from clmorph.frames.endpoints import (
     EndCorrection,
     Lacking,
@@ -29,6 +30,8 @@ from clmorph.measures.measure import Measure
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan
 
+#: Blocks along the longer side of a mosaic.
+MOSAIC = 32
 #: The opacity below which a pixel is invisible in 8 bits.
 UNSEEN = 1 / 1024
 
@@ -110,7 +113,7 @@ class FrameRenderer:
 
     def prepare(self) -> None:
         """Compute what all frames share, which otherwise the first frame does."""
-        _ = self._correction, self.layers, self._sprites
+        _ = self._correction, self.layers, self._cells, self._sprites
 
     def canvas(self, t: float) -> Canvas:
         """Return the canvas at time t."""
@@ -183,6 +186,10 @@ class FrameRenderer:
         canvas = self.canvas(t)
         if self.layers is not None:
             return self.layers.frame(t, canvas)
+        if self._cells is not None:
+            shown = self._cells.frame(t, canvas)
+            colors = from_space(shown[..., :3], self._particles.path_space)
+            return np.clip(np.dstack((colors, shown[..., 3:])), 0.0, 1.0)
         if self._sprites is not None:
             return self._sprites.frame(t, canvas)
         colors = self.sums(t).colors
@@ -217,6 +224,22 @@ class FrameRenderer:
         return Sprites(self._measures, self._particles, self._operations)
 
     @cached_property
+    def _cells(self) -> Cells | None:
+        """The moving cells of both pictures; None if something else is drawn."""
+        if self._detail != "cells":
+            return None
+        if self._like is not None:
+            cells = self._like._cells
+            return None if cells is None else cells.on(self._operations)
+        space = self._particles.path_space
+        pictures = []
+        for end in self._ends:
+            opacity = [] if end.alpha is None else [end.alpha[..., None]]
+            pictures.append(np.dstack((to_space(end.colors, space), *opacity)))
+        paths = cells_of_plan(*self._measures, self._plan, MOSAIC)
+        return Cells(paths, pictures, [self.canvas(0.0), self.canvas(1.0)], self._operations)
+
+    @cached_property
     def _correction(self) -> EndCorrection | None:
         """The correction of both ends; None if the frames there stay as the kernel draws them."""
         if self._endpoints == "paper":
@@ -226,7 +249,7 @@ class FrameRenderer:
             return None if correction is None else correction.on(self._operations)
         if self.layers is not None and self.layers.exact:
             return None
-        layered = self.layers is not None or self._sprites is not None
+        layered = any((self.layers, self._cells, self._sprites))
         correction = EndCorrection((None, None), brief_share if layered else share)
         if not layered:
             lacking = self._lacking(0.0), self._lacking(1.0)

@@ -38,7 +38,9 @@ class Preset(NamedTuple):
 
 
 PRESETS: dict[str, Preset] = {
-    "photo": Preset("For any two pictures: one of them is seen at each place, and ends are exact.", {}),
+    "photo": Preset(
+        "For any two pictures: one of them is seen at each place, and ends are exact.", {}
+    ),
     "portrait": Preset(
         "For faces in similar places: features stay where they are and change their colors.",
         {"color_weight": 0.15},

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from clmorph._shared.typing import Array
 from clmorph._shared.validation import check_number
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
+from clmorph.frames.cells import mirrored, owners_at
 from clmorph.frames.frame_renderer import FrameRenderer
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import Particles
@@ -121,11 +121,11 @@ class Rearrangement(FrameSequence):
         return self._renderer.canvas(check_number("t", t, 0.0, 1.0))
 
     def frame(self, t: float) -> NDArray[np.float32]:
-        """Draw the pixels at time t of their straight ways, each as a whole pixel.
+        """Draw the pixels at time t of their straight ways: each place shows the nearest one.
 
-        The first and the last frame hold each pixel once. Between them one of several pixels that
-        meet is seen: the one with the longest way, which is the same in all frames. An empty place
-        shows the pixel nearest to it.
+        The first and the last frame hold each pixel once. Between them pixels that meet hide one
+        another. Where they are far apart each one takes the room around it, and fills it with what
+        is around it in A.
 
         Parameters
         ----------
@@ -145,18 +145,13 @@ class Rearrangement(FrameSequence):
         [0.0, 0.25, 0.75, 1.0]
         """
         t = check_number("t", t, 0.0, 1.0)
-        height, width = self.source.shape
-        starts, ends, order = self._ways
-        rows, columns = np.rint((1 - t) * starts + t * ends).astype(np.intp)
-        frame = np.zeros(self._pixels.shape, np.float32)
-        empty = np.ones((height, width), bool)
-        # NumPy keeps the last of several values that are assigned to one place.
-        frame[rows, columns] = self._pixels.reshape(height * width, -1)[order]
-        empty[rows, columns] = False
-        if not empty.any():
-            return frame
-        nearest = distance_transform_edt(empty, return_distances=False, return_indices=True)
-        return frame[tuple(nearest)]
+        positions, shape = self.source.positions, self.source.shape
+        ends = positions[self.assignment]
+        nearest = owners_at(positions, ends, t, self.canvas(t), self.operations)
+        ways = np.stack(np.unravel_index(self.assignment, shape)) - np.indices(shape).reshape(2, -1)
+        # Halves are rounded alike, so that neighbors stay neighbors.
+        places = np.floor(np.indices(shape) - t * ways[:, nearest] + 0.5).astype(np.intp)
+        return self._pixels[tuple(mirrored(places, shape))]
 
     def sums(self, t: float, *, widths: Widths | None = None) -> Sums:
         """Render colors, coverage and density of the pixels as splats at time t.
@@ -219,15 +214,6 @@ class Rearrangement(FrameSequence):
         channels = [self.source.colors]
         channels += [] if self.source.alpha is None else [self.source.alpha[:, None]]
         return np.hstack(channels).reshape(*self.source.shape, -1).astype(np.float32)
-
-    @cached_property
-    def _ways(self) -> tuple[Array, Array, Indices]:
-        """Rows and columns where pixels start and end, (2, N) each, the longest way last."""
-        width = self.source.shape[1]
-        starts = np.stack(np.divmod(np.arange(len(self.assignment)), width)).astype(float)
-        ends = np.stack(np.divmod(self.assignment, width)).astype(float)
-        order = np.argsort(np.square(starts - ends).sum(axis=0), kind="stable")
-        return starts[:, order], ends[:, order], order
 
     @cached_property
     def _renderer(self) -> FrameRenderer:

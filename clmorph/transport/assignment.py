@@ -30,8 +30,8 @@ Indices = NDArray[np.intp]
 FIRST_BLOCKS, BLOCK = (32, 32, 64, 64), 128
 #: Largest number of rounds.
 ROUNDS = 200
-#: A round that lowers the cost by less than the first share of it, or by less than the second share
-#: of what it is above the cost that is enough, is idle; several in a row end the search.
+#: A round that lowers the cost by less than the first share of it (the default), or by less than the
+#: second share of what it is above the cost that is enough, is idle; several in a row end the search.
 SMALLEST_GAIN, SLOWEST_GAIN, PATIENCE = 1e-5, 0.04, 3
 #: Parts into which a level of the search for near pairs cuts each part.
 WAYS = 4
@@ -53,6 +53,7 @@ def assign(
     destinations: Array | None = None,
     g: Array | None = None,
     enough: float = 0.0,
+    least_gain: float = SMALLEST_GAIN,
     seed: int = 0,
     report: Report = lambda share: None,
 ) -> Assignment:
@@ -69,6 +70,8 @@ def assign(
         is the exact assignment of a block; they do not change its cost.
     enough : float
         The search ends at this cost.
+    least_gain : float
+        The search ends when rounds lower the cost by a smaller share.
     seed : int
         Seed of the random directions.
     report : callable
@@ -105,7 +108,7 @@ def assign(
             for rows, columns in pool.map(_Exchange(source, target, permutation, height), blocks):
                 permutation[rows] = columns
             before, cost = cost, permutation_cost(source, target, permutation)
-            gain = max(SMALLEST_GAIN * before, SLOWEST_GAIN * (before - enough) if enough else 0.0)
+            gain = max(least_gain * before, SLOWEST_GAIN * (before - enough) if enough else 0.0)
             idle = idle + 1 if before - cost < gain else 0
     report(1.0)
     return Assignment(permutation, cost)

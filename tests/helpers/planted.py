@@ -64,6 +64,8 @@ FAULTS = [
     Fault("layers.cl", "follow_paths", "0.5f * (moved", "0.49f * (moved", "follow_paths"),
     Fault("layers.cl", "place_layer", "weights[point]", "0.99f * weights[point]", "draw_layers"),
     Fault("layers.cl", "draw_layers", "way.y : way.x", "way.x : way.y", "draw_layers"),
+    Fault("nearest_seeds.cl", "nearest_seeds", "number *= WAYS;", "number = WAYS * number + 1;",
+          "nearest_seeds"),
     Fault("gauss_transform.cl", "sum_moments", "chunk + MOMENT_CHUNK),",
           "chunk + MOMENT_CHUNK) - 1,", "splat"),
     Fault("gauss_transform.cl", "sum_rows", "vstore4(fold", "vstore4(0.999f * fold", "splat"),

@@ -1,5 +1,6 @@
 """Rearranging the pixels of one image to form another."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -87,6 +88,30 @@ def test_every_frame_shows_colors_of_a_alone():
     colors = {tuple(pixel) for pixel in a.astype(np.float32).reshape(-1, 3)}
     for frame in clmorph.rearrange(a, b, n_frames=5, backend="numpy"):
         assert {tuple(pixel) for pixel in frame.reshape(-1, 3)} <= colors
+
+
+@pytest.mark.parametrize("t", [0.2, 0.5, 0.8])
+def test_frames_have_neither_holes_nor_patches(device, t):
+    """Pixels of two halves that change places: each shows its own color, and not its neighbor's."""
+    a, b = _images(24, 32)
+    found = clmorph.rearrange(a, b, backend=device)
+    halves = np.roll(np.arange(24 * 32).reshape(24, 32), 16, axis=1).ravel()
+    found = dataclasses.replace(found, assignment=halves)
+    frame = found.frame(t)
+    equal = np.all(frame[:, 1:] == frame[:, :-1], axis=2)
+    assert np.count_nonzero(equal[:, 1:] & equal[:, :-1]) == 0
+    assert len(np.unique(frame.reshape(-1, 3), axis=0)) > 0.3 * 24 * 32
+
+
+def test_an_empty_place_goes_on_as_a_does():
+    """A is mirrored: halfway all pixels stand in the middle, and what they leave is like A."""
+    a, b = _images(10, 40)
+    found = clmorph.rearrange(a, b, backend="numpy")
+    mirror = np.arange(400).reshape(10, 40)[:, ::-1].ravel()
+    frame = dataclasses.replace(found, assignment=mirror).frame(0.5)
+    steps = np.abs(np.diff(frame, axis=1)).max(axis=(0, 2))
+    assert steps[:18].min() > 0
+    assert steps[22:].min() > 0
 
 
 def test_pixels_keep_their_opacity():

@@ -11,6 +11,7 @@ from clmorph.backends.numpy.batches import Batch, divide, for_each
 from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
 from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
 from clmorph.backends.numpy.layers import draw_layers, edge_preserving_mean, follow_paths
+from clmorph.backends.numpy.nearest_seeds import nearest_seeds
 from clmorph.backends.records import (
     Affine,
     Bins,
@@ -457,6 +458,10 @@ class NumPyOperations:
             for channel in range(3):
                 sums[channel + 1] += (along_y * splats.colors[part, channel, None]).T @ along_x
         return np.moveaxis(sums[1:], 0, -1), sums[0]
+
+    def nearest_seeds(self, seeds: Float32, shape: tuple[int, int]) -> NDArray[np.int32]:
+        """Return the nearest seed of each pixel."""
+        return nearest_seeds(seeds, shape)
 
 
 def kernel_1d(d: Float64, sigma: float, radius: float) -> Float64:

@@ -21,6 +21,7 @@ from clmorph.backends.opencl.kernels.launches import Workspace
 from clmorph.backends.opencl.kernels.layers import Layers
 from clmorph.backends.opencl.kernels.log_sum_exp import LogSumExp
 from clmorph.backends.opencl.kernels.near_field import NearField
+from clmorph.backends.opencl.kernels.nearest_seeds import NearestSeeds
 from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
 from clmorph.backends.opencl.kernels.plan_shares import PlanShares
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
@@ -113,6 +114,7 @@ class OpenCLOperations:
         splatting = self.splatting = Splatting(self.work, self.constants, self.programs)
 
         layers = Layers(self.work, self.constants, self.programs)
+        seeds = NearestSeeds(self.work, self.constants, self.programs)
 
         take_turns = self._take_turns
         self.upload = take_turns(clouds.upload)
@@ -147,6 +149,7 @@ class OpenCLOperations:
         self.width_levels = take_turns(splatting.width_levels)
         self.bin_splats = take_turns(splatting.bin_splats)
         self.splat = take_turns(splatting.splat)
+        self.nearest_seeds = take_turns(seeds.nearest_seeds)
 
     def _take_turns(self, method: Callable[P, T]) -> Callable[P, T]:
         """Run one operation at a time on a device, and report its failures as errors of clmorph.

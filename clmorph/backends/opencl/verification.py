@@ -29,6 +29,7 @@ from clmorph.backends.verification.reductions import (
     check_row_maxima,
     check_softmin,
 )
+from clmorph.backends.verification.seeds import check_nearest_seeds
 from clmorph.backends.verification.splats import (
     check_advect,
     check_bins,
@@ -198,6 +199,10 @@ def _check_layers(operations: Adjustable, variant: Variant) -> _Checks:
         yield from check(operations, NumPyOperations())
 
 
+def _check_nearest_seeds(operations: Adjustable, variant: Variant) -> _Checks:
+    yield from check_nearest_seeds(operations, NumPyOperations())
+
+
 _CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
     "log_sum_exp.cl": _check_log_sum_exp,
     "near_field.cl": _check_near_field,
@@ -210,5 +215,6 @@ _CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
     "particles.cl": _check_particles,
     "splat.cl": partial(_check_splat, method="gather"),
     "layers.cl": _check_layers,
+    "nearest_seeds.cl": _check_nearest_seeds,
     "gauss_transform.cl": partial(_check_splat, method="moments"),
 }

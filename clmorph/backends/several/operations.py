@@ -111,6 +111,7 @@ class SeveralDevices:
         self.width_levels = lone.width_levels
         self.bin_splats = lone.bin_splats
         self.splat = lone.splat
+        self.nearest_seeds = lone.nearest_seeds
 
     def __repr__(self) -> str:
         return f"<SeveralDevices: {self.description}>"

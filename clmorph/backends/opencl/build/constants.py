@@ -22,6 +22,8 @@ PRECISE_UNROLL = 4
 MASKED_UNROLL = 4
 #: The number of stored pairs of a row that are handled together.
 STORED_UNROLL = 4
+#: The number of seeds of a leaf, and of nodes below a node, of the tree of ``nearest_seeds.cl``.
+SEED_LEAF, SEED_WAYS = 8, 4
 
 
 @dataclass(frozen=True)
@@ -165,6 +167,11 @@ class BuildConstants:
     def layer_macros(self) -> dict[str, int | float]:
         """Return the macros of ``layers.cl``."""
         return {**self.common_macros(), "LEAST_LIKENESS": LEAST_LIKENESS}
+
+    def nearest_seeds_macros(self) -> dict[str, int | float]:
+        """Return the macros of ``nearest_seeds.cl``."""
+        own = {"GROUP": self.group, "LEAF": SEED_LEAF, "WAYS": SEED_WAYS}
+        return {**self.common_macros(), **own}
 
     def particle_macros(self) -> dict[str, int | float]:
         """Return the macros of ``particles.cl``."""

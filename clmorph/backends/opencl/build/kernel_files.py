@@ -17,5 +17,6 @@ KERNELS = {
     ),
     "splat.cl": ("splat",),
     "layers.cl": ("edge_preserving_mean", "follow_paths", "place_layer", "draw_layers"),
+    "nearest_seeds.cl": ("nearest_seeds",),
     "gauss_transform.cl": ("sum_moments", "sum_rows", "sum_columns"),
 }  # fmt: skip

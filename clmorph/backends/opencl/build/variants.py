@@ -50,6 +50,7 @@ class Variant:
             "splat.cl": constants.splat_macros,
             "gauss_transform.cl": constants.gauss_transform_macros,
             "layers.cl": constants.layer_macros,
+            "nearest_seeds.cl": constants.nearest_seeds_macros,
         }
         if self.file == "half_steps.cl":
             return constants.half_step_macros(self.balanced)
@@ -97,6 +98,7 @@ def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
         Variant("particles.cl"),
         Variant("splat.cl"),
         Variant("gauss_transform.cl"),
+        Variant("layers.cl"),
     )
 
 

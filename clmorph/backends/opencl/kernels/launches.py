@@ -59,7 +59,10 @@ class LaunchBudget:
         """Time a launch over this many pairs and adapt the next one's size."""
         began = time.perf_counter()
         yield
-        elapsed = time.perf_counter() - began
+        self.learn(pairs, time.perf_counter() - began)
+
+    def learn(self, pairs: int, elapsed: float) -> None:
+        """Adapt the next launch's size to the seconds that a launch over this many pairs took."""
         self.longest = max(self.longest, elapsed)
         affordable = pairs * TARGET_SECONDS / max(elapsed, 1e-6)
         # The size grows slowly: a short launch is mostly overhead and hardly predicts a long one.

@@ -17,8 +17,8 @@ from clmorph.backends.records import TEAR, Affine, Float32, Float64, LayerView
 
 #: Work-items of a group, along a row: more than the lanes of any device.
 GROUP = 64
-#: Pairs of a point and a cell of the first launch, steps of all points, and pixels.
-FIRST_PAIRS, FIRST_STEPS, FIRST_PIXELS = 1 << 20, 1 << 20, 1 << 17
+#: Pairs of a point and a cell of the first launch, steps of all points, points, and pixels.
+FIRST_PAIRS, FIRST_STEPS, FIRST_POINTS, FIRST_PIXELS = 1 << 20, 1 << 20, 1 << 18, 1 << 17
 #: A pixel beside a tear takes at most as long as so many others: nine colors in place of one.
 TORN_PIXELS = 9
 #: Farther outside a picture nothing is told apart.
@@ -56,7 +56,7 @@ class Layers:
         self._work, self._constants, self._programs = work, constants, programs
         self._kernels: dict[str, cl.Kernel] = {}
         self._of_means, self._of_paths = LaunchBudget(FIRST_PAIRS), LaunchBudget(FIRST_STEPS)
-        self._of_pixels = LaunchBudget(FIRST_PIXELS)
+        self._of_points, self._of_pixels = LaunchBudget(FIRST_POINTS), LaunchBudget(FIRST_PIXELS)
 
     def edge_preserving_mean(
         self,
@@ -185,16 +185,19 @@ class Layers:
         return frame
 
     def _placed(self, view: LayerView) -> cl.MemoryObject:
-        """Return displacements and weights of a layer at its time: (H, W, 4) on the device."""
-        layer = view.layer
-        points = layer.shape[0] * layer.shape[1]
+        """Return displacements, weights and tears of a layer: (H, W, 4) on the device."""
+        make, layer = cl.cltypes, view.layer
+        height, width = layer.shape
         step = min(int(view.way * layer.steps), layer.steps - 1)
-        buffer = self._work.empty(16 * points)
-        self._launch(
-            "place_layer", (points, 1), np.uint32(points), np.uint32(step),
-            np.float32(view.way * layer.steps - step), layer.paths,
-            self._work.buffer(view.weights), buffer,
-        )  # fmt: skip
+        weights = self._work.buffer(view.weights)
+        buffer = self._work.empty(16 * height * width)
+        for first, count, _ in _rows(self._of_points, height, width):
+            self._launch(
+                "place_layer", (width, count), np.uint32(first), make.make_int2(height, width),
+                np.float32(view.way * layer.steps - step),
+                make.make_float2(*view.to_picture.step), np.float32(_untorn(view)),
+                layer.paths, np.uint32(step), weights, buffer,
+            )  # fmt: skip
         return buffer
 
     def _launch(
@@ -297,3 +300,15 @@ def _unit(view: LayerView) -> float:
     """Return the distance in the picture of two neighbors that do not move."""
     steps = zip(view.to_field.step, view.to_picture.step, strict=True)
     return max(1e-6, *(abs(a * b) for a, b in steps))
+
+
+def _untorn(view: LayerView) -> float:
+    """Return up to which distance in the picture, squared, two points of the paths tear nothing.
+
+    Neighbors on a canvas of larger pixels may have many points between them: there is none.
+    """
+    step = max(abs(step) for step in view.to_paths.step)
+    if step > 1.0:
+        return -1.0
+    # Less than what is left, for rounding.
+    return float((0.999 * (TEAR - 1.0) * _unit(view) / max(step, 1e-6)) ** 2)

@@ -7,7 +7,12 @@ work-items that run in step: each waits for the others. Where a device has no li
 
 import sys
 
-from clmorph.backends.opencl.build.constants import STORED_UNROLL, BuildConstants
+from clmorph.backends.opencl.build.constants import (
+    SEED_LEAF,
+    SEED_WAYS,
+    STORED_UNROLL,
+    BuildConstants,
+)
 
 #: More than any count: the device has no limit.
 NO_LIMIT = sys.maxsize
@@ -79,3 +84,19 @@ def stored_pairs(constants: BuildConstants) -> int:
         return NO_LIMIT
     rounds = 1 + 2 * (STORED_UNROLL + 1) + STORED_UNROLL * (constants.width + 1)
     return constants.longest_loop // rounds * STORED_UNROLL
+
+
+def tree_rounds(constants: BuildConstants, most: int) -> int:
+    """Return the number of nodes that a work-item may visit in a launch of ``nearest_seeds``.
+
+    Parameters
+    ----------
+    constants : BuildConstants
+    most : int
+        The number without a limit of loops.
+    """
+    if not constants.longest_loop:
+        return most
+    # A tree has at most 16 levels.
+    before = 16 * (SEED_WAYS + 2) + SEED_LEAF + 1
+    return max(1, min(most, (constants.longest_loop - before) // (SEED_LEAF + 2 + 17)))
