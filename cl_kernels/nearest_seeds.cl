@@ -10,7 +10,8 @@
 //
 // A work-item has a block of BLOCK_X x BLOCK_Y = WIDTH pixels. It begins at the leaf that the nearest boxes
 // lead to, and then goes through all nodes in their order, without those that are too far. After a number of
-// rounds it keeps its place in memory for the next launch, so that launches are bounded.
+// rounds, one for each node and each seed, it keeps its place in memory for the next launch, so that launches
+// are bounded.
 //
 // Launch: one work-item for each block of a list, in groups of GROUP; those beyond its end do nothing.
 //
@@ -149,9 +150,11 @@ void nearest_seeds(
             --level;
             number *= WAYS;
         } else {
-            if (enters)
+            if (enters) {
                 try_leaf(seeds + (size_t)LEAF * number, order + (size_t)LEAF * number, x, y,
                          &best, &found);
+                round += LEAF;
+            }
             ++number;
             while (level < top && number % WAYS == 0) {
                 ++level;

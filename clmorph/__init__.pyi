@@ -41,13 +41,15 @@ from .errors import (
 )
 from .errors import (
     ImageWarning as ImageWarning,
-    OptionWarning as OptionWarning,
 )
 from .errors import (
     InputError as InputError,
 )
 from .errors import (
     MemoryWarning as MemoryWarning,
+)
+from .errors import (
+    OptionWarning as OptionWarning,
 )
 from .errors import (
     OutputError as OutputError,

@@ -53,8 +53,9 @@ LONGEST, LONGEST_OUTLINE = 0.045, 0.06
 #: Width of the Gaussian that smooths a correction, in grid points.
 SOFTENING = 2.0
 #: Correlation of both contrasts from which details begin to agree, and at which they do: while they
-#: are searched, and at last. It is taken under a Gaussian of this share of the longer side.
-SEARCHED, AGREED, CORRELATED = (0.4, 0.65), (0.6, 0.85), 0.02
+#: are searched, and at last. It is taken under a Gaussian of this share of the longer side, and of
+#: so many points of a small picture at least: among fewer, unlike pictures agree by chance.
+SEARCHED, AGREED, CORRELATED, FEWEST_CORRELATED = (0.4, 0.65), (0.6, 0.85), 0.02, 5.0
 #: If after the first round this share of the pictures does not agree, they have nothing in common.
 FEWEST_AGREE = 0.02
 #: Places around which others agree take their displacement: the share of the longer side over which
@@ -199,7 +200,7 @@ class Scene:
     def _correlation(self, first: Array, second: Array) -> Array:
         """Return the local correlation of the contrasts of two images (H, W, 3): (H, W) array."""
         a, b = (_contrast(image @ self._lightness, FINE.width) for image in (first, second))
-        width = CORRELATED * max(a.shape)
+        width = max(CORRELATED, FEWEST_CORRELATED / max(self._whole.shape)) * max(a.shape)
         product = blurred(a * a, width) * blurred(b * b, width)
         return np.asarray(blurred(a * b, width) / np.sqrt(product + 1e-6))
 

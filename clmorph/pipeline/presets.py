@@ -64,7 +64,7 @@ PRESETS: dict[str, Preset] = {
         {"reach": math.inf},
     ),
     "mosaic": Preset(
-        "Bold: blocks of the one picture move to their places in the other, and nothing is blended.",
+        "Bold: blocks of the one picture move to their places in the other, unblended.",
         {"detail": "cells"},
     ),
     "crossfade": Preset(

@@ -30,8 +30,9 @@ Indices = NDArray[np.intp]
 FIRST_BLOCKS, BLOCK = (32, 32, 64, 64), 128
 #: Largest number of rounds.
 ROUNDS = 200
-#: A round that lowers the cost by less than the first share of it (the default), or by less than the
-#: second share of what it is above the cost that is enough, is idle; several in a row end the search.
+#: A round that lowers the cost by less than the first share of it (the default), or by less than
+#: the second share of what it is above the cost that is enough, is idle; several in a row end the
+#: search.
 SMALLEST_GAIN, SLOWEST_GAIN, PATIENCE = 1e-5, 0.04, 3
 #: Parts into which a level of the search for near pairs cuts each part.
 WAYS = 4

@@ -270,6 +270,30 @@ def test_tears_begin_by_and_by(any_backend_operations, jump):
     assert found[0] == pytest.approx(rest[0], abs=2e-4)
 
 
+@pytest.mark.parametrize("canvas", [(48, 75), (8, 15), (5, 4)])
+@pytest.mark.parametrize("moved", [1.0, 2.5, 12.0, 60.0])
+def test_tears_around_a_point_of_the_paths(each_device, rng, canvas, moved):
+    """On canvases with many pixels, one, and less than one for each point."""
+    grid = 8, 15
+    to_grid, to_picture = (
+        Affine((0.5 * steps[0] - 0.5, 0.5 * steps[1] - 0.5), steps)
+        for steps in (
+            tuple(a / b for a, b in zip(grid, canvas, strict=True)),
+            tuple(b / a for a, b in zip(grid, (48, 75), strict=True)),
+        )
+    )
+    paths = np.zeros((2, *grid, 2), np.float32)
+    paths[1, 3, 6] = moved / 6, -moved / 5
+    paths[1, 7, 14, 0] = moved / 6
+    layer = LayerCase(
+        coefficients(rng.random((48, 75, 4))), paths, np.zeros((*grid, 4), np.float32), 1.0,
+        to_grid, to_grid, to_picture, np.ones(grid, np.float32), 1.0,
+    )  # fmt: skip
+    scene = Scene((layer, absent(grid)), np.zeros((1, 1, 4), np.float32), canvas)
+    got, want = (scene.draw(backend) for backend in (each_device, REFERENCE))
+    assert largest(got - want) <= scene.rounding()
+
+
 @pytest.mark.parametrize("size", [1e3, 1e30])
 def test_places_far_outside_are_finite(each_device, rng, size):
     layer = still(rng.random((10, 70, 4)), way=0.7)
@@ -294,7 +318,7 @@ def test_launches_are_cut_without_changing_a_bit(each_device):
         return found + [scene.draw(layers) for scene in scenes((40, 50)).values()]
 
     layers = Layers(each_device.work, each_device.constants, each_device.programs)
-    layers._of_means = layers._of_paths = layers._of_pixels = SmallBudget()
+    layers._of_means = layers._of_paths = layers._of_points = layers._of_pixels = SmallBudget()
     for cut, whole in zip(results(layers), results(each_device), strict=True):
         assert np.array_equal(cut, whole)
 

@@ -69,7 +69,7 @@ def test_opacity(device):
     assert 0 <= morph.frame(0.5).min() <= morph.frame(0.5).max() <= 1
 
 
-@pytest.mark.parametrize("given", [{"barycentric": True}, {"sample": 2}, {"detail": "carried"}])
+@pytest.mark.parametrize("given", [{"barycentric": True}, {"sample": 2}, {"detail": "layers"}])
 def test_all_ways(device, pair, given):
     morph = clmorph.morph(*pair, backend=device, unmatched="grow", **(FAR | given))
     for t in (0.0, 0.5, 1.0):

@@ -158,7 +158,7 @@ def strayed(frame, parts):
 
 
 def test_a_portrait_keeps_eyes_and_mouth_at_every_time(any_backend):
-    """With eight landmarks, where detail is carried and where particles draw it."""
+    """With eight landmarks, as layers and where particles draw it."""
     a, ours, places = portrait(
         (20, 22), 19, (0.3, -0.15), (0.28, 0.5),
         ((222, 190, 165), (60, 40, 25), (150, 170, 190)),
@@ -171,7 +171,7 @@ def test_a_portrait_keeps_eyes_and_mouth_at_every_time(any_backend):
     landmarks = list(zip(ours, theirs, strict=True))
     worst = {}
     for name, given in (("with", landmarks), ("without", None)):
-        for detail in ("carried", "particles"):
+        for detail in ("layers", "particles"):
             morph = clmorph.morph(
                 a, b, landmarks=given, preset="photo", detail=detail, **options
             )  # fmt: skip
@@ -183,7 +183,7 @@ def test_a_portrait_keeps_eyes_and_mouth_at_every_time(any_backend):
                 max(each[0].max() for each in found),
                 min(each[1].min() for each in found),
             )
-    for detail in ("carried", "particles"):
+    for detail in ("layers", "particles"):
         assert worst["with", detail][0] < 1.0
         assert worst["with", detail][1] > 0.95
         assert worst["without", detail][0] > 2.0

@@ -326,7 +326,7 @@ def test_curves_are_those_of_the_particles(rng, unmatched):
 
 def test_the_kernel_is_shown_where_it_draws_the_detail(rng):
     pictures = rng.random((2, 8, 8, 3))
-    for detail, shown in (("carried", False), ("particles", True)):
+    for detail, shown in (("layers", False), ("particles", True)):
         result = clmorph.morph(*pictures, n_frames=3, detail=detail, backend="numpy")
         scene = scene_of(result)
         assert scene.parameters["detail"] == result.detail == detail

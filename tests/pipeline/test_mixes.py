@@ -9,8 +9,6 @@ from PIL import Image
 
 import clmorph
 from clmorph.errors import InputError, OutputError
-from clmorph.frames.mixes.particles import draw, reversed_plan
-from clmorph.frames.mixes.renderer import mixed_share
 from clmorph.pipeline.mixing.weights import grid_layout, path_weights
 
 SIDE = 24
@@ -53,14 +51,14 @@ def test_mixes_go_on_smoothly_from_the_border(device):
     for t in (0.2, 0.5):
         border = mixes.frame([1 - t, t, 0])
         beside = mixes.frame([1 - t, t - 1e-6, 1e-6])
-        # What remains are random draws of the particles, and a motion that is inverted otherwise.
+        # What remains is a motion that is followed in other steps.
         assert np.abs(beside - border).mean() < 3e-3
     corner = mixes.frame([1.0, 1e-7, 1e-7])
     assert np.abs(corner - FOUR[0]).max() < 1e-3
 
 
 def test_order_of_the_images_does_not_matter(any_backend):
-    """But for draws, and for registration, which begins with the first of two images."""
+    """But for registration, which begins with the first of two images, and the order of turns."""
     one = clmorph.mix(FOUR, [1, 2, 3, 4], backend=any_backend)[0]
     other = clmorph.mix(FOUR[::-1], [4, 3, 2, 1], backend=any_backend)[0]
     assert np.abs(one - other).mean() < 0.01
@@ -78,7 +76,7 @@ def test_spots_meet_at_the_weighted_mean_of_their_places(device):
     dark = [np.exp(-((x - a) ** 2 + (y - b) ** 2) / 0.01)[..., None] for a, b in places]
     images = [np.repeat(each, 3, axis=2) for each in dark]
     weights = np.array([0.5, 0.3, 0.2])
-    options = {"reach": None, "mass": "foreground", "blur": 0.02, "detail": "carried"}
+    options = {"reach": None, "mass": "foreground", "blur": 0.02}
     mixed = clmorph.mix(images, weights, backend=device, **options)[0][..., 0]
     bright = mixed > 0.5 * mixed.max()
     found = [x[bright].mean(), y[bright].mean()]
@@ -101,7 +99,7 @@ def test_ways_of_unmatched_mass(options, any_backend):
 
 
 @pytest.mark.parametrize(
-    "options", [{"detail": "particles"}, {"barycentric": True}, {"preset": "paper", "size": 16}]
+    "options", [{"detail": "particles"}, {"preset": "mosaic"}, {"preset": "paper", "size": 16}]
 )
 def test_other_details_are_mixed_step_by_step(options, any_backend):
     mixes = clmorph.mix(FOUR[:3], [1, 1, 2], backend=any_backend, **options)
@@ -114,7 +112,7 @@ def test_flat_drawings_stay_flat(device):
     """A mix of three drawings has few colors, as each of them."""
     images = [logo(name, 32) for name in ("star", "disc", "ring")]
     mixes = clmorph.mix(images, [1, 1, 1], backend=device)
-    assert mixes.options.detail == "shapes"
+    assert mixes.options.detail == "layers"
     shape = mixes[0][np.abs(mixes[0] - 1.0).max(axis=2) > 0.3]
     assert 50 < len(shape) < 32 * 32
     assert shape.std(axis=0).max() < 0.1
@@ -135,32 +133,6 @@ def test_opaque_images_beside_clear_ones(device):
     mixes = clmorph.mix([FOUR[0], clear, FOUR[2]], [[1, 0, 0], [1, 1, 1]], backend=device)
     assert [each.shape for each in mixes] == [(SIDE, SIDE, 4)] * 2
     assert np.all(mixes[0][..., 3] == 1)
-
-
-def test_draws_follow_the_plan():
-    """Destinations have the plan's probabilities, and its remaining mass rests."""
-    source, target = clmorph.lift(FOUR[0][:6, :6]), clmorph.lift(FOUR[3][:6, :6])
-    potentials = clmorph.sinkhorn(source, target, 0.1, 0.3, backend="numpy")
-    plan = clmorph.transport_plan(source, target, potentials, backend="numpy", relative=1e-7)
-    count = 4000
-    for pair, own in (((source, target), plan), ((target, source), reversed_plan(plan))):
-        found = draw(pair, own, "fade", count, 0)
-        colors = found.colors.reshape(36, count)
-        moved = np.minimum(1.0, own.marginals[0] / pair[0].weights)
-        np.testing.assert_allclose((colors >= 0).mean(axis=1), moved, atol=2 / count)
-        dense = own.to_scipy().toarray()
-        shares = dense / dense.sum(axis=1, keepdims=True)
-        drawn = np.array([np.bincount(row[row >= 0], minlength=36) for row in colors])
-        drawn = drawn / drawn.sum(axis=1, keepdims=True)
-        np.testing.assert_allclose(drawn, shares, atol=4 / count)
-
-
-def test_share_of_two_images_is_that_of_a_morph():
-    from clmorph.frames.endpoints import share
-
-    for t in (0.0, 0.1, 0.4, 0.5, 1.0):
-        assert mixed_share([1 - t, t]) == pytest.approx(share(t), abs=1e-12)
-    assert mixed_share([0.25] * 4) == 0.0
 
 
 class TestWeights:

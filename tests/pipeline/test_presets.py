@@ -35,7 +35,7 @@ def test_pictures_choose(name):
     # What is given stays, and an object of options is complete.
     assert clmorph.morph(*pair, **SMALL, detail="particles").options.detail == "particles"
     assert clmorph.morph(*pair, MorphOptions(n_frames=3), backend="numpy").detail in (
-        "carried", "particles",
+        "layers", "pixels",
     )  # fmt: skip
 
 
@@ -113,16 +113,16 @@ class TestCommand:
             command = ["morph", *pair, "-o", "out.gif", "--config", "mine.toml", "--json"]
             assert main([*command, *preset, *OPTIONS]) == 0
             options = json.loads(capfd.readouterr().out)["options"]
-            assert options["detail"] == "shapes"
+            assert options["detail"] == "layers"
             # A preset of the command line replaces what a file says of its options.
             assert options["blur"] == (0.02 if preset else 0.07)
 
     def test_dumped_settings_are_those_of_the_pictures(self, files, capfd):
         assert main(["morph", "logo0.png", "logo1.png", "--dump-config"]) == 0
-        assert 'detail = "shapes"' in capfd.readouterr().out
+        assert 'detail = "layers"' in capfd.readouterr().out
         assert main(["morph", "--dump-config"]) == 0
         shown = capfd.readouterr()
-        assert 'detail = "carried"' in shown.out
+        assert 'detail = "layers"' in shown.out
         assert "name pictures" in shown.err
 
     def test_it_says_what_a_file_changes(self, files, capfd):

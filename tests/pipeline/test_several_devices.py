@@ -14,8 +14,8 @@ from several import KINDS, pictures
 
 import clmorph
 from clmorph.backends.several import SeveralDevices, members_of
-from clmorph.frames import carried_detail
 from clmorph.frames.frame_renderer import FrameRenderer
+from clmorph.frames.registration import Scene
 
 COMMAND = Path(sys.executable).with_name("clmorph")
 #: The coverage below which a pixel is compared more loosely.
@@ -152,16 +152,16 @@ def test_each_device_renders_its_share(device, monkeypatch):
     assert rendered == [(0, 0.123)]
 
 
-def test_the_motion_of_details_is_computed_once(device, monkeypatch):
+def test_details_are_registered_once(device, monkeypatch):
     several = SeveralDevices(KINDS["halves"](device).members, [0.5, 0.5])
     made = []
-    register = carried_detail.register
+    register = Scene.meet_details
 
-    def counted(*arguments):
+    def counted(scene):
         made.append(1)
-        return register(*arguments)
+        return register(scene)
 
-    monkeypatch.setattr(carried_detail, "register", counted)
+    monkeypatch.setattr(Scene, "meet_details", counted)
     list(clmorph.morph(*pictures(), n_frames=9, backend=several).iter_frames())
     assert made == [1]
 
@@ -199,7 +199,7 @@ def test_a_device_that_fails_ends_the_frames(device, monkeypatch, failing):
 
     frames = made.iter_frames()
     next(frames)
-    monkeypatch.setattr(several.members[failing], "splat", fail)
+    monkeypatch.setattr(several.members[failing], "draw_layers", fail)
     with pytest.raises(clmorph.DeviceError, match="it has gone"):
         list(frames)
     assert all(member.lock.acquire(blocking=False) for member in several.members)

@@ -1,4 +1,4 @@
-"""Large pictures with carried detail: particles come from smaller copies of them."""
+"""Large pictures as layers: particles come from smaller copies of them."""
 
 import numpy as np
 import pytest

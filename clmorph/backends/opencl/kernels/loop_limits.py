@@ -87,7 +87,7 @@ def stored_pairs(constants: BuildConstants) -> int:
 
 
 def tree_rounds(constants: BuildConstants, most: int) -> int:
-    """Return the number of nodes that a work-item may visit in a launch of ``nearest_seeds``.
+    """Return how many nodes and seeds a work-item may look at in a launch of ``nearest_seeds``.
 
     Parameters
     ----------

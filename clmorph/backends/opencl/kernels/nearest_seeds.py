@@ -19,9 +19,10 @@ _Real = TypeVar("_Real", bound=np.number)
 
 #: Pixels of a work-item along x, by the width of its vectors; the same as in the kernel.
 BLOCK_X = {1: 1, 2: 2, 4: 2, 8: 4, 16: 4}
-#: The largest number of nodes that a work-item visits in one launch, several times what most need.
-ROUNDS = 256
-#: Nodes visited by the first launch.
+#: The largest number of nodes and seeds that a work-item looks at in one launch, some times what
+#: most need.
+ROUNDS = 512
+#: Nodes and seeds that the first launch looks at.
 FIRST_ROUNDS = 1 << 18
 #: The lowest index of a node without seeds.
 NONE = np.iinfo(np.int32).max

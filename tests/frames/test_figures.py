@@ -1,4 +1,4 @@
-"""Frames of flat shapes: outlines stay sharp, areas change evenly, sprites keep their pixels."""
+"""Figures before a ground: outlines stay sharp, areas change evenly, sprites keep their pixels."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ from drawn_pictures import compressed, logo, sprite
 
 import clmorph
 from clmorph import InputError, MorphOptions
-from clmorph.frames.shapes import _inside
 
 TIMES = (0.0, 0.02, 0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9, 0.98, 1.0)
 SMALL = {"solve_size": 32, "n_frames": 3}
@@ -27,7 +26,7 @@ class TestLogos:
     def test_shapes_become_shapes(self, device, pair):
         """Area goes evenly from one to the other, and a frame is as opaque as its ends."""
         morph = clmorph.morph(*pair, backend=device, **SMALL)
-        assert morph.detail == morph.options.detail == "shapes"
+        assert morph.detail == morph.options.detail == "layers"
         area, soft = shares(morph)
         start, end = area[0], area[-1]
         even = [(1 - t) * start + t * end for t in TIMES]
@@ -76,7 +75,7 @@ class TestLogos:
     def test_compressed_logos(self, device):
         pair = [compressed(logo(name, 200), 75) for name in ("star", "disc")]
         morph = clmorph.morph(*pair, backend=device, **SMALL)
-        assert morph.detail == "shapes"
+        assert morph.detail == "layers"
         assert np.abs(morph.frame(0.0) - pair[0]).max() < 1e-5
         middle = morph.frame(0.5)
         assert np.mean(middle[:15] > 0.95) > 0.99  # no dirt in the background
@@ -166,27 +165,6 @@ class TestSprites:
         morph = clmorph.morph(*pair, backend=device, weights=weights, n_frames=3)
         assert morph.frame(0.5).shape == (32, 48, 4)
         assert np.abs(morph.frame(0.0)[..., 3] - pair[0][..., 3]).max() < 1e-5
-
-
-class TestThreshold:
-    @pytest.mark.parametrize("area", [1e-3, 0.1, 0.5, 0.97, 1.0])
-    @pytest.mark.parametrize("crisp", [False, True])
-    def test_the_area_is_as_asked(self, rng, area, crisp):
-        from scipy.ndimage import gaussian_filter
-
-        density = np.maximum(gaussian_filter(rng.random((60, 80)), 4) - 0.45, 0)
-        found = _inside(density, area, crisp=crisp)
-        assert found.mean() == pytest.approx(area, abs=0.5 / density.size if crisp else 0.02)
-        assert 0 <= found.min() <= found.max() <= 1
-
-    @pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (2, 2)])
-    @pytest.mark.parametrize("crisp", [False, True])
-    def test_tiny_canvases(self, shape, crisp):
-        for density in (np.zeros(shape), np.ones(shape), np.arange(np.prod(shape)).reshape(shape)):
-            for area in (0.01, 0.5, 1.0):
-                found = _inside(density.astype(float), area, crisp=crisp)
-                assert found.shape == shape
-                assert np.all(np.isfinite(found))
 
 
 class TestOptions:

@@ -1,0 +1,251 @@
+"""Films show one picture at each place, which moves along the plan."""
+
+import numpy as np
+import pytest
+from drawn_pictures import logo
+from picture_pairs import deformed, picture, psnr
+from skimage.transform import resize
+
+import clmorph
+from clmorph import InputError
+from clmorph.analysis.metrics import flicker, ghost
+from clmorph.backends.numpy import NumPyOperations
+from clmorph.frames.canvas import Canvas, canvas_at
+from clmorph.frames.fields import affine, field_of
+from clmorph.frames.layers import stage_of
+from clmorph.frames.particles import Particles
+from clmorph.frames.switching import switched, switching_times, turns
+
+TIMES = (0.0, 0.25, 0.5, 0.8, 1.0)
+SMALL = {"solve_size": 32, "n_frames": 5}
+
+
+def photo(name, side=64):
+    return np.clip(resize(picture(name), (side, side), anti_aliasing=True), 0, 1)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return photo("portrait"), photo("coffee")
+
+
+def test_a_picture_morphed_into_itself_is_the_picture(device, pair):
+    morph = clmorph.morph(pair[0], pair[0], backend=device, **SMALL)
+    for t in TIMES:
+        assert np.abs(morph.frame(t) - pair[0]).mean() < 1 / 255
+
+
+def test_ends_are_the_pictures_to_the_bit(device, pair):
+    morph = clmorph.morph(*pair, backend=device, **SMALL)
+    for t, image in zip((0.0, 1.0), pair, strict=True):
+        np.testing.assert_array_equal(morph.frame(t), image.astype(np.float32))
+    # And frames approach them.
+    for t, image in zip((1e-3, 1 - 1e-3), pair, strict=True):
+        assert np.abs(morph.frame(t) - image).mean() < 0.01
+
+
+@pytest.mark.parametrize("name", ["cat", "face"])
+def test_a_deformation_is_warped(name, device):
+    image = photo(name, 128)
+    truth, last = deformed(image, 0)
+    frame = clmorph.morph(image, last, backend=device, n_frames=3).frame(0.5)
+    assert psnr(frame, truth) > psnr((image + last) / 2, truth) + 6
+
+
+def test_unlike_pictures_are_not_seen_through_each_other(device):
+    ends = photo("portrait", 128), photo("cat", 128)
+    morph = clmorph.morph(*ends, backend=device, n_frames=3)
+    found, fade = (
+        np.mean([ghost(frame, *ends) for frame in frames])
+        for frames in (
+            [morph.frame(t) for t in (0.3, 0.5, 0.7)],
+            [(1 - t) * ends[0] + t * ends[1] for t in (0.3, 0.5, 0.7)],
+        )
+    )
+    assert found < 0.2 * fade
+
+
+def test_a_frame_is_a_function_of_its_time(device, pair):
+    morph, other = (clmorph.morph(*pair, backend=device, **SMALL) for _ in range(2))
+    shown = {t: morph.frame(t) for t in TIMES}
+    for t in TIMES[::-1]:
+        np.testing.assert_array_equal(morph.frame(t), shown[t])
+        np.testing.assert_array_equal(other.frame(t), shown[t])
+
+
+def test_nothing_jumps(device, pair):
+    morph = clmorph.morph(*pair, backend=device, **SMALL)
+    frames = [morph.frame(t) for t in np.linspace(0, 1, 49)]
+    steps = [np.abs(b - a).mean() for a, b in zip(frames, frames[1:], strict=False)]
+    assert max(steps) < 3 * np.mean(steps)
+    assert flicker(frames) < 1.15
+
+
+def test_devices_agree_with_numpy(each_device, pair):
+    ours, theirs = (
+        clmorph.morph(*pair, backend=backend, **SMALL) for backend in (each_device, "numpy")
+    )
+    for t in TIMES:
+        # Where motion folds, rounding decides between two places of a picture.
+        error = np.abs(ours.frame(t) - theirs.frame(t)).max(axis=2)
+        assert np.mean(error > 0.02) < 0.02
+
+
+def test_a_disc_moves_as_a_whole(device):
+    y, x = np.mgrid[:64, :64]
+
+    def disc(left):
+        inside = np.clip(10 - np.hypot(x - left, y - 32) + 0.5, 0, 1)[..., None]
+        return (1 - inside) * np.array([0.9, 0.9, 0.8]) + inside * np.array([0.8, 0.1, 0.1])
+
+    morph = clmorph.morph(disc(18), disc(46), preset="logo", backend=device, **SMALL)
+    frame = morph.frame(0.5)
+    inside = frame[..., 1] < 0.5
+    assert inside.sum() == pytest.approx(np.pi * 100, rel=0.1)
+    assert x[inside].mean() == pytest.approx(32, abs=2)
+    assert np.ptp(x[inside]) < 26
+
+
+@pytest.mark.parametrize("detail", [None, "particles"])
+def test_white_stays_white(detail, device):
+    first = np.ones((64, 64, 3))
+    last = first.copy()
+    first[10:30, 10:30] = 0
+    last[30:55, 30:55] = 0
+    given = {} if detail is None else {"detail": detail}
+    frame = clmorph.morph(first, last, backend=device, **SMALL, **given).frame(0.5)
+    np.testing.assert_allclose(frame[2, 60], 1, atol=1e-4)
+
+
+def test_labels_are_not_mixed(device):
+    """Each half has a texture of its own; its label keeps it there."""
+    rng = np.random.default_rng(0)
+    red, blue = np.zeros((2, 32, 64, 3))
+    red[..., 0], blue[..., 2] = 0.5 + 0.5 * rng.random((2, 32, 64))
+    left = np.arange(64)[None] < 32
+    images = [np.where(left[..., None], a, b) for a, b in ((red, blue), (blue, red))]
+    labels = np.broadcast_to(np.where(left, 1, 2), (32, 64))
+    morph = clmorph.morph(*images, labels=(labels, labels), backend=device, n_frames=3)
+    early = morph.frame(0.1)
+    assert early[:, :28, 2].mean() < 0.35
+    assert early[:, 36:, 0].mean() < 0.35
+
+
+@pytest.mark.parametrize(
+    "shapes", [((40, 24), (20, 48)), ((1, 30), (20, 20)), ((2, 2), (9, 5)), ((1, 1), (3, 3))]
+)
+@pytest.mark.parametrize("extent", ["true", "unit"])
+def test_all_shapes(shapes, extent, any_backend):
+    rng = np.random.default_rng(1)
+    images = [rng.random((*shape, 3)) for shape in shapes]
+    morph = clmorph.morph(*images, extent=extent, backend=any_backend, n_frames=3)
+    assert morph.detail == "layers"
+    for t in TIMES:
+        frame = morph.frame(t)
+        assert frame.shape == (*morph.canvas(t).shape, 3)
+        assert np.isfinite(frame).all()
+        assert 0 <= frame.min() <= frame.max() <= 1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"reach": None}, {"barycentric": True}, {"sample": 2}, {"unmatched": "grow"},
+        {"unmatched": "drop"}, {"path_space": "srgb"}, {"path_space": "lab"}, {"reach": 1e-3},
+    ],
+)  # fmt: skip
+def test_all_options(options, any_backend, pair):
+    images = [resize(image, (24, 24), anti_aliasing=True) for image in pair]
+    morph = clmorph.morph(*images, backend=any_backend, n_frames=3, **options)
+    assert morph.detail == "layers"
+    frames = [morph.frame(t) for t in TIMES]
+    assert np.isfinite(frames).all()
+    np.testing.assert_allclose(frames[0], images[0], atol=1e-6)
+    assert np.std(frames[2]) > 0.05
+
+
+def test_layers_are_those_of_layers_alone(pair):
+    morph = clmorph.morph(*pair, backend="numpy", solve_size=16)
+    assert morph.layers.times.shape == morph.layers.agreement.shape
+    other = clmorph.morph(*pair, backend="numpy", solve_size=16, detail="particles")
+    with pytest.raises(InputError, match='expected "layers"'):
+        _ = other.layers
+
+
+@pytest.mark.parametrize("name", ["carried", "shapes"])
+def test_names_of_earlier_versions(name):
+    with pytest.warns(clmorph.OptionWarning, match="detail='layers' now"):
+        options = clmorph.MorphOptions(detail=name)
+    assert options.detail == "layers"
+
+
+class TestFields:
+    def test_a_translation_gives_its_displacement(self):
+        canvas = canvas_at(0.0, (20, 30), (20, 30))
+        places = canvas.positions().reshape(-1, 2)
+        n, move, change = len(places), np.array([0.1, -0.05]), np.array([0.0, 0.2, 0.1])
+        colors = np.random.default_rng(0).random((n, 3))
+        table = np.vstack(
+            [np.column_stack((places + k * move, colors + k * change, np.ones(n))) for k in (0, 1)]
+        )
+        links = np.column_stack((np.arange(n), n + np.arange(n))).astype(np.uint32)
+        moving = Particles(table, links, np.full((n, 2), 1 / n))
+        image = colors.reshape(20, 30, 3)
+        for end, sign in ((0, 1), (1, -1)):
+            field = field_of(
+                moving, end, (n, n), (image, image), (canvas, canvas), NumPyOperations()
+            )
+            inside = field.move[4:-4, 6:-6] if end == 0 else field.move[6:-6, 8:-8]
+            np.testing.assert_allclose(
+                inside, np.broadcast_to(sign * move, inside.shape), atol=1e-5
+            )
+
+    def test_affine_maps_places(self):
+        here, there = Canvas((5, 9), (8.0, 8.0)), Canvas((10, 18), (17.0, 16.0))
+        found = affine(here, there).places(here.shape)
+        np.testing.assert_allclose(np.moveaxis(found, -1, 0), there.places(here.positions()))
+
+    def test_a_stage_covers_both_pictures(self):
+        canvases = [canvas_at(t, (10, 40), (40, 10)) for t in (0.0, 1.0)]
+        stage = stage_of(canvases)
+        assert stage.shape == (40, 40)
+        for canvas in canvases:
+            places = stage.places(canvas.positions())
+            assert places.min() > -1
+            assert places.max() < 40
+
+
+class TestTurns:
+    @pytest.mark.parametrize("shares", [(0.3, 0.7), (0.2, 0.0, 0.5, 0.3), (1.0, 0.0), (0.0, 1.0)])
+    def test_weights_add_up(self, shares):
+        rng = np.random.default_rng(2)
+        times, agreement = rng.random((2, 12, 15))
+        weights = turns(times, agreement, shares)
+        np.testing.assert_allclose(sum(weights), 1)
+        assert min(weight.min() for weight in weights) > -1e-12
+        for weight, share in zip(turns(times, np.ones((12, 15)), shares), shares, strict=True):
+            np.testing.assert_allclose(weight, share)
+
+    def test_the_second_picture_takes_over(self):
+        rng = np.random.default_rng(3)
+        stage = Canvas((32, 48), (47.0, 47.0))
+        halves = [resize(rng.random((8, 12, 3)), (32, 48)) for _ in range(2)]
+        times = switching_times(halves, np.array([1.0, 0, 0]), stage, NumPyOperations())
+        assert 0 <= times.min() < 0.05
+        assert 0.95 < times.max() <= 1
+        none = np.zeros_like(times)
+        seen = [switched(times, none, t) for t in np.linspace(0, 1, 21)]
+        assert np.all(seen[0] == 0)
+        assert np.all(seen[-1] == 1)
+        assert np.all(np.diff(seen, axis=0) >= 0)
+        # Most places show one picture alone.
+        assert all(np.mean((w > 0.02) & (w < 0.98)) < 0.3 for w in seen)
+
+
+def test_figures_keep_their_colors_beyond_the_ground(device):
+    """A logo on white becomes one on black: no rim of the other ground is seen."""
+    ends = logo("disc", 48, ground="white"), logo("disc", 48, ground="black")
+    frame = clmorph.morph(*ends, backend=device, **SMALL).frame(0.5)
+    inside = np.abs(ends[0] - 1).max(axis=2) > 0.3
+    ground = frame[~inside & (np.abs(ends[0] - 1).max(axis=2) < 0.01)]
+    assert np.ptp(ground.mean(axis=1)) < 0.05
