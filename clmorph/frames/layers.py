@@ -47,6 +47,10 @@ CLOSE = 1.5
 #: The largest level of distance, in the common frame, that keeps a figure's area.
 LEVEL = 0.06
 ROUNDS = 40
+#: Points of the stage around a figure in which its edge may be that of the pictures.
+RIM = 2.0
+#: Half change of color at which both pictures hardly count as equal there.
+EQUAL = 0.1
 #: Agreement below this is none.
 FAINT = 0.01
 
@@ -392,8 +396,17 @@ class Layers:
             scene.meet_outlines()
         self.agreement = scene.meet_details()
         self.fields = scene.fields
+        halves = scene.halves()
+        if figures is not None:
+            # The ground is drawn by itself.
+            within = np.max([half.outline for half in halves], axis=0)
+            self.agreement = self.agreement * np.clip((within + 2 * RIM) / RIM, 0.0, 1.0)
+            # Edges that change their color are mixtures with the ground, which does not.
+            for half in halves:
+                change = np.linalg.norm(half.colors - half.own, axis=2)
+                self.agreement = self.agreement * np.exp(-((change / EQUAL) ** 2))
         self.times = switching_times(
-            [half.colors for half in scene.halves()], lightness, self.stage, operations
+            [half.colors for half in halves], lightness, self.stage, operations
         )
         self._paths = [follow(field, self.stage, operations) for field in self.fields]
         self._upload()

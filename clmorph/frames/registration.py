@@ -65,6 +65,8 @@ AROUND, AGREEING = 0.06, (0.2, 0.5)
 TRUST_WIDTH = 4.0
 #: Contrast below this lightness is treated as noise.
 NOISE = 0.045
+#: Product of both contrasts' variances below which their correlation is that of noise.
+FAINT = 1e-3
 #: Images with a side below this number of grid points are not registered.
 FEWEST = 16
 #: Rounds of the iterations that invert a displacement.
@@ -202,7 +204,7 @@ class Scene:
         a, b = (_contrast(image @ self._lightness, FINE.width) for image in (first, second))
         width = max(CORRELATED, FEWEST_CORRELATED / max(self._whole.shape)) * max(a.shape)
         product = blurred(a * a, width) * blurred(b * b, width)
-        return np.asarray(blurred(a * b, width) / np.sqrt(product + 1e-6))
+        return np.asarray(blurred(a * b, width) / np.sqrt(product + FAINT))
 
     def _moved(
         self, halves: Sequence[Shown], flow: Array, part: Callable[[Shown], Array]

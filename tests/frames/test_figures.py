@@ -168,7 +168,7 @@ class TestSprites:
 
 
 class TestOptions:
-    @pytest.mark.parametrize("detail", ["shapes", "pixels"])
+    @pytest.mark.parametrize("detail", ["layers", "pixels"])
     @pytest.mark.parametrize("given", [{"sigma_start": 1.0}, {"gamma": 0.4}, {"splatting": "none"}])
     def test_the_kernel_of_particles_contradicts(self, detail, given):
         with pytest.raises(InputError, match=f"^detail='{detail}' and .* contradict"):

@@ -1,5 +1,7 @@
 """Films show one picture at each place, which moves along the plan."""
 
+import itertools
+
 import numpy as np
 import pytest
 from drawn_pictures import logo
@@ -76,7 +78,7 @@ def test_a_frame_is_a_function_of_its_time(device, pair):
 def test_nothing_jumps(device, pair):
     morph = clmorph.morph(*pair, backend=device, **SMALL)
     frames = [morph.frame(t) for t in np.linspace(0, 1, 49)]
-    steps = [np.abs(b - a).mean() for a, b in zip(frames, frames[1:], strict=False)]
+    steps = [np.abs(b - a).mean() for a, b in itertools.pairwise(frames)]
     assert max(steps) < 3 * np.mean(steps)
     assert flicker(frames) < 1.15
 
@@ -114,7 +116,7 @@ def test_white_stays_white(detail, device):
     last[30:55, 30:55] = 0
     given = {} if detail is None else {"detail": detail}
     frame = clmorph.morph(first, last, backend=device, **SMALL, **given).frame(0.5)
-    np.testing.assert_allclose(frame[2, 60], 1, atol=1e-4)
+    np.testing.assert_allclose(frame[2, -4], 1, atol=1e-4)
 
 
 def test_labels_are_not_mixed(device):
@@ -196,9 +198,7 @@ class TestFields:
                 moving, end, (n, n), (image, image), (canvas, canvas), NumPyOperations()
             )
             inside = field.move[4:-4, 6:-6] if end == 0 else field.move[6:-6, 8:-8]
-            np.testing.assert_allclose(
-                inside, np.broadcast_to(sign * move, inside.shape), atol=1e-5
-            )
+            np.testing.assert_allclose(inside - sign * move, 0, atol=1e-4)
 
     def test_affine_maps_places(self):
         here, there = Canvas((5, 9), (8.0, 8.0)), Canvas((10, 18), (17.0, 16.0))
