@@ -54,7 +54,7 @@ LONGEST = (
     "backends/test_tuning.py",
     "backends/test_cross_compile.py",
     "backends/test_device.py",
-    "frames/test_carried_detail.py",
+    "frames/test_layers.py",
     "analysis/test_inspection.py",
 )
 

@@ -701,11 +701,13 @@ def completion(shell: str) -> None:
     click.echo(kind(cli, {}, "clmorph", "_CLMORPH_COMPLETE").source())
 
 
-def _note(message: Warning | str, *others: Any, **more: Any) -> None:
-    """Print a warning as a note; the signature is that of `warnings.showwarning`."""
+def _note(told: set[str], message: Warning | str, *others: Any, **more: Any) -> None:
+    """Print a warning as a note, once; else the signature is that of `warnings.showwarning`."""
     from clmorph.cli.common import note_warning
 
-    note_warning([], message, *others, **more)
+    if str(message) not in told:
+        told.add(str(message))
+        note_warning([], message, *others, **more)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -713,5 +715,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = {str(parameter.name): parameter.opts[-1] for parameter in (*morph.params, *mix.params)}
     with terminable() as ending, warnings.catch_warnings():
         warnings.simplefilter("always", OptionWarning)
-        warnings.showwarning = _note
+        warnings.showwarning = partial(_note, set())
         return run(cli, arguments, names | options.names_outside(), ending)

@@ -42,8 +42,8 @@ class Particles:
     n_grown : int
         Number of the last rows of `table` that are other ends of mass that grows or shrinks.
     labels : pair of integer arrays, (N,) and (M,), optional
-        Labels of the pixels of source and target, which no particle changes, so that detail is
-        carried for each of them by itself (`clmorph.frames.carried_detail`).
+        Labels of the pixels of source and target, which no particle changes, so that fields
+        do not cross their borders (`clmorph.frames.fields`).
 
     Examples
     --------
