@@ -51,6 +51,9 @@ ROUNDS = 40
 RIM = 2.0
 #: Half change of color at which both pictures hardly count as equal there.
 EQUAL = 0.1
+#: Width of the Gaussian that smooths an outline where both pictures count alike, twice: a share of
+#: the longer side, and at least some pixels.
+OUTLINE, NARROWEST = 0.006, 1.2
 #: Agreement below this is none.
 FAINT = 0.01
 
@@ -277,7 +280,10 @@ class Pictures:
         softness = float(np.dot(shares, [each.softness for each in self.figures]))
         most = np.inf if any(each.inside.all() for each in self.figures) else LEVEL
         unit = max(*canvas.scale, 1e-9)
-        opaque = _inside(figure[..., 3], area, softness / unit, most)[..., None]
+        # Outlines of both layers that nearly meet are drawn as one smooth line, ends as they are.
+        width = max(NARROWEST, OUTLINE * max(canvas.shape)) * (1.0 - float(max(shares)))
+        distance = blurred(figure[..., 3], width)
+        opaque = _inside(distance, area, softness / unit, most)[..., None]
         if "alpha" in self._channels:
             opaque = opaque * np.clip(drawn("alpha", weights, canvas)[..., 3:], 0, 1)
         ground, alpha = self._ground(shares)

@@ -350,25 +350,27 @@ class _Counted:
 
 class TestMemory:
     @pytest.mark.parametrize(
-        ("side", "blur", "way", "channels"),
+        ("side", "blur", "way", "channels", "detail"),
         [
-            (64, 0.03, {}, 3),
-            pytest.param(64, 0.015, {}, 3, marks=pytest.mark.full),
-            pytest.param(96, 0.012, {}, 3, marks=pytest.mark.full),
-            pytest.param(96, 0.03, {"sample": 16}, 3, marks=pytest.mark.full),
-            pytest.param(96, 0.03, {"barycentric": True}, 3, marks=pytest.mark.full),
-            (64, 0.015, {}, 4),
+            (64, 0.03, {}, 3, "particles"),
+            (64, 0.03, {}, 3, "layers"),
+            pytest.param(64, 0.015, {}, 3, "particles", marks=pytest.mark.full),
+            pytest.param(96, 0.012, {}, 3, "particles", marks=pytest.mark.full),
+            pytest.param(96, 0.03, {"sample": 16}, 3, "particles", marks=pytest.mark.full),
+            pytest.param(96, 0.03, {"barycentric": True}, 3, "particles", marks=pytest.mark.full),
+            (64, 0.015, {}, 4, "particles"),
+            (64, 0.015, {}, 4, "layers"),
         ],
     )
     def test_on_devices_within_a_factor_of_two(
-        self, device, monkeypatch, side, blur, way, channels
+        self, device, monkeypatch, side, blur, way, channels, detail
     ):
         first, second = _photos(side)
         if channels == 4:
             first = np.dstack((first, _picture(first.shape[:2], channels=4)[..., 3]))
         morph = functools.partial(
             clmorph.morph, first, second, n_frames=5, blur=blur, reach=0.3, color_weight=0.5,
-            path_space="srgb", backend=device, **WHOLE, **way,
+            path_space="srgb", detail=detail, backend=device, **WHOLE, **way,
         )  # fmt: skip
         # What is imported, built or verified at first use is no part of a morph, nor is garbage.
         morph().frame(0.5)
@@ -390,7 +392,9 @@ class TestMemory:
         assert 0.5 < memory.host / host < 2, (memory.host, host, before_frames, solved)
         # What the pool holds for reuse depends on the sizes of launches, and so on their duration.
         assert memory.device / counted.used > 0.5, (memory.device, counted.used)
-        assert memory.device / counted.peak < 2.2, (memory.device, counted.peak)
+        # Layers take less: the particles stay on the host.
+        if detail == "particles":
+            assert memory.device / counted.peak < 2.2, (memory.device, counted.peak)
         assert memory.shared
         assert memory.ram == memory.host + memory.device
 
@@ -492,7 +496,7 @@ class TestTime:
         times = [
             frame_seconds(
                 found.source, found.target, found.potentials, found.plan, found.pairs, count,
-                clmorph.get_backend("numpy"),
+                clmorph.get_backend("numpy"), "particles",
             )
             for count in (2, 200)
         ]  # fmt: skip
