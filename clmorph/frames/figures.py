@@ -50,6 +50,11 @@ class Figure(NamedTuple):
     ground_alpha: float
 
     @property
+    def area(self) -> float:
+        """Share of the canvas inside the outline."""
+        return float(np.clip(0.5 + self.distance / self.softness, 0.0, 1.0).mean())
+
+    @property
     def translucent(self) -> bool:
         """Whether the figure is translucent somewhere."""
         return bool(self.alpha.min() < OPAQUE)
@@ -98,6 +103,10 @@ def _figure(inside: _Bool, end: End) -> Figure:
     edge = (end.alpha > CLEAR) & (end.alpha < SOLID) & (np.abs(distance) < 0.1 * max(alpha.shape))
     outline = (np.abs(distance) <= 0.5).sum()
     softness = float(np.clip(float(edge.sum()) / max(float(outline), 1.0), 1.0, 16.0))
+    # Pixels of the edge say where in them the outline runs.
+    covered = end.alpha / np.maximum(alpha, CLEAR)
+    mixed = (covered > 0) & (covered < 1) & (np.abs(distance) < 1 + softness)
+    distance = np.where(mixed, softness * (covered - 0.5), distance)
     return Figure(inside, distance, alpha, softness, np.zeros(3), 0.0)
 
 

@@ -182,6 +182,7 @@ class Pictures:
     ) -> None:
         self._space, self._operations, self.canvases = space, operations, list(canvases)
         self.figures = figures
+        self._areas = [figure.area for figure in figures or ()]
         #: Whether frames have opacity.
         self.clear = any(end.alpha is not None for end in ends)
         self.stage = stage_of(canvases)
@@ -276,7 +277,7 @@ class Pictures:
             low[..., 3] = 0.0
             return self._shown(drawn("own", weights, canvas, low)[..., :3])
         figure = drawn("figure", weights, canvas).astype(float)
-        area = float(np.dot(shares, [each.inside.mean() for each in self.figures]))
+        area = float(np.dot(shares, self._areas))
         softness = float(np.dot(shares, [each.softness for each in self.figures]))
         most = np.inf if any(each.inside.all() for each in self.figures) else LEVEL
         unit = max(*canvas.scale, 1e-9)

@@ -56,8 +56,8 @@ SOFTENING = 2.0
 #: are searched, and at last. It is taken under a Gaussian of this share of the longer side, and of
 #: so many points of a small picture at least: among fewer, unlike pictures agree by chance.
 SEARCHED, AGREED, CORRELATED, FEWEST_CORRELATED = (0.4, 0.65), (0.6, 0.85), 0.02, 5.0
-#: If after the first round this share of the pictures does not agree, they have nothing in common.
-FEWEST_AGREE = 0.02
+#: If after the first rounds these shares of the pictures do not agree, they have nothing in common.
+FEWEST_AGREE = (0.03, 0.18)
 #: Places around which others agree take their displacement: the share of the longer side over which
 #: they are averaged, and the share of agreement from and up to which this counts.
 AROUND, AGREEING = 0.06, (0.2, 0.5)
@@ -166,8 +166,8 @@ class Scene:
             first, second = self._moved(halves, flow, lambda half: half.places)
             shown = self._moved(halves, flow, lambda half: half.colors)
             agree = _ramp(self._correlation(*shown), SEARCHED)
-            if number == 0 and agree.mean() < FEWEST_AGREE:
-                self.stage = self._whole
+            if number < len(FEWEST_AGREE) and agree.mean() < FEWEST_AGREE[number]:
+                self.stage, self.fields = self._whole, list(self._given)
                 return nothing
             agree = blurred(agree, 3.0)[..., None]
             owns = self._moved(halves, flow, lambda half: half.own)
