@@ -152,8 +152,8 @@ KINDS: dict[str, Kind] = {
     for kind in (
         Kind(
             "morph", "Morph", "Make the morph",
-            "Things of one picture travel to those of the next one, and fade where they have no "
-            "counterpart.",
+            "Things of one picture travel to those of the next one, and one of both is seen at each "
+            "place.",
             MorphOptions, _MORPH_MAIN | _FRAMES, _MORPH_SLIDERS,
             presets=True, landmarks=True, painted="labels",
         ),
