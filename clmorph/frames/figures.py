@@ -98,19 +98,30 @@ def _figure(inside: _Bool, end: End) -> Figure:
     distance = distance + np.where(inside, -0.5, 0.5)
     if end.alpha is None:
         ground = np.median(end.colors[~inside], axis=0)
+        covered = _covered(end.colors, beyond(end.colors, inside), ground)
+        mixed = (covered > 0) & (covered < 1) & (np.abs(distance) <= 1)
+        distance = np.where(mixed, covered - 0.5, distance)
         return Figure(inside, distance, np.ones(inside.shape), 1.0, ground, 1.0)
-    alpha = beyond(end.alpha[..., None], inside)[..., 0]
-    edge = (end.alpha > CLEAR) & (end.alpha < SOLID) & (np.abs(distance) < 0.1 * max(alpha.shape))
-    outline = (np.abs(distance) <= 0.5).sum()
-    softness = float(np.clip(float(edge.sum()) / max(float(outline), 1.0), 1.0, 16.0))
+    alpha = beyond(end.alpha[..., None], inside, thin=np.inf)[..., 0]
     # Pixels of the edge say where in them the outline runs.
     covered = end.alpha / np.maximum(alpha, CLEAR)
-    mixed = (covered > 0) & (covered < 1) & (np.abs(distance) < 1 + softness)
+    edge = (covered > CLEAR) & (covered < SOLID) & (np.abs(distance) < 0.1 * max(alpha.shape))
+    outline = (np.abs(distance) <= 0.5).sum()
+    softness = float(np.clip(float(edge.sum()) / max(float(outline), 1.0), 1.0, 16.0))
+    mixed = (covered > 0) & (covered < 1) & (np.abs(distance) < EDGE + softness)
     distance = np.where(mixed, softness * (covered - 0.5), distance)
     return Figure(inside, distance, alpha, softness, np.zeros(3), 0.0)
 
 
-def beyond(image: Array, inside: _Bool) -> Array:
+def _covered(colors: Array, figure: Array, ground: Array) -> Array:
+    """Return the share of the figure in each pixel that mixes it with the ground; else 0."""
+    way, own = figure - ground, colors - ground
+    share = (own * way).sum(axis=2) / np.maximum((way * way).sum(axis=2), LEVEL**2)
+    lies_between = np.abs(own - share[..., None] * way).max(axis=2) <= LEVEL
+    return np.where(lies_between, share, 0.0)
+
+
+def beyond(image: Array, inside: _Bool, thin: float = THIN) -> Array:
     """Return an image (H, W, C) whose figure is continued over the ground, edge pixels included."""
     from scipy.ndimage import binary_erosion, distance_transform_edt
 
@@ -119,6 +130,6 @@ def beyond(image: Array, inside: _Bool) -> Array:
     core = binary_erosion(inside, iterations=EDGE, border_value=1)
     known = inside
     if core.any():
-        known = core | (inside & (distance_transform_edt(~core) > THIN))
+        known = core | (inside & (distance_transform_edt(~core) > thin))
     rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
     return image[rows, columns]

@@ -183,6 +183,8 @@ class Pictures:
         self._space, self._operations, self.canvases = space, operations, list(canvases)
         self.figures = figures
         self._areas = [figure.area for figure in figures or ()]
+        #: How far outlines on the way are smoothed, from 0 to 1: not at all where they coincide.
+        self.smoothing = 1.0
         #: Whether frames have opacity.
         self.clear = any(end.alpha is not None for end in ends)
         self.stage = stage_of(canvases)
@@ -283,6 +285,7 @@ class Pictures:
         unit = max(*canvas.scale, 1e-9)
         # Outlines of both layers that nearly meet are drawn as one smooth line, ends as they are.
         width = max(NARROWEST, OUTLINE * max(canvas.shape)) * (1.0 - float(max(shares)))
+        width *= self.smoothing
         distance = blurred(figure[..., 3], width)
         opaque = _inside(distance, area, softness / unit, most)[..., None]
         if "alpha" in self._channels:
@@ -408,6 +411,9 @@ class Layers:
             # The ground is drawn by itself.
             within = np.max([half.outline for half in halves], axis=0)
             self.agreement = self.agreement * np.clip((within + 2 * RIM) / RIM, 0.0, 1.0)
+            first, second = (half.outline for half in halves)
+            apart = np.abs(first - second)[np.abs(first + second) < 2 * RIM]
+            pictures.smoothing = min(1.0, float(apart.mean())) if apart.size else 0.0
             # Edges that change their color are mixtures with the ground, which does not.
             for half in halves:
                 change = np.linalg.norm(half.colors - half.own, axis=2)

@@ -50,6 +50,8 @@ OUTLINES = (
 )  # fmt: skip
 #: The longest correction of a round, as a share of the grid's longer side: of details, of outlines.
 LONGEST, LONGEST_OUTLINE = 0.045, 0.06
+#: Mean square of slopes below which a window does not tell displacements.
+FLAT = 1e-3
 #: Width of the Gaussian that smooths a correction, in grid points.
 SOFTENING = 2.0
 #: Correlation of both contrasts from which details begin to agree, and at which they do: while they
@@ -260,10 +262,21 @@ def _on_middle(
 
 
 def _flow(images: Sequence[Array], radius: int, longest: float, width: float) -> Array:
-    """Return how far the second image is from the first at each point: (2, H, W) array."""
+    """Return how far the second image is from the first at each point: (2, H, W) array.
+
+    In windows without contrast, and along straight edges, nothing is known, and it is 0.
+    """
+    from scipy.ndimage import uniform_filter
     from skimage.registration import optical_flow_ilk
 
-    flow = optical_flow_ilk(images[0], images[1], radius=radius, num_warp=6)
+    found = optical_flow_ilk(images[0], images[1], radius=radius, num_warp=6).astype(float)
+    y, x = np.gradient(images[0])
+    yy, yx, xx = (
+        uniform_filter(each, 2 * radius + 1, mode="mirror") for each in (y * y, y * x, x * x)
+    )
+    down, along = yy * found[0] + yx * found[1], yx * found[0] + xx * found[1]
+    yy, xx = yy + FLAT, xx + FLAT
+    flow = np.stack((xx * down - yx * along, yy * along - yx * down)) / (yy * xx - yx * yx)
     limit = longest * max(images[0].shape)
     flow *= np.minimum(1.0, limit / np.maximum(np.hypot(*flow), 1e-9))
     return np.stack([blurred(part, width) for part in flow])

@@ -152,7 +152,7 @@ KINDS: dict[str, Kind] = {
     for kind in (
         Kind(
             "morph", "Morph", "Make the morph",
-            "Things of one picture travel to those of the next one, and one of both is seen at each "
+            "Things of one picture travel to those of the next one; one of both is seen at each "
             "place.",
             MorphOptions, _MORPH_MAIN | _FRAMES, _MORPH_SLIDERS,
             presets=True, landmarks=True, painted="labels",
