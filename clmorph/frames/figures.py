@@ -98,9 +98,10 @@ def _figure(inside: _Bool, end: End) -> Figure:
     distance = distance + np.where(inside, -0.5, 0.5)
     if end.alpha is None:
         ground = np.median(end.colors[~inside], axis=0)
-        covered = _covered(end.colors, beyond(end.colors, inside), ground)
-        mixed = (covered > 0) & (covered < 1) & (np.abs(distance) <= 1)
-        distance = np.where(mixed, covered - 0.5, distance)
+        edge = np.abs(distance) <= 1
+        covered = _covered(end.colors[edge], beyond(end.colors, inside)[edge], ground)
+        mixed = (covered > 0) & (covered < 1)
+        distance[edge] = np.where(mixed, covered - 0.5, distance[edge])
         return Figure(inside, distance, np.ones(inside.shape), 1.0, ground, 1.0)
     alpha = beyond(end.alpha[..., None], inside, thin=np.inf)[..., 0]
     # Pixels of the edge say where in them the outline runs.
@@ -114,10 +115,10 @@ def _figure(inside: _Bool, end: End) -> Figure:
 
 
 def _covered(colors: Array, figure: Array, ground: Array) -> Array:
-    """Return the share of the figure in each pixel that mixes it with the ground; else 0."""
+    """Return the share of the figure in pixels (n, 3) that mix it with the ground; else 0."""
     way, own = figure - ground, colors - ground
-    share = (own * way).sum(axis=2) / np.maximum((way * way).sum(axis=2), LEVEL**2)
-    lies_between = np.abs(own - share[..., None] * way).max(axis=2) <= LEVEL
+    share = (own * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), LEVEL**2)
+    lies_between = np.abs(own - share[:, None] * way).max(axis=1) <= LEVEL
     return np.where(lies_between, share, 0.0)
 
 

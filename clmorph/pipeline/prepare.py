@@ -19,9 +19,8 @@ from clmorph.pipeline.presets import AUTO, PresetName, preset_for
 
 Picture = NDArray[np.float64]
 
-#: Of pictures with a longer side above this number of pixels, frames with carried detail take their
-#: smooth part from the particles of smaller copies. It is blurred by 1.6 % of the longer side: by 8
-#: pixels of such a copy.
+#: Of pictures with a longer side above this number of pixels, layers take their fields from the
+#: particles of smaller copies: a field has at most 256 points along a side.
 MOST_CARRIED = 512
 
 

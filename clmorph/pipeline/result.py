@@ -67,8 +67,8 @@ class Morph(FrameSequence):
         Shapes of the images as they were given; None if they are those of the measures.
     pictures : pair of (H, W, 3) arrays or None
         The images as frames show them at both ends, where they have more pixels than the measures:
-        with carried detail, particles draw the smooth part of a frame alone, so that above 512
-        pixels along the longer side smaller copies are lifted, unless more is solved than these.
+        with layers, particles give fields alone, so that above 512 pixels along the longer side
+        smaller copies are lifted, unless more is solved than these.
 
     Examples
     --------

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from drawn_pictures import compressed, logo, sprite
+from scipy.ndimage import gaussian_filter
 
 import clmorph
 from clmorph import InputError, MorphOptions
+from clmorph.frames import layers, sprites
 
 TIMES = (0.0, 0.02, 0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9, 0.98, 1.0)
 SMALL = {"solve_size": 32, "n_frames": 3}
@@ -165,6 +167,34 @@ class TestSprites:
         morph = clmorph.morph(*pair, backend=device, weights=weights, n_frames=3)
         assert morph.frame(0.5).shape == (32, 48, 4)
         assert np.abs(morph.frame(0.0)[..., 3] - pair[0][..., 3]).max() < 1e-5
+
+
+class TestThreshold:
+    @pytest.mark.parametrize("area", [1e-3, 0.1, 0.5, 0.97, 1.0])
+    def test_the_area_is_as_asked(self, rng, area):
+        distance = gaussian_filter(rng.random((60, 80)), 4) - 0.5
+        crisp = sprites._inside(distance, area)
+        assert crisp.mean() == pytest.approx(area, abs=0.5 / distance.size)
+        assert set(np.unique(crisp)) <= {0.0, 1.0}
+        soft = layers._inside(distance, area, 0.02, np.inf)
+        assert soft.mean() == pytest.approx(area, abs=1e-6)
+        assert 0 <= soft.min() <= soft.max() <= 1
+        # Outlines move by no more than the largest level.
+        bounded = layers._inside(distance, area, 1e-6, 0.01)
+        assert np.all(bounded[distance > 0.011] == 1)
+        assert area == 1 or np.all(bounded[distance < -0.011] == 0)
+
+    @pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (2, 2)])
+    def test_tiny_canvases(self, shape):
+        for values in (np.zeros(shape), np.ones(shape), np.arange(np.prod(shape)).reshape(shape)):
+            for area in (0.01, 0.5, 1.0):
+                for found in (
+                    sprites._inside(values.astype(float), area),
+                    layers._inside(values.astype(float), area, 1.0, np.inf),
+                    layers._inside(values.astype(float), area, 1.0, 0.06),
+                ):
+                    assert found.shape == shape
+                    assert np.all(np.isfinite(found))
 
 
 class TestOptions:

@@ -33,9 +33,6 @@ from clmorph.pipeline.prepare import Picture
 from clmorph.pipeline.recipe import recipe
 from clmorph.pipeline.result import Morph
 
-#: Largest number of particles of each pixel.
-DRAWS = 8
-
 
 class _Solved:
     """Morphs that are kept: between images, and the one between two mixes that was used last."""
