@@ -235,3 +235,11 @@ def blurred(image: Array, width: float) -> Array:
 
     widths = (width, width, 0.0)[: image.ndim]
     return np.asarray(gaussian_filter(image, widths, mode="nearest"))
+
+
+def slopes(image: Array) -> list[Array]:
+    """Return the slopes of an image (H, W) in both directions; 0 along a side of one pixel."""
+    return [
+        np.gradient(image, axis=axis) if image.shape[axis] > 1 else np.zeros(image.shape)
+        for axis in (0, 1)
+    ]

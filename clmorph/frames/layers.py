@@ -27,7 +27,7 @@ from clmorph.backends.interface import Operations
 from clmorph.backends.records import LayerView
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.ends import End
-from clmorph.frames.fields import POINTS, Field, affine, blurred, field_of, sampled
+from clmorph.frames.fields import POINTS, Field, affine, blurred, field_of, sampled, slopes
 from clmorph.frames.figures import Figure, beyond, figures_of
 from clmorph.frames.particles import Particles
 from clmorph.frames.registration import PATH_ROUNDS, STEPS, Scene
@@ -49,28 +49,32 @@ LEVEL = 0.06
 ROUNDS = 40
 #: Points of the stage around a figure in which its edge may be that of the pictures.
 RIM = 2.0
+#: Points of the stage by which outlines that have met may differ.
+MET = 0.7
 #: Half change of color at which both pictures hardly count as equal there.
 EQUAL = 0.1
 #: Width of the Gaussian that smooths an outline where both pictures count alike, twice: a share of
 #: the longer side, and at least some pixels.
 OUTLINE, NARROWEST = 0.006, 1.2
+#: Width, as a share of the longer side, over which pictures with a ground are continued beyond
+#: their borders. Others are mirrored there.
+MARGIN = 1 / 8
+#: By how much the mean of two distances, halfway, may be made steeper.
+STEEPER = 1.5
 #: Agreement below this is none.
 FAINT = 0.01
 
 
 class Layer(NamedTuple):
-    """One picture and what moves it.
+    """What moves one picture.
 
     Attributes
     ----------
-    canvas : Canvas
-        The picture's.
     field : Field
     handle
         What `Operations.upload_layer` has returned.
     """
 
-    canvas: Canvas
     field: Field
     handle: Any
 
@@ -81,29 +85,32 @@ class Channels:
     Parameters
     ----------
     image : (H, W, 3) or (H, W, 4) array
+    canvas : Canvas
+        Its pixels.
     operations : Operations
     """
 
-    def __init__(self, image: Array, operations: Operations) -> None:
-        self._image, self._operations = image, operations
+    def __init__(self, image: Array, canvas: Canvas, operations: Operations) -> None:
+        self._image, self.canvas, self._operations = image, canvas, operations
         self.level = lru_cache(maxsize=None)(self._level)
 
     def on(self, operations: Operations) -> Channels:
         """Return the same picture for another device."""
-        return Channels(self._image, operations)
+        return Channels(self._image, self.canvas, operations)
 
-    def _level(self, halvings: int) -> tuple[Any, tuple[int, int]]:
-        """Return the picture with fewer pixels, and its shape."""
+    def _level(self, halvings: int) -> tuple[Any, Canvas]:
+        """Return the picture with fewer pixels, and these."""
         from scipy.ndimage import spline_filter
 
-        shape = [max(1, round(side / 2**halvings)) for side in self._image.shape[:2]]
-        image = reduced(self._image, tuple(shape))
-        spline = np.zeros((*shape, 4), np.float32)
+        longest = max(self.canvas.shape)
+        canvas = self.canvas.reduced(max(1, round(longest / 2**halvings)))
+        image = reduced(self._image, canvas.shape)
+        spline = np.zeros((*canvas.shape, 4), np.float32)
         for channel in range(image.shape[2]):
             spline[..., channel] = spline_filter(
                 image[..., channel], order=3, mode="mirror", output=np.float32
             )
-        return self._operations.upload_spline(spline), (shape[0], shape[1])
+        return self._operations.upload_spline(spline), canvas
 
 
 def stage_of(canvases: Sequence[Canvas]) -> Canvas:
@@ -123,6 +130,14 @@ def stage_of(canvases: Sequence[Canvas]) -> Canvas:
     return Canvas((height, width), (per_unit, per_unit))
 
 
+def with_margin(image: Array, canvas: Canvas) -> tuple[Array, Canvas]:
+    """Continue a picture beyond its border, and return it with its canvas."""
+    margin = round(MARGIN * max(canvas.shape))
+    height, width = (side + 2 * margin for side in canvas.shape)
+    larger = np.pad(image, ((margin, margin), (margin, margin), (0, 0)), mode="edge")
+    return larger, Canvas((height, width), canvas.scale)
+
+
 def lightness_of(space: str) -> Array:
     """Return the weights of a color's coordinates in its lightness."""
     return np.array([0.3, 0.59, 0.11] if space in ("srgb", "linear") else [1.0, 0.0, 0.0])
@@ -139,17 +154,9 @@ def view(
 ) -> LayerView:
     """Return how a layer is drawn on a canvas; see `LayerView`."""
     to_field = affine(canvas, layer.field.canvas)
-    step = max(
-        side / max(points, 1) * abs(ratio)
-        for side, points, ratio in zip(
-            layer.canvas.shape, layer.field.canvas.shape, to_field.step, strict=True
-        )
-    )
+    step = max(abs(each) for each in affine(canvas, channels.canvas).step)
     halvings = int(max(0.0, np.ceil(np.log2(max(step, 1e-9) / CLOSE))))
-    picture, shape = channels.level(halvings)
-    ratio = [few / many for few, many in zip(shape, layer.canvas.shape, strict=True)]
-    x, y = layer.canvas.scale
-    small = Canvas(shape, (x * ratio[1], y * ratio[0]))
+    picture, small = channels.level(halvings)
     return LayerView(
         picture, layer.handle, way, affine(canvas, stage), to_field,
         affine(layer.field.canvas, small), weights, share,
@@ -191,13 +198,13 @@ class Pictures:
         #: The pictures, those whose figures are continued, and those that are sampled by name.
         self.own = [_single(to_space(end.colors, space)) for end in ends]
         self.continued = self.own
-        self._images: dict[str, list[Any]] = {"own": self.own}
+        images: dict[str, list[Any]] = {"own": self.own}
         if figures is not None:
             self.continued = [
                 _single(to_space(beyond(end.colors, figure.inside), space))
                 for end, figure in zip(ends, figures, strict=True)
             ]
-            self._images["figure"] = [
+            images["figure"] = [
                 np.dstack((colors, figure.distance / max(*canvas.scale, 1e-9)))
                 for colors, figure, canvas in zip(self.continued, figures, canvases, strict=True)
             ]
@@ -208,33 +215,36 @@ class Pictures:
                 np.where(alpha[..., None] > 0, own, continued)
                 for alpha, own, continued in zip(opacities, self.own, self.continued, strict=True)
             ]
-            self._images["own"] = [
+            images["own"] = [
                 np.dstack((own, alpha)) for own, alpha in zip(self.own, opacities, strict=True)
             ]
             if any(figure.translucent for figure in figures):
-                self._images["alpha"] = [
+                images["alpha"] = [
                     np.dstack((np.zeros((*figure.alpha.shape, 3)), figure.alpha))
                     for figure in figures
                 ]
-        self._upload()
-
-    def _upload(self) -> None:
         self._channels = {
-            name: [Channels(image, self._operations) for image in images]
-            for name, images in self._images.items()
+            name: [
+                Channels(*(with_margin(image, canvas) if figures else (image, canvas)), operations)
+                for image, canvas in zip(same, canvases, strict=True)
+            ]
+            for name, same in images.items()
         }
 
     def on(self, operations: Operations) -> Pictures:
         """Return the same pictures for another device."""
         other = copy(self)
         other._operations = operations
-        other._upload()
+        other._channels = {
+            name: [each.on(operations) for each in channels]
+            for name, channels in self._channels.items()
+        }
         return other
 
-    def outlines(self, shapes: Sequence[tuple[int, int]]) -> list[Array]:
+    def outlines(self, shapes: Sequence[tuple[int, int]]) -> list[Array] | None:
         """Return the signed distances from the figures' outlines, in the common frame."""
         if self.figures is None:
-            return [np.zeros(shape) for shape in shapes]
+            return None
         return [
             reduced(figure.distance[..., None], shape)[..., 0] / max(*canvas.scale, 1e-9)
             for figure, canvas, shape in zip(self.figures, self.canvases, shapes, strict=True)
@@ -287,6 +297,10 @@ class Pictures:
         width = max(NARROWEST, OUTLINE * max(canvas.shape)) * (1.0 - float(max(shares)))
         width *= self.smoothing
         distance = blurred(figure[..., 3], width)
+        # Where both layers differ, the mean has slopes unlike 1, with which its edge would be soft.
+        slope = np.hypot(*slopes(distance * unit))
+        least = 1.0 - STEEPER * (1.0 - float(max(shares))) * self.smoothing
+        distance = distance / np.clip(slope, least, 1.0)
         opaque = _inside(distance, area, softness / unit, most)[..., None]
         if "alpha" in self._channels:
             opaque = opaque * np.clip(drawn("alpha", weights, canvas)[..., 3:], 0, 1)
@@ -399,9 +413,14 @@ class Layers:
             for number, measure in enumerate(measures)
         ]  # fmt: skip
         shapes = [field.canvas.shape for field in fields]
-        small = [reduced(own, shape) for own, shape in zip(pictures.own, shapes, strict=True)]
+        own, continued = (
+            [reduced(image, shape) for image, shape in zip(images, shapes, strict=True)]
+            for images in (pictures.own, pictures.continued)
+        )
         lightness = lightness_of(space)
-        scene = Scene(fields, small, pictures.outlines(shapes), lightness, self.stage, operations)
+        scene = Scene(
+            fields, own, continued, pictures.outlines(shapes), lightness, self.stage, operations
+        )
         if figures is not None:
             scene.meet_outlines()
         self.agreement = scene.meet_details()
@@ -409,14 +428,17 @@ class Layers:
         halves = scene.halves()
         if figures is not None:
             # The ground is drawn by itself.
-            within = np.max([half.outline for half in halves], axis=0)
-            self.agreement = self.agreement * np.clip((within + 2 * RIM) / RIM, 0.0, 1.0)
             first, second = (half.outline for half in halves)
+            within = np.maximum(first, second)
+            self.agreement = self.agreement * np.clip((within + 2 * RIM) / RIM, 0.0, 1.0)
+            # Outlines that are apart are seen twice in a mixture.
+            near = [np.clip(outline, -2 * RIM, 2 * RIM) for outline in (first, second)]
+            self.agreement = self.agreement * np.exp(-(((near[0] - near[1]) / MET) ** 2))
             apart = np.abs(first - second)[np.abs(first + second) < 2 * RIM]
             pictures.smoothing = min(1.0, float(apart.mean())) if apart.size else 0.0
             # Edges that change their color are mixtures with the ground, which does not.
             for half in halves:
-                change = np.linalg.norm(half.colors - half.own, axis=2)
+                change = np.linalg.norm(half.change, axis=2)
                 self.agreement = self.agreement * np.exp(-((change / EQUAL) ** 2))
         self.times = switching_times(
             [half.colors for half in halves], lightness, self.stage, operations
@@ -426,10 +448,8 @@ class Layers:
 
     def _upload(self) -> None:
         self._layers = [
-            layer_of(field, canvas, paths, self._operations)
-            for field, canvas, paths in zip(
-                self.fields, self._pictures.canvases, self._paths, strict=True
-            )
+            layer_of(field, paths, self._operations)
+            for field, paths in zip(self.fields, self._paths, strict=True)
         ]
 
     def on(self, operations: Operations) -> Layers:
@@ -459,11 +479,11 @@ def follow(field: Field, stage: Canvas, operations: Operations) -> Float32:
     )
 
 
-def layer_of(field: Field, canvas: Canvas, paths: Float32, operations: Operations) -> Layer:
+def layer_of(field: Field, paths: Float32, operations: Operations) -> Layer:
     """Upload a layer."""
     change = np.zeros((*field.canvas.shape, 4), np.float32)
     change[..., :3] = field.change
-    return Layer(canvas, field, operations.upload_layer(paths, change))
+    return Layer(field, operations.upload_layer(paths, change))
 
 
 def _single(image: Array) -> Any:

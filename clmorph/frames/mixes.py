@@ -107,4 +107,4 @@ class MixRenderer:
         )
         paths = follow(field, self._pictures.stage, self._operations)
         # A layer that is wholly on its way needs the last step alone, after its start.
-        return layer_of(field, self._pictures.canvases[i], paths[[0, -1]], self._operations)
+        return layer_of(field, paths[[0, -1]], self._operations)

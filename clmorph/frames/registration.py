@@ -79,8 +79,9 @@ class Shown(NamedTuple):
     """One picture at t = 1/2 on the grid: places in the common frame, colors, and outline."""
 
     places: Array  # (H, W, 2)
-    own: Array  # (H, W, 3): the picture's colors
-    colors: Array  # (H, W, 3): these, half changed into the other picture's
+    own: Array  # (H, W, 3): the picture's colors, those of its figure continued over the ground
+    colors: Array  # (H, W, 3): the picture's colors, half changed into the other picture's
+    change: Array  # (H, W, 3): that half change
     outline: Array  # (H, W): signed distance, in grid points
 
 
@@ -92,8 +93,11 @@ class Scene:
     fields : two of Field
     colors : two of (h, w, 3) arrays
         The pictures on the grids of the fields, in the space of the path.
-    outlines : two of (h, w) arrays
-        Signed distance to the edge of each picture's figure, in the common frame; 0 if none.
+    continued : two of (h, w, 3) arrays
+        These, with the colors of figures continued over the ground.
+    outlines : two of (h, w) arrays, optional
+        Signed distance to the edge of each picture's figure, in the common frame; None if all
+        pixels belong to the pictures.
     lightness : (3,) array
         Weights of the coordinates of a color in its lightness.
     stage : Canvas
@@ -105,12 +109,18 @@ class Scene:
         self,
         fields: Sequence[Field],
         colors: Sequence[Array],
-        outlines: Sequence[Array],
+        continued: Sequence[Array],
+        outlines: Sequence[Array] | None,
         lightness: Array,
         stage: Canvas,
         operations: Operations,
     ) -> None:
-        self.fields, self._colors, self._outlines = list(fields), colors, outlines
+        self.fields, self._figures = list(fields), outlines is not None
+        if outlines is None:
+            outlines = [np.zeros(image.shape[:2]) for image in colors]
+        self._images = [
+            np.dstack(each) for each in zip(colors, continued, outlines, strict=True)
+        ]
         self.stage, self._operations, self._lightness = stage, operations, lightness
         self._whole = stage
         self._given = list(fields)
@@ -118,7 +128,7 @@ class Scene:
     def halves(self) -> list[Shown]:
         """Return both pictures at t = 1/2."""
         found = []
-        for field, colors, outline in zip(self.fields, self._colors, self._outlines, strict=True):
+        for field, image in zip(self.fields, self._images, strict=True):
             to_field = affine(self.stage, field.canvas)
             path = self._operations.follow_paths(
                 0.5 * field.steps(), to_field, self.stage.shape, HALF_STEPS, PATH_ROUNDS
@@ -126,15 +136,10 @@ class Scene:
             at = np.moveaxis(to_field.places(self.stage.shape) + path[-1], -1, 0)
             scale = np.maximum(field.canvas.scale, 1e-9)
             places = (np.moveaxis(at[::-1], 0, -1) - field.canvas.center) / scale + 0.5
-            shown = sampled(np.dstack((colors, field.change, outline)), at)
-            found.append(
-                Shown(
-                    places,
-                    shown[..., :3],
-                    shown[..., :3] + 0.5 * shown[..., 3:6],
-                    shown[..., 6] * max(self.stage.scale),
-                )
-            )
+            shown = sampled(np.dstack((image, 0.5 * field.change)), at)
+            colors, own, outline, change = np.split(shown, (3, 6, 7), axis=-1)
+            outline = outline[..., 0] * max(self.stage.scale)
+            found.append(Shown(places, own, colors + change, change, outline))
         return found
 
     def meet_outlines(self) -> None:
@@ -168,7 +173,8 @@ class Scene:
             first, second = self._moved(halves, flow, lambda half: half.places)
             shown = self._moved(halves, flow, lambda half: half.colors)
             agree = _ramp(self._correlation(*shown), SEARCHED)
-            if number < len(FEWEST_AGREE) and agree.mean() < FEWEST_AGREE[number]:
+            few = number < len(FEWEST_AGREE) and agree.mean() < FEWEST_AGREE[number]
+            if few and not self._figures:
                 self.stage, self.fields = self._whole, list(self._given)
                 return nothing
             agree = blurred(agree, 3.0)[..., None]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from clmorph._shared.enlarging import enlarged
 from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
-from clmorph.frames.fields import CELLS, LIKE, LIKE_FINE, SIGMA, SIGMA_FINE, blurred
+from clmorph.frames.fields import CELLS, LIKE, LIKE_FINE, SIGMA, SIGMA_FINE, blurred, slopes
 from clmorph.frames.resampling import reduced
 
 Array = NDArray[np.float64]
@@ -83,11 +83,7 @@ def switching_times(
 
 def _steepness(image: Array, width: float) -> Array:
     """Return the mean gradient around each place; 0 along a side of one pixel."""
-    slopes = [
-        np.gradient(image, axis=axis) if image.shape[axis] > 1 else np.zeros(image.shape)
-        for axis in (0, 1)
-    ]
-    return blurred(np.hypot(*slopes), width)
+    return blurred(np.hypot(*slopes(image)), width)
 
 
 def _standard(values: Array) -> Array:
