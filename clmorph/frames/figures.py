@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.frames.ends import End
-from clmorph.images.flat_colors import LEVEL, foreground
+from clmorph.images.flat_colors import LEVEL, foreground, shares_in_mixtures
 from clmorph.measures.measure import Measure
 
 Array = NDArray[np.float64]
@@ -17,10 +17,10 @@ _Bool = NDArray[np.bool_]
 
 #: Share of the pixels without mass that must have one color, so that they are a ground.
 FLAT_SHARE = 0.75
-#: Distances in pixels: from the outline up to which pixels mix figure and ground; from the pixels
-#: within it from which a figure is so thin that all of its pixels count.
-EDGE, THIN = 2, 3.5
-#: Opacity from which a figure counts as opaque; bounds of the opacity of an edge.
+#: Distance from the outline in pixels up to which they may mix figure and ground; the share of the
+#: figure from which they do not count as mixtures.
+EDGE, PURE = 2, 0.95
+#: Opacity, beside the largest one near, from which a figure is whole; bounds of that of an edge.
 OPAQUE, CLEAR, SOLID = 0.999, 0.05, 0.95
 
 
@@ -29,7 +29,8 @@ class Figure(NamedTuple):
 
     Attributes
     ----------
-    inside : (H, W) array of bool
+    pure : (H, W) array of bool
+        Which pixels belong to it alone; those of the edge mix it with the ground.
     distance : (H, W) array
         Signed distance from the outline in pixels, positive inside.
     alpha : (H, W) array
@@ -42,7 +43,7 @@ class Figure(NamedTuple):
         Its opacity: 1, or 0 if it is transparent or there is none.
     """
 
-    inside: _Bool
+    pure: _Bool
     distance: Array
     alpha: Array
     softness: float
@@ -88,7 +89,7 @@ def _inside(measure: Measure, end: End) -> _Bool | None:
 
 
 def _figure(inside: _Bool, end: End) -> Figure:
-    from scipy.ndimage import distance_transform_edt
+    from scipy.ndimage import distance_transform_edt, maximum_filter
 
     if inside.all():
         far = float(max(inside.shape))
@@ -96,14 +97,20 @@ def _figure(inside: _Bool, end: End) -> Figure:
         return Figure(inside, np.full(inside.shape, far), alpha, 1.0, np.zeros(3), 0.0)
     distance = distance_transform_edt(inside) - distance_transform_edt(~inside)
     distance = distance + np.where(inside, -0.5, 0.5)
+    pure = inside.copy()
+    rim = inside & (distance < EDGE)
     if end.alpha is None:
         ground = np.median(end.colors[~inside], axis=0)
+        pure[rim] = shares_in_mixtures(end.colors, ground, rim) >= PURE
+        pure = pure if pure.any() else inside
         edge = np.abs(distance) <= 1
-        covered = _covered(end.colors[edge], beyond(end.colors, inside)[edge], ground)
+        covered = _covered(end.colors[edge], beyond(end.colors, pure)[edge], ground)
         mixed = (covered > 0) & (covered < 1)
         distance[edge] = np.where(mixed, covered - 0.5, distance[edge])
-        return Figure(inside, distance, np.ones(inside.shape), 1.0, ground, 1.0)
-    alpha = beyond(end.alpha[..., None], inside, thin=np.inf)[..., 0]
+        return Figure(pure, distance, np.ones(inside.shape), 1.0, ground, 1.0)
+    pure[rim] = (end.alpha >= OPAQUE * maximum_filter(end.alpha, 2 * EDGE + 1))[rim]
+    pure = pure if pure.any() else inside
+    alpha = beyond(end.alpha[..., None], pure)[..., 0]
     # Pixels of the edge say where in them the outline runs.
     covered = end.alpha / np.maximum(alpha, CLEAR)
     edge = (covered > CLEAR) & (covered < SOLID) & (np.abs(distance) < 0.1 * max(alpha.shape))
@@ -111,7 +118,7 @@ def _figure(inside: _Bool, end: End) -> Figure:
     softness = float(np.clip(float(edge.sum()) / max(float(outline), 1.0), 1.0, 16.0))
     mixed = (covered > 0) & (covered < 1) & (np.abs(distance) < EDGE + softness)
     distance = np.where(mixed, softness * (covered - 0.5), distance)
-    return Figure(inside, distance, alpha, softness, np.zeros(3), 0.0)
+    return Figure(pure, distance, alpha, softness, np.zeros(3), 0.0)
 
 
 def _covered(colors: Array, figure: Array, ground: Array) -> Array:
@@ -122,15 +129,11 @@ def _covered(colors: Array, figure: Array, ground: Array) -> Array:
     return np.where(lies_between, share, 0.0)
 
 
-def beyond(image: Array, inside: _Bool, thin: float = THIN) -> Array:
-    """Return an image (H, W, C) whose figure is continued over the ground, edge pixels included."""
-    from scipy.ndimage import binary_erosion, distance_transform_edt
+def beyond(image: Array, pure: _Bool) -> Array:
+    """Return an image (H, W, C) whose figure is continued over its edge and over the ground."""
+    from scipy.ndimage import distance_transform_edt
 
-    if inside.all():
+    if pure.all():
         return image
-    core = binary_erosion(inside, iterations=EDGE, border_value=1)
-    known = inside
-    if core.any():
-        known = core | (inside & (distance_transform_edt(~core) > thin))
-    rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    rows, columns = distance_transform_edt(~pure, return_distances=False, return_indices=True)
     return image[rows, columns]

@@ -130,12 +130,15 @@ def stage_of(canvases: Sequence[Canvas]) -> Canvas:
     return Canvas((height, width), (per_unit, per_unit))
 
 
-def with_margin(image: Array, canvas: Canvas) -> tuple[Array, Canvas]:
-    """Continue a picture beyond its border, and return it with its canvas."""
-    margin = round(MARGIN * max(canvas.shape))
+def _channels(
+    image: Array, canvas: Canvas, operations: Operations, *, beyond_border: bool
+) -> Channels:
+    """Return a picture ready to be sampled, if asked continued by a margin as its border is."""
+    margin = round(MARGIN * max(canvas.shape)) if beyond_border else 0
     height, width = (side + 2 * margin for side in canvas.shape)
-    larger = np.pad(image, ((margin, margin), (margin, margin), (0, 0)), mode="edge")
-    return larger, Canvas((height, width), canvas.scale)
+    widths = ((margin, margin), (margin, margin), (0, 0))
+    larger = np.pad(image, widths, mode="edge") if margin else image
+    return Channels(larger, Canvas((height, width), canvas.scale), operations)
 
 
 def lightness_of(space: str) -> Array:
@@ -201,7 +204,7 @@ class Pictures:
         images: dict[str, list[Any]] = {"own": self.own}
         if figures is not None:
             self.continued = [
-                _single(to_space(beyond(end.colors, figure.inside), space))
+                _single(to_space(beyond(end.colors, figure.pure), space))
                 for end, figure in zip(ends, figures, strict=True)
             ]
             images["figure"] = [
@@ -225,7 +228,7 @@ class Pictures:
                 ]
         self._channels = {
             name: [
-                Channels(*(with_margin(image, canvas) if figures else (image, canvas)), operations)
+                _channels(image, canvas, operations, beyond_border=figures is not None)
                 for image, canvas in zip(same, canvases, strict=True)
             ]
             for name, same in images.items()
@@ -291,7 +294,7 @@ class Pictures:
         figure = drawn("figure", weights, canvas).astype(float)
         area = float(np.dot(shares, self._areas))
         softness = float(np.dot(shares, [each.softness for each in self.figures]))
-        most = np.inf if any(each.inside.all() for each in self.figures) else LEVEL
+        most = np.inf if any(each.pure.all() for each in self.figures) else LEVEL
         unit = max(*canvas.scale, 1e-9)
         # Outlines of both layers that nearly meet are drawn as one smooth line, ends as they are.
         width = max(NARROWEST, OUTLINE * max(canvas.shape)) * (1.0 - float(max(shares)))

@@ -118,9 +118,7 @@ class Scene:
         self.fields, self._figures = list(fields), outlines is not None
         if outlines is None:
             outlines = [np.zeros(image.shape[:2]) for image in colors]
-        self._images = [
-            np.dstack(each) for each in zip(colors, continued, outlines, strict=True)
-        ]
+        self._images = [np.dstack(each) for each in zip(colors, continued, outlines, strict=True)]
         self.stage, self._operations, self._lightness = stage, operations, lightness
         self._whole = stage
         self._given = list(fields)

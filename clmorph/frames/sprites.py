@@ -168,7 +168,7 @@ def _side(measure: Measure) -> _Side:
         # A pixel of an edge belongs to the shape if it is mostly opaque.
         solid = inside & foreground(colors, alpha)
         inside = solid if solid.any() else inside
-    regions = flat_regions(colors, alpha, inside, COLORS, edges=False)
+    regions = flat_regions(colors, alpha, inside, COLORS)
     if inside.all():
         return _Side(inside, regions, np.zeros(3), 0.0)
     clear = measure.alpha is not None

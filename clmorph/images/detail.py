@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.typing import Array
 
@@ -19,10 +16,9 @@ SPRITE_SIDE = 256
 #: Largest share of translucent pixels among the visible ones of such a sprite. The edges of
 #: drawings are translucent, even if they have one color.
 TRANSLUCENT_SHARE = 0.1
-#: Colors of anti-aliased edges are mixtures of the most frequent colors. Number of colors up to
-#: which they may be mixtures anyway, least share of mixtures among those of a drawing, number of
-#: the most frequent colors, and largest difference from a mixture in steps of 8 bits.
-FEW_COLORS, MIXED_SHARE, MAIN_COLORS, MIXED_STEPS = 6, 0.6, 6, 3
+#: Share of the edges whose middle pixel mixes the colors of both sides, from which an image is
+#: anti-aliased; least difference of both sides, bounds of a mixture, largest difference from one.
+MIXED_SHARE, EDGE, MIXED, OFF_MIXTURE = 0.15, 0.1, (0.1, 0.9), 0.08
 _DIGITS = np.array([1 << 16, 1 << 8, 1])
 #: Range of luma below which an image has no detail; it is less than a step of 8 bits.
 FAINTEST = 1e-3
@@ -75,7 +71,7 @@ def is_pixel_art(image: Array) -> bool:
 
 
 def has_few_colors(image: Array) -> bool:
-    """Return whether an image is small, has few colors in 8 bits and hardly any translucent edges.
+    """Return whether an image is small, has few colors in 8 bits and no anti-aliased edges.
 
     Parameters
     ----------
@@ -90,25 +86,27 @@ def has_few_colors(image: Array) -> bool:
         if translucent > TRANSLUCENT_SHARE * np.count_nonzero(alpha):
             return False
     levels = np.rint(255 * _visible(image)).astype(np.int64)
-    colors, counts = np.unique(levels @ _DIGITS, return_counts=True)
-    if len(colors) > min(SPRITE_COLORS, image.shape[0] * image.shape[1] // 4):
+    if len(np.unique(levels @ _DIGITS)) > min(SPRITE_COLORS, image.shape[0] * image.shape[1] // 4):
         return False
-    if len(colors) <= FEW_COLORS:
-        return True
-    spectrum = (colors[:, None] // _DIGITS) % 256
-    mixed = _between(spectrum, spectrum[np.argsort(-counts, kind="stable")[:MAIN_COLORS]])
-    return bool(mixed.mean() < MIXED_SHARE)
+    # A step of opacity is an edge too, so that an outline before a clear ground is no mixture.
+    visible = _visible(image)
+    return _mixed_share(np.dstack((visible, image[..., 3:]))) < MIXED_SHARE
 
 
-def _between(colors: Array, ends: Array) -> NDArray[np.bool_]:
-    """Return which colors (N, 3) are mixtures of two of some others, in 8 bits: (N,) array."""
-    found = np.zeros(len(colors), dtype=bool)
-    for first, second in itertools.combinations(ends.astype(float), 2):
-        along = second - first
-        place = np.clip((colors - first) @ along / (along @ along), 0, 1)
-        off = np.abs(colors - first - place[:, None] * along).max(axis=1)
-        found |= (off <= MIXED_STEPS) & (place > 0) & (place < 1)
-    return found
+def _mixed_share(image: Array) -> float:
+    """Return the share of edges that are anti-aliased: the middle pixel mixes both sides."""
+    n_mixed, n_edges = 0, 0
+    for axis in (0, 1):
+        lines = np.moveaxis(image, axis, 0)
+        before, own, after = lines[:-2], lines[1:-1], lines[2:]
+        way = after - before
+        edges = np.abs(way).max(axis=2) > EDGE
+        place = ((own - before) * way).sum(axis=2) / np.maximum((way**2).sum(axis=2), EDGE**2)
+        off = np.abs(own - before - place[..., None] * way).max(axis=2)
+        between = (place > MIXED[0]) & (place < MIXED[1]) & (off < OFF_MIXTURE)
+        n_mixed += int(np.count_nonzero(edges & between))
+        n_edges += int(np.count_nonzero(edges))
+    return n_mixed / max(n_edges, 1)
 
 
 def _visible(image: Array) -> Array:

@@ -15,8 +15,12 @@ BORDER_SHARE = 0.5
 LEVEL, SPRITE_LEVEL = 0.03, 0.01
 #: Pixels along a side of the window that tells edges, which mix two colors, from thin strokes.
 WINDOW = 5
-#: Least share of pixels inside regions; if there are fewer, pixels of edges count as regions too.
-INSIDE = 0.2
+#: Largest difference of a mixture of two colors from the line between them; a color off this line
+#: is none if its contrast is this share of the stronger one's.
+OFF_MIXTURE, NEARLY = 0.08, 0.7
+#: Contrasts of what compression leaves on a flat ground, and of edges beside which it does; its
+#: reach in pixels.
+WEAK, STRONG, BLOCK = 0.15, 0.3, 8
 #: Colors of a palette that are nearer than this, in every channel, are taken as one.
 ALIKE = 0.1
 #: Rounds by which the colors of a palette are improved (k-means).
@@ -58,20 +62,76 @@ def foreground(colors: Array, alpha: Array | None = None) -> BoolArray:
     >>> foreground(picture).sum()
     np.int64(6)
     """
-    from scipy.ndimage import maximum_filter
+    from scipy.ndimage import maximum_filter, minimum_filter
 
+    color = background_color(colors) if alpha is None else None
     if alpha is not None:
         contrast = alpha
+    elif color is None:
+        return np.ones(colors.shape[:2], dtype=bool)
     else:
-        color = background_color(colors)
-        if color is None:
-            return np.ones(colors.shape[:2], dtype=bool)
         contrast = np.abs(colors - color).max(axis=2)
     if has_few_colors(colors if alpha is None else np.dstack((colors, alpha))):
         found = contrast > SPRITE_LEVEL
     else:
-        found = (contrast > LEVEL) & (contrast >= 0.5 * maximum_filter(contrast, WINDOW))
+        found = contrast > LEVEL
+        lesser = found & (contrast < 0.5 * maximum_filter(contrast, WINDOW))
+        if color is not None:
+            # A light surface behind a dark outline is no edge.
+            near = minimum_filter(contrast, 3) < WEAK
+            mixed = lesser & ~near & (minimum_filter(contrast, WINDOW) < WEAK)
+            mixed[mixed] = shares_in_mixtures(colors, color, mixed) < 0.5
+            lesser &= near | mixed
+        found &= ~lesser
+        if alpha is None:
+            found &= ~_noise(found, contrast)
     return found if found.any() else np.ones(found.shape, dtype=bool)
+
+
+def shares_in_mixtures(colors: Array, background: Array, which: BoolArray) -> Array:
+    """Return the share of its strongest neighbor in each pixel that mixes it with the background.
+
+    Parameters
+    ----------
+    colors : (H, W, 3) array
+    background : (3,) array
+    which : (H, W) array of bool
+        The n pixels that are asked about.
+
+    Returns
+    -------
+    (n,) array
+        From 0 to 1, which it is where a pixel is no mixture: off the line between both colors, and
+        nearly as far from the background.
+    """
+    half = WINDOW // 2
+    rows, columns = np.nonzero(which)
+    own = colors[which] - background
+    most, way = np.abs(own).max(axis=1), own
+    for down in range(-half, half + 1):
+        for along in range(-half, half + 1):
+            row = np.clip(rows + down, 0, which.shape[0] - 1)
+            column = np.clip(columns + along, 0, which.shape[1] - 1)
+            other = colors[row, column] - background
+            contrast = np.abs(other).max(axis=1)
+            way = np.where((contrast > most)[:, None], other, way)
+            most = np.maximum(contrast, most)
+    share = (own * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), LEVEL**2)
+    off = np.abs(own - share[:, None] * way).max(axis=1)
+    whole = (off > OFF_MIXTURE) & (np.abs(own).max(axis=1) >= NEARLY * most)
+    return np.where(whole, 1.0, np.clip(share, 0.0, 1.0))
+
+
+def _noise(found: BoolArray, contrast: Array) -> BoolArray:
+    """Return which pixels are what compression leaves beside something strong: thin and weak."""
+    from scipy.ndimage import binary_dilation, binary_opening
+
+    weak = found & (contrast < WEAK)
+    if not weak.any():
+        return weak
+    square = np.ones((2 * BLOCK + 1,) * 2, dtype=bool)
+    thick = binary_opening(weak, np.ones((WINDOW, WINDOW), dtype=bool))
+    return weak & ~thick & binary_dilation(contrast >= STRONG, square)
 
 
 class Regions(NamedTuple):
@@ -82,7 +142,7 @@ class Regions(NamedTuple):
     labels : (H, W) array of int
         The number of each pixel's region, from 0.
     colors : (H, W, 3) array
-        The picture without mixed colors: those of edges are replaced by the region's own.
+        The picture; beyond the regions, the color of the nearest pixel in one.
     alpha : (H, W) array
         Opacity, likewise.
     """
@@ -92,10 +152,8 @@ class Regions(NamedTuple):
     alpha: Array
 
 
-def flat_regions(
-    colors: Array, alpha: Array, within: BoolArray, n_colors: int, *, edges: bool
-) -> Regions:
-    """Divide a picture into regions of nearly one color.
+def flat_regions(colors: Array, alpha: Array, within: BoolArray, n_colors: int) -> Regions:
+    """Divide pixel art into regions of nearly one color.
 
     Parameters
     ----------
@@ -105,21 +163,12 @@ def flat_regions(
         The pixels that are divided; at least one.
     n_colors : int
         Largest number of regions.
-    edges : bool
-        Whether edges mix the colors of both sides, as in drawings; pixel art has none.
     """
     from scipy.ndimage import distance_transform_edt
 
-    inside = within
-    if edges:
-        flat = within & _is_inside(np.dstack((colors, alpha)))
-        if flat.sum() >= INSIDE * within.sum():
-            inside = flat
-    labels = np.zeros(inside.shape, dtype=np.int64)
-    labels[inside] = palette(colors[inside], n_colors)[0]
-    nearest = distance_transform_edt(~inside, return_distances=False, return_indices=True)
-    rows, columns = nearest
-    place = rows, columns
+    labels = np.zeros(within.shape, dtype=np.int64)
+    labels[within] = palette(colors[within], n_colors)[0]
+    place = tuple(distance_transform_edt(~within, return_distances=False, return_indices=True))
     return Regions(labels[place], colors[place], alpha[place])
 
 
@@ -158,15 +207,3 @@ def palette(colors: Array, n_colors: int) -> tuple[IntArray, Array]:
         merged[number] = len(kept)
         kept.append(int(number))
     return merged[numbers.reshape(-1)], each
-
-
-def _is_inside(channels: Array) -> BoolArray:
-    """Return which pixels have the color of all four neighbors: (H, W) array of bool."""
-    inside = np.ones(channels.shape[:2], dtype=bool)
-    for axis in (0, 1):
-        same = np.abs(np.diff(channels, axis=axis)).max(axis=2) <= LEVEL
-        before, after = ([(0, 0), (0, 0)] for _ in range(2))
-        before[axis], after[axis] = (1, 0), (0, 1)
-        inside &= np.pad(same, before, constant_values=True)
-        inside &= np.pad(same, after, constant_values=True)
-    return inside

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from drawn_pictures import compressed, logo, sprite
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import binary_erosion, gaussian_filter, label
 
 import clmorph
 from clmorph import InputError, MorphOptions
@@ -22,6 +22,14 @@ def shares(morph):
 @pytest.fixture(scope="module")
 def pair():
     return logo("star", ground=None), logo("disc", ground=None)
+
+
+def disc(center, radius, color, size=128):
+    """Return an anti-aliased disc on white."""
+    y, x = (np.indices((4 * size, 4 * size)) + 0.5) / 4 - 0.5
+    inside = np.hypot(y - center[0], x - center[1]) < radius
+    covered = inside.reshape(size, 4, size, 4).mean(axis=(1, 3))[..., None]
+    return covered * np.array(color) + (1 - covered)
 
 
 class TestLogos:
@@ -73,6 +81,26 @@ class TestLogos:
         morph = clmorph.morph(*glass, preset="logo", backend=device, **SMALL)
         assert morph.frame(0.5)[32, 32, 3] == pytest.approx(0.5, abs=0.01)
         assert morph.frame(0.5)[..., 3].max() < 0.51
+
+    def test_small_figures_stay_themselves(self, device):
+        image = disc((64, 64), 15.0, (0.8, 0.2, 0.2))
+        frame = clmorph.morph(image, image, backend=device, **SMALL).frame(0.5)
+        assert np.abs(frame - image).max() < 1 / 255
+
+    def test_colors_change_up_to_the_rim(self, device):
+        first, last = (0.8, 0.2, 0.2), (0.1, 0.4, 0.8)
+        pair = disc((64, 64), 20.0, first), disc((80, 70), 24.0, last)
+        frame = clmorph.morph(*pair, backend=device, preset="logo", **SMALL).frame(0.5)
+        darkest = frame.min(axis=2)
+        inside = binary_erosion(darkest < 0.9, iterations=2)
+        assert np.ptp(frame[inside], axis=0).max() < 0.06
+
+    def test_nothing_comes_from_beyond_a_border(self, device):
+        """A figure near the border is not mirrored there when its canvas grows."""
+        first, last = np.ones((40, 64, 3)), np.ones((64, 64, 3))
+        first[2:30, 20:40] = last[20:60, 20:44] = 0.0
+        frame = clmorph.morph(first, last, backend=device, preset="logo", **SMALL).frame(0.5)
+        assert label(frame[..., 0] < 0.5)[1] == 1
 
     def test_compressed_logos(self, device):
         pair = [compressed(logo(name, 200), 75) for name in ("star", "disc")]

@@ -6,7 +6,7 @@ from drawn_pictures import SPRITES, compressed, logo, sprite
 from picture_pairs import CUTS, DRAWINGS, picture
 from skimage import data
 
-from clmorph.images.flat_colors import background_color, flat_regions, foreground, palette
+from clmorph.images.flat_colors import background_color, foreground, palette
 from clmorph.images.kind import kind_of
 from clmorph.images.pixels import block_size
 
@@ -51,6 +51,19 @@ def test_a_shaded_drawing_with_opacity_is_one():
 @pytest.mark.parametrize("ground", [None, (20, 20, 40)])
 def test_sprites(name, block, ground):
     assert kind_of(sprite(name, block, ground)) == "sprite"
+
+
+def smoothed(inside, color, ground, size=40):
+    """Return a picture in which a figure, given by what is inside, is anti-aliased."""
+    y, x = (np.indices((4 * size, 4 * size)) + 0.5) / 4 - 0.5
+    covered = inside(y, x).reshape(size, 4, size, 4).mean(axis=(1, 3))[..., None]
+    return np.rint(255 * (covered * np.array(color) + (1 - covered) * ground)) / 255
+
+
+def test_a_small_drawing_with_soft_edges_is_no_sprite():
+    image = smoothed(lambda y, x: np.hypot(y - 20, x - 20) < 15, (0.2, 0.3, 0.8), np.ones(3))
+    image = smoothed(lambda y, x: np.hypot(y - 16, x - 20) < 5, (0.9, 0.8, 0.1), image)
+    assert kind_of(np.rint(image * 15) / 15) == "drawing"  # few colors, as after a palette
 
 
 def test_hidden_colors_make_no_difference(rng):
@@ -132,27 +145,27 @@ class TestForeground:
         before = sprite("ghost")[..., 3] > 0
         assert np.array_equal(foreground(image), before)
 
+    def test_a_light_surface_behind_a_dark_outline_belongs_to_it(self):
+        image = smoothed(lambda y, x: np.hypot(y - 20, x - 20) < 16, (0.1, 0.1, 0.3), np.ones(3))
+        image = smoothed(lambda y, x: np.hypot(y - 20, x - 20) < 14, (0.95, 0.8, 0.65), image)
+        y, x = np.mgrid[:40, :40]
+        assert foreground(image)[np.hypot(y - 20, x - 20) < 15].mean() > 0.98
+
+    @pytest.mark.parametrize("name", ["star", "ring"])
+    def test_what_compression_leaves_is_none(self, name):
+        image = logo(name, 200)
+        dirt = foreground(compressed(image, 50)) & (np.abs(image - image[0, 0]).max(axis=2) < 0.01)
+        assert dirt.sum() < 0.004 * dirt.size
+
+    def test_faint_lines_stay(self):
+        """Only what is beside something strong can come from its compression."""
+        image = np.ones((64, 64, 3))
+        image[10:30, 10:30] = np.linspace(0.1, 0.4, 20)[:, None, None]
+        image[50, 5:60] = 0.92
+        assert foreground(image)[50, 5:60].all()
+
 
 class TestRegions:
-    def test_colors_are_the_pictures_without_edges(self):
-        image = logo("bars")
-        inside = foreground(image)
-        regions = flat_regions(image, np.ones(inside.shape), inside, 6, edges=True)
-        assert len(np.unique(regions.labels[inside])) == 3
-        expected = np.array([[228, 26, 28], [55, 126, 184], [77, 175, 74]]) / 255
-        found = np.unique(regions.colors[inside].round(6), axis=0)
-        assert found.shape == (3, 3)
-        for color in found:
-            assert np.abs(expected - color).max(axis=1).min() < 1e-5
-
-    def test_thin_strokes_have_regions_too(self):
-        image = np.ones((20, 20, 3))
-        image[10, 3:17] = 0.0
-        inside = foreground(image)
-        assert inside.sum() == 14
-        regions = flat_regions(image, np.ones(inside.shape), inside, 6, edges=True)
-        assert np.allclose(regions.colors[inside], 0.0)
-
     def test_palette(self, rng):
         colors = np.repeat(
             [[0.9, 0.1, 0.1], [0.1, 0.1, 0.9], [0.92, 0.1, 0.1]], [50, 30, 5], axis=0
