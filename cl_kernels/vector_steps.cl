@@ -1,5 +1,13 @@
-// Vectors of float64, for half_steps.cl and stored_steps.cl: sums and maxima over what the items of a
-// work-group have, and the normal equations of Anderson's acceleration, which one work-group solves.
+// The arithmetic between two softmins, float64, for half_steps.cl and sparse_half_steps.cl: damping,
+// translation, marginals and dual (paper, 2.1 and 3.1; Problem in clmorph/transport/_solver/problem.py), and
+// Anderson's acceleration (anderson.py there). Both files do it in loops over the entries of vectors.
+//
+//   damping      Delta = rho / (rho + epsilon) = 1 / (1 + epsilon / rho), 1 if the side is balanced
+//   half-step    f = Delta T(g + s), after Algorithm 1 of Sejourne, Vialard and Peyre (2022): the best s is
+//                (log <b, exp(-g / rho_b)> - log <a, exp(-T(g) / (rho_a + epsilon))>)
+//                / (1 / (rho_a + epsilon) + 1 / rho_b), and T(g + s) = T(g) - s; likewise for g
+//   marginal     pi_i = a_i exp((f_i - T(g)_i) / epsilon)
+//   dual         -epsilon m(pi) + sum over both sides of <a, rho (1 - exp(-f / rho))>, <a, f> if balanced
 //
 // Launch: work-groups of GROUP; item l takes the entries l * LANES + k * GROUP * LANES, k = 0, 1, ...,
 // of those of its group. In a launch each item reads only entries of vectors that it wrote itself, so that
@@ -11,6 +19,9 @@
 // -D GROUP   work-items of the group, a power of two
 // -D MEMORY  differences of iterates that the acceleration stores
 // -D RIDGE_PPT  regularization of its normal equations, in units of 10^-12
+// -D MIXING_PERCENT  share of the remaining residual that is added, in percent
+// -D MAX_EXPONENT  largest argument of exp, so that nothing overflows
+// -D ROW_*, COLUMN_*, NUMBER_*  places of vectors and numbers
 
 #include "common.cl"
 
@@ -27,6 +38,13 @@
 #endif
 #ifndef RIDGE_PPT
 #error "RIDGE_PPT (regularization of the normal equations) must be given"
+#endif
+
+#ifndef MIXING_PERCENT
+#error "MIXING_PERCENT (share of the residual that is added) must be given"
+#endif
+#ifndef MAX_EXPONENT
+#error "MAX_EXPONENT (largest argument of exp) must be given"
 #endif
 
 #if LANES == 1
@@ -57,10 +75,14 @@ typedef CONCAT(float, LANES) vsingle;
 #if GROUP > 1
 #define STEP_BARRIER() barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE)
 #define LONG_FUNCTION static inline
+#define SHARED __local
 #else
 #define STEP_BARRIER()
+#define SHARED // PoCL 3.1 gives groups that run at once one local array where a function is not inlined
 #define LONG_FUNCTION static __attribute__((noinline))
 #endif
+
+#define MIXED (0.01 * (double)MIXING_PERCENT - 1.0)
 
 // A vector of the rows or of the columns, and those of the acceleration.
 #define ROW(slot) (rows + (size_t)(slot) * n)
@@ -120,40 +142,113 @@ INLINE double group_reduced(const double x, const bool largest, __local double* 
 #define group_sum(x, shared) group_reduced(x, false, shared)
 #define group_largest(x, shared) group_reduced(x, true, shared)
 
+INLINE double damping_of(const double epsilon, const double inverse_rho)
+{
+    return 1.0 / (1.0 + epsilon * inverse_rho);
+}
+
+// The logarithm of weights exp(-rate potential), whose sums give the translation.
+INLINE vdouble log_scaled(const vdouble log_weights, const vdouble potential, const double rate)
+{
+    return log_weights - potential * (vdouble)(rate);
+}
+
+// The best translation from the logarithms of both sums; 0 if `rates`, the sum of both rates, is.
+INLINE double translation(const double log_before, const double log_after, const double rates)
+{
+    return rates > 0.0 ? (log_before - log_after) / rates : 0.0;
+}
+
+INLINE vdouble marginal(
+    const vdouble weights, const vdouble log_weights, const vdouble potential, const vdouble softmin,
+    const double epsilon)
+{
+    const vdouble exponent = (potential - softmin) / (vdouble)(epsilon) + log_weights;
+    const vdouble mass = exp(fmin(exponent, (vdouble)((double)MAX_EXPONENT)));
+    return weights > (vdouble)(0.0) ? mass : (vdouble)(0.0);
+}
+
+// How far a potential is from its half-step, where the side has mass.
+INLINE vdouble distance_of(const vdouble weights, const vdouble potential, const vdouble half_step)
+{
+    return weights > (vdouble)(0.0) ? fabs(potential - half_step) : (vdouble)(0.0);
+}
+
+// Store an iterate, whose image is T's, and the difference from the last one; `mass` is its marginal. Adds
+// the inner products of the residual, and of its new difference, with all differences. Returns the terms of
+// the residual's square.
+INLINE vdouble remember(
+    __global double* columns, const uint m, const uint control, const uint i, const vdouble image,
+    const vdouble mass, vdouble* of_difference, vdouble* of_residual)
+{
+    const vdouble residual = image - DLOAD(i, COLUMN(G_AT));
+    vdouble weights = mass, change = (vdouble)(0.0), ahead = (vdouble)(0.0);
+    if (BEGUN) { // the inner product keeps the marginal of the first iterate
+        weights = DLOAD(i, COLUMN(COLUMN_MASS));
+        change = residual - DLOAD(i, COLUMN(COLUMN_RESIDUAL_1 - PARITY));
+        ahead = image - DLOAD(i, COLUMN(COLUMN_IMAGE_1 - PARITY)) + (vdouble)(MIXED) * change;
+    }
+    DSTORE(image, i, COLUMN(COLUMN_IMAGE_0 + PARITY));
+    DSTORE(residual, i, COLUMN(COLUMN_RESIDUAL_0 + PARITY));
+    DSTORE(weights, i, COLUMN(COLUMN_MASS));
+    DSTORE(change, i, DIFFERENCES(PLACE));
+    DSTORE(ahead, i, AHEAD(PLACE));
+    for (uint j = 0; j < COUNT; ++j) {
+        const vdouble weighted = DLOAD(i, DIFFERENCES(j)) * weights;
+        of_difference[j] += weighted * change;
+        of_residual[j] += weighted * residual;
+    }
+    return residual * weights * residual;
+}
+
+// The step from the image that the coefficients give, before it is limited.
+INLINE vdouble step_from_image(
+    const __global double* columns, const uint m, const uint control, const uint i,
+    const double* coefficients)
+{
+    vdouble step = (vdouble)(MIXED) * DLOAD(i, COLUMN(COLUMN_RESIDUAL_0 + PARITY));
+    for (uint j = 0; j < COUNT; ++j)
+        step -= (vdouble)(coefficients[j]) * DLOAD(i, AHEAD(j));
+    return step;
+}
+
+// The factor that keeps a step in the trust region.
+INLINE double limit(const double length, const double longest)
+{
+    return fmin(1.0, longest / fmax(length, DBL_MIN));
+}
+
 #define SYSTEM_ROW (2 * MEMORY) // a power of two
 
-// Solve the normal equations of the stored differences after the one at `place` has got new inner products:
-// coefficients of the residual, and whether they are determined. The first `count` are stored.
+// Solve the normal equations of the stored differences: coefficients of the residual, and whether they are
+// determined. The difference at `place` is new; the first `count` are stored.
 LONG_FUNCTION bool solve_normal(
-    __global double* products,      // (MEMORY, MEMORY): inner products of the differences
+    const __global double* products, // (MEMORY, MEMORY): inner products of the older differences
     const double* row,              // (MEMORY,): those of the new one
     const double* right,            // (MEMORY,): inner products with the residual
-    const uint place, const uint count, __local double* system, double* coefficients)
+    const uint place, const uint count, SHARED double* system, double* coefficients)
 {
-    STEP_BARRIER();
-    for (uint j = get_local_id(0); j < count; j += GROUP)
-        products[place * MEMORY + j] = products[j * MEMORY + place] = row[j];
-    STEP_BARRIER();
     bool determined = count > 0;
     double scale[MEMORY];
     for (uint i = 0; i < count; ++i) {
-        const double square = products[i * MEMORY + i];
+        const double square = i == place ? row[place] : products[i * MEMORY + i];
         determined = determined && square > 0.0;
         scale[i] = square > 0.0 ? sqrt(square) : 1.0;
     }
     // Entries (i, j) of the system stand at SYSTEM_ROW i + j, the right-hand side in column MEMORY.
     for (uint entry = get_local_id(0); entry < count * SYSTEM_ROW; entry += GROUP) {
         const uint i = entry / SYSTEM_ROW, j = entry % SYSTEM_ROW;
-        if (j < count)
-            system[entry] = i == j ? 1.0 + 1e-12 * (double)RIDGE_PPT
-                                   : products[i * MEMORY + j] / (scale[i] * scale[j]);
+        if (j < count) {
+            const double product = i == place ? row[j] : j == place ? row[i] : products[i * MEMORY + j];
+            system[entry] = i == j ? 1.0 + 1e-12 * (double)RIDGE_PPT : product / (scale[i] * scale[j]);
+        }
     }
     for (uint i = get_local_id(0); i < count; i += GROUP)
         system[i * SYSTEM_ROW + MEMORY] = right[i] / scale[i];
     // The matrix is positive definite, so that elimination needs no exchange of rows.
     for (uint p = 0; p < count; ++p) {
         STEP_BARRIER();
-        const __local double* pivot = system + p * SYSTEM_ROW;
+        const SHARED double* pivot = system + p * SYSTEM_ROW;
         for (uint entry = get_local_id(0); entry < count * SYSTEM_ROW; entry += GROUP) {
             const uint i = entry / SYSTEM_ROW, j = entry % SYSTEM_ROW;
             if (i != p && ((p < j && j < count) || j == MEMORY))
@@ -166,4 +261,11 @@ LONG_FUNCTION bool solve_normal(
     for (uint i = 0; i < count; ++i)
         coefficients[i] = system[i * SYSTEM_ROW + MEMORY] / system[i * SYSTEM_ROW + i] / scale[i];
     return determined;
+}
+
+// Store the inner products of a new difference; one work-group does.
+INLINE void store_products(
+    __global double* products, const double row, const uint j, const uint place)
+{
+    products[place * MEMORY + j] = products[j * MEMORY + place] = row;
 }

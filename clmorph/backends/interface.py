@@ -32,9 +32,12 @@ MAX_BATCH = 1 << 18
 #: The largest dimension of points: a kernel keeps one register for each coordinate.
 MAX_DIMENSION = 11
 
-#: The number of iterates that an accelerated iteration stores, and the regularization of its
-#: least-squares problem, relative to the diagonal.
-MEMORY, RIDGE = 16, 1e-10
+#: The number of iterates that an accelerated iteration stores, the regularization of its
+#: least-squares problem, relative to the diagonal, and the share of the remaining residual that is
+#: added, as in over-relaxation.
+MEMORY, RIDGE, MIXING = 16, 1e-10, 1.5
+#: The largest argument of an exponential function: larger ones could overflow in products.
+MAX_EXPONENT = 300.0
 
 #: The largest error of a splat's kernel, as a share of the kernel's peak.
 KERNEL_ERROR = 1e-6

@@ -151,7 +151,7 @@ def _checks(operations: Operations) -> Iterator[Check]:
     for balanced in (0, 3):
         kernels = (*KERNELS["half_steps.cl"], "log_sum_exp")
         yield Check(kernels, partial(check_iteration, case, balanced))
-        kernels = (*KERNELS["stored_steps.cl"], *KERNELS["sliced_ellpack.cl"], *_PLAN)
+        kernels = (*KERNELS["sparse_half_steps.cl"], *KERNELS["sliced_ellpack.cl"], *_PLAN)
         yield Check(kernels, partial(check_iteration, case, balanced, True))
     for kind in ((False, False), (True, False), (True, True)):
         yield Check(("log_sum_exp",), partial(check_softmin_batch, operations, exact, 5, *kind))

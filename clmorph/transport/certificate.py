@@ -20,9 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from clmorph._shared.typing import Array
+from clmorph.backends.interface import MAX_EXPONENT
 
-#: Largest exponent of an exponential, so that potentials far from a solution cause no overflow.
-MAX_EXPONENT = 300.0
 #: At this and larger exponents, e^x and e^x - 1 are the same float64.
 FAR = 50.0
 #: Relative errors in float64: of a few operations, and of NumPy's pairwise sum of 2^24 terms.

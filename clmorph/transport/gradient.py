@@ -25,13 +25,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph.backends.interface import Operations
+from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
 from clmorph.measures.points import AnyMeasure, MeasureLike, as_pair
 from clmorph.transport._solver.plan_softmin import inverse_rho, sent, uploaded
-from clmorph.transport.certificate import MAX_EXPONENT
 from clmorph.transport.potentials import Potentials
 
 

@@ -207,8 +207,6 @@ VARIANTS = [
         for precise, bounded in ((False, 0), (True, 0), (True, 1), (True, 2))
     ),
     Variant("near_field.cl", 5, listed=True),
-    Variant("half_steps.cl", balanced=3),
-    Variant("stored_steps.cl", balanced=3),
     *(Variant(file) for file in KERNELS if file not in (*ROW_FILES, "near_field.cl")),
 ]
 

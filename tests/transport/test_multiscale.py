@@ -359,9 +359,9 @@ def test_without_memory_for_its_vectors_the_host_iterates(device, monkeypatch):
     near = grid.problem
     near.center_trust_region(np.zeros(len(near.a)))
     if iterates(problem):
-        from clmorph.backends.opencl.kernels import stored_steps
+        from clmorph.backends.opencl.kernels import sparse_half_steps
 
-        monkeypatch.setattr(stored_steps, "MOST_MEMORY", 0.0)
+        monkeypatch.setattr(sparse_half_steps, "MOST_MEMORY", 0.0)
     assert isinstance(new_steps(near), HostSteps)
 
 

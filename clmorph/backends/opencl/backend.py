@@ -26,8 +26,8 @@ from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
 from clmorph.backends.opencl.kernels.plan_shares import PlanShares
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.sliced_ellpack import SlicedEllpack
+from clmorph.backends.opencl.kernels.sparse_half_steps import StoredSteps
 from clmorph.backends.opencl.kernels.splat import Splatting
-from clmorph.backends.opencl.kernels.stored_steps import StoredSteps
 from clmorph.backends.opencl.verification import first_failure
 from clmorph.errors import DeviceError
 

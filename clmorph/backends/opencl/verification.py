@@ -12,8 +12,8 @@ from clmorph.backends.opencl.build.variants import KERNELS, Variant
 from clmorph.backends.opencl.devices.verdicts import WRONG
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
+from clmorph.backends.opencl.kernels.sparse_half_steps import StoredSteps
 from clmorph.backends.opencl.kernels.splat import Splatting
-from clmorph.backends.opencl.kernels.stored_steps import StoredSteps
 from clmorph.backends.verification.batches import check_softmin_batch
 from clmorph.backends.verification.clouds import LONG_ROW, few_rows, several_tiles, splat_case
 from clmorph.backends.verification.iterations import check_iteration
@@ -149,9 +149,10 @@ def _check_plan_shares(operations: Adjustable, variant: Variant) -> _Checks:
 
 def _check_half_steps(operations: Adjustable, variant: Variant) -> _Checks:
     case = several_tiles(operations, NumPyOperations(), DIMENSION)
-    findings = list(check_iteration(case, variant.balanced))
-    assert findings, "the device does not iterate, so nothing was checked"
-    yield from findings
+    for balanced in range(4):
+        findings = list(check_iteration(case, balanced))
+        assert findings, "the device does not iterate, so nothing was checked"
+        yield from findings
 
 
 def _check_stored_steps(operations: Adjustable, variant: Variant) -> _Checks:
@@ -163,9 +164,10 @@ def _check_stored_steps(operations: Adjustable, variant: Variant) -> _Checks:
     )
     for case, groups in cases:
         operations.stored_steps.most_groups = groups
-        findings = list(check_iteration(case, variant.balanced, True))
-        assert findings, "the device does not iterate, so nothing was checked"
-        yield from findings
+        for balanced in (0, 1, 2, 3):
+            findings = list(check_iteration(case, balanced, True))
+            assert findings, "the device does not iterate, so nothing was checked"
+            yield from findings
 
 
 def _check_sliced_ellpack(operations: Adjustable, variant: Variant) -> _Checks:
@@ -210,7 +212,7 @@ _CHECKS: dict[str, Callable[[Adjustable, Variant], _Checks]] = {
     "barycentric_projection.cl": _check_barycentric_projection,
     "plan_shares.cl": _check_plan_shares,
     "half_steps.cl": _check_half_steps,
-    "stored_steps.cl": _check_stored_steps,
+    "sparse_half_steps.cl": _check_stored_steps,
     "sliced_ellpack.cl": _check_sliced_ellpack,
     "particles.cl": _check_particles,
     "splat.cl": partial(_check_splat, method="gather"),

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
-from clmorph.backends.interface import MEMORY, RIDGE
+from clmorph.backends.interface import MEMORY, MIXING, RIDGE
 from clmorph.transport._solver.reductions import WHOLE, Reductions, Segments
 
-#: Share of the remaining residual that is added, as in over-relaxation.
-MIXING = 1.5
 #: Initial radius of the trust region, in steps of the plain iteration; its growth factor after a
 #: good extrapolation that the radius had limited, and its factor after a bad extrapolation.
 TRUST_RADIUS, GROWTH, SHRINKAGE = 32.0, 4.0, 0.25

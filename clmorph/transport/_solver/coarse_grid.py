@@ -10,14 +10,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from clmorph._shared.typing import Array, IntArray
-from clmorph.backends.interface import ResidentIteration
+from clmorph.backends.interface import MAX_EXPONENT, ResidentIteration
 from clmorph.backends.records import StoredPairs, StoredVectors
 from clmorph.measures.cluster import Clusters
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import Problem, has_closed_form
 from clmorph.transport._solver.softmin import Softmin, check_finite
 from clmorph.transport._solver.state import dual_rounding
-from clmorph.transport.certificate import MAX_EXPONENT, Side
+from clmorph.transport.certificate import Side
 
 
 class StoredChoice(NamedTuple):

@@ -1,18 +1,15 @@
 """The arithmetic between two softmins of an iteration, over vectors of any kind.
 
-`Problem` and these functions use only operators, NumPy's functions of each entry, and the
-reductions of `_solver.reductions`. NumPy's arrays have them. So have the symbols by which
-``tools/make_half_steps.py`` writes the kernels of ``cl_kernels/half_steps.cl`` and
-``stored_steps.cl``, with which a device does the same arithmetic without the host. So each formula
-stands once.
+``cl_kernels/half_steps.cl`` and ``sparse_half_steps.cl`` do the same arithmetic on a device,
+without the host; ``cl_kernels/vector_steps.cl`` has their formulas.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from clmorph.backends.interface import MAX_EXPONENT
 from clmorph.transport._solver.problem import Problem
-from clmorph.transport.certificate import MAX_EXPONENT
 
 
 class RowStep(NamedTuple):

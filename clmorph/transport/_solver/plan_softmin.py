@@ -5,12 +5,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph.backends.interface import Operations
+from clmorph.backends.interface import MAX_EXPONENT, Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import largest_cost
 from clmorph.transport._solver.softmin import Softmin, check_finite
-from clmorph.transport.certificate import MAX_EXPONENT
 from clmorph.transport.potentials import Potentials, check_origin, check_potentials
 
 #: Near pairs are chosen before a single pass if the solver visited at most this share of all pairs:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from clmorph._shared.typing import Array
-from clmorph.backends.interface import Operations, ResidentIteration
+from clmorph.backends.interface import MAX_EXPONENT, Operations, ResidentIteration
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.reductions import (
     WHOLE,
@@ -15,7 +15,6 @@ from clmorph.transport._solver.reductions import (
 )
 from clmorph.transport._solver.softmin import Softmin
 from clmorph.transport.certificate import (
-    MAX_EXPONENT,
     STEPS_ERROR,
     Certificate,
     Side,

@@ -7,7 +7,7 @@ import numpy as np
 import pyopencl as cl
 
 from clmorph.backends.numpy.layers import LEAST_LIKENESS
-from clmorph.backends.opencl.build import half_step_slots, stored_step_slots
+from clmorph.backends.opencl.build import half_step_slots, sparse_half_step_slots
 from clmorph.backends.opencl.devices.quirks import LONGEST_LOOP, find_quirks
 from clmorph.backends.width_levels import WIDTH_LEVELS
 
@@ -187,16 +187,9 @@ class BuildConstants:
         """Float64 lanes of a work-item: as many bytes as the float32 ones, but not more than 8."""
         return max(1, min(8, self.width // 2))
 
-    def half_step_macros(self, balanced: int) -> dict[str, int | float]:
-        """Return the macros of ``half_steps.cl``.
-
-        Parameters
-        ----------
-        balanced : int
-            1 if the source is balanced, plus 2 if the target is.
-        """
+    def half_step_macros(self) -> dict[str, int | float]:
+        """Return the macros of ``half_steps.cl``."""
         return {
-            "BALANCED": balanced,
             "GROUP": self.group,
             "LANES": self.lanes,
             "SENTINEL": SENTINEL,
@@ -205,12 +198,12 @@ class BuildConstants:
             **half_step_slots.macros(),
         }
 
-    def stored_step_macros(self, balanced: int) -> dict[str, int | float]:
-        """Return the macros of ``stored_steps.cl``; see `half_step_macros`."""
+    def sparse_half_step_macros(self) -> dict[str, int | float]:
+        """Return the macros of ``sparse_half_steps.cl``."""
         return {
-            **self.half_step_macros(balanced),
-            "LARGEST_CHANGE": stored_step_slots.LARGEST_CHANGE,
-            **stored_step_slots.macros(),
+            **self.half_step_macros(),
+            "LARGEST_CHANGE": sparse_half_step_slots.LARGEST_CHANGE,
+            **sparse_half_step_slots.macros(),
         }
 
     def gauss_transform_macros(self) -> dict[str, int | float]:

@@ -1,17 +1,15 @@
 """Where vectors and numbers of ``cl_kernels/half_steps.cl`` stand in its buffers."""
 
-from clmorph.backends.interface import MEMORY, RIDGE
+from clmorph.backends.interface import MAX_EXPONENT, MEMORY, MIXING, RIDGE
 
-#: Vectors that a loop keeps for a later one.
-SCRATCH = 4
-_SCRATCH = tuple(f"SCRATCH_{number}" for number in range(SCRATCH))
 #: What the host writes for each cloud, before the others.
 GIVEN = ("WEIGHTS", "LOG_WEIGHTS", "OWN_COSTS", "OFFSETS", "LOG2_WEIGHTS")
 #: Vectors of the rows, in their order in the buffer.
-ROW_SLOTS = (*GIVEN, "F", "SHIFTED", "SOFTMIN", *_SCRATCH)
-#: Vectors of the columns. Those with two numbers belong to this iterate and to the one before.
+ROW_SLOTS = (*GIVEN, "F", "SHIFTED", "SOFTMIN")
+#: Vectors of the columns: MARGINAL is this iterate's, MASS that of the first one stored. Those with
+#: two numbers belong to this iterate and to the one before.
 COLUMN_SLOTS = (
-    *GIVEN, "START", "SHIFTED", "SOFTMIN", "MASS", *_SCRATCH,
+    *GIVEN, "START", "SHIFTED", "SOFTMIN", "MASS", "MARGINAL", "STEP",
     "IMAGE_0", "IMAGE_1", "RESIDUAL_0", "RESIDUAL_1", "GUESS_0", "GUESS_1",
     "AHEAD", "DIFFERENCES",
 )  # fmt: skip
@@ -39,4 +37,7 @@ def macros_of(
     }
     # The differences follow those of the images.
     named["COLUMN_DIFFERENCES"] = columns.index("AHEAD") + MEMORY
-    return named | {"MEMORY": MEMORY, "RIDGE_PPT": round(1e12 * RIDGE)}
+    return named | {
+        "MEMORY": MEMORY, "RIDGE_PPT": round(1e12 * RIDGE),
+        "MIXING_PERCENT": round(100 * MIXING), "MAX_EXPONENT": round(MAX_EXPONENT),
+    }  # fmt: skip

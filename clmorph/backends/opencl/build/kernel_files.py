@@ -8,8 +8,9 @@ KERNELS = {
     "plan_rows.cl": ("count_plan_rows", "fill_plan_rows"),
     "plan_shares.cl": ("plan_moments", "sample_plan_rows"),
     "half_steps.cl": ("prepare_rows", "row_step", "column_step"),
-    "stored_steps.cl": (
-        "prepare_changes", "row_loops", "row_joins", "column_loops", "column_joins",
+    "sparse_half_steps.cl": (
+        "prepare_changes", "row_softmins", "row_step", "column_softmins", "column_step",
+        "extrapolate", "next_potential", "end_iteration",
     ),
     "sliced_ellpack.cl": ("clear_stored", "sum_stored"),
     "particles.cl": (

@@ -22,8 +22,6 @@ class Variant:
         See `BuildConstants.row_macros`.
     masked : bool
         See `BuildConstants.row_macros`.
-    balanced : int
-        See `BuildConstants.half_step_macros`.
     """
 
     file: str
@@ -32,7 +30,6 @@ class Variant:
     listed: bool = False
     bounded: int = 0
     masked: bool = False
-    balanced: int = 0
 
     @property
     def in_blocks(self) -> bool:
@@ -51,11 +48,9 @@ class Variant:
             "gauss_transform.cl": constants.gauss_transform_macros,
             "layers.cl": constants.layer_macros,
             "nearest_seeds.cl": constants.nearest_seeds_macros,
+            "half_steps.cl": constants.half_step_macros,
+            "sparse_half_steps.cl": constants.sparse_half_step_macros,
         }
-        if self.file == "half_steps.cl":
-            return constants.half_step_macros(self.balanced)
-        if self.file == "stored_steps.cl":
-            return constants.stored_step_macros(self.balanced)
         if self.file in of_files:
             return of_files[self.file]()
         return constants.row_macros(
@@ -67,7 +62,7 @@ class Variant:
 
         Iterations on the device need float64 and long loops.
         """
-        return self.file not in ("half_steps.cl", "stored_steps.cl") or (
+        return self.file not in ("half_steps.cl", "sparse_half_steps.cl") or (
             constants.precise == 2 and not constants.longest_loop
         )
 
@@ -77,7 +72,6 @@ class Variant:
             name for name in ("precise", "listed", "masked", "bounded") if getattr(self, name)
         ]
         words += ["powers in float32"] if self.bounded == 2 else []
-        words += [f"balanced {self.balanced}"] if self.balanced else []
         return f"{self.file} ({', '.join(words)})" if words else self.file
 
 
@@ -110,10 +104,9 @@ def further_variants(dimension: int = 5) -> tuple[Variant, ...]:
         Variant("log_sum_exp.cl", dimension, precise=True),
         Variant("log_sum_exp.cl", dimension, precise=True, listed=True, bounded=2, masked=True),
         Variant("plan_shares.cl", dimension, listed=True, masked=True),
-        Variant("half_steps.cl", balanced=3),
         Variant("plan_rows.cl", dimension, listed=True),
         Variant("sliced_ellpack.cl"),
-        Variant("stored_steps.cl"),
+        Variant("sparse_half_steps.cl"),
     )
 
 

@@ -40,7 +40,6 @@ class DeviceIteration(PotentialPlaces):
     ----------
     steps : HalfSteps
     rows, columns : Cloud
-    balanced : int
     rates : (float, float)
         Inverses of the marginal penalties.
     sides : (buffer, buffer)
@@ -55,7 +54,6 @@ class DeviceIteration(PotentialPlaces):
     steps: "HalfSteps"
     rows: Cloud
     columns: Cloud
-    balanced: int
     rates: tuple[float, float]
     sides: tuple[cl.Buffer, cl.Buffer]
     costs: tuple[cl.Buffer, cl.Buffer]
@@ -170,9 +168,8 @@ class HalfSteps:
             for name in ("OWN_COSTS", "OFFSETS"):
                 vectors[GIVEN.index(name), n:] = vectors[GIVEN.index(name), n - 1]
             sides.append(work.buffer(vectors, np.float64))
-        balanced = int(inverse_rho[0] == 0) + 2 * int(inverse_rho[1] == 0)
         made = DeviceIteration(
-            self, rows, columns, balanced, inverse_rho,
+            self, rows, columns, inverse_rho,
             (sides[0], sides[1]),
             (work.buffer(costs, np.float64), work.buffer(costs.T, np.float64)), {},
         )  # fmt: skip
@@ -291,11 +288,11 @@ class HalfSteps:
     def _kernels(self, iteration: DeviceIteration) -> _Bound:
         """Return kernels with all arguments set but those that change in an iteration."""
         dimension = iteration.rows.centers.shape[1]
-        key = dimension, iteration.precise, iteration.balanced
+        key = dimension, iteration.precise
         programs = self._loop.programs
         if key not in self._bound:
             softmin = Variant("log_sum_exp.cl", dimension, iteration.precise)
-            steps = programs.kernels(Variant("half_steps.cl", balanced=iteration.balanced))
+            steps = programs.kernels(Variant("half_steps.cl"))
             for side in ("rows", "columns"):
                 steps[side] = programs.kernels(softmin)["log_sum_exp"]
             self._bound[key] = _Bound(steps)

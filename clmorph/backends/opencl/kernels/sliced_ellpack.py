@@ -13,7 +13,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clmorph.backends.opencl.build.constants import SENTINEL, STORED_UNROLL
-from clmorph.backends.opencl.build.stored_step_slots import LARGEST_CHANGE
+from clmorph.backends.opencl.build.sparse_half_step_slots import LARGEST_CHANGE
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels import loop_limits
 from clmorph.backends.opencl.kernels.candidates import joined_pairs

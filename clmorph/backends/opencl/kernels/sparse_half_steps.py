@@ -1,4 +1,4 @@
-"""The host side of ``cl_kernels/stored_steps.cl``: iterations over stored pairs on the device."""
+"""The host of ``cl_kernels/sparse_half_steps.cl``: iterations over stored pairs on the device."""
 
 import weakref
 from collections.abc import Callable
@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 
 from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.interface import MEMORY
-from clmorph.backends.opencl.build.stored_step_slots import (
+from clmorph.backends.opencl.build.sparse_half_step_slots import (
     COLUMN_SLOTS,
     GIVEN,
     LARGEST_CHANGE,
     NUMBERS,
     PARTIALS,
     ROW_SLOTS,
-    SCALARS,
-    STAGES,
 )
 from clmorph.backends.opencl.build.variants import Variant
 from clmorph.backends.opencl.kernels.clouds import pad
@@ -28,10 +26,43 @@ from clmorph.backends.opencl.kernels.row_loop import LOG2_E, RowLoop
 from clmorph.backends.opencl.kernels.sliced_ellpack import Side
 from clmorph.backends.records import Float64, IterationNumbers, StoredPairs, StoredVectors
 
-#: Work-groups of a loop over vectors, for each compute unit.
-GROUPS_PER_UNIT = 8
-#: The numbers of those arguments of the kernels of a stage that change from launch to launch.
-CONTROL, STAGE, RADIUS = 2, 3, 11
+#: Work-groups of a loop over vectors, for each compute unit, and at most: each of them joins what
+#: all of them have found.
+GROUPS_PER_UNIT, MOST_GROUPS = 8, 256
+#: The kernels that follow the sums over stored pairs by row, and by column, and one that prepares
+#: the first sum.
+STAGES = (
+    ("row_softmins", "row_step"),
+    ("column_softmins", "column_step", "extrapolate", "next_potential"),
+)  # fmt: skip
+PREPARATION, END = "prepare_changes", "end_iteration"
+#: Names of the arguments of kernels, in their order.
+_SIZES, _RATES = ("n", "m"), ("epsilon", "inverse_rho_source", "inverse_rho_target")
+_MASSES, _GIVEN = ("source_mass", "target_mass"), ("given_rows", "given_columns")
+_VECTORS, _FOUND = ("rows", "columns"), ("partials", "numbers")
+ARGUMENTS = {
+    PREPARATION: (
+        "m", "control", "k", "start", "given_columns", "columns", "column_changes", "numbers",
+    ),
+    "row_softmins": (
+        *_SIZES, "control", "k", *_RATES, "maxima", "sums", *_GIVEN, *_VECTORS, *_FOUND,
+    ),
+    "row_step": (
+        *_SIZES, "control", "k", *_RATES, "source_mass", *_GIVEN, *_VECTORS, "row_changes", *_FOUND,
+    ),
+    "column_softmins": (
+        *_SIZES, "k", *_RATES, *_MASSES, "maxima", "sums", *_GIVEN, *_VECTORS, *_FOUND,
+    ),
+    "column_step": (*_SIZES, "control", *_RATES, "target_mass", *_GIVEN, *_VECTORS, *_FOUND),
+    "extrapolate": (
+        "m", "control", *_RATES, *_MASSES, "columns", "partials", "products", "newest", "numbers",
+    ),
+    "next_potential": (
+        "m", "control", "k", *_RATES[1:], "radius", "given_columns", "columns", "column_changes",
+        *_FOUND,
+    ),
+    END: ("control", "groups", "partials", "newest", "products", "numbers"),
+}  # fmt: skip
 #: The share of the limits of memory that buffers may take: a pool rounds sizes up.
 MOST_MEMORY = 7 / 8
 
@@ -45,7 +76,6 @@ class StoredIteration(PotentialPlaces):
     steps : StoredSteps
     pairs : (Side, Side)
         The stored pairs by row and by column.
-    balanced : int
     scalars : tuple of float
         Inverses of the marginal penalties, and the masses of both sides.
     buffers : dict of buffers
@@ -62,7 +92,6 @@ class StoredIteration(PotentialPlaces):
 
     steps: "StoredSteps"
     pairs: tuple[Side, Side]
-    balanced: int
     scalars: tuple[float, float, float, float]
     buffers: dict[str, Any]
     origin: Float64
@@ -104,10 +133,11 @@ class StoredSteps:
 
     def __init__(self, loop: RowLoop, take_turns: Callable[[Any], Any]) -> None:
         self._work, self._constants, self._programs = loop.work, loop.constants, loop.programs
-        self._kernels: dict[int, dict[str, cl.Kernel]] = {}
+        self._kernels: dict[str, cl.Kernel] = {}
         #: The iteration for which the kernels' arguments are set.
-        self._bound: dict[int, weakref.ref[StoredIteration] | None] = {}
-        self.most_groups: int = GROUPS_PER_UNIT * loop.work.device.max_compute_units
+        self._bound: weakref.ref[StoredIteration] | None = None
+        units = loop.work.device.max_compute_units
+        self.most_groups: int = min(MOST_GROUPS, GROUPS_PER_UNIT * units)
         self.set_potential = take_turns(self._set_potential)
         self.iterate = take_turns(self._iterate)
         self.potentials = take_turns(self._potentials)
@@ -121,11 +151,10 @@ class StoredSteps:
         over: StoredIteration | None = None,
     ) -> StoredIteration | None:
         """Put the vectors of an iteration on the device, or return None."""
-        if not Variant("stored_steps.cl").suits(self._constants):
+        if not Variant("sparse_half_steps.cl").suits(self._constants):
             return None
         pairs: tuple[Side, Side] = stored.pairs
-        balanced = int(inverse_rho[0] == 0) + 2 * int(inverse_rho[1] == 0)
-        self._own_kernels(balanced)
+        self._own_kernels()
         buffers = self._buffers(pairs) if over is None else over.buffers
         if buffers is None:
             return None
@@ -134,7 +163,7 @@ class StoredSteps:
         self._give(buffers["given_columns"], pairs[1], columns)
         moved = (center - rows.origin)[rows.masses > 0]
         return StoredIteration(
-            self, pairs, balanced,
+            self, pairs,
             (*inverse_rho, float(rows.masses.sum()), float(columns.masses.sum())), buffers,
             columns.origin, columns.masses > 0, 0.5 * float(moved.min() + moved.max()),
         )  # fmt: skip
@@ -149,7 +178,7 @@ class StoredSteps:
             "columns": 8 * (len(COLUMN_SLOTS) - 2 + 2 * MEMORY) * columns,
             "start": 8 * columns, "maxima": 4 * longest, "sums": 4 * longest,
             "row_changes": 4 * rows, "column_changes": 4 * columns,
-            "partials": 8 * PARTIALS * self._groups(longest), "scalars": 8 * SCALARS,
+            "partials": 16 * PARTIALS * self._groups(longest), "newest": 8 * MEMORY,
             "products": 8 * MEMORY**2, "numbers": 8 * len(NUMBERS),
         }  # fmt: skip
         device = self._work.device
@@ -186,7 +215,7 @@ class StoredSteps:
         """Write the potential at which the next iteration begins; see `ResidentIteration`."""
         work, k = self._work, LOG2_E / epsilon
         if epsilon != iteration.epsilon:
-            self._bound[iteration.balanced] = None
+            self._bound = None
         iteration.epsilon = epsilon
         iteration.go_to_start()
         changes = (g - iteration.origin)[iteration.counted] * k
@@ -210,34 +239,38 @@ class StoredSteps:
         group, width = self._constants.group, self._constants.width
         groups = self._groups(max(side.rows.stride for side in iteration.pairs))
         events: list[cl.Event] = []
+        changing = {"control": control, "radius": np.float64(radius)}
 
-        def enqueue(name: str, size: int, local: int | None, arguments: dict[int, Any]) -> None:
-            kernel = kernels[name]
-            for number, argument in arguments.items():
-                kernel.set_arg(number, argument)
-            shape = None if local is None else (local,)
+        def enqueue(name: str, size: int, local: tuple[int, ...] | None) -> None:
             events.append(
-                cl.enqueue_nd_range_kernel(work.queue, kernel, (size,), shape, wait_for=events[-1:])
+                cl.enqueue_nd_range_kernel(
+                    work.queue, kernels[name], (size,), local, wait_for=events[-1:]
+                )
             )
+
+        def run(name: str, n_groups: int) -> None:
+            for number, argument in enumerate(ARGUMENTS[name]):
+                if argument in changing:
+                    kernels[name].set_arg(number, changing[argument])
+            enqueue(name, n_groups * group, (group,))
 
         def half_step(side: int) -> None:
             changes = own["row_changes"], own["column_changes"]
             for part in iteration.pairs[side].parts:
                 arguments = *part.arguments, changes[1 - side], own["maxima"], own["sums"]
-                enqueue("sum_stored", part.n_rows // width, None, dict(enumerate(arguments)))
-            changing = {CONTROL: control, RADIUS: np.float64(radius)}
-            for stage in range(STAGES[iteration.balanced][side]):
-                changing[STAGE] = np.uint32(stage)
-                name = ("row", "column")[side]
-                enqueue(f"{name}_loops", groups * group, group, changing)
-                enqueue(f"{name}_joins", group, group, changing)
+                for number, argument in enumerate(arguments):
+                    kernels["sum_stored"].set_arg(number, argument)
+                enqueue("sum_stored", part.n_rows // width, None)
+            for name in STAGES[side]:
+                run(name, groups)
 
         prepared, iteration.prepared = iteration.prepared, -1
         try:
             if prepared != iteration.at:
-                enqueue("prepare_changes", groups * group, group, {1: control})
+                run(PREPARATION, groups)
             half_step(0)
             half_step(1)
+            run(END, 1)
             events.append(
                 cl.enqueue_copy(
                     work.queue, iteration.numbers, own["numbers"], is_blocking=False,
@@ -269,43 +302,33 @@ class StoredSteps:
             found.append(values)
         return found[0], found[1], found[2]
 
-    def _own_kernels(self, balanced: int) -> dict[str, cl.Kernel]:
+    def _own_kernels(self) -> dict[str, cl.Kernel]:
         """Return kernels whose arguments nothing else sets."""
-        if balanced not in self._kernels:
-            kernels = self._programs.kernels(Variant("stored_steps.cl", balanced=balanced))
+        if not self._kernels:
+            kernels = self._programs.kernels(Variant("sparse_half_steps.cl"))
             sums = self._programs.kernels(Variant("sliced_ellpack.cl"))
-            self._kernels[balanced] = {**kernels, "sum_stored": sums["sum_stored"]}
-        return self._kernels[balanced]
+            self._kernels = {**kernels, "sum_stored": sums["sum_stored"]}
+        return self._kernels
 
     def _bind(self, iteration: StoredIteration) -> dict[str, cl.Kernel]:
         """Return kernels with all arguments set that stay the same while an iteration goes on.
 
-        To set an argument takes some microseconds, and a launch has more than twenty.
+        To set an argument takes some microseconds.
         """
-        balanced = iteration.balanced
-        kernels = self._own_kernels(balanced)
-        bound = self._bound.get(balanced)
+        kernels, bound = self._own_kernels(), self._bound
         if bound is not None and bound() is iteration:
             return kernels
-        self._bound[balanced] = None
-        own = iteration.buffers
-        rows, columns = (np.uint32(side.rows.stride) for side in iteration.pairs)
-        groups = np.uint32(self._groups(max(int(rows), int(columns))))
-        k, none = np.float64(LOG2_E / iteration.epsilon), np.uint32(0)
-        numbers = map(np.float64, (iteration.epsilon, *iteration.scalars, 0.0))
-        names = "maxima", "sums", "given_rows", "given_columns", "rows", "columns"
-        after = "partials", "scalars", "products", "numbers"
-        head = (rows, columns, none, none, groups, k, *numbers, *(own[name] for name in names))
-        for side in ("row", "column"):
-            arguments = *head, own[f"{side}_changes"], *(own[name] for name in after)
-            for kind in ("loops", "joins"):
-                for number, argument in enumerate(arguments):
-                    kernels[f"{side}_{kind}"].set_arg(number, argument)
-        prepare = (
-            columns, none, k, own["start"], own["given_columns"], own["columns"],
-            own["column_changes"], own["numbers"],
-        )  # fmt: skip
-        for number, argument in enumerate(prepare):
-            kernels["prepare_changes"].set_arg(number, argument)
-        self._bound[balanced] = weakref.ref(iteration)
+        self._bound = None
+        rows, columns = (side.rows.stride for side in iteration.pairs)
+        sizes = {"n": rows, "m": columns, "groups": self._groups(max(rows, columns)), "control": 0}
+        numbers = {
+            "k": LOG2_E / iteration.epsilon, "epsilon": iteration.epsilon, "radius": 0.0,
+            **dict(zip((*_RATES[1:], *_MASSES), iteration.scalars, strict=True)),
+        }  # fmt: skip
+        known = iteration.buffers | {name: np.uint32(size) for name, size in sizes.items()}
+        known |= {name: np.float64(number) for name, number in numbers.items()}
+        for name, arguments in ARGUMENTS.items():
+            for number, argument in enumerate(arguments):
+                kernels[name].set_arg(number, known[argument])
+        self._bound = weakref.ref(iteration)
         return kernels

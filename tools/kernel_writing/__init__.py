@@ -1,1 +1,0 @@
-"""What `make_half_steps.py` writes kernels with."""
