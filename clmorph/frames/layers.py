@@ -61,6 +61,9 @@ OUTLINE, NARROWEST = 0.006, 1.2
 MARGIN = 1 / 8
 #: By how much the mean of two distances, halfway, may be made steeper.
 STEEPER = 1.5
+#: Pixels along the longer side by which figures are compared, over how many of them a layer stops
+#: being seen beyond its own figure, and the share that is left of it.
+COVER_PIXELS, COVER, HARDLY = 128, 3.0, 0.05
 #: Agreement below this is none.
 FAINT = 0.01
 
@@ -291,7 +294,8 @@ class Pictures:
             low = MEAN_SHARE * blurred(apart.astype(float), LOW * max(coarse.shape))
             low[..., 3] = 0.0
             return self._shown(drawn("own", weights, canvas, low)[..., :3])
-        figure = drawn("figure", weights, canvas).astype(float)
+        covered = self._where_covered(layers, ways, weights, canvas)
+        figure = drawn("figure", covered, canvas).astype(float)
         area = float(np.dot(shares, self._areas))
         softness = float(np.dot(shares, [each.softness for each in self.figures]))
         most = np.inf if any(each.pure.all() for each in self.figures) else LEVEL
@@ -320,6 +324,31 @@ class Pictures:
                 whole = whole + seen * (own[..., 3:] - whole)
         frame = self._shown(colors)
         return np.dstack((frame, np.clip(whole, 0.0, 1.0))) if self.clear else frame
+
+    def _where_covered(
+        self,
+        layers: Sequence[Layer],
+        ways: Sequence[float],
+        weights: Sequence[Array],
+        canvas: Canvas,
+    ) -> list[Array]:
+        """Return weights by which no layer is seen beyond its own figure where another has one."""
+        coarse = canvas.reduced(COVER_PIXELS)
+        none = [np.zeros_like(weight) for weight in weights]
+        short = []
+        for number in range(len(layers)):
+            alone = [float(other == number) for other in range(len(layers))]
+            distance = self._drawn("figure", layers, ways, alone, none, coarse, None)[..., 3]
+            short.append(np.minimum(distance * max(*coarse.scale, 1e-9), 0.0))
+        nearest = np.max(short, axis=0)
+        places = coarse.places(self.stage.positions())
+        seen = [
+            weight
+            * sampled(np.clip(1 + (each - nearest) / COVER, HARDLY, 1)[..., None], places)[..., 0]
+            for weight, each in zip(weights, short, strict=True)
+        ]
+        total = np.maximum(np.sum(seen, axis=0), np.finfo(float).tiny)
+        return [each / total for each in seen]
 
     def _shown(self, colors: NDArray[np.floating]) -> Array:
         """Return colors of the path as sRGB."""
