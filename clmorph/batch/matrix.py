@@ -15,7 +15,8 @@ from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.many import as_many
 from clmorph.measures.points import AnyMeasure, as_pair
 from clmorph.transport._solver.checks import check_solver_options
-from clmorph.transport.divergence import are_equal, check_symmetric, combined, one_regularization
+from clmorph.transport._solver.symmetric import are_equal
+from clmorph.transport.divergence import check_symmetric, combined, one_regularization
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization

@@ -24,16 +24,15 @@ from clmorph.transport._solver.checks import (
     check_solver_options,
     choose_truncation,
 )
-from clmorph.transport._solver.iteration import REPEATED
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS
-from clmorph.transport._solver.state import ROUNDING_MARGIN
+from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.certificate import SUM_ERROR
 from clmorph.transport.gradient import Gradient, divergence_gradient
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.regularization import Regularization, regularization
-from clmorph.transport.sinkhorn import sinkhorn, warn_unless_converged
+from clmorph.transport.sinkhorn import sinkhorn, solve, warn_unless_converged
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -234,7 +233,7 @@ def sinkhorn_divergence(
 
 def _warn_of_itself(own: Potentials) -> None:
     """Warn if the problem of a measure with itself did not converge."""
-    warn_unless_converged(own.status, f"self-transport: {own.message}; raise max_iter, tol or blur")
+    warn_unless_converged(own.status, f"self-transport: {own.message}")
 
 
 def one_regularization(blur: Any, reach: Any, epsilon: Any, rho: Any) -> Regularization:
@@ -317,13 +316,6 @@ def _check_cross(
         )
 
 
-def are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
-    """Return whether two measures have the same points and the same weights."""
-    return np.array_equal(source.points, target.points) and np.array_equal(
-        source.weights, target.weights
-    )
-
-
 def self_transport_of(
     measure: AnyMeasure,
     given: Regularization,
@@ -345,51 +337,5 @@ def self_transport_of(
     """
     truncation = choose_truncation("auto", tol, len(measure) ** 2 >= MANY_PAIRS)
     problem = Problem.between(operations, measure, measure, given.rho, truncation)
-    return _self_transport(problem, given, tol, max_iter, precision)
-
-
-def _self_transport(
-    problem: Problem, given: Regularization, tol: float, max_iter: int, precision: str
-) -> Potentials:
-    """Solve the problem of a measure with itself: f = g, f <- (f + Delta T(f)) / 2 (paper, 2.2).
-
-    The Gaussian kernel is positive, so near the solution this contracts by 1/2 at least.
-    """
-    epsilon = given.epsilon
-    damping, _ = problem.damping(epsilon)
-    coarse = ROUNDING_MARGIN * problem.rounding(epsilon, precise=False)
-    precise = precision == "float64"
-    finest = ROUNDING_MARGIN * problem.rounding(epsilon, precise or precision == "auto")
-    problem.to_columns = problem.to_rows  # both measures are equal, and so are both potentials
-    f = np.zeros(len(problem.a))
-    residuals: list[float] = []
-    stalled = out = False
-    for share in (1.0, *REPEATED):
-        # Only residuals of the same precision, with a step between them, show that nothing falls.
-        before = np.inf
-        while True:
-            softmin = problem.softmin_rows(f, epsilon, precise)
-            residual = problem.residual(f, f, softmin, softmin, epsilon)
-            residuals.append(residual)
-            out = len(residuals) >= max_iter
-            if precision == "auto" and not precise and (residual <= max(coarse, tol) or out):
-                precise, before = True, np.inf
-                continue
-            # A residual that consists of rounding no longer falls.
-            stalled = residual <= finest and residual > 0.9 * before
-            before = residual
-            if residual <= share * tol or out or stalled:
-                break
-            f = 0.5 * (f + damping * softmin)
-        softmin = problem.to_rows(f, epsilon, bounded=True)
-        residual = problem.residual(f, f, softmin, softmin, epsilon)
-        residuals.append(residual)
-        if residual <= tol or out or stalled:
-            break
-    status = "converged" if residual <= tol else ("precision" if stalled else "max_iter")
-    message = f"{status} in {len(residuals)} iterations (residual {residual:.1e} epsilon)"
-    return Potentials(
-        f, f, given.blur, given.reach, status, message, len(residuals), residual,
-        np.array(residuals), problem.certificate(f, f, softmin, softmin, epsilon), precise,
-        problem.truncation, problem.error, problem.to_rows.visited,
-    )  # fmt: skip
+    options = given, tol, max_iter, precision, lambda share: None
+    return solve(problem, (measure, measure), *options)

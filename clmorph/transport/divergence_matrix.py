@@ -13,9 +13,9 @@ from clmorph.errors import InputError
 from clmorph.measures.many import as_many
 from clmorph.measures.points import AnyMeasure, as_pair
 from clmorph.transport._solver.checks import check_solver_options
+from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.divergence import (
     Divergence,
-    are_equal,
     check_symmetric,
     combined,
     one_regularization,

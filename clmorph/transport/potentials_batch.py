@@ -11,6 +11,7 @@ from clmorph._shared.typing import Array, IntArray
 from clmorph.transport._solver.batch import one_measured
 from clmorph.transport._solver.batch_iteration import BatchIteration
 from clmorph.transport._solver.batch_steps import segments
+from clmorph.transport._solver.symmetric import SymmetricIteration
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import outcome
@@ -90,11 +91,19 @@ class PotentialsBatch(Sequence[Potentials]):
 class Solved:
     """Problems that were solved together."""
 
-    def __init__(self, numbers: IntArray, iteration: BatchIteration, given: Regularization) -> None:
+    def __init__(
+        self,
+        numbers: IntArray,
+        iteration: BatchIteration | SymmetricIteration,
+        given: Regularization,
+    ) -> None:
         self.numbers, self._iteration, self._given = numbers, iteration, given
         self.statuses: list[str] = list(iteration.status)
         self.residuals, self.n_iter = iteration.residual, iteration.n_iter
         self._histories: list[Array] | None = None
+        # Certificates, which may be asked for much later, need no clouds.
+        for softmin in (iteration.problem.to_rows, iteration.problem.to_columns):
+            softmin.rows = softmin.columns = None
 
     def make(self, place: int) -> Potentials:
         """Return the potentials of a problem, by its place among these."""

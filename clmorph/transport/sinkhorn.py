@@ -28,6 +28,7 @@ from clmorph.transport._solver.multiscale import Multiscale
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS
 from clmorph.transport._solver.state import measured
+from clmorph.transport._solver.symmetric import Alone, SymmetricIteration, is_symmetric
 from clmorph.transport.options import (
     AlgorithmOptions,
     Method,
@@ -190,6 +191,9 @@ def solve(
 ) -> Potentials:
     """Solve one problem by the certified iteration, without a warning.
 
+    The problem of a measure with itself has equal potentials, unless it is solved through coarser
+    problems or from given potentials.
+
     Parameters
     ----------
     problem : Problem
@@ -205,18 +209,23 @@ def solve(
     """
     limit = problem.truncation
     options = given.blur, tol, max_iter, precision, report
-    if multiscale == "auto":
-        multiscale = len(problem.a) * len(problem.b) >= MANY_PAIRS and max_iter >= SHORT
-    iteration: Iteration | Multiscale
-    iteration = Multiscale(problem, pair, *options) if multiscale else Iteration(problem, *options)
-    iteration.run(g)
+    iteration: Iteration | Multiscale | Alone
+    if g is None and multiscale is not True and is_symmetric(pair, given.rho):
+        symmetric = SymmetricIteration(problem, *options)
+        symmetric.run()
+        iteration = symmetric.alone()
+    else:
+        many = len(problem.a) * len(problem.b) >= MANY_PAIRS and max_iter >= SHORT
+        coarse = many if multiscale == "auto" else multiscale
+        iteration = Multiscale(problem, pair, *options) if coarse else Iteration(problem, *options)
+        iteration.run(g)
     if verify and limit is not None:
         _take_all_pairs(iteration, given.epsilon)
     found = _finish(iteration, given, limit)
     return replace(found, passes=_passes(iteration)) if keep else found
 
 
-def _passes(iteration: Iteration | Multiscale) -> LastPasses | None:
+def _passes(iteration: Iteration | Multiscale | Alone) -> LastPasses | None:
     """Return what the last softmins have found out; None if they have summed all pairs."""
     problem, state = iteration.problem, iteration.state
     near = problem.to_rows.near, problem.to_columns.near
@@ -227,7 +236,7 @@ def _passes(iteration: Iteration | Multiscale) -> LastPasses | None:
     )
 
 
-def _take_all_pairs(iteration: Iteration | Multiscale, epsilon: float) -> None:
+def _take_all_pairs(iteration: Iteration | Multiscale | Alone, epsilon: float) -> None:
     """Compute the last softmins once more, over all pairs."""
     problem, state = iteration.problem, iteration.state
     for softmin in (problem.to_rows, problem.to_columns):
@@ -264,7 +273,7 @@ def _geomloss(
 
 
 def _finish(
-    iteration: Iteration | Multiscale, given: Regularization, truncation: float | None
+    iteration: Iteration | Multiscale | Alone, given: Regularization, truncation: float | None
 ) -> Potentials:
     """Return the potentials that the iteration has reached."""
     problem, state = iteration.problem, iteration.state

@@ -23,6 +23,7 @@ from clmorph.transport._solver.checks import (
 )
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS, overflow
+from clmorph.transport._solver.symmetric import SymmetricIteration, is_symmetric
 from clmorph.transport.options import AlgorithmOptions, Precision, Reach, SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.potentials_batch import Part, PotentialsBatch, Single, Solved
@@ -208,7 +209,7 @@ def solve_many(
         except InputError as error:
             raise InputError(f"{name(number)}: {error}") from None
     done, parts = 0, list[Part]()
-    for numbers in together(pairs):
+    for numbers in together(pairs, given.rho):
         own = [pairs[number] for number in numbers]
 
         def share(value: float, done: int = done, count: int = len(own)) -> None:
@@ -220,7 +221,8 @@ def solve_many(
                 parts.append(Single(numbers[0], _solve_large(own[0], operations, given, *options)))
             else:
                 problem = problem_of_many(operations, own, given.rho)
-                iteration = BatchIteration(problem, given.blur, *options)
+                kind = SymmetricIteration if is_symmetric(own[0], given.rho) else BatchIteration
+                iteration = kind(problem, given.blur, *options)
                 iteration.run()
                 parts.append(Solved(np.array(numbers), iteration, given))
         except NotFiniteError as error:
@@ -250,27 +252,32 @@ def _solve_large(
     return solve(problem, pair, given, tol, *options)
 
 
-def together(pairs: Sequence[tuple[AnyMeasure, AnyMeasure]]) -> list[list[int]]:
-    """Return the numbers of the problems that are solved together: lists of one dimension each.
+def together(
+    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float]
+) -> list[list[int]]:
+    """Return the numbers of the problems that are solved together.
+
+    All of a list are in one dimension, and all or none are of a measure with itself.
 
     Parameters
     ----------
     pairs : sequence of (source, target)
+    rho : (rho_source, rho_target)
     """
     lists: list[list[int]] = []
-    #: The list of each dimension that is not full, and its numbers of points.
-    open_lists: dict[int, tuple[list[int], list[int]]] = {}
+    #: The list of each kind that is not full, and its numbers of points.
+    open_lists: dict[tuple[int, bool], tuple[list[int], list[int]]] = {}
     for number, pair in enumerate(pairs):
         sizes = [len(measure) for measure in pair]
         if _is_large(pair):
             lists.append([number])
             continue
-        dimension = pair[0].points.shape[1]
-        own, total = open_lists.get(dimension, ([], [0, 0]))
+        kind = pair[0].points.shape[1], is_symmetric(pair, rho)
+        own, total = open_lists.get(kind, ([], [0, 0]))
         total = [sum(both) for both in zip(total, sizes, strict=True)]
         if not own or max(total) > MAX_BATCH:
             own, total = [], sizes
             lists.append(own)
         own.append(number)
-        open_lists[dimension] = own, total
+        open_lists[kind] = own, total
     return lists

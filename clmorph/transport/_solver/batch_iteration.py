@@ -110,9 +110,6 @@ class BatchIteration:
                 before[points] = reached
             self._share((number + 1) / (len(levels) + 2))
         self._last_level(g)
-        # Certificates, which may be asked for much later, need no clouds.
-        for softmin in (problem.to_rows, problem.to_columns):
-            softmin.rows = softmin.columns = None
         self._share(1.0)
 
     def _share(self, share: float) -> None:
