@@ -53,8 +53,8 @@ def barycenter(
     """Return the barycenter of several measures: the measure with the least mean divergence.
 
     It minimizes sum_k w_k S(a, b_k), where S is the Sinkhorn divergence of
-    `clmorph.sinkhorn_divergence`, or what `debias` says. By default the points of the barycenter move; if `fixed`, they
-    stay and their masses are found.
+    `clmorph.sinkhorn_divergence`, or what `debias` says. By default the points of the barycenter
+    move; if `fixed`, they stay and their masses are found.
 
     Parameters
     ----------
