@@ -34,6 +34,12 @@ from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.regularization import Regularization, regularization
 from clmorph.transport.sinkhorn import sinkhorn, solve, warn_unless_converged
 
+#: The problem between two measures is solved further if the gap of its values is more than this
+#: share of the divergence's upper bound.
+WIDE = 0.5
+#: The residual to reach then: this share of the tolerance, but no less than the second number.
+FURTHER, FINEST = 1e-2, 1e-6
+
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Divergence:
@@ -209,8 +215,9 @@ def sinkhorn_divergence(
     if cross is not None:
         _check_cross(cross, *pair, given)
     operations = get_backend(backend)
-    check_problem(*pair, given, operations, precision)
+    check_problem(*pair, given, operations, precision, tol)
 
+    known = cross is not None
     parts: list[Potentials] = []
     for number, measure in enumerate(pair):
         parts.append(self_transport_of(measure, given, tol, max_iter, operations, precision))
@@ -224,6 +231,17 @@ def sinkhorn_divergence(
             rho=given.rho[0], precision=precision, progress=lambda share: report(0.3 + 0.7 * share),
         )  # fmt: skip
     result = combined(cross, parts[0], parts[1], given)
+    smaller = further_tol(result, tol)
+    if smaller is not None and not known:
+        problem = Problem.between(
+            operations, *pair, given.rho, choose_truncation("auto", smaller, _is_large(pair))
+        )
+        further = solve(
+            problem, pair, given, smaller, max_iter, precision, lambda share: None,
+            level_tol=smaller,
+        )  # fmt: skip
+        cross = replace(better(cross, further, tol), measures=pair)
+        result = combined(cross, parts[0], parts[1], given)
     if gradient:
         found = divergence_gradient(pair, cross, (parts[0], parts[1]), operations)
         result = replace(result, gradient=found)
@@ -304,6 +322,40 @@ def combined(
     return Divergence(max(low, value), (low, max(low, high)), cross, parts[0], parts[1])
 
 
+def further_tol(found: Divergence, tol: float) -> float | None:
+    """Return the residual to which the problem between both measures is to be solved further.
+
+    None if the interval is narrow, or as narrow as it can become. A residual says little about the
+    values of balanced transport where groups of points stand far apart: masses that differ by less
+    than `tol` between them have to be moved from one group to the other.
+    """
+    cross = found.cross
+    balanced = bool(np.all(np.isinf(cross.rho)))
+    if not balanced or cross is found.source_self or cross.gap <= WIDE * found.interval[1]:
+        return None
+    masses = cross.certificate.masses
+    least = max(FINEST, 4 * abs(masses[0] - masses[1]) / masses[0])  # see `check_problem`
+    smaller = min(tol, max(FURTHER * tol, least))
+    return None if smaller == tol and cross.converged else smaller
+
+
+def better(before: Potentials, after: Potentials, tol: float) -> Potentials:
+    """Return those of two potentials whose values are nearer, with the status that `tol` implies.
+
+    Parameters
+    ----------
+    before, after : Potentials
+        Of one problem, the latter solved to a smaller residual than `tol`.
+    tol : float
+    """
+    if after.gap >= before.gap:
+        return before
+    if after.converged or after.residual > tol:
+        return after
+    message = f"converged in {after.n_iter} iterations (residual {after.residual:.1e} epsilon)"
+    return replace(after, status="converged", message=message)
+
+
 def _check_cross(
     cross: Potentials, source: AnyMeasure, target: AnyMeasure, given: Regularization
 ) -> None:
@@ -314,6 +366,11 @@ def _check_cross(
             f"cross: potentials at blur={cross.blur:g}, reach={cross.reach}; expected "
             f"blur={given.blur:g}, reach={given.reach}: solve for these, or leave it out"
         )
+
+
+def _is_large(pair: tuple[AnyMeasure, AnyMeasure]) -> bool:
+    """Return whether sums of a problem are truncated."""
+    return len(pair[0]) * len(pair[1]) >= MANY_PAIRS
 
 
 def self_transport_of(
@@ -335,7 +392,7 @@ def self_transport_of(
         As in `clmorph.sinkhorn`.
     operations : Operations
     """
-    truncation = choose_truncation("auto", tol, len(measure) ** 2 >= MANY_PAIRS)
+    truncation = choose_truncation("auto", tol, _is_large((measure, measure)))
     problem = Problem.between(operations, measure, measure, given.rho, truncation)
     options = given, tol, max_iter, precision, lambda share: None
     return solve(problem, (measure, measure), *options)

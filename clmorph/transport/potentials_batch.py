@@ -84,6 +84,11 @@ class PotentialsBatch(Sequence[Potentials]):
             self._made[number] = part.make(place)
         return self._made[number]
 
+    def replace(self, number: int, potentials: Potentials) -> None:
+        """Let a problem have other potentials."""
+        self._made[number], self.statuses[number] = potentials, potentials.status
+        self.residuals[number], self.n_iter[number] = potentials.residual, potentials.n_iter
+
     def __iter__(self) -> Iterator[Potentials]:
         return (self[number] for number in range(len(self)))
 

@@ -23,7 +23,7 @@ from clmorph.transport._solver.checks import (
     check_solver_options,
     choose_truncation,
 )
-from clmorph.transport._solver.iteration import SHORT, Iteration
+from clmorph.transport._solver.iteration import LEVEL_TOLERANCE, SHORT, Iteration
 from clmorph.transport._solver.multiscale import Multiscale
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS
@@ -151,7 +151,7 @@ def sinkhorn(
     report = check_progress(progress)
     pair = as_pair(source, target)
     operations = get_backend(backend)
-    check_problem(*pair, given, operations, precision)
+    check_problem(*pair, given, operations, precision, tol)
     many = len(pair[0]) * len(pair[1]) >= MANY_PAIRS
     limit = choose_truncation(truncation, tol, many)
     g = None
@@ -188,6 +188,7 @@ def solve(
     multiscale: bool | str = "auto",
     verify: bool = False,
     keep: bool = False,
+    level_tol: float = LEVEL_TOLERANCE,
 ) -> Potentials:
     """Solve one problem by the certified iteration, without a warning.
 
@@ -206,6 +207,8 @@ def solve(
         Checked arguments of `sinkhorn`.
     keep : bool
         Whether the result keeps the near pairs, if the problem has such.
+    level_tol : float
+        As in `Iteration`; a problem that is solved through coarser problems has its own.
     """
     limit = problem.truncation
     options = given.blur, tol, max_iter, precision, report
@@ -217,7 +220,10 @@ def solve(
     else:
         many = len(problem.a) * len(problem.b) >= MANY_PAIRS and max_iter >= SHORT
         coarse = many if multiscale == "auto" else multiscale
-        iteration = Multiscale(problem, pair, *options) if coarse else Iteration(problem, *options)
+        if coarse:
+            iteration = Multiscale(problem, pair, *options)
+        else:
+            iteration = Iteration(problem, *options, level_tol=level_tol)
         iteration.run(g)
     if verify and limit is not None:
         _take_all_pairs(iteration, given.epsilon)

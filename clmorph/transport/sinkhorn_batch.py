@@ -21,6 +21,7 @@ from clmorph.transport._solver.checks import (
     check_solver_options,
     choose_truncation,
 )
+from clmorph.transport._solver.iteration import LEVEL_TOLERANCE
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS, overflow
 from clmorph.transport._solver.symmetric import SymmetricIteration, is_symmetric
@@ -190,6 +191,7 @@ def solve_many(
     precision: str,
     report: Progress,
     name: Callable[[int], str] = problem_name,
+    level_tol: float = LEVEL_TOLERANCE,
 ) -> PotentialsBatch:
     """Solve the problems of checked pairs of measures, without a warning.
 
@@ -202,10 +204,12 @@ def solve_many(
     operations : Operations
     name : callable
         A function that returns the name of a problem for error messages.
+    level_tol : float
+        As in `solve`.
     """
     for number, pair in enumerate(pairs):
         try:
-            check_problem(*pair, given, operations, precision)
+            check_problem(*pair, given, operations, precision, tol)
         except InputError as error:
             raise InputError(f"{name(number)}: {error}") from None
     done, parts = 0, list[Part]()
@@ -218,11 +222,16 @@ def solve_many(
         options = tol, max_iter, precision, share
         try:
             if _is_large(own[0]):
-                parts.append(Single(numbers[0], _solve_large(own[0], operations, given, *options)))
+                parts.append(
+                    Single(numbers[0], _solve_large(own[0], operations, given, *options, level_tol))
+                )
             else:
                 problem = problem_of_many(operations, own, given.rho)
-                kind = SymmetricIteration if is_symmetric(own[0], given.rho) else BatchIteration
-                iteration = kind(problem, given.blur, *options)
+                iteration: SymmetricIteration | BatchIteration
+                if is_symmetric(own[0], given.rho):
+                    iteration = SymmetricIteration(problem, given.blur, *options)
+                else:
+                    iteration = BatchIteration(problem, given.blur, *options, level_tol)
                 iteration.run()
                 parts.append(Solved(np.array(numbers), iteration, given))
         except NotFiniteError as error:
@@ -244,12 +253,16 @@ def _solve_large(
     operations: Operations,
     given: Regularization,
     tol: float,
-    *options: Any,
+    max_iter: int,
+    precision: str,
+    report: Progress,
+    level_tol: float,
 ) -> Potentials:
     """Solve a problem by itself."""
     limit = choose_truncation("auto", tol, len(pair[0]) * len(pair[1]) >= MANY_PAIRS)
     problem = Problem.between(operations, *pair, given.rho, limit)
-    return solve(problem, pair, given, tol, *options)
+    options = given, tol, max_iter, precision, report
+    return solve(problem, pair, *options, level_tol=level_tol)
 
 
 def together(

@@ -69,8 +69,9 @@ def check_problem(
     given: Regularization,
     operations: Operations,
     precision: str,
+    tol: float = np.inf,
 ) -> None:
-    """Check that a problem has a solution, and that a backend can compute it.
+    """Check that a problem has a solution, and that a backend can compute it to a residual `tol`.
 
     Raises
     ------
@@ -78,10 +79,13 @@ def check_problem(
         If the problem has no solution, or the backend cannot compute it.
     """
     balanced = all(np.isinf(rho) for rho in given.rho)
-    if balanced and abs(source.mass - target.mass) > MASS_TOLERANCE * source.mass:
+    differ = abs(source.mass - target.mass) / source.mass if balanced else 0.0
+    # No residual is smaller than the difference.
+    if differ > min(MASS_TOLERANCE, 0.5 * tol):
+        possible = "impossible" if differ > MASS_TOLERANCE else f"not possible to tol={tol:g}"
         raise InputError(
-            f"the masses {source.mass:g} and {target.mass:g} differ, so balanced transport is "
-            "impossible: give a reach, or scale the weights to one mass"
+            f"the masses {source.mass:g} and {target.mass:g} differ by {differ:.1e} of the first, "
+            f"so balanced transport is {possible}: give a reach, or scale the weights to one mass"
         )
     largest = largest_cost(source.points, target.points)
     if largest > operations.max_spread * given.epsilon:
