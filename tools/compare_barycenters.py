@@ -65,9 +65,11 @@ def pot_fixed(fields: np.ndarray, debiased: bool) -> np.ndarray:
     import ot
 
     solve = ot.bregman.barycenter_debiased if debiased else ot.bregman.barycenter
+    # Without debiasing the default method begins wrongly if shares are unequal (POT's PR 870).
+    method = {} if debiased else {"method": "sinkhorn_log"}
     return solve(
         fields.reshape(len(SHARES), -1).T, ot.dist(grid(), grid()), 2 * BLUR**2, weights=SHARES,
-        stopThr=1e-12, numItermax=5000,
+        stopThr=1e-12, numItermax=5000, **method,
     )  # fmt: skip
 
 

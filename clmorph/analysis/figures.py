@@ -1,6 +1,7 @@
 """Draw the transport between two images as one picture, with matplotlib."""
 
 import importlib
+import logging
 from os import PathLike
 from typing import Any, cast
 
@@ -56,12 +57,18 @@ def check_plotting(path: str | PathLike[str] | None = None) -> None:
     OutputError
         If matplotlib is missing, the ending is another, or the path cannot be written to.
     """
+    # The first import on a machine builds a cache of fonts, and on a slow one says so on stderr.
+    log = logging.getLogger("matplotlib.font_manager")
+    level = log.level
+    log.setLevel(logging.ERROR)
     try:
         importlib.import_module("matplotlib.figure")
     except ImportError as error:
         raise OutputError(
             f'a picture needs matplotlib ({reason_of(error)}): pip install "clmorph[plot]"'
         ) from None
+    finally:
+        log.setLevel(level)
     if path is None:
         return
     place = check_file_place(path)

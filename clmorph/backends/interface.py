@@ -29,6 +29,9 @@ from clmorph.backends.records import (
 MAX_POINTS = 1 << 24
 #: The largest number of points of a batch of clouds (`Operations.upload_batch`).
 MAX_BATCH = 1 << 18
+#: Largest cost and largest rho, in units of epsilon: potentials are of their size, and beyond this
+#: float64 leaves no digits for epsilon.
+MAX_SPREAD = 1e12
 #: The largest dimension of points: a kernel keeps one register for each coordinate.
 MAX_DIMENSION = 11
 
@@ -109,6 +112,8 @@ class Operations(Protocol):
     precise_roundoff: float
     #: Whether precise exponents are float64 (or better) and not pairs of float32.
     has_float64: bool
+    #: Largest cost of a pair of points, in units of epsilon, at which softmins keep their bounds.
+    max_spread: float
     #: Bytes of memory on the device; None if the backend works in the host's memory and has no
     #: limit of its own.
     memory_bytes: int | None

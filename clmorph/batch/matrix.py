@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,9 @@ from clmorph.errors import ConvergenceWarning, InputError
 from clmorph.measures.many import as_many
 from clmorph.measures.points import AnyMeasure, as_pair
 from clmorph.transport._solver.checks import check_solver_options
-from clmorph.transport.divergence import are_equal, check_symmetric, combined, one_regularization
+from clmorph.transport._solver.symmetric import are_equal
+from clmorph.transport.divergence import check_symmetric, combined, one_regularization
+from clmorph.transport.divergence_batch import solve_further
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization
@@ -147,7 +150,10 @@ def _solve_selves(
 
 
 def _solve(
-    pairs: list[tuple[AnyMeasure, AnyMeasure]], name: Any, solver: tuple[Any, ...]
+    pairs: list[tuple[AnyMeasure, AnyMeasure]],
+    name: Any,
+    solver: tuple[Any, ...],
+    selves: Sequence[tuple[Potentials, Potentials]] = (),
 ) -> tuple[list[Potentials], int]:
     given, tol, max_iter, precision, backend = solver
     if not pairs:
@@ -157,6 +163,8 @@ def _solve(
         found = solve_many(
             pairs, given, tol, max_iter, operations, precision, lambda share: None, name
         )
+        options = given, tol, max_iter, operations, precision, name
+        solve_further(found, dict(enumerate(selves)), pairs, *options)
         solved = list(found)
     return solved, sum(not each.converged for each in solved)
 
@@ -183,7 +191,8 @@ def _solve_block(
         i, j = places[number]
         return f"measures {starts[0] + i} and {starts[1] + j}"
 
-    solved, missed = _solve([(rows[i], columns[j]) for i, j in places], name, solver)
+    selves = [(of_rows[0][i], of_columns[0][j]) for i, j in places]
+    solved, missed = _solve([(rows[i], columns[j]) for i, j in places], name, solver, selves)
     values = np.zeros((len(rows), len(columns)))
     for (i, j), cross in zip(places, solved, strict=True):
         values[i, j] = combined(cross, of_rows[0][i], of_columns[0][j], given).value

@@ -1,5 +1,6 @@
 """A cluster on this machine, a worker for each device, and clients of running schedulers."""
 
+import gc
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -47,6 +48,11 @@ def quiet_dask() -> Iterator[None]:
     """Keep Dask's own messages off the terminal: what matters is told in lines of ours."""
     import dask
     import distributed  # noqa: F401 - sets levels of its own when it is imported
+
+    # A client that could not connect is garbage, and closes when it is collected. A client that is
+    # created meanwhile holds a lock that this needs, until its thread has started. If that thread
+    # is the one that collects, both wait for good.
+    gc.collect()
 
     kept = os.environ.get("DASK_LOGGING__DISTRIBUTED")
     os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"  # of the workers' processes

@@ -101,9 +101,9 @@ def arranged(
     images: Sequence[Array], options: RearrangeOptions, backend: Backend, report: StageProgress
 ) -> Rearrangement:
     """Rearrange image A to form B; the parameters are checked ones of `rearrange`."""
-    first = _rounded(images[0] if options.size is None else fit(images[0], options.size))
+    first = images[0] if options.size is None else fit(images[0], options.size)
     shape = first.shape[:2]
-    second = _rounded(np.clip(resized(images[1], (shape[0], shape[1])), 0.0, 1.0))
+    second = np.clip(resized(images[1], (shape[0], shape[1])), 0.0, 1.0)
     source, target = _compared((first, second), options)
     operations = get_backend(backend)
     report("transport", 0.0)
@@ -122,7 +122,8 @@ def arranged(
         enough=(1 + options.gap) * bound, seed=options.seed,
         report=lambda share: report("pixels", share),
     )  # fmt: skip
-    begin, plan = _measure(first, options), _as_plan(assignment)
+    # Frames are float32, so that the last one is exact; cost and bound are those of what was given.
+    begin, plan = _measure(first.astype(np.float32).astype(float), options), _as_plan(assignment)
     end = _moved(begin, assignment)
     n = float(len(assignment))
     return Rearrangement(
@@ -131,11 +132,6 @@ def arranged(
         eased(np.linspace(0.0, 1.0, options.n_frames), options.ease),
         KernelWidth(SIGMA, SIGMA, 0.0, n, n, "fixed"), operations, options,
     )  # fmt: skip
-
-
-def _rounded(image: Array) -> Array:
-    """Return an image rounded to float32, so that the last frame, which is float32, is exact."""
-    return image.astype(np.float32).astype(np.float64)
 
 
 def _compared(images: tuple[Array, Array], options: RearrangeOptions) -> tuple[Measure, Measure]:

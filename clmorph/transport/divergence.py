@@ -24,16 +24,21 @@ from clmorph.transport._solver.checks import (
     check_solver_options,
     choose_truncation,
 )
-from clmorph.transport._solver.iteration import REPEATED
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS
-from clmorph.transport._solver.state import ROUNDING_MARGIN
+from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.certificate import SUM_ERROR
 from clmorph.transport.gradient import Gradient, divergence_gradient
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials, check_potentials
 from clmorph.transport.regularization import Regularization, regularization
-from clmorph.transport.sinkhorn import sinkhorn, warn_unless_converged
+from clmorph.transport.sinkhorn import sinkhorn, solve, warn_unless_converged
+
+#: The problem between two measures is solved further if the gap of its values is more than this
+#: share of the divergence's upper bound.
+WIDE = 0.5
+#: The residual to reach then: this share of the tolerance, but no less than the second number.
+FURTHER, FINEST = 1e-2, 1e-6
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -210,8 +215,9 @@ def sinkhorn_divergence(
     if cross is not None:
         _check_cross(cross, *pair, given)
     operations = get_backend(backend)
-    check_problem(*pair, given, operations, precision)
+    check_problem(*pair, given, operations, precision, tol)
 
+    known = cross is not None
     parts: list[Potentials] = []
     for number, measure in enumerate(pair):
         parts.append(self_transport_of(measure, given, tol, max_iter, operations, precision))
@@ -225,6 +231,17 @@ def sinkhorn_divergence(
             rho=given.rho[0], precision=precision, progress=lambda share: report(0.3 + 0.7 * share),
         )  # fmt: skip
     result = combined(cross, parts[0], parts[1], given)
+    smaller = further_tol(result, tol)
+    if smaller is not None and not known:
+        problem = Problem.between(
+            operations, *pair, given.rho, choose_truncation("auto", smaller, _is_large(pair))
+        )
+        further = solve(
+            problem, pair, given, smaller, max_iter, precision, lambda share: None,
+            level_tol=smaller,
+        )  # fmt: skip
+        cross = replace(better(cross, further, tol), measures=pair)
+        result = combined(cross, parts[0], parts[1], given)
     if gradient:
         found = divergence_gradient(pair, cross, (parts[0], parts[1]), operations)
         result = replace(result, gradient=found)
@@ -234,7 +251,7 @@ def sinkhorn_divergence(
 
 def _warn_of_itself(own: Potentials) -> None:
     """Warn if the problem of a measure with itself did not converge."""
-    warn_unless_converged(own.status, f"self-transport: {own.message}; raise max_iter, tol or blur")
+    warn_unless_converged(own.status, f"self-transport: {own.message}")
 
 
 def one_regularization(blur: Any, reach: Any, epsilon: Any, rho: Any) -> Regularization:
@@ -305,6 +322,40 @@ def combined(
     return Divergence(max(low, value), (low, max(low, high)), cross, parts[0], parts[1])
 
 
+def further_tol(found: Divergence, tol: float) -> float | None:
+    """Return the residual to which the problem between both measures is to be solved further.
+
+    None if the interval is narrow, or as narrow as it can become. A residual says little about the
+    values of balanced transport where groups of points stand far apart: masses that differ by less
+    than `tol` between them have to be moved from one group to the other.
+    """
+    cross = found.cross
+    balanced = bool(np.all(np.isinf(cross.rho)))
+    if not balanced or cross is found.source_self or cross.gap <= WIDE * found.interval[1]:
+        return None
+    masses = cross.certificate.masses
+    least = max(FINEST, 4 * abs(masses[0] - masses[1]) / masses[0])  # see `check_problem`
+    smaller = min(tol, max(FURTHER * tol, least))
+    return None if smaller == tol and cross.converged else smaller
+
+
+def better(before: Potentials, after: Potentials, tol: float) -> Potentials:
+    """Return those of two potentials whose values are nearer, with the status that `tol` implies.
+
+    Parameters
+    ----------
+    before, after : Potentials
+        Of one problem, the latter solved to a smaller residual than `tol`.
+    tol : float
+    """
+    if after.gap >= before.gap:
+        return before
+    if after.converged or after.residual > tol:
+        return after
+    message = f"converged in {after.n_iter} iterations (residual {after.residual:.1e} epsilon)"
+    return replace(after, status="converged", message=message)
+
+
 def _check_cross(
     cross: Potentials, source: AnyMeasure, target: AnyMeasure, given: Regularization
 ) -> None:
@@ -317,11 +368,9 @@ def _check_cross(
         )
 
 
-def are_equal(source: AnyMeasure, target: AnyMeasure) -> bool:
-    """Return whether two measures have the same points and the same weights."""
-    return np.array_equal(source.points, target.points) and np.array_equal(
-        source.weights, target.weights
-    )
+def _is_large(pair: tuple[AnyMeasure, AnyMeasure]) -> bool:
+    """Return whether sums of a problem are truncated."""
+    return len(pair[0]) * len(pair[1]) >= MANY_PAIRS
 
 
 def self_transport_of(
@@ -343,53 +392,7 @@ def self_transport_of(
         As in `clmorph.sinkhorn`.
     operations : Operations
     """
-    truncation = choose_truncation("auto", tol, len(measure) ** 2 >= MANY_PAIRS)
+    truncation = choose_truncation("auto", tol, _is_large((measure, measure)))
     problem = Problem.between(operations, measure, measure, given.rho, truncation)
-    return _self_transport(problem, given, tol, max_iter, precision)
-
-
-def _self_transport(
-    problem: Problem, given: Regularization, tol: float, max_iter: int, precision: str
-) -> Potentials:
-    """Solve the problem of a measure with itself: f = g, f <- (f + Delta T(f)) / 2 (paper, 2.2).
-
-    The Gaussian kernel is positive, so near the solution this contracts by 1/2 at least.
-    """
-    epsilon = given.epsilon
-    damping, _ = problem.damping(epsilon)
-    coarse = ROUNDING_MARGIN * problem.rounding(epsilon, precise=False)
-    precise = precision == "float64"
-    finest = ROUNDING_MARGIN * problem.rounding(epsilon, precise or precision == "auto")
-    problem.to_columns = problem.to_rows  # both measures are equal, and so are both potentials
-    f = np.zeros(len(problem.a))
-    residuals: list[float] = []
-    stalled = out = False
-    for share in (1.0, *REPEATED):
-        # Only residuals of the same precision, with a step between them, show that nothing falls.
-        before = np.inf
-        while True:
-            softmin = problem.softmin_rows(f, epsilon, precise)
-            residual = problem.residual(f, f, softmin, softmin, epsilon)
-            residuals.append(residual)
-            out = len(residuals) >= max_iter
-            if precision == "auto" and not precise and (residual <= max(coarse, tol) or out):
-                precise, before = True, np.inf
-                continue
-            # A residual that consists of rounding no longer falls.
-            stalled = residual <= finest and residual > 0.9 * before
-            before = residual
-            if residual <= share * tol or out or stalled:
-                break
-            f = 0.5 * (f + damping * softmin)
-        softmin = problem.to_rows(f, epsilon, bounded=True)
-        residual = problem.residual(f, f, softmin, softmin, epsilon)
-        residuals.append(residual)
-        if residual <= tol or out or stalled:
-            break
-    status = "converged" if residual <= tol else ("precision" if stalled else "max_iter")
-    message = f"{status} in {len(residuals)} iterations (residual {residual:.1e} epsilon)"
-    return Potentials(
-        f, f, given.blur, given.reach, status, message, len(residuals), residual,
-        np.array(residuals), problem.certificate(f, f, softmin, softmin, epsilon), precise,
-        problem.truncation, problem.error, problem.to_rows.visited,
-    )  # fmt: skip
+    options = given, tol, max_iter, precision, lambda share: None
+    return solve(problem, (measure, measure), *options)

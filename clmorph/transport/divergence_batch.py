@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from clmorph._shared.typing import Progress
 from clmorph._shared.validation import check_flag, check_progress
+from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.measures.many import as_many
@@ -13,12 +17,17 @@ from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.checks import check_solver_options
 from clmorph.transport.divergence import (
     Divergence,
+    better,
     check_symmetric,
     combined,
+    further_tol,
     one_regularization,
 )
 from clmorph.transport.gradient import divergence_gradient
 from clmorph.transport.options import Precision, SolverOptions
+from clmorph.transport.potentials import Potentials
+from clmorph.transport.potentials_batch import PotentialsBatch
+from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import warn_unless_converged
 from clmorph.transport.sinkhorn_batch import (
     MeasuresLike,
@@ -124,10 +133,12 @@ def sinkhorn_divergence_batch(
         )
         places.append((place(pair, name), *own))
     share = SOLVING if gradient else 1.0
+    options = given, tol, max_iter, operations, precision
     solved = solve_many(
-        problems, given, tol, max_iter, operations, precision,
-        lambda done: report(share * done), names.__getitem__,
+        problems, *options, lambda done: report(share * done), names.__getitem__
     )  # fmt: skip
+    selves = {cross: (solved[source], solved[target]) for cross, source, target in places}
+    solve_further(solved, selves, problems, *options, names.__getitem__)
     found = []
     for number, (pair, numbers) in enumerate(zip(pairs, places, strict=True)):
         cross, own_source, own_target = (solved[each] for each in numbers)
@@ -136,11 +147,52 @@ def sinkhorn_divergence_batch(
         except InputError as error:
             raise InputError(f"{problem_name(number)}: {error}") from None
         if gradient:
-            selves = own_source, own_target
-            derivatives = divergence_gradient(pair, cross, selves, operations)
+            derivatives = divergence_gradient(pair, cross, (own_source, own_target), operations)
             divergence = replace(divergence, gradient=derivatives)
             report(share + (1 - share) * (number + 1) / len(pairs))
         found.append(divergence)
     if not solved.converged:
         warn_unless_converged("missed", what_missed(solved, names.__getitem__))
     return found
+
+
+def solve_further(
+    solved: PotentialsBatch,
+    selves: Mapping[int, tuple[Potentials, Potentials]],
+    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]],
+    given: Regularization,
+    tol: float,
+    max_iter: int,
+    operations: Operations,
+    precision: str,
+    name: Callable[[int], str],
+) -> None:
+    """Solve those problems further whose divergences have wide intervals; see `further_tol`.
+
+    Parameters
+    ----------
+    solved : PotentialsBatch
+        Changed in place.
+    selves : mapping
+        For some of the problems, the potentials of source and target with themselves.
+    pairs : sequence of (source, target)
+        Of all problems.
+    given, tol, max_iter, operations, precision, name
+        As in `solve_many`.
+    """
+    wide: dict[int, float] = {}
+    for number, own in selves.items():
+        if not np.isfinite(solved[number].gap) or solved[number] in own:
+            continue
+        smaller = further_tol(combined(solved[number], *own, given), tol)
+        if smaller is not None:
+            wide[number] = smaller
+    if not wide:
+        return
+    numbers, smallest = list(wide), min(wide.values())
+    again = solve_many(
+        [pairs[number] for number in numbers], given, smallest, max_iter, operations, precision,
+        lambda share: None, lambda number: name(numbers[number]), smallest,
+    )  # fmt: skip
+    for number, further in zip(numbers, again, strict=True):
+        solved.replace(number, better(solved[number], further, tol))

@@ -13,13 +13,14 @@ from clmorph.errors import InputError
 from clmorph.measures.many import as_many
 from clmorph.measures.points import AnyMeasure, as_pair
 from clmorph.transport._solver.checks import check_solver_options
+from clmorph.transport._solver.symmetric import are_equal
 from clmorph.transport.divergence import (
     Divergence,
-    are_equal,
     check_symmetric,
     combined,
     one_regularization,
 )
+from clmorph.transport.divergence_batch import solve_further
 from clmorph.transport.options import Precision, SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.potentials_batch import PotentialsBatch
@@ -161,6 +162,8 @@ def divergence_matrix(
         return _name(*between[number])
 
     solved = solve_many(pairs, given, tol, max_iter, operations, precision, report, name)
+    selves = {number: (solved[i], solved[j]) for number, (i, j) in enumerate(between) if i != j}
+    solve_further(solved, selves, pairs, given, tol, max_iter, operations, precision, name)
     matrix = DivergenceMatrix(solved, places, given)
     return matrix if solved.converged else _warned(matrix, what_missed(solved, name))
 

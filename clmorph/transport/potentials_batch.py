@@ -11,6 +11,7 @@ from clmorph._shared.typing import Array, IntArray
 from clmorph.transport._solver.batch import one_measured
 from clmorph.transport._solver.batch_iteration import BatchIteration
 from clmorph.transport._solver.batch_steps import segments
+from clmorph.transport._solver.symmetric import SymmetricIteration
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.regularization import Regularization
 from clmorph.transport.sinkhorn import outcome
@@ -83,6 +84,11 @@ class PotentialsBatch(Sequence[Potentials]):
             self._made[number] = part.make(place)
         return self._made[number]
 
+    def replace(self, number: int, potentials: Potentials) -> None:
+        """Let a problem have other potentials."""
+        self._made[number], self.statuses[number] = potentials, potentials.status
+        self.residuals[number], self.n_iter[number] = potentials.residual, potentials.n_iter
+
     def __iter__(self) -> Iterator[Potentials]:
         return (self[number] for number in range(len(self)))
 
@@ -90,11 +96,19 @@ class PotentialsBatch(Sequence[Potentials]):
 class Solved:
     """Problems that were solved together."""
 
-    def __init__(self, numbers: IntArray, iteration: BatchIteration, given: Regularization) -> None:
+    def __init__(
+        self,
+        numbers: IntArray,
+        iteration: BatchIteration | SymmetricIteration,
+        given: Regularization,
+    ) -> None:
         self.numbers, self._iteration, self._given = numbers, iteration, given
         self.statuses: list[str] = list(iteration.status)
         self.residuals, self.n_iter = iteration.residual, iteration.n_iter
         self._histories: list[Array] | None = None
+        # Certificates, which may be asked for much later, need no clouds.
+        for softmin in (iteration.problem.to_rows, iteration.problem.to_columns):
+            softmin.rows = softmin.columns = None
 
     def make(self, place: int) -> Potentials:
         """Return the potentials of a problem, by its place among these."""

@@ -23,11 +23,12 @@ from clmorph.transport._solver.checks import (
     check_solver_options,
     choose_truncation,
 )
-from clmorph.transport._solver.iteration import SHORT, Iteration
+from clmorph.transport._solver.iteration import LEVEL_TOLERANCE, SHORT, Iteration
 from clmorph.transport._solver.multiscale import Multiscale
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS
 from clmorph.transport._solver.state import measured
+from clmorph.transport._solver.symmetric import Alone, SymmetricIteration, is_symmetric
 from clmorph.transport.options import (
     AlgorithmOptions,
     Method,
@@ -150,7 +151,7 @@ def sinkhorn(
     report = check_progress(progress)
     pair = as_pair(source, target)
     operations = get_backend(backend)
-    check_problem(*pair, given, operations, precision)
+    check_problem(*pair, given, operations, precision, tol)
     many = len(pair[0]) * len(pair[1]) >= MANY_PAIRS
     limit = choose_truncation(truncation, tol, many)
     g = None
@@ -187,8 +188,12 @@ def solve(
     multiscale: bool | str = "auto",
     verify: bool = False,
     keep: bool = False,
+    level_tol: float = LEVEL_TOLERANCE,
 ) -> Potentials:
     """Solve one problem by the certified iteration, without a warning.
+
+    The problem of a measure with itself has equal potentials, unless it is solved through coarser
+    problems or from given potentials.
 
     Parameters
     ----------
@@ -202,21 +207,31 @@ def solve(
         Checked arguments of `sinkhorn`.
     keep : bool
         Whether the result keeps the near pairs, if the problem has such.
+    level_tol : float
+        As in `Iteration`; a problem that is solved through coarser problems has its own.
     """
     limit = problem.truncation
     options = given.blur, tol, max_iter, precision, report
-    if multiscale == "auto":
-        multiscale = len(problem.a) * len(problem.b) >= MANY_PAIRS and max_iter >= SHORT
-    iteration: Iteration | Multiscale
-    iteration = Multiscale(problem, pair, *options) if multiscale else Iteration(problem, *options)
-    iteration.run(g)
+    iteration: Iteration | Multiscale | Alone
+    if g is None and multiscale is not True and is_symmetric(pair, given.rho):
+        symmetric = SymmetricIteration(problem, *options)
+        symmetric.run()
+        iteration = symmetric.alone()
+    else:
+        many = len(problem.a) * len(problem.b) >= MANY_PAIRS and max_iter >= SHORT
+        coarse = many if multiscale == "auto" else multiscale
+        if coarse:
+            iteration = Multiscale(problem, pair, *options)
+        else:
+            iteration = Iteration(problem, *options, level_tol=level_tol)
+        iteration.run(g)
     if verify and limit is not None:
         _take_all_pairs(iteration, given.epsilon)
     found = _finish(iteration, given, limit)
     return replace(found, passes=_passes(iteration)) if keep else found
 
 
-def _passes(iteration: Iteration | Multiscale) -> LastPasses | None:
+def _passes(iteration: Iteration | Multiscale | Alone) -> LastPasses | None:
     """Return what the last softmins have found out; None if they have summed all pairs."""
     problem, state = iteration.problem, iteration.state
     near = problem.to_rows.near, problem.to_columns.near
@@ -227,7 +242,7 @@ def _passes(iteration: Iteration | Multiscale) -> LastPasses | None:
     )
 
 
-def _take_all_pairs(iteration: Iteration | Multiscale, epsilon: float) -> None:
+def _take_all_pairs(iteration: Iteration | Multiscale | Alone, epsilon: float) -> None:
     """Compute the last softmins once more, over all pairs."""
     problem, state = iteration.problem, iteration.state
     for softmin in (problem.to_rows, problem.to_columns):
@@ -264,7 +279,7 @@ def _geomloss(
 
 
 def _finish(
-    iteration: Iteration | Multiscale, given: Regularization, truncation: float | None
+    iteration: Iteration | Multiscale | Alone, given: Regularization, truncation: float | None
 ) -> Potentials:
     """Return the potentials that the iteration has reached."""
     problem, state = iteration.problem, iteration.state

@@ -21,8 +21,10 @@ from clmorph.transport._solver.checks import (
     check_solver_options,
     choose_truncation,
 )
+from clmorph.transport._solver.iteration import LEVEL_TOLERANCE
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS, overflow
+from clmorph.transport._solver.symmetric import SymmetricIteration, is_symmetric
 from clmorph.transport.options import AlgorithmOptions, Precision, Reach, SolverOptions
 from clmorph.transport.potentials import Potentials
 from clmorph.transport.potentials_batch import Part, PotentialsBatch, Single, Solved
@@ -189,6 +191,7 @@ def solve_many(
     precision: str,
     report: Progress,
     name: Callable[[int], str] = problem_name,
+    level_tol: float = LEVEL_TOLERANCE,
 ) -> PotentialsBatch:
     """Solve the problems of checked pairs of measures, without a warning.
 
@@ -201,14 +204,16 @@ def solve_many(
     operations : Operations
     name : callable
         A function that returns the name of a problem for error messages.
+    level_tol : float
+        As in `solve`.
     """
     for number, pair in enumerate(pairs):
         try:
-            check_problem(*pair, given, operations, precision)
+            check_problem(*pair, given, operations, precision, tol)
         except InputError as error:
             raise InputError(f"{name(number)}: {error}") from None
     done, parts = 0, list[Part]()
-    for numbers in together(pairs):
+    for numbers in together(pairs, given.rho):
         own = [pairs[number] for number in numbers]
 
         def share(value: float, done: int = done, count: int = len(own)) -> None:
@@ -217,10 +222,16 @@ def solve_many(
         options = tol, max_iter, precision, share
         try:
             if _is_large(own[0]):
-                parts.append(Single(numbers[0], _solve_large(own[0], operations, given, *options)))
+                parts.append(
+                    Single(numbers[0], _solve_large(own[0], operations, given, *options, level_tol))
+                )
             else:
                 problem = problem_of_many(operations, own, given.rho)
-                iteration = BatchIteration(problem, given.blur, *options)
+                iteration: SymmetricIteration | BatchIteration
+                if is_symmetric(own[0], given.rho):
+                    iteration = SymmetricIteration(problem, given.blur, *options)
+                else:
+                    iteration = BatchIteration(problem, given.blur, *options, level_tol)
                 iteration.run()
                 parts.append(Solved(np.array(numbers), iteration, given))
         except NotFiniteError as error:
@@ -242,35 +253,44 @@ def _solve_large(
     operations: Operations,
     given: Regularization,
     tol: float,
-    *options: Any,
+    max_iter: int,
+    precision: str,
+    report: Progress,
+    level_tol: float,
 ) -> Potentials:
     """Solve a problem by itself."""
     limit = choose_truncation("auto", tol, len(pair[0]) * len(pair[1]) >= MANY_PAIRS)
     problem = Problem.between(operations, *pair, given.rho, limit)
-    return solve(problem, pair, given, tol, *options)
+    options = given, tol, max_iter, precision, report
+    return solve(problem, pair, *options, level_tol=level_tol)
 
 
-def together(pairs: Sequence[tuple[AnyMeasure, AnyMeasure]]) -> list[list[int]]:
-    """Return the numbers of the problems that are solved together: lists of one dimension each.
+def together(
+    pairs: Sequence[tuple[AnyMeasure, AnyMeasure]], rho: tuple[float, float]
+) -> list[list[int]]:
+    """Return the numbers of the problems that are solved together.
+
+    All of a list are in one dimension, and all or none are of a measure with itself.
 
     Parameters
     ----------
     pairs : sequence of (source, target)
+    rho : (rho_source, rho_target)
     """
     lists: list[list[int]] = []
-    #: The list of each dimension that is not full, and its numbers of points.
-    open_lists: dict[int, tuple[list[int], list[int]]] = {}
+    #: The list of each kind that is not full, and its numbers of points.
+    open_lists: dict[tuple[int, bool], tuple[list[int], list[int]]] = {}
     for number, pair in enumerate(pairs):
         sizes = [len(measure) for measure in pair]
         if _is_large(pair):
             lists.append([number])
             continue
-        dimension = pair[0].points.shape[1]
-        own, total = open_lists.get(dimension, ([], [0, 0]))
+        kind = pair[0].points.shape[1], is_symmetric(pair, rho)
+        own, total = open_lists.get(kind, ([], [0, 0]))
         total = [sum(both) for both in zip(total, sizes, strict=True)]
         if not own or max(total) > MAX_BATCH:
             own, total = [], sizes
             lists.append(own)
         own.append(number)
-        open_lists[dimension] = own, total
+        open_lists[kind] = own, total
     return lists

@@ -263,7 +263,7 @@ def solve_parts(
     total, done = sum(part.pairs for part in parts), 0
     for part in parts:
         pair = as_pair(*part.measures)
-        check_problem(*pair, given, operations, "auto")
+        check_problem(*pair, given, operations, "auto", tol)
         limit = choose_truncation("auto", tol, part.pairs >= MANY_PAIRS)
         problem = Problem.between(operations, *pair, given.rho, limit)
 

@@ -2,6 +2,8 @@ import dataclasses
 import functools
 import gc
 import json
+import os
+import subprocess
 import sys
 import time
 import tracemalloc
@@ -548,6 +550,27 @@ class TestPicture:
         before = dict(matplotlib.rcParams)
         draw_inspection(found, tmp_path / "a.png")
         assert dict(matplotlib.rcParams) == before
+
+    def test_says_nothing_of_a_cache_of_fonts(self, tmp_path):
+        """On a slow machine matplotlib does, after 5 seconds: here at once."""
+        script = """
+import threading
+
+class Impatient(threading.Timer):
+    def __init__(self, interval, *more):
+        super().__init__(0.0, *more)
+
+threading.Timer = Impatient
+from clmorph.analysis.figures import check_plotting
+
+check_plotting()
+"""
+        done = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True,
+            env=os.environ | {"MPLCONFIGDIR": str(tmp_path)},
+        )  # fmt: skip
+        assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+        assert list(tmp_path.glob("fontlist*"))
 
     def test_has_few_arrows_and_none_where_nothing_moves(self, device):
         from matplotlib.figure import Figure

@@ -16,6 +16,7 @@ from PIL import Image
 from programs import program
 
 import clmorph
+from clmorph.batch import workers
 from clmorph.batch.index import index_page
 from clmorph.batch.jobs import Defaults, from_folder, read_jobs
 from clmorph.batch.places import JOURNAL as NAME
@@ -518,17 +519,50 @@ def test_a_journal_with_half_a_line(tmp_path):
         assert set(journal.records) == {"a", "c"}
 
 
-def test_local_workers_take_work_from_their_command_alone():
-    from distributed import Client
-
+def test_local_workers_take_work_from_their_command_alone(monkeypatch):
+    monkeypatch.setattr(workers, "TIMEOUT", 1.0)
     with local_client(["numpy"]) as client:
         assert client.submit(os.getpid).result() != os.getpid()
         address = client.scheduler.address
         assert address.startswith("tls://127.0.0.1:")
         for way in (address, address.replace("tls", "tcp")):
-            # A client that gives up on a busy machine can also fail an assertion of its own.
-            with pytest.raises((OSError, TypeError, AssertionError)):
-                Client(way, timeout=1)
+            with (
+                pytest.raises(clmorph.InputError, match="no scheduler answers"),
+                workers.remote_client(way),
+            ):
+                pass
+
+
+def test_a_client_may_follow_one_that_could_not_connect():
+    """The thread of the second one may be the one that collects the first one as garbage."""
+    script = """
+import gc, threading
+import clmorph
+from clmorph.batch import workers
+
+workers.TIMEOUT = 0.5
+gc.disable()
+
+def refused():
+    try:
+        with workers.remote_client("tls://127.0.0.1:1"):
+            pass
+    except clmorph.InputError as error:
+        print(str(error)[:33])
+
+begin = threading.Thread._set_ident
+
+def collecting(self):
+    gc.collect()
+    begin(self)
+
+refused()
+threading.Thread._set_ident = collecting
+refused()
+"""
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.stdout == "--scheduler tls://127.0.0.1:1: no\n" * 2, done.stderr
 
 
 @pytest.mark.needs_device

@@ -36,6 +36,20 @@ def items(*marks, **parameters):
     ]
 
 
+def test_a_test_that_hangs_fails_by_its_name(tmp_path, pytestconfig):
+    """Each test has a limit, here a shorter one, in every process that shares the tests."""
+    assert 0 < float(pytestconfig.getini("timeout")) <= 600
+    place = tmp_path / "test_hanging.py"
+    place.write_text("import threading\ndef test_waiting(): threading.Event().wait()\n")
+    call = ["-c", ROOT / "pyproject.toml", "-o", "timeout=2", "-n", "1", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *call, place], capture_output=True, text=True, timeout=100
+    )
+    assert done.returncode == 1
+    assert "FAILED" in done.stdout
+    assert "test_waiting - Failed: Timeout" in done.stdout
+
+
 AXES = {"a": "xyz", "b": [1.0, 2.0], "c": [None, True, False, 4, 5]}
 
 

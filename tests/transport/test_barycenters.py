@@ -117,6 +117,18 @@ def test_masses_of_diracs(any_backend, rho, debias):
 
 
 @pytest.mark.small
+def test_a_fixed_support_without_debiasing_is_blurred(any_backend):
+    """Of Diracs at y_k it is a ~ exp(-sum_k w_k C(x, y_k) / epsilon)."""
+    x, shares = np.array([0.0, 1.0, 2.0]), np.array([0.25, 0.75])
+    found = clmorph.barycenter(
+        [([1.0], [0.0]), ([1.0], [2.0])], shares, x, epsilon=0.5, fixed=True, debias=False,
+        tol=1e-6, backend=any_backend,
+    )  # fmt: skip
+    wanted = np.exp(-(0.5 * (x[:, None] - [0.0, 2.0]) ** 2) @ shares / 0.5)
+    np.testing.assert_allclose(found.weights, wanted / wanted.sum(), atol=1e-6)
+
+
+@pytest.mark.small
 def test_two_points_meet_at_their_weighted_mean(any_backend):
     measures = [(np.ones(1), np.array([[x, 1 - x]])) for x in (0.0, 1.0)]
     found = clmorph.barycenter(measures, [3, 1], blur=0.1, backend=any_backend)
@@ -251,6 +263,22 @@ class TestPeers:
             for each in (ours, (theirs.ravel() / theirs.sum(), cells))
         ]
         assert aims[0] == pytest.approx(aims[1], rel=1e-4)
+
+    def test_fixed_support_without_debiasing(self):
+        """POT's default method begins wrongly if shares are unequal (its pull request 870)."""
+        ot = pytest.importorskip("ot")
+        x, shares = np.linspace(0, 1, 15)[:, None], np.array([0.5, 0.3, 0.2])
+        histograms = np.random.default_rng(0).random((15, 3)) + 0.05
+        histograms /= histograms.sum(axis=0)
+        theirs = ot.bregman.barycenter(
+            histograms, ot.dist(x, x), 2 * 0.1**2, weights=shares, method="sinkhorn_log",
+            stopThr=1e-15, numItermax=10**5,
+        )  # fmt: skip
+        ours = clmorph.barycenter(
+            [(each, x) for each in histograms.T], shares, x, 0.1, fixed=True, debias=False,
+            tol=1e-13, max_iter=10**5, backend="numpy",
+        )  # fmt: skip
+        np.testing.assert_allclose(ours.weights, theirs, rtol=0, atol=1e-12)
 
     def test_free_support_of_exact_transport(self, device):
         """With a small blur points are where exact transport puts them."""

@@ -176,7 +176,9 @@ def test_a_part_at_a_time_gives_the_same(monkeypatch, rng):
     monkeypatch.setattr(sinkhorn_batch, "MAX_BATCH", 100)
     shares = []
     parts = solve(pairs, 0.1, 0.3, backend="numpy", progress=shares.append)
-    lists = sinkhorn_batch.together([clmorph.measures.points.as_pair(*pair) for pair in pairs])
+    lists = sinkhorn_batch.together(
+        [clmorph.measures.points.as_pair(*pair) for pair in pairs], (0.09, 0.09)
+    )
     assert 2 < len(lists) < 9
     assert sorted(number for each in lists for number in each) == list(range(9))
     assert shares == sorted(shares)
@@ -394,6 +396,21 @@ def test_divergences_are_those_of_each_pair(any_backend, rng, reach):
                 len(measures[i][0]), len(measures[j][0])
             )  # fmt: skip
     assert matrix[0, 1].closer_than(matrix[0, 0]) is not True
+
+
+def test_measures_with_themselves_converge_in_batches(any_backend, rng):
+    """Few iterations are enough, and as many as in a solve of each one alone."""
+    points, weights = rng.random((12, 64, 3)), np.full((12, 64), 1 / 64)
+    options = {"blur": 0.05, "tol": 1e-6, "backend": any_backend}
+    found = clmorph.sinkhorn_batch((weights, points), (weights, points), **options)
+    assert found.converged
+    assert found.n_iter.max() < 60
+    for number, each in enumerate(found):
+        measure = weights[number], points[number]
+        alone = clmorph.sinkhorn(measure, measure, **options)
+        assert alone.converged
+        assert np.abs(each.f - alone.f).max() < 3e-6 * each.epsilon
+        assert true_residual((measure, measure), each) <= each.residual
 
 
 def test_self_terms_are_solved_once(monkeypatch, rng):

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph.backends.cancellation import check_cancelled
+from clmorph.backends.interface import MAX_SPREAD
 from clmorph.backends.numpy.batches import Batch, divide, for_each
 from clmorph.backends.numpy.blocks import BLOCK_ENTRIES, costs, exponent_blocks, plan_blocks
 from clmorph.backends.numpy.handles import Cloud, ParticleSet, Splats
@@ -45,6 +46,7 @@ class NumPyOperations:
     bin_size = 8
     sum_roundoff = exponent_roundoff = precise_roundoff = 2.0**-53
     has_float64 = True
+    max_spread = MAX_SPREAD
     memory_bytes: int | None = None
     shares_host_memory = on_processor = True
     record_key = "numpy"

@@ -24,6 +24,7 @@ from clmorph.backends.opencl.kernels.near_field import NearField
 from clmorph.backends.opencl.kernels.nearest_seeds import NearestSeeds
 from clmorph.backends.opencl.kernels.plan_rows import PlanRowReductions
 from clmorph.backends.opencl.kernels.plan_shares import PlanShares
+from clmorph.backends.opencl.kernels.rounding_bounds import MAX_DEVICE_SPREAD
 from clmorph.backends.opencl.kernels.row_loop import RowLoop
 from clmorph.backends.opencl.kernels.sliced_ellpack import SlicedEllpack
 from clmorph.backends.opencl.kernels.sparse_half_steps import StoredSteps
@@ -74,6 +75,7 @@ class OpenCLOperations:
         self.sum_roundoff = self.exponent_roundoff = 2.0**-24
         self.precise_roundoff = 2.0**-46  # inputs are pairs of float32
         self.has_float64 = self.constants.precise == 2
+        self.max_spread = MAX_DEVICE_SPREAD[self.constants.precise]
         self.memory_bytes: int | None = int(device.global_mem_size)
         self.shares_host_memory = shares_host_memory(device)
         self.on_processor = bool(device.type & cl.device_type.CPU)

@@ -82,6 +82,7 @@ class SeveralDevices:
         self.exponent_roundoff = max(member.exponent_roundoff for member in members)
         self.precise_roundoff = max(member.precise_roundoff for member in members)
         self.has_float64 = all(member.has_float64 for member in members)
+        self.max_spread = min(member.max_spread for member in members)
         self.memory_bytes = _least_memory(members)
         self.shares_host_memory = any(member.shares_host_memory for member in members)
         self.on_processor = all(member.on_processor for member in members)

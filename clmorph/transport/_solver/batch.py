@@ -96,8 +96,9 @@ def problem_of_many(
         All in one dimension.
     rho : (rho_source, rho_target)
     """
-    sides = [_Side(operations, [pair[number] for pair in pairs]) for number in range(2)]
-    rows, columns = sides
+    rows = columns = _Side(operations, [source for source, _ in pairs])
+    if any(source is not target for source, target in pairs):
+        columns = _Side(operations, [target for _, target in pairs])
     low, high = np.minimum(rows.low, columns.low), np.maximum(rows.high, columns.high)
     largest, numbers = cost_across(low, high), np.arange(len(pairs))
     made = Problem(

@@ -29,7 +29,7 @@ class BatchIteration:
     ----------
     problem : Problem
         Made by `problem_of_many`; there are B problems, of N and M points in all.
-    blur, tol, max_iter, precision, report
+    blur, tol, max_iter, precision, report, level_tol
         As in `Iteration`.
 
     Attributes
@@ -56,8 +56,9 @@ class BatchIteration:
         max_iter: int,
         precision: str,
         report: Callable[[float], None],
+        level_tol: float = LEVEL_TOLERANCE,
     ) -> None:
-        self.problem = problem
+        self.problem, self._level_tol = problem, level_tol
         self.tol, self.precision = tol, precision
         self._blur, self._max_iter, self._report = blur, max_iter, report
         count = problem.of_rows.shape[0]
@@ -97,22 +98,19 @@ class BatchIteration:
             factor = np.where(tops > level / ANNEALING, rate, 0.0)
             if number == 0:
                 factor = np.zeros_like(factor)
-            more = begun & needs_more(problem, self.precision, epsilon, LEVEL_TOLERANCE)
+            more = begun & needs_more(problem, self.precision, epsilon, self._level_tol)
             for precise, which in ((False, begun & ~more), (True, more)):
                 numbers = np.flatnonzero(which)
                 if not len(numbers):
                     continue
                 points = self._columns.points_of(numbers)
-                tol = np.full(len(numbers), LEVEL_TOLERANCE)
+                tol = np.full(len(numbers), self._level_tol)
                 reached = self._iterate(numbers, g[points], epsilon, tol, limit, precise).g
                 step = reached - before[points]
                 g[points] = reached + self._columns.spread(factor)[points] * step
                 before[points] = reached
             self._share((number + 1) / (len(levels) + 2))
         self._last_level(g)
-        # Certificates, which may be asked for much later, need no clouds.
-        for softmin in (problem.to_rows, problem.to_columns):
-            softmin.rows = softmin.columns = None
         self._share(1.0)
 
     def _share(self, share: float) -> None:

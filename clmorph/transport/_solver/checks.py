@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from clmorph._shared.validation import check_choice, check_number, shown
-from clmorph.backends.interface import Operations
+from clmorph.backends.interface import MAX_SPREAD, Operations
 from clmorph.errors import DeviceError, InputError
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.problem import largest_cost
@@ -16,9 +16,6 @@ from clmorph.transport.regularization import Regularization
 MULTISCALE = ("auto",)
 #: Relative difference of masses up to which balanced transport is feasible.
 MASS_TOLERANCE = 1e-6
-#: Largest cost and largest rho, in units of epsilon: potentials are of their size, and beyond
-#: this float64 itself leaves no digits for epsilon.
-MAX_SPREAD = 1e12
 
 
 def check_solver_options(
@@ -72,8 +69,9 @@ def check_problem(
     given: Regularization,
     operations: Operations,
     precision: str,
+    tol: float = np.inf,
 ) -> None:
-    """Check that a problem has a solution, and that a backend can compute it.
+    """Check that a problem has a solution, and that a backend can compute it to a residual `tol`.
 
     Raises
     ------
@@ -81,17 +79,22 @@ def check_problem(
         If the problem has no solution, or the backend cannot compute it.
     """
     balanced = all(np.isinf(rho) for rho in given.rho)
-    if balanced and abs(source.mass - target.mass) > MASS_TOLERANCE * source.mass:
+    differ = abs(source.mass - target.mass) / source.mass if balanced else 0.0
+    # No residual is smaller than the difference.
+    if differ > min(MASS_TOLERANCE, 0.5 * tol):
+        possible = "impossible" if differ > MASS_TOLERANCE else f"not possible to tol={tol:g}"
         raise InputError(
-            f"the masses {source.mass:g} and {target.mass:g} differ, so balanced transport is "
-            "impossible: give a reach, or scale the weights to one mass"
+            f"the masses {source.mass:g} and {target.mass:g} differ by {differ:.1e} of the first, "
+            f"so balanced transport is {possible}: give a reach, or scale the weights to one mass"
         )
     largest = largest_cost(source.points, target.points)
-    if largest > MAX_SPREAD * given.epsilon:
-        enough = 1.1 * np.sqrt(largest / MAX_SPREAD)  # the message rounds this
+    if largest > operations.max_spread * given.epsilon:
+        enough = 1.1 * np.sqrt(largest / operations.max_spread)  # the message rounds this
+        other = ", or use backend='numpy'" if largest <= MAX_SPREAD * given.epsilon else ""
         raise InputError(
-            f"blur={given.blur:g} is too small for points up to {np.sqrt(2 * largest):.3g} apart: "
-            f"expected at least {enough:.2g}; raise it, or scale the points"
+            f"blur={given.blur:g} is too small for points up to {np.sqrt(2 * largest):.3g} apart"
+            f"{' on this device' if other else ''}: expected at least {enough:.2g}; raise it, or "
+            f"scale the points{other}"
         )
     for rho in given.rho:
         if np.isfinite(rho) and rho > MAX_SPREAD * given.epsilon:

@@ -72,6 +72,8 @@ class Iteration:
     patience : int
         Iterations without a new best residual after which the iteration ends, if rounding explains
         that.
+    level_tol : float
+        Residual at which the iteration leaves a level before the last.
 
     Attributes
     ----------
@@ -102,8 +104,9 @@ class Iteration:
         report: Callable[[float], None],
         certify: bool = True,
         patience: int = STALLED,
+        level_tol: float = LEVEL_TOLERANCE,
     ) -> None:
-        self.problem = problem
+        self.problem, self._level_tol = problem, level_tol
         self.tol, self.precision, self._certify = tol, precision, certify
         self._patience = patience
         self.residuals: list[float] = []
@@ -127,8 +130,8 @@ class Iteration:
         for number, level in enumerate(levels):
             epsilon = level**2
             limit = int(ANNEALING_SHARE * self._max_iter)
-            precise = needs_more(self.problem, self.precision, epsilon, LEVEL_TOLERANCE)
-            reached = self._iterate(g, epsilon, LEVEL_TOLERANCE, limit, precise).g
+            precise = needs_more(self.problem, self.precision, epsilon, self._level_tol)
+            reached = self._iterate(g, epsilon, self._level_tol, limit, precise).g
             g = reached
             if before is not None:
                 # Potentials are close to linear in epsilon, so the line through the last two

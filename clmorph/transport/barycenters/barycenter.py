@@ -53,8 +53,8 @@ def barycenter(
     """Return the barycenter of several measures: the measure with the least mean divergence.
 
     It minimizes sum_k w_k S(a, b_k), where S is the Sinkhorn divergence of
-    `clmorph.sinkhorn_divergence`. By default the points of the barycenter move; if `fixed`, they
-    stay and their masses are found.
+    `clmorph.sinkhorn_divergence`, or what `debias` says. By default the points of the barycenter
+    move; if `fixed`, they stay and their masses are found.
 
     Parameters
     ----------
@@ -87,8 +87,11 @@ def barycenter(
     fixed : bool
         Whether the points of the support stay.
     debias : bool
-        Whether S is minimized, or the transport value OT itself. The barycenter by OT is too
-        narrow on a free support, and blurred on a fixed one, by about blur.
+        Whether S is minimized. False minimizes the transport value OT itself on a free support,
+        which is then too narrow. On a fixed one it is the usual entropic barycenter: OT with the
+        entropy relative to the counting measure of the support in place of a, as in other
+        libraries. That is not the OT of `clmorph.sinkhorn`, which would be least for masses at few
+        points; it is blurred by about blur.
     rho : float, optional
         reach^2, in place of `reach`; infinity is balanced.
     seed : int

@@ -10,7 +10,13 @@ transportation problems", SIAM Journal on Scientific Computing 37(2), 2015, sect
 
     g_k <- T(f_k),    log a = log d - sum_k w_k T(g_k) / epsilon,    f_k <- epsilon log a + T(g_k).
 
-With d = 1 the barycenter is blurred by the kernel. With debiasing d is the scaling of the plan of a
+With d = 1 they minimize, over a and over plans pi_k from a to b_k,
+
+    sum_k w_k (<C, pi_k> + epsilon KL(pi_k | 1 x b_k)):
+
+the reference of the entropy is the counting measure of the support in place of a, for which
+`clmorph.sinkhorn` has a x b_k. Diracs b_k at y_k have a ~ exp(-sum_k w_k C(x, y_k) / epsilon), so
+that the barycenter is blurred by the kernel. With debiasing d is the scaling of the plan of a
 to itself, d (K d) = a, for which each iteration takes the step d <- sqrt(d a / (K d)) (Janati,
 Cuturi, Gramfort, "Debiased Sinkhorn barycenters", ICML 2020, algorithm 1).
 

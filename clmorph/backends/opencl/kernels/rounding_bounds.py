@@ -19,6 +19,12 @@ SMALLEST_POWER = 2.0**-124
 #: The error bound holds if a row's maximum (log2) is at most the first number, because float32
 #: rounds larger ones too coarsely. A sum is then larger than the second number.
 LARGEST_MAXIMUM, SMALLEST_SUM = 2.0**28, 2.0**-70
+#: Largest cost, in units of epsilon, at which every row is within these two numbers, by the width
+#: of exponents (`BuildConstants.precise`): points are less than 20,000 blurs apart in float64.
+#: Within one box, row maxima are at most log2(e) / 2 times the cost, and the references of powers
+#: (``cl_kernels/sums.cl``) are less than 64 above them. With pairs of float32, whose terms are
+#: larger than their sum, points are less than 5,000 blurs apart.
+MAX_DEVICE_SPREAD = {2: 2e8, 1: 1.25e7}
 #: Sums of powers are not smaller than this, as the largest power of a row is at least 1/2 but for
 #: rounding: a sum has a bound before it is known.
 USUAL_SUM = 0.25

@@ -1,0 +1,82 @@
+"""Random problems in batches against a solve of each one alone: values, gradients, statuses."""
+
+import warnings
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+import clmorph
+from clmorph import ConvergenceWarning
+
+#: Residuals that sums in float32 can leave on devices (`clmorph/transport/README.md`, Limits).
+FLOAT32_FLOOR = 2e-5
+GRADIENTS = ("source_weights", "source_points", "target_weights", "target_points")
+
+
+class Batch(NamedTuple):
+    sources: list[Any]
+    targets: list[Any]
+    options: dict[str, Any]
+
+
+def drawn(rng: np.random.Generator, count: int = 10) -> Batch:
+    """Some random pairs with options in common: of any shape, and some of them equal measures."""
+    reach = rng.choice([None, None, 0.05, 0.3, 1.0, 30.0])
+    blur = float(10 ** rng.uniform(-1.5, -0.3))
+    pairs = [_pair(rng, reach is None) for _ in range(count)]
+    pairs[1] = (pairs[0][0], pairs[0][0])  # equal measures
+    pairs[2] = (pairs[0][1], pairs[0][0])  # the same problem, turned round
+    options = {"blur": blur, "reach": reach, "tol": float(10 ** rng.uniform(-6, -2))}
+    return Batch(*map(list, zip(*pairs, strict=True)), options | {"max_iter": 5000})
+
+
+def _pair(rng: np.random.Generator, balanced: bool) -> Any:
+    dimension, clouds = int(rng.integers(1, 6)), []
+    spread = 10 ** rng.uniform(-1, 0.5)
+    for _ in range(2):
+        n = int(rng.integers(1, 70))
+        a, x = rng.random(n) + 0.05, spread * rng.random((n, dimension))
+        a[rng.random(n) < rng.choice([0.0, 0.2])] = 0.0
+        a[0] = 1.0
+        if rng.random() < 0.2:
+            x[n // 2 :, 0] += 3.0 * spread  # two groups
+        clouds.append((a / a.sum() * (1.0 if balanced else 10 ** rng.uniform(-1, 1)), x))
+    return tuple(clouds)
+
+
+def same_status(one: Any, other: Any, tol: float, exact: bool) -> bool:
+    """Whether two solves of one problem ended alike, but for what float32 sums can change."""
+    floor = tol if exact else max(tol, FLOAT32_FLOOR)
+    return one.status == other.status or max(one.residual, other.residual) <= floor
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(20))
+def test_batches_are_as_single_solves(any_backend, seed):
+    """Two hundred problems on each device in turn, and on NumPy."""
+    sources, targets, options = drawn(np.random.default_rng(seed))
+    options["backend"], exact = any_backend, any_backend == "numpy"
+    tol, epsilon = options["tol"], options["blur"] ** 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        plain = clmorph.sinkhorn_batch(sources, targets, **options)
+        found = clmorph.sinkhorn_divergence_batch(sources, targets, **options, gradient=True)
+        for number, pair in enumerate(zip(sources, targets, strict=True)):
+            alone = clmorph.sinkhorn(*pair, **options)
+            assert same_status(plain[number], alone, tol, exact), number
+            assert plain[number].dual <= alone.primal
+            assert alone.dual <= plain[number].primal
+            one, other = found[number], clmorph.sinkhorn_divergence(*pair, **options, gradient=True)
+            for part in ("cross", "source_self", "target_self"):
+                assert same_status(getattr(one, part), getattr(other, part), tol, exact), part
+            assert one.interval[0] <= other.interval[1]
+            assert other.interval[0] <= one.interval[1]
+            mass = max(pair[0][0].sum(), pair[1][0].sum())
+            # Their duals miss the optimum by the square of the residuals.
+            assert abs(one.value - other.value) <= 0.01 * tol * epsilon * mass, number
+            for name in GRADIENTS:
+                # Derivatives by weights are potentials, which slow modes move by many residuals.
+                size = 1e3 * epsilon if name.endswith("weights") else 20 * options["blur"] * mass
+                got, want = (getattr(each.gradient, name) for each in (one, other))
+                assert np.abs(got - want).max() <= tol * size, (number, name)
