@@ -1,8 +1,6 @@
 """Common steps of several commands: reading pictures, choosing presets and opening a device."""
 
 import logging
-import os
-import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -23,7 +21,7 @@ SILENT = logging.NullHandler()
 
 @contextmanager
 def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
-    """Hide messages of Pillow, tifffile and libtiff about unusual metadata.
+    """Hide messages of Pillow and tifffile about unusual metadata.
 
     Such messages do not help the user, because clmorph itself checks pixels and recipes. Only the
     command line may use this function, because it changes the global state of the process.
@@ -33,25 +31,15 @@ def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
     list of warnings.WarningMessage
         Warnings of clmorph itself, which the caller prints.
     """
-    # The C library libtiff writes to file descriptor 2 directly.
-    kept = os.dup(2) if sys.__stderr__ is not None else None
     logs = [logging.getLogger(name) for name in ("PIL", "tifffile")]
     for log in logs:
         log.addHandler(SILENT)
     try:
-        if kept is not None:
-            sys.stderr.flush()
-            nothing = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nothing, 2)
-            os.close(nothing)
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("ignore")
             warnings.simplefilter("always", ImageWarning)
             yield found
     finally:
-        if kept is not None:
-            os.dup2(kept, 2)
-            os.close(kept)
         for log in logs:
             log.removeHandler(SILENT)
 
@@ -78,10 +66,7 @@ def read_picture(path: Path, max_pixels: int) -> Any:
 
     check_max_pixels(max_pixels)  # so that an error concerns the option, not the file
     with quiet_libraries() as found:
-        try:
-            pixels = read_image(path, max_pixels=max_pixels)
-        except InputError as error:
-            raise FileError(str(error)) from None
+        pixels = read_image(path, max_pixels=max_pixels)
     for remark in found:
         note(remark.message)
     if pixels.shape[2] == 4 and not pixels[..., 3].any():

@@ -261,7 +261,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     if not is_path(path):
         raise InputError(f"path={shown(path)}: expected the path of an image, such as 'photo.png'")
     from clmorph.images.reading.decoding import decode
-    from clmorph.images.reading.opening import REASON_LENGTH
+    from clmorph.images.reading.opening import REASON_LENGTH, UnsupportedError
 
     file = Path(path)
     name = str(file)
@@ -272,8 +272,12 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
             raise FileError(f"{name} is not a file; expected an image such as a PNG or a JPEG")
         decoded, notes = decode(file, max_pixels)
         pixels = as_pixels(decoded, name)
-    except InputError:
+    except FileError:
         raise
+    except InputError as error:
+        raise FileError(str(error)) from error
+    except UnsupportedError as error:
+        raise FileError(f"{name} {error}; convert it to PNG") from error
     except PermissionError as error:
         raise FileError(f"{name} may not be read; change its permissions") from error
     except MemoryError as error:

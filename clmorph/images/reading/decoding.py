@@ -58,57 +58,18 @@ def decode(file: Path, max_pixels: int) -> Decoded:
 
 def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
     """Decode the first full picture of a TIFF."""
-    from PIL.TiffImagePlugin import TiffImageFile
-
     name = str(file)
     layout, page, more = tiff_layout.open_page(stream)
     check_size(file, (layout.width, layout.height), max_pixels)
     tiff_layout.check_layout(name, layout, max_pixels)
     notes = ["several pages: its first is taken"] if more else []
-    if tiff_layout.by_tifffile(layout):
-        samples, turned = tiff.read_samples(file, page, layout), layout.orientation
-    else:
-        stream.seek(0)
-        try:
-            opened = TiffImageFile(stream, str(file))
-            opened.seek(page)
-        except SyntaxError as error:
-            raise tiff_layout.not_read(name, layout) from error
-        with opened as picture:
-            if picture.size not in ((layout.width, layout.height), (layout.height, layout.width)):
-                raise ValueError("its tags contradict each other")
-            if layout.bits <= 8:
-                return _decode_picture(file, picture, layout.profile, notes)
-            samples = _compressed_samples(file, picture, page, layout)
-            turned = _rest_to_turn(picture)
-    colors, alpha = tiff.interpret(name, samples, layout)
-    return _finished(colors, alpha, layout.profile, turned, notes)
+    colors, alpha = tiff.interpret(name, *tiff.read_samples(file, page, layout), layout)
+    return _finished(colors, alpha, layout.profile, layout.orientation, notes)
 
 
-def _compressed_samples(
-    file: Path, picture: Any, page: int, layout: tiff_layout.Layout
-) -> AnyArray:
-    """Decode a TIFF of more than 8 bits by Pillow: (H, W, samples) array."""
-    samples: AnyArray | None = deep_samples(picture, file, page)
-    if samples is None and picture.mode in (*GRAY_16, "F"):
-        samples = np.asarray(picture)
-        samples = samples / 4095.0 if layout.bits == 12 else samples
-    if samples is None:
-        raise tiff_layout.not_read(str(file), layout)
-    return samples.reshape(*samples.shape[:2], -1)
-
-
-def _rest_to_turn(picture: Any) -> int:
-    """Return the remaining orientation of a TIFF, which newer versions of Pillow rotate."""
-    turned = picture.getexif().get(tags.ORIENTATION, 1)
-    return turned if turned in range(1, 9) else 1
-
-
-def _decode_picture(
-    file: Path, picture: Any, profile: bytes | None = None, notes: list[str] | None = None
-) -> Decoded:
+def _decode_picture(file: Path, picture: Any) -> Decoded:
     """Decode an image that Pillow has opened."""
-    notes = list(notes or [])
+    notes = []
     kind = picture.format
     shown = picture.tile[0][1] if kind == "GIF" and picture.tile else None
     reduced = is_reduced(picture)
@@ -124,8 +85,8 @@ def _decode_picture(
         inside = np.zeros(picture.size[::-1], np.uint8)
         inside[shown[1] : shown[3], shown[0] : shown[2]] = 255
         alpha = inside if alpha is None else np.minimum(alpha, inside)
-    turned = _rest_to_turn(picture) if kind == "TIFF" else _orientation(picture.info)
-    profile = profile or picture.info.get("icc_profile")
+    turned = _orientation(picture.info)
+    profile = picture.info.get("icc_profile")
     if kind == "PNG" and not profile and "srgb" not in picture.info:
         gamma, primaries = (picture.info.get(name) for name in ("gamma", "chromaticity"))
         pixels = colors if isinstance(colors, np.ndarray) else np.asarray(colors)

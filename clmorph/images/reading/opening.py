@@ -45,6 +45,10 @@ _ORDINARY_SCANS = 16
 MAX_SCANNED = 1 << 30
 
 
+class UnsupportedError(Exception):
+    """A valid file of a kind that is not read; the message continues "<name of the file>"."""
+
+
 class Reader(io.BufferedReader):
     """A file whose reads are limited to its length, as decoders trust sizes in damaged headers."""
 
