@@ -15,12 +15,13 @@ from clmorph.images.reading.deep import (
     GRAY_16,
     deep_samples,
     is_reduced,
-    of_deep_png,
+    of_deep,
     raw_mode,
     tiles_of,
 )
 from clmorph.images.reading.opening import Reader, check_size, open_picture
-from clmorph.images.reading.profiles import from_gamma, is_srgb, to_srgb
+from clmorph.images.reading.profiles import is_srgb, to_srgb
+from clmorph.images.reading.spaces import Description, described, from_space
 
 Decoded = tuple[AnyArray, list[str]]
 
@@ -64,7 +65,7 @@ def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
     tiff_layout.check_layout(name, layout, max_pixels)
     notes = ["several pages: its first is taken"] if more else []
     colors, alpha = tiff.interpret(name, *tiff.read_samples(file, page, layout), layout)
-    return _finished(colors, alpha, layout.profile, layout.orientation, notes)
+    return _finished(colors, alpha, Description(layout.profile), layout.orientation, notes)
 
 
 def _decode_picture(file: Path, picture: Any) -> Decoded:
@@ -73,9 +74,10 @@ def _decode_picture(file: Path, picture: Any) -> Decoded:
     kind = picture.format
     shown = picture.tile[0][1] if kind == "GIF" and picture.tile else None
     reduced = is_reduced(picture)
-    deep = deep_samples(picture, file) if kind == "PNG" and not _in_icon(file) else None
+    description = described(picture, file)
+    deep = deep_samples(picture, file)
     if deep is not None:
-        colors, alpha = of_deep_png(deep, picture.info.get("transparency"))
+        colors, alpha = (deep, None) if picture.mode == "CMYK" else of_deep(deep)
     else:
         if reduced:
             notes.append("more than 8 bits a sample: they are reduced to 8")
@@ -85,22 +87,9 @@ def _decode_picture(file: Path, picture: Any) -> Decoded:
         inside = np.zeros(picture.size[::-1], np.uint8)
         inside[shown[1] : shown[3], shown[0] : shown[2]] = 255
         alpha = inside if alpha is None else np.minimum(alpha, inside)
-    turned = _orientation(picture.info)
-    profile = picture.info.get("icc_profile")
-    if kind == "PNG" and not profile and "srgb" not in picture.info:
-        gamma, primaries = (picture.info.get(name) for name in ("gamma", "chromaticity"))
-        pixels = colors if isinstance(colors, np.ndarray) else np.asarray(colors)
-        colors, note = from_gamma(pixels, gamma, primaries)
-        notes += [note] if note else []
     if _is_animated(picture):
         notes.append("several pictures: its first is taken")
-    return _finished(colors, alpha, profile, turned, notes)
-
-
-def _in_icon(file: Path) -> bool:
-    """Return whether a PNG is part of an icon file, which cannot be opened again as a PNG."""
-    with Reader(file) as stream:
-        return stream.read(4) == b"\0\0\1\0"
+    return _finished(colors, alpha, description, _orientation(picture.info), notes)
 
 
 #: Pillow's formats that can hold an animation.
@@ -169,7 +158,7 @@ def _orientation(info: dict[Any, Any]) -> int:
 
 
 def _finished(
-    colors: Any, alpha: AnyArray | None, profile: bytes | None, turned: int, notes: list[str]
+    colors: Any, alpha: AnyArray | None, description: Description, turned: int, notes: list[str]
 ) -> Decoded:
     """Return sRGB with opacity, in the orientation in which the picture is viewed.
 
@@ -178,13 +167,17 @@ def _finished(
     colors : PIL.Image.Image or array
         An image of mode L, RGB, CMYK or LAB, or an array (H, W), (H, W, 3) or, for CMYK, (H, W, 4).
     alpha : (H, W) array, optional
-    profile : bytes, optional
-        ICC profile.
+    description : Description
+        What the file says about its colors.
     turned : int
         Orientation by Exif's numbers, 1 to 8.
     notes : list of str
     """
+    profile, space, note = description
+    notes = [*notes, note] if note else notes
     profile = None if profile and is_srgb(profile) else profile
+    if space is not None and getattr(colors, "mode", "") not in ("CMYK", "LAB"):
+        colors = from_space(np.asarray(colors), space)
     if isinstance(colors, np.ndarray):
         if profile and _in_range(colors):
             if colors.dtype != np.uint8:
