@@ -10,7 +10,7 @@ from typing import Any
 from clmorph._shared.files import check_place
 from clmorph._shared.validation import check_max_pixels
 from clmorph.cli.terminal import NOTES, note, say
-from clmorph.errors import FileError, ImageWarning, InputError, OutputError
+from clmorph.errors import ImageWarning, InputError, OutputError
 from clmorph.pipeline.maps import Maps, read_maps
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
@@ -56,21 +56,20 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     Returns
     -------
     (H, W, 3) or (H, W, 4) array
+        See `clmorph.images.pixels.as_samples`.
 
     Raises
     ------
     FileError
         If the image cannot be read, or all its pixels are fully transparent.
     """
-    from clmorph.images.pixels import read_image
+    from clmorph.images.pixels import read_visible
 
     check_max_pixels(max_pixels)  # so that an error concerns the option, not the file
     with quiet_libraries() as found:
-        pixels = read_image(path, max_pixels=max_pixels)
+        pixels = read_visible(path, max_pixels)
     for remark in found:
         note(remark.message)
-    if pixels.shape[2] == 4 and not pixels[..., 3].any():
-        raise FileError(f"{path}: every pixel is transparent; expected something to see")
     return pixels
 
 

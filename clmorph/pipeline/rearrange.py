@@ -14,7 +14,8 @@ from clmorph._shared.validation import check_progress
 from clmorph.backends.select import Backend, get_backend
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import particles
-from clmorph.images.pixels import fit, resized, split_alpha
+from clmorph.images.pixels import fit, split_alpha
+from clmorph.images.resizing import as_unit, resized
 from clmorph.measures.lift import lift
 from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import group_pixels
@@ -101,7 +102,7 @@ def arranged(
     images: Sequence[Array], options: RearrangeOptions, backend: Backend, report: StageProgress
 ) -> Rearrangement:
     """Rearrange image A to form B; the parameters are checked ones of `rearrange`."""
-    first = _rounded(images[0] if options.size is None else fit(images[0], options.size))
+    first = _rounded(as_unit(images[0]) if options.size is None else fit(images[0], options.size))
     shape = first.shape[:2]
     second = _rounded(np.clip(resized(images[1], (shape[0], shape[1])), 0.0, 1.0))
     source, target = _compared((first, second), options)
