@@ -15,6 +15,8 @@ from clmorph.pipeline.maps import Maps, read_maps
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
 
+#: Pixels of the shorter side of a reduced picture below which little of it is left.
+THIN = 8
 #: A handler that keeps Python from printing log records without another handler.
 SILENT = logging.NullHandler()
 
@@ -71,6 +73,20 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     for remark in found:
         note(remark.message)
     return pixels
+
+
+def note_thin(paths: Sequence[Path], pictures: Sequence[Any], size: int | None) -> None:
+    """Print a note about each picture whose shorter side is nearly lost when it is reduced."""
+    from clmorph.images.pixels import reduced_shape
+
+    for path, picture in zip(paths, pictures, strict=True):
+        height, width = picture.shape[:2]
+        down, across = reduced_shape((height, width), size or max(height, width))
+        if min(down, across) < min(THIN, height, width):
+            note(
+                f"{path} of {width} x {height} pixels is reduced to {across} x {down} (--size), "
+                "which leaves little of its shorter side; give a larger --size, or cut it"
+            )
 
 
 def note_warning(notes: list[Warning], message: Any, *others: Any, **more: Any) -> None:

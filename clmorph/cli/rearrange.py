@@ -15,7 +15,7 @@ from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
-from clmorph.cli.common import open_backend, read_picture, recipe_places
+from clmorph.cli.common import note_thin, open_backend, read_picture, recipe_places
 from clmorph.cli.terminal import Stages
 from clmorph.images.detail import is_pixel_art
 from clmorph.output.playback import held_frames, motion_of
@@ -78,6 +78,7 @@ def run_rearrange(
     for place in places:
         place.check_motion(motion)
     pictures = [read_picture(path, request.max_pixels) for path in images]
+    note_thin(images[:1], pictures[:1], options.size)
     operations = open_backend(device, backend)
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:

@@ -205,7 +205,7 @@ def fit(image: ArrayLike, size: int) -> Array:
         return np.asarray(
             np.kron(as_unit(samples[::block, ::block]), np.ones((zoom, zoom, 1))), float
         )
-    shape = max(1, round(height * size / longer)), max(1, round(width * size / longer))
+    shape = reduced_shape((height, width), size)
     if samples.shape[2] == 3:
         return np.clip(resized(samples, shape, "mirror"), 0, 1)
     # Averages are weighted by opacity, so that invisible colors do not affect visible ones.
@@ -213,6 +213,12 @@ def fit(image: ArrayLike, size: int) -> Array:
     opacity = seen[..., 3:]
     colors = np.divide(seen[..., :3], opacity, out=np.zeros_like(seen[..., :3]), where=opacity > 0)
     return np.dstack((np.clip(colors, 0, 1), opacity))
+
+
+def reduced_shape(shape: tuple[int, int], size: int) -> tuple[int, int]:
+    """Return height and width of an image whose longer side has at most `size` pixels."""
+    shrink = min(1.0, size / max(shape))
+    return max(1, round(shape[0] * shrink)), max(1, round(shape[1] * shrink))
 
 
 def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Array:

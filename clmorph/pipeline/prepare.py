@@ -13,7 +13,7 @@ from clmorph._shared.validation import check_flag, shown
 from clmorph.backends.arrays import as_array
 from clmorph.errors import InputError
 from clmorph.images.kind import FEWEST_BLOCKS, kind_of
-from clmorph.images.pixels import as_samples, block_size, fit
+from clmorph.images.pixels import as_samples, block_size, fit, reduced_shape
 from clmorph.images.resizing import as_unit
 from clmorph.pipeline.maps import NO_MAPS, Maps
 from clmorph.pipeline.options import MorphOptions
@@ -176,8 +176,7 @@ def takes_copies(
 
 def copied_shape(shape: tuple[int, int, int]) -> tuple[int, int, int]:
     """Return about the shape of the small copy of an image of this shape."""
-    shrink = min(1.0, MOST_CARRIED / max(shape[:2]))
-    return max(1, round(shape[0] * shrink)), max(1, round(shape[1] * shrink)), shape[2]
+    return *reduced_shape(shape[:2], MOST_CARRIED), shape[2]
 
 
 def _reduced(image: AnyArray, options: MorphOptions, mapped: bool) -> Picture:
