@@ -296,7 +296,7 @@ def _read(path: str | PathLike[str], max_pixels: int) -> tuple[AnyArray, list[st
     if not is_path(path):
         raise InputError(f"path={shown(path)}: expected the path of an image, such as 'photo.png'")
     from clmorph.images.reading.decoding import decode
-    from clmorph.images.reading.opening import REASON_LENGTH, UnsupportedError
+    from clmorph.images.reading.opening import REASON_LENGTH, UnsupportedError, unsupported_reason
 
     file = Path(path)
     name = str(file)
@@ -319,6 +319,10 @@ def _read(path: str | PathLike[str], max_pixels: int) -> tuple[AnyArray, list[st
         raise FileError(f"{name} does not fit into memory; reduce it first") from error
     except Exception as error:
         # Only decoders run in this block, and they raise errors of any kind for damaged files.
+        if reason := unsupported_reason(error):
+            raise FileError(
+                f"{name} is of a kind that is not read ({reason}); convert it to PNG"
+            ) from error
         raise FileError(
             f"{name} cannot be decoded ({reason_of(error, REASON_LENGTH)}); is it complete?"
         ) from error

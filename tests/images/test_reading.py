@@ -4,6 +4,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 import warnings
 import zlib
 
@@ -442,6 +443,57 @@ def test_16_bits_for_three_colors_are_no_reduction(read):
     header = struct.pack("<IiiHHIIiiII3I", 40, 4, 4, 1, 16, 3, 32, 0, 0, 0, 0, 0xF800, 0x7E0, 0x1F)
     head = b"BM" + struct.pack("<IHHI", 66 + 32, 0, 0, 66)
     assert np.array_equal(read(head + header + rows)[0, 0], [1, 0, 0])
+
+
+def test_valid_files_that_are_not_read_are_not_called_damaged(read):
+    """A bitmap of 10, 10 and 10 bits, a PNG with a long text or profile, a TGA of 15 bits."""
+    masks = 0x3FF00000, 0xFFC00, 0x3FF
+    header = struct.pack("<IiiHHIIiiII3I", 40, 4, 4, 1, 32, 3, 64, 0, 0, 0, 0, *masks)
+    bitmap = b"BM" + struct.pack("<IHHI", 66 + 64, 0, 0, 66) + header + bytes(64)
+    long = zlib.compress(bytes(3 << 20))
+    array = np.zeros((4, 4), np.uint8)
+    targa = struct.pack("<BBBHHBHHHHBB", 0, 0, 2, 0, 0, 0, 0, 0, 4, 4, 15, 0) + bytes(64)
+    for data, name, words in (
+        (bitmap, "a.bmp", "bitfields"), (targa, "a.tga", "TGA"),
+        (png(array, 0, 8, ((b"zTXt", b"a\0\0" + long),)), "a.png", "more than 1 MB"),
+        (png(array, 0, 8, ((b"iCCP", b"a\0\0" + long),)), "b.png", "more than 1 MB"),
+    ):  # fmt: skip
+        with pytest.raises(FileError, match=rf"is of a kind that is not read \(.*{words}"):
+            read(data, name)
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA"])
+@pytest.mark.parametrize("kind", ["QOI", "DDS"])
+def test_large_files_of_rare_kinds_are_read_soon(tmp_path, rng, kind, mode):
+    """Pillow decodes them in Python: 4 megapixels took 8 s."""
+    array = rng.integers(0, 256, (2000, 2000, len(mode)), np.uint8)
+    Image.fromarray(array).save(tmp_path / "a", kind)
+    began = time.process_time()
+    got = read_image(tmp_path / "a")
+    assert time.process_time() - began < 2
+    assert np.array_equal(got, array / 255)
+
+
+@pytest.mark.parametrize(
+    ("bits", "masks"),
+    [
+        (16, (0xF800, 0x7E0, 0x1F)), (16, (0x7C00, 0x3E0, 0x1F, 0x8000)),
+        (24, (0xFF0000, 0xFF00, 0xFF)), (32, (0x3FF, 0xFFC00, 0x3FF00000, 0xC0000000)),
+    ],
+)  # fmt: skip
+def test_channels_of_dds(read, rng, bits, masks):
+    values = [rng.integers(0, mask // (mask & -mask), 20, endpoint=True) for mask in masks]
+    numbers = sum(each * (mask & -mask) for each, mask in zip(values, masks, strict=True))
+    rows = numbers.astype("<u4").view(np.uint8).reshape(20, 4)[:, : bits // 8].tobytes()
+    every = (*masks, 0)[:4]
+    flags = 0x40 | (len(masks) == 4)
+    header = struct.pack("<7I44x", 124, 0x1007, 4, 5, 0, 0, 0)
+    header += struct.pack("<13I", 32, flags, 0, bits, *every, 0x1000, 0, 0, 0, 0)
+    got = read(b"DDS " + header + rows).reshape(20, -1)
+    want = np.stack(
+        [each / (mask // (mask & -mask)) for each, mask in zip(values, masks, strict=True)], axis=1
+    )
+    assert np.abs(got - want).max() < 0.51 / 255
 
 
 @pytest.mark.parametrize("suffix", ["gif", "png", "webp", "avif"])

@@ -13,9 +13,9 @@ from clmorph._shared.typing import AnyArray
 from clmorph.images.reading import tags, tiff, tiff_layout
 from clmorph.images.reading.deep import (
     GRAY_16,
-    deep_samples,
+    divided,
     is_reduced,
-    of_deep,
+    own_samples,
     raw_mode,
     tiles_of,
 )
@@ -75,9 +75,9 @@ def _decode_picture(file: Path, picture: Any) -> Decoded:
     shown = picture.tile[0][1] if kind == "GIF" and picture.tile else None
     reduced = is_reduced(picture)
     description = described(picture, file)
-    deep = deep_samples(picture, file)
-    if deep is not None:
-        colors, alpha = (deep, None) if picture.mode == "CMYK" else of_deep(deep)
+    samples = own_samples(picture, file)
+    if samples is not None:
+        colors, alpha = (samples, None) if picture.mode == "CMYK" else divided(samples)
     else:
         if reduced:
             notes.append("more than 8 bits a sample: they are reduced to 8")

@@ -1,10 +1,9 @@
-"""Reading of more than 8 bits a sample, of which Pillow itself keeps only the upper 8."""
+"""Decoding where Pillow keeps only 8 of more bits a sample, or takes microseconds a pixel."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clmorph._shared.typing import AnyArray
 from clmorph.images.reading.boxes import boxes
@@ -14,12 +13,14 @@ from clmorph.images.reading.opening import Reader, UnsupportedError
 GRAY_16 = ("I;16", "I;16B", "I;16L", "I;16N")
 #: The markers with which the data of a JPEG 2000 picture begin, and the place of the first depth.
 _JPEG_2000, _DEPTH = b"\xff\x4f\xff\x51", 42
+#: The number of bytes before the samples of an uncompressed DDS.
+_DDS_HEADER = 128
 #: The number by which JPEG 2000 names YCbCr.
 _SYCC = b"\1\0\0\0\0\0\x12"
 
 
-def deep_samples(picture: Any, file: Path) -> NDArray[np.uint16] | None:
-    """Decode more than 8 bits a sample where Pillow would keep 8; None where this does not apply.
+def own_samples(picture: Any, file: Path) -> AnyArray | None:
+    """Decode what Pillow would reduce to 8 bits, or decode slowly; None where this does not apply.
 
     Parameters
     ----------
@@ -30,19 +31,24 @@ def deep_samples(picture: Any, file: Path) -> NDArray[np.uint16] | None:
 
     Returns
     -------
-    (H, W) or (H, W, 2 to 4) array or None
-        The number 65535 is full light.
+    (H, W) or (H, W, 2 to 4) array of uint8 or uint16, or None
+        The largest number of the dtype is full light.
     """
-    if picture.format not in _DECODERS:
+    if picture.format not in (*_BITS, "QOI", "DDS"):
+        return None
+    if picture.format == "PNG" and not is_reduced(picture):  # most files, some of them large
         return None
     with Reader(file) as stream:
         data = stream.read()
-    bits = _DECODERS[picture.format](picture, data)
-    if bits <= 8:
+    if picture.format == "DDS":
+        return _of_masks(picture, data)
+    bits = 8 if picture.format == "QOI" else _BITS[picture.format](picture, data)
+    if bits <= 8 and picture.format != "QOI":
         return None
     import imagecodecs
 
     decode = {
+        "QOI": imagecodecs.qoi_decode,
         "PNG": imagecodecs.png_decode,
         "AVIF": imagecodecs.avif_decode,
         "JPEG2000": imagecodecs.jpeg2k_decode,
@@ -52,16 +58,35 @@ def deep_samples(picture: Any, file: Path) -> NDArray[np.uint16] | None:
         samples = samples[0]
     if samples.shape[:2] != picture.size[::-1] or samples.shape[2:] not in ((), (2,), (3,), (4,)):
         raise UnsupportedError("has samples of several kinds, or of one that is not read")
-    if bits == 16:
-        return samples.astype(np.uint16, copy=False)
+    if bits in (8, 16):
+        return samples.astype(np.dtype(f"u{bits // 8}"), copy=False)
     largest = (1 << bits) - 1
     levels = np.round(np.arange(largest + 1) * (65535 / largest)).astype(np.uint16)
     return np.asarray(levels[np.minimum(samples, largest)])
 
 
+def _of_masks(picture: Any, data: bytes) -> AnyArray | None:
+    """Return the samples of an uncompressed DDS, whose channels are bits of numbers."""
+    tile = picture.tile[0]
+    if tile[0] != "dds_rgb":
+        return None
+    bits, masks = tile[3]
+    width, height = picture.size
+    size = bits // 8
+    rows = np.frombuffer(data, np.uint8, width * height * size, _DDS_HEADER).reshape(-1, size)
+    numbers = sum(rows[:, place].astype(np.uint32) << np.uint32(8 * place) for place in range(size))
+    found = np.empty((width * height, len(masks)), np.uint8)
+    for channel, mask in enumerate(masks):
+        lowest = mask & -mask
+        levels = (numbers & np.uint32(mask)) / max(1, lowest)
+        opaque = 255 if channel == 3 else 0
+        found[:, channel] = np.round(levels * (255 * lowest / mask)) if mask else opaque
+    return found.reshape(height, width, len(masks))
+
+
 def _png_bits(picture: Any, data: bytes) -> int:
-    """Return 16 where Pillow would keep 8 of them; it keeps those of gray without opacity."""
-    return 16 if data.startswith(b"\x89PNG") and is_reduced(picture) else 8
+    """Return 16, or 8 for a PNG in an icon, which is not decoded apart from it."""
+    return 16 if data.startswith(b"\x89PNG") else 8
 
 
 def _avif_bits(picture: Any, data: bytes) -> int:
@@ -87,7 +112,7 @@ def _jpeg_2000_bits(picture: Any, data: bytes) -> int:
     return bits
 
 
-_DECODERS = {"PNG": _png_bits, "AVIF": _avif_bits, "JPEG2000": _jpeg_2000_bits}
+_BITS = {"PNG": _png_bits, "AVIF": _avif_bits, "JPEG2000": _jpeg_2000_bits}
 
 
 def tiles_of(picture: Any) -> Any:
@@ -113,10 +138,8 @@ def is_reduced(picture: Any) -> bool:
     return False
 
 
-def of_deep(
-    samples: NDArray[np.uint16],
-) -> tuple[NDArray[np.uint16], NDArray[np.uint16] | None]:
-    """Return the colors and the opacity of samples of more than 8 bits."""
+def divided(samples: AnyArray) -> tuple[AnyArray, AnyArray | None]:
+    """Return the colors and the opacity of gray or RGB."""
     if samples.ndim == 2 or samples.shape[2] == 3:
         return samples, None
     return (samples[..., 0] if samples.shape[2] == 2 else samples[..., :3]), samples[..., -1]
