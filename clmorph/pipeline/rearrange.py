@@ -9,7 +9,7 @@ from typing import Unpack
 import numpy as np
 
 from clmorph._shared.progress import StageProgress
-from clmorph._shared.typing import Array, ArrayLike
+from clmorph._shared.typing import AnyArray, Array, ArrayLike
 from clmorph._shared.validation import check_progress
 from clmorph.backends.select import Backend, get_backend
 from clmorph.frames.kernel_width import KernelWidth
@@ -99,7 +99,7 @@ def rearrange(
 
 
 def arranged(
-    images: Sequence[Array], options: RearrangeOptions, backend: Backend, report: StageProgress
+    images: Sequence[AnyArray], options: RearrangeOptions, backend: Backend, report: StageProgress
 ) -> Rearrangement:
     """Rearrange image A to form B; the parameters are checked ones of `rearrange`."""
     first = _rounded(as_unit(images[0]) if options.size is None else fit(images[0], options.size))

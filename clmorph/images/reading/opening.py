@@ -14,11 +14,11 @@ from typing import IO, Any
 from clmorph._shared.printable import printable
 from clmorph.errors import FileError
 
-#: Formats of Pillow that are read, those with unambiguous signatures first. Not read are formats
-#: that run other programs (EPS, WMF), that have no decoder (stubs), or that contain images of
-#: other formats (ICNS).
+#: Formats that Pillow reads, those with unambiguous signatures first. Not read are formats that run
+#: other programs (EPS, WMF), that have no decoder (stubs), or that contain images of other formats
+#: (ICNS); tifffile reads TIFF.
 FORMATS = (
-    "PNG", "JPEG", "WEBP", "GIF", "TIFF", "AVIF", "JPEG2000", "ICO", "BMP", "QOI", "PSD", "DDS",
+    "PNG", "JPEG", "WEBP", "GIF", "AVIF", "JPEG2000", "ICO", "BMP", "QOI", "PSD", "DDS",
     "SGI", "PPM", "DIB", "PCX",
 )  # fmt: skip
 #: Endings of TGA, which has no signature and is recognized by the name of the file.

@@ -43,7 +43,7 @@ def read_samples(file: Path, page: int, layout: Layout) -> tuple[AnyArray, AnyAr
     Returns
     -------
     (H, W, samples) array
-        The largest number of an integer dtype is full light or ink. Palettes keep their numbers.
+        The numbers as they are stored.
     (2 ** bits, 3) uint8 array or None
         The colors of a palette.
 
@@ -70,7 +70,7 @@ def read_samples(file: Path, page: int, layout: Layout) -> tuple[AnyArray, AnyAr
     )
     if samples.shape != (layout.height, layout.width, layout.samples):
         raise ValueError("its tags contradict each other")
-    return (samples if palette is not None else _full_range(samples, layout.bits)), palette
+    return samples, palette
 
 
 def _palette(page: Any) -> AnyArray:
@@ -83,7 +83,7 @@ def _palette(page: Any) -> AnyArray:
 
 
 def _full_range(samples: AnyArray, bits: int) -> AnyArray:
-    """Return samples whose largest number is that of their dtype, or floats in [0, 1]."""
+    """Return samples of which the largest number of their dtype is full light, or floats."""
     if samples.dtype == np.float16:  # too imprecise to be subtracted from 1
         return samples.astype(np.float32)
     if samples.dtype.kind == "f" or bits in (8, 16):
@@ -151,6 +151,8 @@ def interpret(
     FileError
         If samples of this kind are not supported.
     """
+    if palette is None:
+        samples = _full_range(samples, layout.bits)
     count = COLOR_SAMPLES.get(layout.photometric, 0)
     if not count or samples.shape[2] < count:
         raise not_read(file, layout)
