@@ -229,16 +229,17 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     path : path
         PNG, JPEG, WebP, AVIF, GIF, TIFF, BMP, JPEG 2000 or another format of
         `clmorph.images.reading.opening.FORMATS`. Of an animation, or of several pages, the first
-        picture is read. The picture is rotated by the orientation in its Exif data. PNG and TIFF
-        keep 16 bits, and TIFF keeps floats.
+        picture is read. The picture is rotated by the orientation in its Exif data. PNG, TIFF,
+        AVIF and JPEG 2000 keep up to 16 bits, and TIFF keeps floats.
     max_pixels : int
         Largest number of pixels; a larger image raises an error before it is decoded.
 
     Returns
     -------
     (H, W, 3) float64 array, or (H, W, 4) if parts are transparent
-        sRGB in [0, 1], and opacity. The colors are converted by the file's color profile or by the
-        gamma of a PNG; without either they are taken as sRGB.
+        sRGB in [0, 1], and opacity. The colors are converted from the space that the file names: by
+        an ICC profile, or by codes, primaries or a gamma (`clmorph.images.reading.spaces`). If it
+        names none they are taken as sRGB.
 
     Raises
     ------
@@ -250,8 +251,8 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     Warns
     -----
     ImageWarning
-        If only the first of several pictures is read, a color profile cannot be used, or bits
-        are lost.
+        If only the first of several pictures is read, a color profile or code cannot be used, or
+        bits are lost.
 
     Examples
     --------
