@@ -75,10 +75,13 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     return pixels
 
 
-def note_thin(paths: Sequence[Path], pictures: Sequence[Any], size: int | None) -> None:
+def note_thin(paths: Sequence[Path], pictures: Sequence[Any], options: Any) -> None:
     """Print a note about each picture whose shorter side is nearly lost when it is reduced."""
     from clmorph.images.pixels import reduced_shape
 
+    if getattr(options, "detail", "") == "pixels":
+        return  # blocks of sprites become pixels
+    size = options.size
     for path, picture in zip(paths, pictures, strict=True):
         height, width = picture.shape[:2]
         down, across = reduced_shape((height, width), size or max(height, width))

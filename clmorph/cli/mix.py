@@ -119,8 +119,7 @@ def run_mix(request: Request, *, device: str | None, backend: str | None, as_jso
     chosen = options_of(preset)
     if request.preset == AUTO:
         say(chosen_preset(str(preset), chosen))
-    if chosen.detail != "pixels":
-        note_thin(images, pictures, chosen.size)
+    note_thin(images, pictures, chosen)
     operations = open_backend(device, backend)
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:

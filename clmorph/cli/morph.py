@@ -204,8 +204,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     run.maps = read_beside(request.labels, request.features, request.max_pixels)
     run.shapes = shapes_of(whole)
     pictures = fitted(whole, run.options)
-    if run.options.detail != "pixels":
-        note_thin(images, whole, run.options.size)
+    note_thin(images, whole, run.options)
     operations = open_backend(device, backend)
     if request.capped:
         _cap_memory(run, operations)

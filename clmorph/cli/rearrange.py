@@ -79,7 +79,7 @@ def run_rearrange(
     for place in places:
         place.check_motion(motion)
     pictures = [read_picture(path, request.max_pixels) for path in images]
-    note_thin(images[:1], pictures[:1], options.size)
+    note_thin(images[:1], pictures[:1], options)
     operations = open_backend(device, backend)
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:
