@@ -45,6 +45,8 @@ def check_place(target: str | PathLike[str]) -> Path:
     """
     if not isinstance(target, str | PathLike) or not str(target):
         raise OutputError(f"{target!r} is not a path; expected one such as 'out.gif'")
+    if str(target) == "-":
+        raise OutputError("-: nothing is written to standard output; name a file, such as out.gif")
     try:
         # A link stays a link: its destination is replaced, as by any other program.
         place = Path(target).resolve()

@@ -42,7 +42,7 @@ from clmorph.frames.as_measure import (
 )
 from clmorph.frames.filling import is_torn
 from clmorph.frames.sequence import check_frame_sequence
-from clmorph.images.pixels import resized
+from clmorph.images.resizing import resized
 from clmorph.measures.lift import LUMINANCE
 from clmorph.measures.points import WeightedPoints
 from clmorph.pipeline.result import Morph

@@ -23,11 +23,10 @@ from clmorph.errors import (
     ClmorphError,
     ClmorphWarning,
     ConvergenceWarning,
-    FileError,
     MemoryWarning,
 )
 from clmorph.images.detail import is_pixel_art
-from clmorph.images.pixels import read_image
+from clmorph.images.pixels import read_visible
 from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import Output, write_all
@@ -97,7 +96,7 @@ def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[s
         }
         path = stack.enter_context(local_output(job.output))
         place = Output(path)
-        whole = [_picture(image, job.max_pixels) for image in images]
+        whole = [read_visible(image, job.max_pixels) for image in images]
         options = job.settled(recognized(whole) if job.preset is None else job.preset)
         motion = motion_of(options, held_frames(2, options.n_frames))
         place.check_motion(motion)
@@ -133,18 +132,6 @@ def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[s
 
 def _silent(stage: str, share: float) -> None:
     pass
-
-
-def _picture(path: Path, max_pixels: int) -> Any:
-    try:
-        pixels = read_image(path, max_pixels=max_pixels)
-    except FileError:
-        raise
-    except ClmorphError as error:
-        raise FileError(str(error)) from None
-    if pixels.shape[2] == 4 and not pixels[..., 3].any():
-        raise FileError(f"{path}: every pixel is transparent; expected something to see")
-    return pixels
 
 
 def _size(path: Path) -> int:

@@ -1,8 +1,6 @@
 """Common steps of several commands: reading pictures, choosing presets and opening a device."""
 
 import logging
-import os
-import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -12,18 +10,20 @@ from typing import Any
 from clmorph._shared.files import check_place
 from clmorph._shared.validation import check_max_pixels
 from clmorph.cli.terminal import NOTES, note, say
-from clmorph.errors import FileError, ImageWarning, InputError, OutputError
+from clmorph.errors import ImageWarning, InputError, OutputError
 from clmorph.pipeline.maps import Maps, read_maps
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
 
+#: Pixels of the shorter side of a reduced picture below which little of it is left.
+THIN = 8
 #: A handler that keeps Python from printing log records without another handler.
 SILENT = logging.NullHandler()
 
 
 @contextmanager
 def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
-    """Hide messages of Pillow, tifffile and libtiff about unusual metadata.
+    """Hide messages of Pillow and tifffile about unusual metadata.
 
     Such messages do not help the user, because clmorph itself checks pixels and recipes. Only the
     command line may use this function, because it changes the global state of the process.
@@ -33,25 +33,15 @@ def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
     list of warnings.WarningMessage
         Warnings of clmorph itself, which the caller prints.
     """
-    # The C library libtiff writes to file descriptor 2 directly.
-    kept = os.dup(2) if sys.__stderr__ is not None else None
     logs = [logging.getLogger(name) for name in ("PIL", "tifffile")]
     for log in logs:
         log.addHandler(SILENT)
     try:
-        if kept is not None:
-            sys.stderr.flush()
-            nothing = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nothing, 2)
-            os.close(nothing)
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("ignore")
             warnings.simplefilter("always", ImageWarning)
             yield found
     finally:
-        if kept is not None:
-            os.dup2(kept, 2)
-            os.close(kept)
         for log in logs:
             log.removeHandler(SILENT)
 
@@ -68,25 +58,38 @@ def read_picture(path: Path, max_pixels: int) -> Any:
     Returns
     -------
     (H, W, 3) or (H, W, 4) array
+        See `clmorph.images.pixels.as_samples`.
 
     Raises
     ------
     FileError
         If the image cannot be read, or all its pixels are fully transparent.
     """
-    from clmorph.images.pixels import read_image
+    from clmorph.images.pixels import read_visible
 
     check_max_pixels(max_pixels)  # so that an error concerns the option, not the file
     with quiet_libraries() as found:
-        try:
-            pixels = read_image(path, max_pixels=max_pixels)
-        except InputError as error:
-            raise FileError(str(error)) from None
+        pixels = read_visible(path, max_pixels)
     for remark in found:
         note(remark.message)
-    if pixels.shape[2] == 4 and not pixels[..., 3].any():
-        raise FileError(f"{path}: every pixel is transparent; expected something to see")
     return pixels
+
+
+def note_thin(paths: Sequence[Path], pictures: Sequence[Any], options: Any) -> None:
+    """Print a note about each picture whose shorter side is nearly lost when it is reduced."""
+    from clmorph.images.pixels import reduced_shape
+
+    if getattr(options, "detail", "") == "pixels":
+        return  # blocks of sprites become pixels
+    size = options.size
+    for path, picture in zip(paths, pictures, strict=True):
+        height, width = picture.shape[:2]
+        down, across = reduced_shape((height, width), size or max(height, width))
+        if min(down, across) < min(THIN, height, width):
+            note(
+                f"{path} of {width} x {height} pixels is reduced to {across} x {down} (--size), "
+                "which leaves little of its shorter side; give a larger --size, or cut it"
+            )
 
 
 def note_warning(notes: list[Warning], message: Any, *others: Any, **more: Any) -> None:

@@ -59,7 +59,7 @@ def list_devices(as_json: bool, again: bool) -> int:
     if not auto:
         from clmorph.backends.opencl.devices.install_hints import advice
 
-        click.echo("No OpenCL device is usable. What to install:")
+        click.echo("No OpenCL device is usable. What helps:")
         for line in advice():
             click.echo(f"  {line}")
         return 1

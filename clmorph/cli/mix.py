@@ -15,7 +15,7 @@ import click
 from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
 from clmorph.cli import config as files
-from clmorph.cli.common import chosen_preset, open_backend, read_picture, recipe_places
+from clmorph.cli.common import chosen_preset, note_thin, open_backend, read_picture, recipe_places
 from clmorph.cli.terminal import Stages, say
 from clmorph.errors import InputError
 from clmorph.output.save import Output
@@ -119,6 +119,7 @@ def run_mix(request: Request, *, device: str | None, backend: str | None, as_jso
     chosen = options_of(preset)
     if request.preset == AUTO:
         say(chosen_preset(str(preset), chosen))
+    note_thin(images, pictures, chosen)
     operations = open_backend(device, backend)
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
 from clmorph.cli.common import (
     chosen_preset,
+    note_thin,
     note_warning,
     open_backend,
     read_beside,
@@ -203,6 +204,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     run.maps = read_beside(request.labels, request.features, request.max_pixels)
     run.shapes = shapes_of(whole)
     pictures = fitted(whole, run.options)
+    note_thin(images, whole, run.options)
     operations = open_backend(device, backend)
     if request.capped:
         _cap_memory(run, operations)

@@ -288,7 +288,8 @@ preset_option = _option(
 )  # fmt: skip
 draft_option = _option(
     "Settings", "--draft", is_flag=True,
-    help="A first look in a few seconds: smaller, with fewer frames and less accuracy.",
+    help="A first look in a few seconds (without an OpenCL device up to a minute): smaller, "
+    "with fewer frames and less accuracy.",
 )  # fmt: skip
 json_option = _option(
     "Settings", "--json", "as_json", is_flag=True, help="Print a summary for programs."

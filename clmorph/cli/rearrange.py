@@ -15,9 +15,10 @@ from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
 from clmorph._shared.typing import Array
 from clmorph.backends.interface import Operations
-from clmorph.cli.common import open_backend, read_picture, recipe_places
+from clmorph.cli.common import note_thin, open_backend, read_picture, recipe_places
 from clmorph.cli.terminal import Stages
 from clmorph.images.detail import is_pixel_art
+from clmorph.images.resizing import as_unit
 from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import recorded
 from clmorph.output.save import Output, write_all
@@ -78,6 +79,7 @@ def run_rearrange(
     for place in places:
         place.check_motion(motion)
     pictures = [read_picture(path, request.max_pixels) for path in images]
+    note_thin(images[:1], pictures[:1], options)
     operations = open_backend(device, backend)
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:
@@ -92,7 +94,7 @@ def run_rearrange(
             n_morphs=len(pictures) - 1, reverse=options.reverse,
             exact=any(place.format.exact for place in places),
             keep=any(place.format.keep for place in places),
-            pixelated=is_pixel_art(pictures[0]), parameters=metadata(),
+            pixelated=is_pixel_art(as_unit(pictures[0])), parameters=metadata(),
             folder=places[0].folder, progress=stages,
         ) as film:  # fmt: skip
             texts = {

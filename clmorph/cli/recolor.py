@@ -19,6 +19,7 @@ from clmorph._shared.printable import printable
 from clmorph.cli.common import note_warning, open_backend, read_picture, recipe_places
 from clmorph.cli.terminal import Stages
 from clmorph.errors import FileError
+from clmorph.images.resizing import as_unit
 from clmorph.output.picture import check_picture_place, write_picture
 from clmorph.output.together import write_together
 from clmorph.pipeline.recipe import picture_entries, recipe
@@ -73,7 +74,7 @@ def run_recolor(
     own = [request.config] if request.config else []
     check_apart([*request.outputs, *beside], [*images, *masks, *own])
     places = [check_picture_place(output) for output in request.outputs]
-    photo, like = (read_picture(path, request.max_pixels) for path in images)
+    photo, like = (as_unit(read_picture(path, request.max_pixels)) for path in images)
     mask = None if request.mask is None else _read_mask(request, photo.shape)
     operations = open_backend(device, backend)
 
@@ -111,7 +112,7 @@ def _read_mask(request: Request, shape: Sequence[int]) -> Any:
     from clmorph.images.gamut import LUMINANCE
 
     assert request.mask is not None
-    pixels = read_picture(request.mask, request.max_pixels)
+    pixels = as_unit(read_picture(request.mask, request.max_pixels))
     if pixels.shape[:2] != tuple(shape[:2]):
         raise FileError(
             f"{request.mask} has {pixels.shape[1]} x {pixels.shape[0]} pixels: expected those of "

@@ -20,7 +20,7 @@ from clmorph.backends.interface import Operations
 from clmorph.frames.canvas import Canvas
 from clmorph.frames.growth import grown_ends, mean_destinations
 from clmorph.frames.render import CUT, kernel_sum
-from clmorph.images.pixels import resized
+from clmorph.images.resizing import resized
 from clmorph.measures.measure import Measure
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan

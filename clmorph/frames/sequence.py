@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Generator, Mapping, Sequence
-from typing import Any, overload
+from typing import Any, ClassVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,9 @@ class FrameSequence(Sequence[Frame]):
     endpoints: str
     unmatched: str
     options: Any
+
+    #: What a page is called whose pictures have no names.
+    title: ClassVar[str] = "Morph"
 
     @property
     @abstractmethod

@@ -6,10 +6,11 @@ from typing import Literal
 
 import numpy as np
 
-from clmorph._shared.typing import Array, BoolArray
-from clmorph.images.detail import has_few_colors
+from clmorph._shared.typing import AnyArray, Array, BoolArray
+from clmorph.images.detail import SPRITE_SIDE, has_few_colors
 from clmorph.images.flat_colors import foreground, palette
 from clmorph.images.pixels import block_size, split_alpha
+from clmorph.images.resizing import as_unit
 
 Kind = Literal["sprite", "drawing", "photograph"]
 
@@ -30,7 +31,7 @@ EQUAL, EQUAL_BEFORE, SMOOTH_BEFORE = 0.6, 0.5, 0.85
 FLAT_COLORS, FLAT_SHARE = 8, 0.9
 
 
-def kind_of(image: Array) -> Kind:
+def kind_of(image: AnyArray) -> Kind:
     """Return the kind of a picture.
 
     A sprite consists of equal blocks, or is small with few colors; an enlarged sprite with
@@ -41,7 +42,7 @@ def kind_of(image: Array) -> Kind:
     Parameters
     ----------
     image : (H, W, 3) or (H, W, 4) array
-        sRGB in [0, 1], and opacity.
+        sRGB in [0, 1], and opacity, or integers (`clmorph.images.pixels.as_samples`).
 
     Examples
     --------
@@ -73,7 +74,7 @@ def kind_of(image: Array) -> Kind:
     return "drawing" if np.mean(explained) >= FLAT_SHARE else "photograph"
 
 
-def _is_sprite(image: Array) -> bool:
+def _is_sprite(image: AnyArray) -> bool:
     """Return whether an image consists of equal blocks, or is small with few colors."""
     block = block_size(image)
     if block > 1 and FEWEST_BLOCKS <= max(image.shape[:2]) // block <= MOST_BLOCKS:
@@ -84,6 +85,9 @@ def _is_sprite(image: Array) -> bool:
         )
         if lines >= FEWEST_LINES:
             return True
+    if max(image.shape[:2]) > SPRITE_SIDE:
+        return False
+    image = as_unit(image)
     if not has_few_colors(image):
         return False
     steps = _steps(np.rint(255 * image), np.ones(image.shape[:2], dtype=bool))
@@ -98,19 +102,21 @@ def _is_ramp(steps: Array) -> bool:
     return len(unequal) > 0 and bool(np.mean(unequal <= RAMP_STEPS) >= RAMP_SHARE)
 
 
-def _reduced(image: Array) -> Array:
+def _reduced(image: AnyArray) -> Array:
     """Return an image of at most `LONGEST` pixels along a side: means of whole squares of it."""
     side = -(-max(image.shape[:2]) // LONGEST)
     if side == 1:
-        return image
+        return as_unit(image)
     height, width = (max(1, length // side) for length in image.shape[:2])
-    cut = image[: height * side, : width * side]
-    down, along = min(side, cut.shape[0]), min(side, cut.shape[1])
-    squares = cut.reshape(height, down, width, along, image.shape[2])
+    along = min(side, image.shape[1])
+    found = np.empty((height, width, image.shape[2]))
+    for row in range(height):  # a large image is not converted as a whole
+        part = image[row * side : (row + 1) * side, : width * along]
+        part = as_unit(part, weighted=image.shape[2] == 4)
+        found[row] = part.mean(axis=0).reshape(width, along, -1).mean(axis=1)
     if image.shape[2] == 3:
-        return squares.mean(axis=(1, 3))
-    alpha = squares[..., 3:].mean(axis=(1, 3))
-    seen = (squares[..., :3] * squares[..., 3:]).mean(axis=(1, 3))
+        return found
+    seen, alpha = found[..., :3], found[..., 3:]
     return np.dstack((np.divide(seen, alpha, out=np.zeros_like(seen), where=alpha > 0), alpha))
 
 

@@ -182,18 +182,30 @@ def read_labels(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> I
 
 def _samples(file: Path, max_pixels: int) -> Any:
     """Return the samples of a file as they stand there."""
-    from clmorph.images.reading.opening import Reader, open_picture
+    from clmorph.images.reading import tiff, tiff_layout
+    from clmorph.images.reading.opening import Reader, check_size, open_picture
 
     if file.suffix.lower() == ".npy":
         return read_npy(file, max_pixels)
+    with Reader(file) as stream:
+        if stream.read(4) in tiff_layout.SIGNATURES:
+            layout, page, _ = tiff_layout.open_page(stream)
+            check_size(file, (layout.width, layout.height), max_pixels)
+            # Labels have no light, so their numbers may be signed.
+            tiff_layout.check_layout(str(file), layout._replace(kind="u"), max_pixels)
+            samples, _ = tiff.read_samples(file, page, layout)
+            if samples.shape[2] in (2, 4):
+                opacity = samples[..., -1]
+                if opacity.dtype.kind == "u" and opacity.min() < np.iinfo(opacity.dtype).max:
+                    raise _transparent(file)
+                samples = samples[..., :-1]
+            return samples[..., 0] if samples.shape[2] == 1 else samples
     with Reader(file) as stream, open_picture(file, stream, max_pixels) as picture:
         if picture.mode in _SCALAR and "transparency" not in picture.info:
             return np.asarray(picture)
         pixels = np.asarray(picture.convert("RGBA"))
         if np.any(pixels[..., 3] < 255):
-            raise FileError(
-                f"{file} is transparent in parts, which have no label: save it without opacity"
-            )
+            raise _transparent(file)
         if picture.mode in _SCALAR:  # an index that no pixel has is transparent
             return np.asarray(picture)
         return pixels[..., :3]
@@ -234,3 +246,9 @@ def read_npy(file: Path, max_pixels: int) -> Any:
             raise ValueError("it is shorter than its header says")
         stream.seek(0)
         return np.lib.format.read_array(stream, allow_pickle=False)
+
+
+def _transparent(file: Path) -> FileError:
+    return FileError(
+        f"{file} is transparent in parts, which have no label: save it without opacity"
+    )

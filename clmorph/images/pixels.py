@@ -14,6 +14,7 @@ from clmorph._shared.typing import AnyArray, Array, ArrayLike, IntArray
 from clmorph._shared.validation import check_integer, check_max_pixels, is_path, shown
 from clmorph.backends.arrays import as_array
 from clmorph.errors import FileError, ImageWarning, InputError
+from clmorph.images.resizing import as_unit, resized
 
 #: Largest number of pixels of a file that is decoded, unless the caller sets another limit.
 MAX_PIXELS = 64_000_000
@@ -50,6 +51,17 @@ def as_pixels(image: ArrayLike, name: str = "image", *, max_pixels: int | None =
     >>> as_pixels(np.array([[0, 255]], np.uint8)).tolist()
     [[[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]]
     """
+    return as_unit(as_samples(image, name, max_pixels=max_pixels))
+
+
+def as_samples(image: ArrayLike, name: str = "image", *, max_pixels: int | None = None) -> AnyArray:
+    """Return an image as `as_pixels` does, but integers as they are, which takes less memory.
+
+    Returns
+    -------
+    (H, W, 3) or (H, W, 4) array
+        uint8, uint16 or float64; `clmorph.images.resizing.as_unit` converts it.
+    """
     if isinstance(image, str | PathLike):
         raise InputError(
             f"{name} is a path: expected an array; use clmorph.read_image({shown(image)})"
@@ -66,10 +78,11 @@ def as_pixels(image: ArrayLike, name: str = "image", *, max_pixels: int | None =
             f"{name} has shape {shape}: expected at most {max_pixels} pixels in all; reduce it "
             "with clmorph.fit"
         )
+    pixels: AnyArray = array
     if array.dtype == np.bool_:
         pixels = array.astype(float)
-    elif array.dtype.kind == "u" and array.dtype.itemsize <= 2:  # in any byte order
-        pixels = array / float(np.iinfo(array.dtype).max)
+    elif array.dtype.kind == "u" and array.dtype.itemsize <= 2:
+        pass
     elif np.issubdtype(array.dtype, np.floating):
         with np.errstate(over="ignore"):  # numbers beyond the range of float64 are refused below
             pixels = _checked_floats(array.astype(float), name)
@@ -78,7 +91,8 @@ def as_pixels(image: ArrayLike, name: str = "image", *, max_pixels: int | None =
             f"{name} has dtype {array.dtype}: expected uint8, uint16, bool, or float in [0, 1]"
         )
     if pixels.shape[2] == 4:
-        return np.ascontiguousarray(pixels if np.any(pixels[..., 3] < 1) else pixels[..., :3])
+        full = 1 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
+        return np.ascontiguousarray(pixels if pixels[..., 3].min() < full else pixels[..., :3])
     return np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
 
 
@@ -120,7 +134,7 @@ def split_alpha(
     return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3]
 
 
-def block_size(image: Array) -> int:
+def block_size(image: AnyArray) -> int:
     """Return k if an image consists of k x k blocks of one color each, as enlarged sprites do.
 
     Parameters
@@ -137,12 +151,12 @@ def block_size(image: Array) -> int:
     return int(np.gcd.reduce([*image.shape[:2], *places])) if places else 1
 
 
-def _changes(image: Array, axis: int) -> IntArray:
+def _changes(image: AnyArray, axis: int) -> IntArray:
     """Return the rows, or columns, that differ from the ones before, or 1 alone if many do."""
     lines = np.moveaxis(image, axis, 0)
     # Almost any image is told from blocks by a few of its pixels.
     for part in (lines[:, ::SPARSE], lines):
-        seen = part if part.shape[2] == 3 else np.where(part[..., 3:] > 0, part, 0.0)
+        seen = part if part.shape[2] == 3 else part * (part[..., 3:] > 0)
         found = 1 + np.flatnonzero(np.any(np.diff(seen, axis=0) != 0, axis=(1, 2)))
         if len(found) and np.gcd.reduce(found) == 1:
             return np.array([1])
@@ -180,36 +194,31 @@ def fit(image: ArrayLike, size: int) -> Array:
     (10, 5, 3)
     """
     size = check_integer("size", size, 2, 1 << 16)
-    pixels = as_pixels(image)
-    height, width = pixels.shape[:2]
+    samples = as_samples(image)
+    height, width = samples.shape[:2]
     longer = max(height, width)
     if longer <= size:
-        return pixels
-    block = block_size(pixels)
+        return as_unit(samples)
+    block = block_size(samples)
     if longer // block <= size:
         zoom = size // (longer // block)
-        return np.kron(pixels[::block, ::block], np.ones((zoom, zoom, 1))).astype(float)
-    from skimage.transform import resize
-
-    shape = [max(1, round(side * size / longer)) for side in (height, width)]
-    colors, alpha = split_alpha(pixels)
-    if alpha is None:
-        return np.clip(np.asarray(resize(pixels, (*shape, 3), order=1, anti_aliasing=True)), 0, 1)
+        return np.asarray(
+            np.kron(as_unit(samples[::block, ::block]), np.ones((zoom, zoom, 1))), float
+        )
+    shape = reduced_shape((height, width), size)
+    if samples.shape[2] == 3:
+        return np.clip(resized(samples, shape, "mirror"), 0, 1)
     # Averages are weighted by opacity, so that invisible colors do not affect visible ones.
-    seen = np.dstack((colors * alpha[..., None], alpha))
-    seen = np.clip(np.asarray(resize(seen, (*shape, 4), order=1, anti_aliasing=True)), 0, 1)
+    seen = np.clip(resized(samples, shape, "mirror", weighted=True), 0, 1)
     opacity = seen[..., 3:]
     colors = np.divide(seen[..., :3], opacity, out=np.zeros_like(seen[..., :3]), where=opacity > 0)
     return np.dstack((np.clip(colors, 0, 1), opacity))
 
 
-def resized(image: Array, shape: tuple[int, int]) -> Array:
-    """Return an image (H, W, C) at another size (height, width), by linear interpolation."""
-    if image.shape[:2] == shape:
-        return image
-    from skimage.transform import resize
-
-    return np.asarray(resize(image, (*shape, image.shape[2]), order=1, mode="edge"))
+def reduced_shape(shape: tuple[int, int], size: int) -> tuple[int, int]:
+    """Return height and width of an image whose longer side has at most `size` pixels."""
+    shrink = min(1.0, size / max(shape))
+    return max(1, round(shape[0] * shrink)), max(1, round(shape[1] * shrink))
 
 
 def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Array:
@@ -220,16 +229,17 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     path : path
         PNG, JPEG, WebP, AVIF, GIF, TIFF, BMP, JPEG 2000 or another format of
         `clmorph.images.reading.opening.FORMATS`. Of an animation, or of several pages, the first
-        picture is read. The picture is rotated by the orientation in its Exif data. PNG and TIFF
-        keep 16 bits, and TIFF keeps floats.
+        picture is read. The picture is rotated by the orientation in its Exif data. PNG, TIFF,
+        AVIF and JPEG 2000 keep up to 16 bits, and TIFF keeps floats.
     max_pixels : int
         Largest number of pixels; a larger image raises an error before it is decoded.
 
     Returns
     -------
     (H, W, 3) float64 array, or (H, W, 4) if parts are transparent
-        sRGB in [0, 1], and opacity. The colors are converted by the file's color profile or by the
-        gamma of a PNG; without either they are taken as sRGB.
+        sRGB in [0, 1], and opacity. The colors are converted from the space that the file names: by
+        an ICC profile, or by codes, primaries or a gamma (`clmorph.images.reading.spaces`). If it
+        names none they are taken as sRGB.
 
     Raises
     ------
@@ -241,8 +251,8 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     Warns
     -----
     ImageWarning
-        If only the first of several pictures is read, a color profile cannot be used, or bits
-        are lost.
+        If only the first of several pictures is read, a color profile or code cannot be used, or
+        bits are lost.
 
     Examples
     --------
@@ -257,11 +267,37 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
     >>> image.shape, image[0, 0].tolist()
     ((2, 3, 3), [1.0, 0.0, 0.0])
     """
+    samples, notes = _read(path, max_pixels)
+    for note in notes:
+        warnings.warn(note, ImageWarning, stacklevel=2)
+    return as_unit(samples)
+
+
+def read_visible(path: str | PathLike[str], max_pixels: int = MAX_PIXELS) -> AnyArray:
+    """Read an image file as `read_image` does, in the form of `as_samples`.
+
+    Raises
+    ------
+    InputError
+        As `read_image`.
+    FileError
+        As `read_image`, and if every pixel is transparent.
+    """
+    samples, notes = _read(path, max_pixels)
+    for note in notes:
+        warnings.warn(note, ImageWarning, stacklevel=2)
+    if samples.shape[2] == 4 and not samples[..., 3].any():
+        raise FileError(f"{path}: every pixel is transparent; expected something to see")
+    return samples
+
+
+def _read(path: str | PathLike[str], max_pixels: int) -> tuple[AnyArray, list[str]]:
+    """Return the samples of an image file, and sentences about it."""
     max_pixels = check_max_pixels(max_pixels)
     if not is_path(path):
         raise InputError(f"path={shown(path)}: expected the path of an image, such as 'photo.png'")
     from clmorph.images.reading.decoding import decode
-    from clmorph.images.reading.opening import REASON_LENGTH
+    from clmorph.images.reading.opening import REASON_LENGTH, UnsupportedError, unsupported_reason
 
     file = Path(path)
     name = str(file)
@@ -271,18 +307,24 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
         if not file.is_file():
             raise FileError(f"{name} is not a file; expected an image such as a PNG or a JPEG")
         decoded, notes = decode(file, max_pixels)
-        pixels = as_pixels(decoded, name)
-    except InputError:
+        samples = as_samples(decoded, name)
+    except FileError:
         raise
+    except InputError as error:
+        raise FileError(str(error)) from error
+    except UnsupportedError as error:
+        raise FileError(f"{name} {error}; convert it to PNG") from error
     except PermissionError as error:
         raise FileError(f"{name} may not be read; change its permissions") from error
     except MemoryError as error:
         raise FileError(f"{name} does not fit into memory; reduce it first") from error
     except Exception as error:
         # Only decoders run in this block, and they raise errors of any kind for damaged files.
+        if reason := unsupported_reason(error):
+            raise FileError(
+                f"{name} is of a kind that is not read ({reason}); convert it to PNG"
+            ) from error
         raise FileError(
             f"{name} cannot be decoded ({reason_of(error, REASON_LENGTH)}); is it complete?"
         ) from error
-    for note in notes:
-        warnings.warn(f"{name} has {note}", ImageWarning, stacklevel=2)
-    return pixels
+    return samples, [f"{name} has {note}" for note in notes]

@@ -18,6 +18,10 @@ from clmorph.measures.options import Extent, LiftOptions, Mass
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
+class NoMassError(InputError):
+    """An image of which every pixel is transparent, or black; the message says "the image"."""
+
+
 def pixel_positions(shape: tuple[int, int], extent: str = "true") -> Array:
     """Return the positions x_i of the pixels of an image in the common frame (paper, 2.3).
 
@@ -152,5 +156,5 @@ def _masses(colors: Array, alpha: Array | None, mass: str) -> Array:
     total = masses.sum()
     if total <= 0:
         what = "black" if mass == "luminance" else "transparent"
-        raise InputError(f"mass={mass!r}: every pixel of the image is {what}, so there is no mass")
+        raise NoMassError(f"mass={mass!r}: every pixel of the image is {what}, so there is no mass")
     return (masses / total).ravel()

@@ -9,7 +9,7 @@ from clmorph._shared.typing import ArrayLike
 from clmorph.backends.arrays import as_array
 from clmorph.errors import InputError
 from clmorph.images.color import ColorSpace
-from clmorph.measures.lift import lift
+from clmorph.measures.lift import NoMassError, lift
 from clmorph.measures.measure import Measure
 from clmorph.measures.options import Extent, LiftOptions, Mass
 
@@ -48,14 +48,20 @@ def lift_pair(
         If an argument cannot be used.
     """
     maps = _pair_of_weights(weights)
-    source, target = (
-        lift(
-            image, color_weight, weights=given, mass=mass, extent=extent,
-            color_space=color_space, color_metric=metric,
-        )
-        for image, given, metric in zip(images, maps, _metrics(color_metric), strict=True)
-    )  # fmt: skip
-    return _of_equal_mass(source, target, maps)
+    found = []
+    for letter, image, given, metric in zip(
+        "ab", images, maps, _metrics(color_metric), strict=True
+    ):
+        try:
+            found.append(
+                lift(
+                    image, color_weight, weights=given, mass=mass, extent=extent,
+                    color_space=color_space, color_metric=metric,
+                )
+            )  # fmt: skip
+        except NoMassError as error:
+            raise InputError(str(error).replace("the image", f"image_{letter}")) from None
+    return _of_equal_mass(found[0], found[1], maps)
 
 
 def _pair_of_weights(weights: Any) -> tuple[Any, Any]:

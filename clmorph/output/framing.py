@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clmorph.output.options import FrameStyle
 
 if TYPE_CHECKING:
-    from PIL.Image import Image
+    from PIL.Image import Image, Resampling
 
 #: The enlargement from which frames look soft.
 ENLARGED = 1.25
@@ -196,8 +196,27 @@ class Framing:
         if self.nearest:
             return picture.resize(size, Image.Resampling.NEAREST)
         how = Image.Resampling.BICUBIC if factor > 1 else Image.Resampling.LANCZOS
-        if picture.mode == "RGBA":
-            # Colors are multiplied by opacity for the resampling, so that the colors of
-            # transparent pixels do not show at the edges.
-            return picture.convert("RGBa").resize(size, how).convert("RGBA")
-        return picture.resize(size, how)
+        return (
+            _resampled(picture, size, how) if picture.mode == "RGBA" else picture.resize(size, how)
+        )
+
+
+def _resampled(picture: "Image", size: tuple[int, int], how: "Resampling") -> "Image":
+    """Return an RGBA picture at another size.
+
+    Colors are multiplied by opacity for the resampling, so that the colors of transparent pixels
+    do not show at edges. Both overshoot there by the same factor; opacity is clipped only after
+    the division by it, or a light rim would remain.
+    """
+    from PIL import Image
+
+    pixels = np.asarray(picture, np.float32)
+    weighted = [pixels[..., channel] * pixels[..., 3] for channel in range(3)]
+    *weighted, alpha = (
+        np.asarray(Image.fromarray(plane).resize(size, how))
+        for plane in (*weighted, np.ascontiguousarray(pixels[..., 3]))
+    )
+    seen = alpha >= 0.5
+    colors = [np.divide(plane, alpha, out=np.zeros_like(plane), where=seen) for plane in weighted]
+    made = np.clip(np.rint(np.dstack((*colors, alpha))), 0, 255).astype(np.uint8)
+    return Image.fromarray(made)

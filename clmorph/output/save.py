@@ -88,9 +88,15 @@ class Output:
     def check_motion(self, motion: Motion) -> None:
         """Raise InputError if frames follow one another faster than the file can hold."""
         if motion.fps > self.format.fastest * (1 + 1e-9):
+            others = ", ".join(
+                kind.endings[0]
+                for kind in FORMATS.values()
+                if kind.animated and kind.fastest >= motion.fps
+            )
             raise InputError(
                 f"fps={motion.fps:.4g} is too fast for {self.path}: expected at most "
-                f"{self.format.fastest:g}; lower it, or write .webp, .apng or a video"
+                f"{self.format.fastest:g}, because browsers show faster frames at 10 a second; "
+                f"lower it, or write {others}"
             )
 
 

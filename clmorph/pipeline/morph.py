@@ -72,8 +72,8 @@ def morph(
         by name differ. By default "auto": "pixel-art" if both images are sprites, "logo" if both
         are flat drawings or sprites, and "photo" otherwise (`clmorph.images.kind.kind_of`).
     draft : bool
-        A first look in a few seconds: smaller, with fewer frames and less accuracy, as far as
-        these options are not given (`clmorph.pipeline.presets.DRAFT`).
+        A first look in a few seconds (by NumPy in up to a minute): smaller, with fewer frames and
+        less accuracy, as far as these options are not given (`clmorph.pipeline.presets.DRAFT`).
     backend : str, object of pyopencl, or Operations
         See `clmorph.get_backend`.
     weights : (map_a, map_b), optional

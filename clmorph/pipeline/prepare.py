@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clmorph._shared.typing import AnyArray
 from clmorph._shared.validation import check_flag, shown
 from clmorph.backends.arrays import as_array
 from clmorph.errors import InputError
 from clmorph.images.kind import FEWEST_BLOCKS, kind_of
-from clmorph.images.pixels import as_pixels, block_size, fit
+from clmorph.images.pixels import as_samples, block_size, fit, reduced_shape
+from clmorph.images.resizing import as_unit
 from clmorph.pipeline.maps import NO_MAPS, Maps
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PresetName, preset_for
@@ -24,8 +26,8 @@ Picture = NDArray[np.float64]
 MOST_CARRIED = 512
 
 
-def as_images(images: Sequence[ArrayLike]) -> list[Picture]:
-    """Return images as `clmorph.images.pixels.as_pixels` does, named in its error messages.
+def as_images(images: Sequence[ArrayLike]) -> list[AnyArray]:
+    """Return images as `clmorph.images.pixels.as_samples` does, named in its error messages.
 
     Parameters
     ----------
@@ -37,10 +39,10 @@ def as_images(images: Sequence[ArrayLike]) -> list[Picture]:
         If an image cannot be used.
     """
     names = [f"image_{letter}" for letter in "ab"] if len(images) == 2 else [""] * len(images)
-    return [as_pixels(image, name) for image, name in zip(images, names, strict=True)]
+    return [as_samples(image, name) for image, name in zip(images, names, strict=True)]
 
 
-def recognized(images: Iterable[Picture]) -> PresetName:
+def recognized(images: Iterable[AnyArray]) -> PresetName:
     """Return the preset for what images show (`clmorph.pipeline.presets.preset_for`).
 
     Parameters
@@ -55,7 +57,7 @@ def as_options(
     options: MorphOptions | None,
     preset: str | None,
     given: Any,
-    images: Iterable[Picture],
+    images: Iterable[AnyArray],
     *,
     draft: bool = False,
 ) -> MorphOptions:
@@ -96,7 +98,7 @@ def as_options(
 
 
 def fitted(
-    images: Sequence[Picture],
+    images: Sequence[AnyArray],
     options: MorphOptions,
     beside: Maps = NO_MAPS,
 ) -> list[Picture]:
@@ -174,17 +176,16 @@ def takes_copies(
 
 def copied_shape(shape: tuple[int, int, int]) -> tuple[int, int, int]:
     """Return about the shape of the small copy of an image of this shape."""
-    shrink = min(1.0, MOST_CARRIED / max(shape[:2]))
-    return max(1, round(shape[0] * shrink)), max(1, round(shape[1] * shrink)), shape[2]
+    return *reduced_shape(shape[:2], MOST_CARRIED), shape[2]
 
 
-def _reduced(image: Picture, options: MorphOptions, mapped: bool) -> Picture:
+def _reduced(image: AnyArray, options: MorphOptions, mapped: bool) -> Picture:
     """Return an image at the size at which it is drawn; blocks of a sprite become pixels.
 
     With a map of its pixels (`mapped`) blocks stay what they are.
     """
     if options.size is None:
-        return image
+        return as_unit(image)
     if options.detail == "pixels" and not mapped:
         block = block_size(image)
         if max(image.shape[:2]) >= FEWEST_BLOCKS * block:

@@ -103,7 +103,7 @@ PRESETS: dict[str, Preset] = {
 assert {AUTO, *PRESETS} == set(get_args(PresetName))
 
 
-#: Largest values of options, and least tolerance, of a first look that takes a few seconds.
+#: Largest values of options, and least tolerance, of a first look.
 DRAFT: dict[str, int] = {"size": 96, "solve_size": 48, "max_particles": 100_000, "n_frames": 12}
 DRAFT_TOL = 1e-2
 

@@ -9,12 +9,13 @@ from typing import Unpack
 import numpy as np
 
 from clmorph._shared.progress import StageProgress
-from clmorph._shared.typing import Array, ArrayLike
+from clmorph._shared.typing import AnyArray, Array, ArrayLike
 from clmorph._shared.validation import check_progress
 from clmorph.backends.select import Backend, get_backend
 from clmorph.frames.kernel_width import KernelWidth
 from clmorph.frames.particles import particles
-from clmorph.images.pixels import fit, resized, split_alpha
+from clmorph.images.pixels import fit, split_alpha
+from clmorph.images.resizing import as_unit, resized
 from clmorph.measures.lift import lift
 from clmorph.measures.measure import Measure
 from clmorph.measures.pixel_blocks import group_pixels
@@ -98,10 +99,10 @@ def rearrange(
 
 
 def arranged(
-    images: Sequence[Array], options: RearrangeOptions, backend: Backend, report: StageProgress
+    images: Sequence[AnyArray], options: RearrangeOptions, backend: Backend, report: StageProgress
 ) -> Rearrangement:
     """Rearrange image A to form B; the parameters are checked ones of `rearrange`."""
-    first = images[0] if options.size is None else fit(images[0], options.size)
+    first = as_unit(images[0]) if options.size is None else fit(images[0], options.size)
     shape = first.shape[:2]
     second = np.clip(resized(images[1], (shape[0], shape[1])), 0.0, 1.0)
     source, target = _compared((first, second), options)

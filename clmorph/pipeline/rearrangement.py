@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,8 @@ class Rearrangement(FrameSequence):
     >>> found[-1][0, :, 0].tolist()
     [1.0, 0.75, 0.25, 0.0]
     """
+
+    title: ClassVar[str] = "Rearrangement"
 
     assignment: Indices
     cost: float

@@ -11,11 +11,12 @@ import numpy as np
 
 from clmorph._shared.files import atomic_path
 from clmorph._shared.progress import StageProgress
-from clmorph._shared.typing import Array
+from clmorph._shared.typing import AnyArray, Array
 from clmorph.backends.interface import Operations
 from clmorph.frames.sequence import FrameSequence
 from clmorph.images.label_maps import read_labels, reduced_labels
 from clmorph.images.pixels import fit
+from clmorph.images.resizing import as_unit
 from clmorph.output.picture import write_picture
 from clmorph.output.save import Output, save
 from clmorph.pipeline.mixing.mix import check_images, mixes_of
@@ -126,6 +127,7 @@ class Task:
     Attributes
     ----------
     pictures : sequence of arrays
+        See `clmorph.images.pixels.as_samples`.
     painted : sequence of Path
         Files with painted regions, by what `clmorph.studio.kinds.Kind.painted` says.
     options : Options
@@ -133,7 +135,7 @@ class Task:
     grid : int, pair of int, or None
     """
 
-    pictures: Sequence[Array]
+    pictures: Sequence[AnyArray]
     painted: Sequence[Path]
     options: Any
     operations: Operations
@@ -173,7 +175,7 @@ def make_recolored(task: Task, report: StageProgress) -> Picture:
         if mask.shape != task.pictures[0].shape[:2]:  # of a preview
             shape = task.pictures[0].shape
             mask = reduced_labels(mask.astype(np.int64), (shape[0], shape[1])).astype(float)
-    photo, like = task.pictures
+    photo, like = map(as_unit, task.pictures)
     found = recolored(photo, like, task.options, mask, task.operations, report)
     return Picture(found, 255 * float(np.abs(found - photo)[..., :3].mean()))
 
@@ -218,7 +220,7 @@ def small_tasks(kind: str, task: Task) -> list[Task]:
     return found
 
 
-def _with(task: Task, options: Any, pictures: Sequence[Array] | None = None) -> Task:
+def _with(task: Task, options: Any, pictures: Sequence[AnyArray] | None = None) -> Task:
     pictures = task.pictures if pictures is None else pictures
     return Task(pictures, task.painted, options, task.operations, task.grid)
 

@@ -22,7 +22,7 @@ from starlette.routing import Route
 
 from clmorph._shared.printable import MESSAGE, printable, size_text
 from clmorph.errors import ClmorphError, FileError, InputError
-from clmorph.images.pixels import MAX_PIXELS, as_rgb, fit, read_image, to_bytes
+from clmorph.images.pixels import fit, read_visible, to_bytes
 from clmorph.studio import choices, work
 from clmorph.studio.guard import FRAMED
 from clmorph.studio.kinds import KINDS, MAX_PICTURES, MIN_PICTURES, PAINTED, painted_name
@@ -351,15 +351,8 @@ async def _page(name: str, kind: str, request: Request) -> Response:
 
 def _read(path: Path) -> Shown:
     """Read a picture, and write what the page shows of it."""
-    try:
-        pixels = read_image(path, max_pixels=MAX_PIXELS)
-    except FileError:
-        raise
-    except ClmorphError as error:
-        raise FileError(str(error)) from None
-    if pixels.shape[2] == 4 and not pixels[..., 3].any():
-        raise FileError(f"{path}: every pixel is transparent; expected something to see")
-    small = to_bytes(fit(pixels if pixels.shape[2] == 4 else as_rgb(pixels), SHOWN_SIDE))
+    pixels = read_visible(path)
+    small = to_bytes(fit(pixels, SHOWN_SIDE))
     Image.fromarray(np.ascontiguousarray(small)).save(f"{path}.png-shown", "PNG")
     return Shown(path, pixels, path.parent.name)
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from clmorph._shared.typing import AnyArray, Array, IntArray
-from clmorph.images.pixels import resized
+from clmorph.images.resizing import resized
 from clmorph.measures.pixel_blocks import PixelBlocks
 from clmorph.transport.barycentric import Barycentric
 from clmorph.transport.plan import Plan

@@ -299,11 +299,17 @@ def test_trying_again_forgets_verdicts(monkeypatch, capfd, asked):
     ],
 )
 def test_advice(system, machine, family, first):
-    lines = advice(system, machine, family)
+    lines = advice(system, machine, family, installed=False)
     assert first in lines[0]
     assert "numpy" in lines[-1]
     if family:
         assert any(LINUX_PACKAGES[family] in line for line in lines)
+
+
+def test_advice_does_not_name_what_is_installed():
+    first = advice("linux", "x86_64", "debian", installed=True)[0]
+    assert "is installed but was not found: unset OCL_ICD_VENDORS" in first
+    assert "pip install" not in first
 
 
 def test_without_devices_advice_is_printed():
@@ -314,7 +320,7 @@ def test_without_devices_advice_is_printed():
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment
     )
     assert done.returncode == 1
-    assert "What to install" in done.stdout
+    assert "What helps" in done.stdout
     assert "numpy" in done.stdout
 
 

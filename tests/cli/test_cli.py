@@ -607,3 +607,22 @@ def test_mistakes_of_inspect_are_those_of_morph(pictures, capfd):
     ):
         assert main(["inspect", *arguments, "--backend", "numpy"]) == 2
         assert words in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["morph", "rearrange", "mix", "inspect"])
+def test_pictures_of_which_little_is_left_are_noted(tmp_path, monkeypatch, capfd, command):
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    Image.fromarray(rng.integers(0, 256, (20, 2000, 3), np.uint8)).save("wide.png")
+    Image.fromarray(rng.integers(0, 256, (20, 40, 3), np.uint8)).save("whole.png")
+    name = "x.png" if command in ("mix", "inspect") else "x.gif"
+    options = ["--backend", "numpy", "-o", name]
+    options += ["--frames", "3"] if command in ("morph", "rearrange") else []
+    assert main([command, "wide.png", "whole.png", "--size", "64", *options]) == 0
+    told = [line for line in capfd.readouterr().err.splitlines() if "shorter side" in line]
+    assert told == [
+        "note: wide.png of 2000 x 20 pixels is reduced to 64 x 1 (--size), which leaves little of "
+        "its shorter side; give a larger --size, or cut it"
+    ]
+    assert main([command, "whole.png", "whole.png", "--size", "32", *options]) == 0
+    assert "shorter side" not in capfd.readouterr().err

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 
 import clmorph
@@ -33,6 +34,28 @@ def test_the_same_labels_from_every_kind_of_file(tmp_path):
     deep = Image.fromarray(np.array([[0, 40000]], np.uint16))
     deep.save(tmp_path / "deep.png")
     assert clmorph.read_labels(tmp_path / "deep.png").tolist() == [[0, 40000]]
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "i4", ">i4", "u8", "i8"])
+def test_labels_of_tiffs(tmp_path, dtype, capfd):
+    file = tmp_path / "a.tif"
+    order = ">" if dtype.startswith(">") else "<"
+    tifffile.imwrite(file, LABELS.astype(dtype), compression="lzw", byteorder=order, metadata=None)
+    assert np.array_equal(clmorph.read_labels(file), LABELS)
+    clear = np.full((2, 3, 2), 255, np.uint8)
+    clear[..., 0] = LABELS
+    tifffile.imwrite(file, clear, photometric="minisblack", extrasamples=["unassalpha"])
+    assert np.array_equal(clmorph.read_labels(file), LABELS)
+    clear[0, 0, 1] = 7
+    tifffile.imwrite(file, clear, photometric="minisblack", extrasamples=["unassalpha"])
+    with pytest.raises(InputError, match="transparent in parts"):
+        clmorph.read_labels(file)
+    Image.linear_gradient("L").save(file, compression="tiff_lzw")
+    data = file.read_bytes()
+    file.write_bytes(data[:9] + b"\xff" * 200 + data[209:])
+    with pytest.raises(InputError, match="labels cannot be read"):
+        clmorph.read_labels(file)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_color_is_a_label(tmp_path):

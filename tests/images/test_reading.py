@@ -4,9 +4,11 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 import warnings
 import zlib
 
+import imagecodecs
 import numpy as np
 import PIL
 import pytest
@@ -14,7 +16,7 @@ import tifffile
 from pictures import png, png_chunk, tiff
 from PIL import Image, ImageCms, ImageOps
 
-from clmorph import ImageWarning, InputError, read_image
+from clmorph import ImageWarning, read_image
 from clmorph.errors import FileError
 
 WIDTH, HEIGHT = 7, 5
@@ -161,37 +163,12 @@ def test_white_is_zero_in_16_bits_of_lzw(read, rng):
     assert np.abs(got - (1 - as_color(array))).max() < 1e-9
 
 
-@pytest.mark.parametrize("bits", [1, 2, 4])
-@pytest.mark.parametrize("photometric", [0, 1])
-def test_few_bits(read, rng, bits, photometric):
-    array = rng.integers(0, 1 << bits, (HEIGHT, WIDTH))
-    planes = (array[..., None] >> np.arange(bits)[::-1]) & 1
-    data = np.packbits(planes.reshape(HEIGHT, -1).astype(np.uint8), axis=1).tobytes()
-    want = array / ((1 << bits) - 1)
-    got = read(tiff(data, WIDTH, HEIGHT, {258: bits, 262: photometric}))
-    assert np.allclose(got[..., 0], want if photometric else 1 - want, atol=1e-9)
-
-
-def test_12_bits(read, rng):
-    array = rng.integers(0, 4096, (HEIGHT, 8))
-    planes = (array[..., None] >> np.arange(12)[::-1]) & 1
-    data = np.packbits(planes.reshape(HEIGHT, -1).astype(np.uint8), axis=1).tobytes()
-    got = read(tiff(data, 8, HEIGHT, {258: 12, 262: 1}))
-    assert np.abs(got[..., 0] - array / 4095).max() < 1e-9
-
-
 @pytest.mark.parametrize("samples", [1, 3])
 @pytest.mark.parametrize("dtype", [np.int8, np.int16, np.int32])
 def test_signed_samples_are_refused(tmp_path, dtype, samples):
     array = np.zeros((HEIGHT, WIDTH, samples), dtype)
     tifffile.imwrite(tmp_path / "a.tif", array, photometric="rgb" if samples == 3 else "minisblack")
     with pytest.raises(FileError, match="signed samples"):
-        read_image(tmp_path / "a.tif")
-
-
-def test_floats_beyond_one_are_refused(tmp_path):
-    tifffile.imwrite(tmp_path / "a.tif", np.full((4, 4), 2.0, np.float32))
-    with pytest.raises(InputError, match="values from 2 to 2"):
         read_image(tmp_path / "a.tif")
 
 
@@ -306,13 +283,6 @@ def test_gamma_of_pngs(read, gamma):
     assert np.abs(got - want).max() < 1e-4
     chunks = ((b"sRGB", b"\0"), (b"gAMA", struct.pack(">I", 100000)))
     assert np.array_equal(read(png(array, 0, 8, chunks))[0, :, 0], array[0] / 255)
-
-
-def test_other_primaries_are_noted(read):
-    primaries = np.array([31270, 32900, 68000, 32000, 26500, 69000, 15000, 6000])
-    data = png(np.zeros((2, 2, 3)), 2, 8, ((b"cHRM", primaries.astype(">u4").tobytes()),))
-    with pytest.warns(ImageWarning, match="primaries"):
-        read(data)
 
 
 # Profiles
@@ -447,12 +417,83 @@ def test_16_bits_of_other_formats(read, tmp_path, rng):
     gray = values(rng, 1, np.uint16)
     head = f"{WIDTH} {HEIGHT}\n65535\n".encode()
     assert np.abs(read(b"P5\n" + head + gray.astype(">u2").tobytes()) - as_color(gray)).max() < 1e-9
-    Image.fromarray(gray).save(tmp_path / "a.jp2")
-    assert np.abs(read_image(tmp_path / "a.jp2") - as_color(gray)).max() < 1e-9
     colors = values(rng, 3, np.uint16)
     with pytest.warns(ImageWarning, match="reduced to 8"):
         got = read(b"P6\n" + head + colors.astype(">u2").tobytes())
     assert np.abs(got - as_color(colors)).max() < 1 / 255
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+@pytest.mark.parametrize("samples", [1, 2, 3, 4])
+def test_bits_of_jpeg_2000_and_avif_are_kept(read, rng, bits, samples):
+    shape = (HEIGHT, WIDTH, samples)[: 2 + (samples > 1)]
+    array = rng.integers(0, 1 << bits, shape, np.uint16)
+    kinds = [imagecodecs.jpeg2k_encode(array, bitspersample=bits, level=0, codecformat="jp2")]
+    if bits < 16 and samples > 2:
+        kinds.append(imagecodecs.avif_encode(array, bitspersample=bits, level=100))
+    want = array.reshape(HEIGHT, WIDTH, -1) / ((1 << bits) - 1)
+    want = want if samples > 2 else want[..., [0, 0, 0, 1][: 3 + (samples == 2)]]
+    for data in kinds:
+        assert np.abs(read(data) - want).max() < 1e-5
+
+
+def test_16_bits_for_three_colors_are_no_reduction(read):
+    """A bitmap of 5, 6 and 5 bits a pixel holds fewer than 8 of a sample."""
+    rows = np.full((4, 4), 0xF800, "<u2").tobytes()
+    header = struct.pack("<IiiHHIIiiII3I", 40, 4, 4, 1, 16, 3, 32, 0, 0, 0, 0, 0xF800, 0x7E0, 0x1F)
+    head = b"BM" + struct.pack("<IHHI", 66 + 32, 0, 0, 66)
+    assert np.array_equal(read(head + header + rows)[0, 0], [1, 0, 0])
+
+
+def test_valid_files_that_are_not_read_are_not_called_damaged(read):
+    """A bitmap of 10, 10 and 10 bits, a PNG with a long text or profile, a TGA of 15 bits."""
+    masks = 0x3FF00000, 0xFFC00, 0x3FF
+    header = struct.pack("<IiiHHIIiiII3I", 40, 4, 4, 1, 32, 3, 64, 0, 0, 0, 0, *masks)
+    bitmap = b"BM" + struct.pack("<IHHI", 66 + 64, 0, 0, 66) + header + bytes(64)
+    long = zlib.compress(bytes(3 << 20))
+    array = np.zeros((4, 4), np.uint8)
+    targa = struct.pack("<BBBHHBHHHHBB", 0, 0, 2, 0, 0, 0, 0, 0, 4, 4, 15, 0) + bytes(64)
+    for data, name, words in (
+        (bitmap, "a.bmp", "bitfields"), (targa, "a.tga", "TGA"),
+        (png(array, 0, 8, ((b"zTXt", b"a\0\0" + long),)), "a.png", "more than 1 MB"),
+        (png(array, 0, 8, ((b"iCCP", b"a\0\0" + long),)), "b.png", "more than 1 MB"),
+    ):  # fmt: skip
+        with pytest.raises(FileError, match=rf"is of a kind that is not read \(.*{words}"):
+            read(data, name)
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA"])
+@pytest.mark.parametrize("kind", ["QOI", "DDS"])
+def test_large_files_of_rare_kinds_are_read_soon(tmp_path, rng, kind, mode):
+    """Pillow decodes them in Python: 4 megapixels took 8 s."""
+    array = rng.integers(0, 256, (2000, 2000, len(mode)), np.uint8)
+    Image.fromarray(array).save(tmp_path / "a", kind)
+    began = time.process_time()
+    got = read_image(tmp_path / "a")
+    assert time.process_time() - began < 2
+    assert np.array_equal(got, array / 255)
+
+
+@pytest.mark.parametrize(
+    ("bits", "masks"),
+    [
+        (16, (0xF800, 0x7E0, 0x1F)), (16, (0x7C00, 0x3E0, 0x1F, 0x8000)),
+        (24, (0xFF0000, 0xFF00, 0xFF)), (32, (0x3FF, 0xFFC00, 0x3FF00000, 0xC0000000)),
+    ],
+)  # fmt: skip
+def test_channels_of_dds(read, rng, bits, masks):
+    values = [rng.integers(0, mask // (mask & -mask), 20, endpoint=True) for mask in masks]
+    numbers = sum(each * (mask & -mask) for each, mask in zip(values, masks, strict=True))
+    rows = numbers.astype("<u4").view(np.uint8).reshape(20, 4)[:, : bits // 8].tobytes()
+    every = (*masks, 0)[:4]
+    flags = 0x40 | (len(masks) == 4)
+    header = struct.pack("<7I44x", 124, 0x1007, 4, 5, 0, 0, 0)
+    header += struct.pack("<13I", 32, flags, 0, bits, *every, 0x1000, 0, 0, 0, 0)
+    got = read(b"DDS " + header + rows).reshape(20, -1)
+    want = np.stack(
+        [each / (mask // (mask & -mask)) for each, mask in zip(values, masks, strict=True)], axis=1
+    )
+    assert np.abs(got - want).max() < 0.51 / 255
 
 
 @pytest.mark.parametrize("suffix", ["gif", "png", "webp", "avif"])
@@ -773,18 +814,16 @@ def test_sparse_tiffs_are_refused_by_name(read):
         read(tiff(bytes(32), 8, 8, tags))
 
 
-def test_small_pieces_are_inflated_once(tmp_path, rng, monkeypatch):
-    array = rng.integers(0, 256, (64, 64, 3), np.uint8)
-    tifffile.imwrite(tmp_path / "a.tif", array, compression="zlib", photometric="rgb")
-    monkeypatch.setattr("clmorph.images.reading.tiff.zlib", None)
-    assert np.array_equal(read_image(tmp_path / "a.tif"), array / 255)
-
-
-def test_large_pieces_that_hold_too_much_are_refused(read):
+def test_pieces_that_hold_too_much_are_refused(read, tmp_path):
+    """No decoder makes more of a strip than its tags say."""
     packed = zlib.compress(bytes(40 << 20))
-    assert len(packed) * 1032 > 32 << 20
-    with pytest.raises(FileError, match="more than its tags say"):
+    with pytest.raises(FileError, match="INSUFFICIENT_SPACE"):
         read(tiff(packed, 8, 8, {258: 8, 259: 8, 262: 1}))
+    for name, number in (("JPEG", 7), ("WebP", 50001)):
+        Image.new("RGB", (64, 64)).save(tmp_path / "a", name)
+        data = (tmp_path / "a").read_bytes()
+        with pytest.raises(FileError, match="more than its tags say"):
+            read(tiff(data, 8, 8, {258: (8,) * 3, 259: number, 262: 2, 277: 3}))
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from clmorph._shared.threads import MOST_THREADS
 from clmorph.images.pixels import to_bytes
 from clmorph.output.formats.sheet import Layout
 from clmorph.output.formats.video import CONTAINERS
+from clmorph.output.framing import Framing
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import Motion, held_frames
 from clmorph.output.provenance import read_parameters
@@ -125,6 +126,38 @@ def test_lossless_animations_keep_opacity(tmp_path, clear, name):
         assert np.array_equal(frame * seen, want * seen)
 
 
+@pytest.mark.parametrize("opacity", [False, True])
+@pytest.mark.parametrize("name", ["out.gif", "out.apng", "out.webp"])
+def test_equal_frames_last_as_long_as_others(tmp_path, name, opacity):
+    """Libwebp writes a still, which lasts no time."""
+    image = np.full((6, 8, 3 + opacity), 0.5)
+    image[2, 3] = 1.0
+    same = clmorph.morph(image, image, n_frames=5, backend="numpy")
+    save(same, tmp_path / name, fps=10, hold=0.5, loop="once")
+    frames, durations = stills(tmp_path / name)
+    assert sum(durations) == 1500
+    assert np.abs(frames[0][0, 0, :3].astype(int) - 128).max() <= 2
+    if name != "out.gif":
+        assert abs(int(frames[0][0, 0, 3]) - (128 if opacity else 255)) <= 1
+    with Image.open(tmp_path / name) as opened:
+        assert opened.info.get("loop", 1) == 1
+    assert "blur" in read_parameters(tmp_path / name)["options"]
+
+
+@pytest.mark.parametrize(
+    ("name", "most", "others"),
+    [
+        ("out.gif", 50, ".webp, .apng, .mp4, .webm"), ("out.webp", 90, ".mp4, .webm"),
+        ("out.apng", 90, ".mp4, .webm"),
+    ],
+)  # fmt: skip
+def test_browsers_show_what_is_written_at_its_speed(tmp_path, growing, name, most, others):
+    with pytest.raises(InputError, match=rf"at most {most}, .* or write {re.escape(others)}$"):
+        save(growing, tmp_path / name, fps=most + 1)
+    save(growing, tmp_path / name, fps=most)
+    assert min(stills(tmp_path / name)[1]) > 10
+
+
 @pytest.mark.parametrize("name", ["out.gif", "out.webp"])
 def test_lossy_animations_are_close(tmp_path, morph, name):
     save(morph, tmp_path / name, canvas="source", scaling="nearest")
@@ -223,10 +256,9 @@ def test_webm_keeps_opacity(tmp_path, clear):
     save(clear, tmp_path / "out.webm", canvas="64x64", hold=0)
     opacities = set()
     for frame, want in zip(decoded_clear(tmp_path / "out.webm"), wanted(clear), strict=True):
-        small = Image.fromarray(want).convert("RGBa")
-        large = small.resize((64, 64), Image.Resampling.BICUBIC).convert("RGBA")
-        large = np.asarray(large).astype(float)
-        assert np.abs(frame[..., 3] - large[..., 3]).max() <= 8
+        framing = Framing(FrameStyle(canvas=(64, 64)), [want.shape], False)
+        large = np.asarray(framing(want)).astype(float)
+        assert np.abs(frame[..., 3] - large[..., 3]).max() <= 12
         seen = large[..., 3] > 200
         assert np.abs(frame - large)[seen].mean() < 12
         opacities |= set(np.round(large[..., 3].ravel() / 16))

@@ -172,3 +172,23 @@ def test_a_canvas_that_enlarges_all_frames_is_noted():
         (FrameStyle(), False),
     ):  # fmt: skip
         assert enlargement_note(style, shapes, pixelated, 256) is None
+
+
+@pytest.mark.parametrize("color", [(240, 236, 229), (200, 120, 60), (9, 30, 250)])
+@pytest.mark.parametrize("factor", [0.6, 2, 3.7])
+def test_figures_with_opacity_have_no_rim(color, factor):
+    """Overshoot of opacity was clipped and that of colors was not: (255, 255, 248) at the edge."""
+    y, x = np.mgrid[:40, :40]
+    alpha = np.clip((14 - np.hypot(x - 19.5, y - 19.5)) + 0.5, 0, 1)
+    frame = np.dstack((*(np.full((40, 40), each) for each in color), np.rint(255 * alpha)))
+    frame[frame[..., 3] == 0] = 0
+    side = round(40 * factor)
+    framing = Framing(FrameStyle(canvas=(side, side), scaling="smooth"), [(40, 40, 4)], False)
+    made = np.asarray(framing(frame.astype(np.uint8))).astype(int)
+    seen = made[..., 3] > 0
+    assert seen.any()
+    assert np.abs(made[seen][:, :3] - color).max() <= 2
+    ground = Framing(
+        FrameStyle(canvas=(side, side), scaling="smooth", background="black"), [(40, 40, 4)], False
+    )
+    assert np.all(np.asarray(ground(frame.astype(np.uint8))) <= np.array(color) + 2)

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 from plain import lift, morph
 
-from clmorph import fit, read_image
+from clmorph import InputError, fit, read_image
 from clmorph.images.pixels import to_bytes
 
 
@@ -112,3 +112,11 @@ def test_what_rests_keeps_its_opacity(device, options):
         for t in (0.1, 0.25, 0.5):
             alpha = result.frame(t)[..., 3]
             assert np.abs(alpha[5:, 5:] - 0.5).max() < 0.01
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_errors_name_the_picture_that_is_transparent(which):
+    images = [np.ones((4, 4, 3)), np.ones((4, 4, 3))]
+    images[which] = np.zeros((4, 4, 4))
+    with pytest.raises(InputError, match=f"every pixel of image_{'ab'[which]} is transparent"):
+        morph(*images, 3)

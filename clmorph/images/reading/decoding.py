@@ -13,14 +13,15 @@ from clmorph._shared.typing import AnyArray
 from clmorph.images.reading import tags, tiff, tiff_layout
 from clmorph.images.reading.deep import (
     GRAY_16,
-    deep_samples,
+    divided,
     is_reduced,
-    of_deep_png,
+    own_samples,
     raw_mode,
     tiles_of,
 )
 from clmorph.images.reading.opening import Reader, check_size, open_picture
-from clmorph.images.reading.profiles import from_gamma, is_srgb, to_srgb
+from clmorph.images.reading.profiles import is_srgb, to_srgb
+from clmorph.images.reading.spaces import Description, described, from_space
 
 Decoded = tuple[AnyArray, list[str]]
 
@@ -58,63 +59,25 @@ def decode(file: Path, max_pixels: int) -> Decoded:
 
 def _decode_tiff(file: Path, stream: IO[bytes], max_pixels: int) -> Decoded:
     """Decode the first full picture of a TIFF."""
-    from PIL.TiffImagePlugin import TiffImageFile
-
     name = str(file)
     layout, page, more = tiff_layout.open_page(stream)
     check_size(file, (layout.width, layout.height), max_pixels)
     tiff_layout.check_layout(name, layout, max_pixels)
     notes = ["several pages: its first is taken"] if more else []
-    if tiff_layout.by_tifffile(layout):
-        samples, turned = tiff.read_samples(file, page, layout), layout.orientation
-    else:
-        stream.seek(0)
-        try:
-            opened = TiffImageFile(stream, str(file))
-            opened.seek(page)
-        except SyntaxError as error:
-            raise tiff_layout.not_read(name, layout) from error
-        with opened as picture:
-            if picture.size not in ((layout.width, layout.height), (layout.height, layout.width)):
-                raise ValueError("its tags contradict each other")
-            if layout.bits <= 8:
-                return _decode_picture(file, picture, layout.profile, notes)
-            samples = _compressed_samples(file, picture, page, layout)
-            turned = _rest_to_turn(picture)
-    colors, alpha = tiff.interpret(name, samples, layout)
-    return _finished(colors, alpha, layout.profile, turned, notes)
+    colors, alpha = tiff.interpret(name, *tiff.read_samples(file, page, layout), layout)
+    return _finished(colors, alpha, Description(layout.profile), layout.orientation, notes)
 
 
-def _compressed_samples(
-    file: Path, picture: Any, page: int, layout: tiff_layout.Layout
-) -> AnyArray:
-    """Decode a TIFF of more than 8 bits by Pillow: (H, W, samples) array."""
-    samples: AnyArray | None = deep_samples(picture, file, page)
-    if samples is None and picture.mode in (*GRAY_16, "F"):
-        samples = np.asarray(picture)
-        samples = samples / 4095.0 if layout.bits == 12 else samples
-    if samples is None:
-        raise tiff_layout.not_read(str(file), layout)
-    return samples.reshape(*samples.shape[:2], -1)
-
-
-def _rest_to_turn(picture: Any) -> int:
-    """Return the remaining orientation of a TIFF, which newer versions of Pillow rotate."""
-    turned = picture.getexif().get(tags.ORIENTATION, 1)
-    return turned if turned in range(1, 9) else 1
-
-
-def _decode_picture(
-    file: Path, picture: Any, profile: bytes | None = None, notes: list[str] | None = None
-) -> Decoded:
+def _decode_picture(file: Path, picture: Any) -> Decoded:
     """Decode an image that Pillow has opened."""
-    notes = list(notes or [])
+    notes = []
     kind = picture.format
     shown = picture.tile[0][1] if kind == "GIF" and picture.tile else None
     reduced = is_reduced(picture)
-    deep = deep_samples(picture, file) if kind == "PNG" and not _in_icon(file) else None
-    if deep is not None:
-        colors, alpha = of_deep_png(deep, picture.info.get("transparency"))
+    description = described(picture, file)
+    samples = own_samples(picture, file)
+    if samples is not None:
+        colors, alpha = (samples, None) if picture.mode == "CMYK" else divided(samples)
     else:
         if reduced:
             notes.append("more than 8 bits a sample: they are reduced to 8")
@@ -124,22 +87,9 @@ def _decode_picture(
         inside = np.zeros(picture.size[::-1], np.uint8)
         inside[shown[1] : shown[3], shown[0] : shown[2]] = 255
         alpha = inside if alpha is None else np.minimum(alpha, inside)
-    turned = _rest_to_turn(picture) if kind == "TIFF" else _orientation(picture.info)
-    profile = profile or picture.info.get("icc_profile")
-    if kind == "PNG" and not profile and "srgb" not in picture.info:
-        gamma, primaries = (picture.info.get(name) for name in ("gamma", "chromaticity"))
-        pixels = colors if isinstance(colors, np.ndarray) else np.asarray(colors)
-        colors, note = from_gamma(pixels, gamma, primaries)
-        notes += [note] if note else []
     if _is_animated(picture):
         notes.append("several pictures: its first is taken")
-    return _finished(colors, alpha, profile, turned, notes)
-
-
-def _in_icon(file: Path) -> bool:
-    """Return whether a PNG is part of an icon file, which cannot be opened again as a PNG."""
-    with Reader(file) as stream:
-        return stream.read(4) == b"\0\0\1\0"
+    return _finished(colors, alpha, description, _orientation(picture.info), notes)
 
 
 #: Pillow's formats that can hold an animation.
@@ -208,7 +158,7 @@ def _orientation(info: dict[Any, Any]) -> int:
 
 
 def _finished(
-    colors: Any, alpha: AnyArray | None, profile: bytes | None, turned: int, notes: list[str]
+    colors: Any, alpha: AnyArray | None, description: Description, turned: int, notes: list[str]
 ) -> Decoded:
     """Return sRGB with opacity, in the orientation in which the picture is viewed.
 
@@ -217,13 +167,17 @@ def _finished(
     colors : PIL.Image.Image or array
         An image of mode L, RGB, CMYK or LAB, or an array (H, W), (H, W, 3) or, for CMYK, (H, W, 4).
     alpha : (H, W) array, optional
-    profile : bytes, optional
-        ICC profile.
+    description : Description
+        What the file says about its colors.
     turned : int
         Orientation by Exif's numbers, 1 to 8.
     notes : list of str
     """
+    profile, space, note = description
+    notes = [*notes, note] if note else notes
     profile = None if profile and is_srgb(profile) else profile
+    if space is not None and getattr(colors, "mode", "") not in ("CMYK", "LAB"):
+        colors = from_space(np.asarray(colors), space)
     if isinstance(colors, np.ndarray):
         if profile and _in_range(colors):
             if colors.dtype != np.uint8:

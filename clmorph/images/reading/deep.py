@@ -1,27 +1,26 @@
-"""Reading of 16 bits a sample by Pillow, which itself keeps only the upper 8 bits of colors."""
+"""Decoding where Pillow keeps only 8 of more bits a sample, or takes microseconds a pixel."""
 
-import re
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clmorph.images.reading.opening import Reader
+from clmorph._shared.typing import AnyArray
+from clmorph.images.reading.boxes import boxes
+from clmorph.images.reading.opening import Reader, UnsupportedError
 
 #: Modes of Pillow that hold 16 bits of gray.
 GRAY_16 = ("I;16", "I;16B", "I;16L", "I;16N")
-#: Raw modes of 16 bits a sample of which Pillow keeps the upper 8, with the letter of the byte
-#: order at the end.
-_DEEP = re.compile(r"(RGBX?|RGBA|RGBa|CMYK);16([BLN])")
+#: The markers with which the data of a JPEG 2000 picture begin, and the place of the first depth.
+_JPEG_2000, _DEPTH = b"\xff\x4f\xff\x51", 42
+#: The number of bytes before the samples of an uncompressed DDS.
+_DDS_HEADER = 128
+#: The number by which JPEG 2000 names YCbCr.
+_SYCC = b"\1\0\0\0\0\0\x12"
 
 
-def deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] | None:
-    """Decode 16 bits a sample where Pillow would keep 8; return None where this does not apply.
-
-    The letter of the byte order decides which byte of each sample Pillow keeps. Decoding a second
-    time with the other letter yields the other byte.
+def own_samples(picture: Any, file: Path) -> AnyArray | None:
+    """Decode what Pillow would reduce to 8 bits, or decode slowly; None where this does not apply.
 
     Parameters
     ----------
@@ -29,33 +28,91 @@ def deep_samples(picture: Any, file: Path, page: int = 0) -> NDArray[np.uint16] 
         The picture, not decoded yet.
     file : Path
         Its file, which is opened a second time.
-    page : int
-        Number of the picture in the file.
 
     Returns
     -------
-    (H, W, 2 to 4) array or None
+    (H, W) or (H, W, 2 to 4) array of uint8 or uint16, or None
+        The largest number of the dtype is full light.
     """
-    tiles = [raw_mode(tile) for tile in tiles_of(picture)]
-    if tiles == ["LA;16B"]:  # four bytes a pixel, as in RGBA
-        picture.tile = [_with_raw_mode(tile, "RGBA") for tile in picture.tile]
-        bytes_ = np.asarray(picture).astype(np.uint16)
-        return np.asarray(bytes_[..., ::2] << 8 | bytes_[..., 1::2], np.uint16)
-    if not tiles or not all(_DEEP.fullmatch(tile) for tile in tiles):
+    if picture.format not in (*_BITS, "QOI", "DDS"):
         return None
-    upper = tiles[0][-1]
-    upper = {"little": "L", "big": "B"}[sys.byteorder] if upper == "N" else upper
-    with Reader(file) as stream, type(picture)(stream, str(file)) as again:
-        again.seek(page)
-        halves = []
-        for opened, letter in ((picture, upper), (again, "L" if upper == "B" else "B")):
-            # Pillow would divide RGBa by its opacity, each byte separately.
-            opened.tile = [
-                _with_raw_mode(tile, f"{raw_mode(tile)[:-1].upper()}{letter}")
-                for tile in opened.tile
-            ]
-            halves.append(np.asarray(opened).astype(np.uint16))
-    return np.asarray(halves[0] << 8 | halves[1], np.uint16)
+    if picture.format == "PNG" and not is_reduced(picture):  # most files, some of them large
+        return None
+    with Reader(file) as stream:
+        data = stream.read()
+    if picture.format == "DDS":
+        return _of_masks(picture, data)
+    bits = 8 if picture.format == "QOI" else _BITS[picture.format](picture, data)
+    if bits <= 8 and picture.format != "QOI":
+        return None
+    import imagecodecs
+
+    decode = {
+        "QOI": imagecodecs.qoi_decode,
+        "PNG": imagecodecs.png_decode,
+        "AVIF": imagecodecs.avif_decode,
+        "JPEG2000": imagecodecs.jpeg2k_decode,
+    }[picture.format]
+    samples: AnyArray = np.asarray(decode(data))
+    if samples.ndim == 4:  # an animation
+        samples = samples[0]
+    if samples.shape[:2] != picture.size[::-1] or samples.shape[2:] not in ((), (2,), (3,), (4,)):
+        raise UnsupportedError("has samples of several kinds, or of one that is not read")
+    if bits in (8, 16):
+        return samples.astype(np.dtype(f"u{bits // 8}"), copy=False)
+    largest = (1 << bits) - 1
+    levels = np.round(np.arange(largest + 1) * (65535 / largest)).astype(np.uint16)
+    return np.asarray(levels[np.minimum(samples, largest)])
+
+
+def _of_masks(picture: Any, data: bytes) -> AnyArray | None:
+    """Return the samples of an uncompressed DDS, whose channels are bits of numbers."""
+    tile = picture.tile[0]
+    if tile[0] != "dds_rgb":
+        return None
+    bits, masks = tile[3]
+    width, height = picture.size
+    size = bits // 8
+    rows = np.frombuffer(data, np.uint8, width * height * size, _DDS_HEADER).reshape(-1, size)
+    numbers = sum(rows[:, place].astype(np.uint32) << np.uint32(8 * place) for place in range(size))
+    found = np.empty((width * height, len(masks)), np.uint8)
+    for channel, mask in enumerate(masks):
+        lowest = mask & -mask
+        levels = (numbers & np.uint32(mask)) / max(1, lowest)
+        opaque = 255 if channel == 3 else 0
+        found[:, channel] = np.round(levels * (255 * lowest / mask)) if mask else opaque
+    return found.reshape(height, width, len(masks))
+
+
+def _png_bits(picture: Any, data: bytes) -> int:
+    """Return 16, or 8 for a PNG in an icon, which is not decoded apart from it."""
+    return 16 if data.startswith(b"\x89PNG") else 8
+
+
+def _avif_bits(picture: Any, data: bytes) -> int:
+    """Return the depth in the configuration of AV1, of which the first is that of the colors."""
+    for kind, content in boxes(data):
+        if kind == b"av1C" and len(content) > 2:
+            return (8, 8, 10, 12)[content[2] >> 5 & 3]
+    return 8
+
+
+def _jpeg_2000_bits(picture: Any, data: bytes) -> int:
+    """Return the depth of the first component, or 8 where Pillow decodes all of them."""
+    place = data.find(_JPEG_2000)
+    if place < 0 or place + _DEPTH >= len(data) or picture.mode in ("P", "PA"):
+        return 8  # damaged, or a palette
+    depth = data[place + _DEPTH]
+    if depth & 0x80:
+        raise UnsupportedError("has signed samples")
+    bits = (depth & 0x7F) + 1
+    ycbcr = any(kind == b"colr" and content.startswith(_SYCC) for kind, content in boxes(data))
+    if bits > 16 or (bits > 8 and ycbcr):
+        raise UnsupportedError(f"has {'YCbCr' if ycbcr else 'samples'} of {bits} bits")
+    return bits
+
+
+_BITS = {"PNG": _png_bits, "AVIF": _avif_bits, "JPEG2000": _jpeg_2000_bits}
 
 
 def tiles_of(picture: Any) -> Any:
@@ -69,30 +126,20 @@ def raw_mode(tile: Any) -> str:
     return args if isinstance(args, str) else ""
 
 
-def _with_raw_mode(tile: Any, mode: str) -> Any:
-    """Return a tile with another raw mode."""
-    args = (mode, *tile[3][1:]) if isinstance(tile[3], tuple) else mode
-    changed = (*tile[:3], args)
-    return tile._make(changed) if hasattr(tile, "_make") else changed
-
-
 def is_reduced(picture: Any) -> bool:
     """Return whether Pillow keeps only 8 bits of samples that have more."""
+    if picture.mode in (*GRAY_16, "I", "F"):
+        return False
     for tile in tiles_of(picture):
         most = tile[3][-1] if tile[0] == "ppm" else 0
-        if ";16" in raw_mode(tile) or tile[0] == "SGI16" or (isinstance(most, int) and most > 255):
-            return picture.mode not in (*GRAY_16, "I", "F")
+        deep_png = picture.format == "PNG" and ";16" in raw_mode(tile)
+        if deep_png or tile[0] == "SGI16" or (isinstance(most, int) and most > 255):
+            return True
     return False
 
 
-def of_deep_png(
-    samples: NDArray[np.uint16], transparent: Any
-) -> tuple[NDArray[np.uint16], NDArray[np.uint16] | None]:
-    """Return the colors and the opacity of a PNG of 16 bits that is not gray without opacity."""
-    if samples.shape[2] == 2:
-        return samples[..., 0], samples[..., 1]
-    if samples.shape[2] == 4:
-        return samples[..., :3], samples[..., 3]
-    if isinstance(transparent, tuple):
-        return samples, np.any(samples != transparent, axis=2) * np.uint16(65535)
-    return samples, None
+def divided(samples: AnyArray) -> tuple[AnyArray, AnyArray | None]:
+    """Return the colors and the opacity of gray or RGB."""
+    if samples.ndim == 2 or samples.shape[2] == 3:
+        return samples, None
+    return (samples[..., 0] if samples.shape[2] == 2 else samples[..., :3]), samples[..., -1]

@@ -5,6 +5,7 @@ check of the size depends on a global variable. The size is checked here instead
 """
 
 import io
+import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,11 +14,11 @@ from typing import IO, Any
 from clmorph._shared.printable import printable
 from clmorph.errors import FileError
 
-#: Formats of Pillow that are read, those with unambiguous signatures first. Not read are formats
-#: that run other programs (EPS, WMF), that have no decoder (stubs), or that contain images of
-#: other formats (ICNS).
+#: Formats that Pillow reads, those with unambiguous signatures first. Not read are formats that run
+#: other programs (EPS, WMF), that have no decoder (stubs), or that contain images of other formats
+#: (ICNS); tifffile reads TIFF.
 FORMATS = (
-    "PNG", "JPEG", "WEBP", "GIF", "TIFF", "AVIF", "JPEG2000", "ICO", "BMP", "QOI", "PSD", "DDS",
+    "PNG", "JPEG", "WEBP", "GIF", "AVIF", "JPEG2000", "ICO", "BMP", "QOI", "PSD", "DDS",
     "SGI", "PPM", "DIB", "PCX",
 )  # fmt: skip
 #: Endings of TGA, which has no signature and is recognized by the name of the file.
@@ -36,6 +37,10 @@ _UNREAD = (
     ("an OpenEXR picture", 0, (b"v/1\x01",)),
     ("a Radiance picture", 0, (b"#?RADIANCE", b"#?RGBE")),
 )
+#: What Pillow says of valid files that it does not read.
+_UNSUPPORTED = re.compile(
+    "unsupported|not supported|unimplemented|unknown (TGA|PCX|pixel)|not a TGA file", re.IGNORECASE
+)
 #: Largest number of scans of a progressive JPEG. Each scan processes all pixels; encoders write
 #: about ten.
 MAX_SCANS = 64
@@ -43,6 +48,10 @@ MAX_SCANS = 64
 _ORDINARY_SCANS = 16
 #: Number of pixels in all scans together that is always accepted.
 MAX_SCANNED = 1 << 30
+
+
+class UnsupportedError(Exception):
+    """A valid file of a kind that is not read; the message continues "<name of the file>"."""
 
 
 class Reader(io.BufferedReader):
@@ -57,6 +66,14 @@ class Reader(io.BufferedReader):
         """Return at most the given number of bytes; all bytes that are left by default."""
         left = max(0, self._end - self.tell())
         return super().read(left if size is None or size < 0 else min(size, left))
+
+
+def unsupported_reason(error: Exception) -> str:
+    """Return what a decoder does not support of a valid file, or "" if the file is damaged."""
+    told = printable(str(error), REASON_LENGTH)
+    if "MAX_TEXT_CHUNK" in told:
+        return "it holds a text or a color profile of more than 1 MB"
+    return told if isinstance(error, NotImplementedError) or _UNSUPPORTED.search(told) else ""
 
 
 def check_size(file: Path, size: tuple[int, int], max_pixels: int) -> None:
@@ -100,6 +117,8 @@ def _opened(name: str, file: Path, stream: IO[bytes], max_pixels: int) -> Any:
     from PIL import Image
 
     stream.seek(0)
+    if name in ("BMP", "DIB"):  # Pillow reads run lengths byte by byte
+        stream = io.BytesIO(stream.read())
     if name == "ICO":
         picture = _open_icon(file, stream, max_pixels)
     else:

@@ -1,4 +1,4 @@
-"""Conversion of a file's colors to sRGB, by its color profile or gamma."""
+"""Conversion of a file's colors to sRGB, by its ICC profile."""
 
 from io import BytesIO
 from typing import Any
@@ -7,21 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clmorph._shared.printable import printable
-from clmorph._shared.typing import AnyArray
-from clmorph.images.color import encode
 
 #: Color spaces of ICC profiles, and Pillow's modes for them.
 _SPACES = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab": "LAB"}
 #: Flags of Little CMS, whose names differ between versions of Pillow.
 _BLACK_POINT_COMPENSATION, _NO_TABLES = 0x2000, 0x0100
-#: The gamma and the chromaticities (white, red, green, blue) by which PNG describes sRGB.
-_SRGB_GAMMA = 0.45455
-#: Relative difference up to which a gamma counts as sRGB's, as in libpng: encoders write 0.45,
-#: 1 / 2.2 or 1 / 2.3 for sRGB.
-_GAMMA_TOLERANCE = 0.05
 #: Largest difference between sRGB profiles of different makers, in levels of 255.
 _PROFILE_TOLERANCE = 2
-_SRGB_CHROMATICITY = (0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
 
 
 def to_srgb(picture: Any, profile: bytes | None) -> tuple[NDArray[np.uint8], str]:
@@ -127,36 +119,3 @@ def _faults() -> tuple[type[Exception], ...]:
     from PIL import ImageCms
 
     return ImageCms.PyCMSError, ImportError, OSError, ValueError, TypeError
-
-
-def from_gamma(
-    pixels: AnyArray, gamma: float | None, chromaticity: tuple[float, ...] | None
-) -> tuple[AnyArray, str]:
-    """Convert the colors of a PNG by its chunks gAMA and cHRM to sRGB.
-
-    Parameters
-    ----------
-    pixels : (H, W) or (H, W, 3) array
-        uint8 or uint16.
-    gamma : float, optional
-        The chunk gAMA: a stored value is light to the power of gamma.
-    chromaticity : 8 floats, optional
-        The chunk cHRM: x and y of white, red, green and blue.
-
-    Returns
-    -------
-    array
-        sRGB; the same array if no conversion is needed.
-    str
-        A note for the user, or "".
-    """
-    note = ""
-    if chromaticity and not np.allclose(chromaticity, _SRGB_CHROMATICITY, atol=0.005):
-        note = "primaries of its own (cHRM): they are taken as those of sRGB"
-    if gamma is None or abs(gamma / _SRGB_GAMMA - 1) < _GAMMA_TOLERANCE or not 0.05 <= gamma <= 20:
-        return pixels, note
-    largest = np.iinfo(pixels.dtype).max
-    light = (np.arange(largest + 1) / largest) ** (1 / gamma)
-    stored = encode(light)
-    # Shadows of sRGB need more than 8 bits after conversion from linear light, so 16 are returned.
-    return np.round(stored * 65535).astype(np.uint16)[pixels], note

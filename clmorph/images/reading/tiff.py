@@ -1,10 +1,9 @@
 """Read the samples of TIFF files and convert them to colors.
 
-Pillow decodes samples of up to 8 bits, and compressed ones of 16; tifffile decodes the others,
-uncompressed or deflated. For both, the tags (`tiff_layout`) decide here what the samples mean.
+tifffile decodes all samples. The tags (`tiff_layout`) decide here what the samples mean.
 """
 
-import zlib
+import io
 from pathlib import Path
 from typing import Any
 
@@ -15,23 +14,22 @@ from clmorph.errors import FileError
 from clmorph.images.reading.tiff_layout import (
     ASSOCIATED,
     BLACK_IS_ZERO,
+    CIELAB,
     COLOR_SAMPLES,
-    DEFLATE,
+    JPEG,
     MAX_PIECES,
+    PALETTE,
     RGB,
     UNASSOCIATED,
+    WEBP,
     WHITE_IS_ZERO,
+    YCBCR,
     Layout,
     not_read,
 )
 
-#: Largest number of bytes to which one byte of Deflate data can expand.
-_DEFLATE_RATIO = 1032
-#: Decompressed size in bytes that is accepted for any strip or tile.
-_HARMLESS = 32 << 20
 
-
-def read_samples(file: Path, page: int, layout: Layout) -> AnyArray:
+def read_samples(file: Path, page: int, layout: Layout) -> tuple[AnyArray, AnyArray | None]:
     """Decode a picture by tifffile.
 
     Parameters
@@ -45,6 +43,9 @@ def read_samples(file: Path, page: int, layout: Layout) -> AnyArray:
     Returns
     -------
     (H, W, samples) array
+        The numbers as they are stored.
+    (2 ** bits, 3) uint8 array or None
+        The colors of a palette.
 
     Raises
     ------
@@ -59,25 +60,46 @@ def read_samples(file: Path, page: int, layout: Layout) -> AnyArray:
         found: Any = tiff.pages[page]
         _check_pieces(file, tiff.filehandle, found, layout)
         samples = np.asarray(found.asarray()).reshape(found.shaped)
+        palette = _palette(found) if layout.photometric == PALETTE else None
     if samples.shape[1] != 1:
         raise ValueError("it has depth")
+    samples = samples.astype(np.uint8) if samples.dtype == np.bool_ else samples
     # (separate samples, depth, height, width, samples together)
     samples = np.moveaxis(samples[:, 0], 0, -1).reshape(
         *samples.shape[2:4], samples.shape[0] * samples.shape[4]
     )
     if samples.shape != (layout.height, layout.width, layout.samples):
         raise ValueError("its tags contradict each other")
-    return samples
+    return samples, palette
+
+
+def _palette(page: Any) -> AnyArray:
+    """Return the colors of a palette, in 8 bits as nearly every writer means them."""
+    if page.colormap is None:
+        raise ValueError("its palette is missing")
+    colors = np.moveaxis(np.asarray(page.colormap), 0, -1)
+    # Some writers store 8 bits where the standard demands 16; others leave the lower 8 bits zero.
+    return np.asarray(colors if colors.max() < 256 else colors >> 8, np.uint8)
+
+
+def _full_range(samples: AnyArray, bits: int) -> AnyArray:
+    """Return samples of which the largest number of their dtype is full light, or floats."""
+    if samples.dtype == np.float16:  # too imprecise to be subtracted from 1
+        return samples.astype(np.float32)
+    if samples.dtype.kind == "f" or bits in (8, 16):
+        return samples
+    largest = (1 << bits) - 1
+    if bits <= 8 and 255 % largest == 0:
+        return np.asarray(samples * np.uint8(255 // largest))
+    return np.asarray(samples / float(largest))
 
 
 def _check_pieces(file: Path, stream: Any, page: Any, layout: Layout) -> None:
-    """Raise an error if a strip or tile is incomplete, or decompresses to more than its size."""
+    """Raise an error if a strip or tile is incomplete, or is a picture larger than its size."""
     if len(page.dataoffsets) > MAX_PIECES:
         raise ValueError("it has too many strips or tiles")
     if len(page.dataoffsets) != len(page.databytecounts):
         raise ValueError("its tags contradict each other")
-    # Strips of planar files hold one sample each; for them the limit is larger than necessary.
-    most = layout.piece[0] * layout.piece[1] * layout.samples * layout.dtype.itemsize
     for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
         if count == 0 and offset == 0:
             raise FileError(
@@ -86,15 +108,25 @@ def _check_pieces(file: Path, stream: Any, page: Any, layout: Layout) -> None:
             )
         if count < 1 or offset + count > stream.size:
             raise ValueError("a part of it is missing")
-        # Only strips and tiles that could expand too far are decompressed twice.
-        if layout.compression in DEFLATE and count * _DEFLATE_RATIO > max(most, _HARMLESS):
+        # These decoders believe the size in their own data; the others fill the size of the piece.
+        if layout.compression in (*JPEG, WEBP):
             stream.seek(offset)
-            data = stream.read(count)
-            if len(zlib.decompressobj().decompress(data, most + 1)) > most:
-                raise ValueError("a part of it holds more than its tags say")
+            _check_picture((page.jpegheader or b"") + stream.read(count), layout)
 
 
-def interpret(file: str, samples: AnyArray, layout: Layout) -> tuple[AnyArray, AnyArray | None]:
+def _check_picture(data: bytes, layout: Layout) -> None:
+    """Raise an error if a strip or tile that is itself a JPEG or WebP is larger than its size."""
+    from PIL.JpegImagePlugin import JpegImageFile
+    from PIL.WebPImagePlugin import WebPImageFile
+
+    with (WebPImageFile if layout.compression == WEBP else JpegImageFile)(io.BytesIO(data)) as part:
+        if part.width > layout.piece[0] or part.height > layout.piece[1]:
+            raise ValueError("a part of it holds more than its tags say")
+
+
+def interpret(
+    file: str, samples: AnyArray, palette: AnyArray | None, layout: Layout
+) -> tuple[Any, AnyArray | None]:
     """Return the colors and the opacity that samples stand for.
 
     Parameters
@@ -102,12 +134,15 @@ def interpret(file: str, samples: AnyArray, layout: Layout) -> tuple[AnyArray, A
     file : str
         Name of the file in error messages.
     samples : (H, W, samples) array
+    palette : array, optional
+        As `read_samples` returns both.
     layout : Layout
 
     Returns
     -------
-    (H, W), (H, W, 3) or (H, W, 4) array
-        Gray, RGB or CMYK. Larger numbers mean more light or, for CMYK, more ink.
+    (H, W), (H, W, 3) or (H, W, 4) array, or PIL.Image.Image
+        Gray, RGB or CMYK. Larger numbers mean more light or, for CMYK, more ink. An image is of
+        the mode LAB.
     (H, W) array or None
         Opacity.
 
@@ -116,10 +151,8 @@ def interpret(file: str, samples: AnyArray, layout: Layout) -> tuple[AnyArray, A
     FileError
         If samples of this kind are not supported.
     """
-    if samples.dtype.kind == "u" and samples.dtype.itemsize > 2:
-        samples = samples / float(np.iinfo(samples.dtype).max)
-    elif samples.dtype == np.float16:  # too imprecise to be subtracted from 1
-        samples = samples.astype(np.float32)
+    if palette is None:
+        samples = _full_range(samples, layout.bits)
     count = COLOR_SAMPLES.get(layout.photometric, 0)
     if not count or samples.shape[2] < count:
         raise not_read(file, layout)
@@ -136,9 +169,27 @@ def interpret(file: str, samples: AnyArray, layout: Layout) -> tuple[AnyArray, A
                     )
                 colors = _divided(colors, alpha, largest)
             break
+    if palette is not None:
+        return palette[colors[..., 0]], alpha
+    if layout.photometric in (YCBCR, CIELAB):
+        return _by_pillow(file, colors, layout), alpha
     if layout.photometric == WHITE_IS_ZERO:
         colors = largest - colors
     return (colors[..., 0] if count == 1 else colors), alpha
+
+
+def _by_pillow(file: str, colors: AnyArray, layout: Layout) -> Any:
+    """Return RGB of YCbCr, or an image of the mode LAB."""
+    from PIL import Image
+
+    if colors.dtype != np.uint8:
+        raise not_read(file, layout)
+    if layout.compression in (*JPEG, WEBP):  # tifffile has converted YCbCr already
+        return colors
+    mode = "YCbCr" if layout.photometric == YCBCR else "LAB"
+    size, data = colors.shape[1::-1], np.ascontiguousarray(colors).tobytes()
+    picture = Image.frombytes(mode, size, data, "raw", mode)
+    return picture if mode == "LAB" else np.asarray(picture.convert("RGB"))
 
 
 def _divided(colors: AnyArray, alpha: AnyArray, largest: float) -> Array:

@@ -2,20 +2,24 @@
 
 from typing import IO, NamedTuple
 
-import numpy as np
-
 from clmorph.errors import FileError
 from clmorph.images.reading import tags
+from clmorph.images.reading.opening import UnsupportedError
 from clmorph.images.reading.tags import Directory
 
 #: First bytes of a TIFF or BigTIFF, in either byte order.
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 #: Values of PhotometricInterpretation.
-WHITE_IS_ZERO, BLACK_IS_ZERO, RGB, CMYK, YCBCR = 0, 1, 2, 5, 6
+WHITE_IS_ZERO, BLACK_IS_ZERO, RGB, PALETTE, CMYK, YCBCR, CIELAB = 0, 1, 2, 3, 5, 6, 8
 #: Number of samples of a pixel that are colors.
-COLOR_SAMPLES = {WHITE_IS_ZERO: 1, BLACK_IS_ZERO: 1, RGB: 3, CMYK: 4}
-#: Values of Compression.
-UNCOMPRESSED, DEFLATE = 1, (8, 32946)
+COLOR_SAMPLES = {
+    WHITE_IS_ZERO: 1, BLACK_IS_ZERO: 1, RGB: 3, PALETTE: 1, CMYK: 4, YCBCR: 3, CIELAB: 3
+}  # fmt: skip
+#: Values of Compression: JPEG of the old and the new kind, and WebP.
+JPEG, WEBP = (6, 7), 50001
+#: Values of Compression that are read: also none, three kinds of fax, LZW, Deflate by two numbers,
+#: PackBits, LZMA and Zstandard. None of their decoders exceeds the size that it is told.
+COMPRESSIONS = frozenset((1, 2, 3, 4, 5, *JPEG, 8, 32946, 32773, 34925, 50000, WEBP))
 #: Values of ExtraSamples: opacity with premultiplied colors, and with unmultiplied colors.
 ASSOCIATED, UNASSOCIATED = 1, 2
 #: Largest number of pieces (strips or tiles) of one picture.
@@ -37,7 +41,7 @@ class Layout(NamedTuple):
     kind : str
         Kind of the samples: "u", "i" or "f".
     samples : int
-    photometric, compression, orientation, predictor : int
+    photometric, compression, orientation : int
         Values of these tags in the file.
     planar, subsampled : bool
         Whether each channel is stored separately, and whether chroma has fewer samples than luma.
@@ -60,13 +64,7 @@ class Layout(NamedTuple):
     extra: tuple[int, ...]
     piece: tuple[int, int]
     subsampled: bool
-    predictor: int
     profile: bytes | None
-
-    @property
-    def dtype(self) -> np.dtype:
-        """The dtype of the samples, if NumPy has it."""
-        return np.dtype(f"{self.kind}{self.bits // 8}")
 
 
 def read_layout(directory: Directory) -> Layout:
@@ -76,19 +74,21 @@ def read_layout(directory: Directory) -> Layout:
     ------
     ValueError
         If its tags are incomplete or contradict each other.
+    UnsupportedError
+        If its samples are of a kind that is not read.
     """
     width, height = directory.number(tags.WIDTH, 0), directory.number(tags.HEIGHT, 0)
     if width < 1 or height < 1:
         raise ValueError("its tags give no size")
-    compression = directory.number(tags.COMPRESSION, UNCOMPRESSED)
-    samples = directory.number(tags.SAMPLES, 3 if compression in (6, 7) else 1)
+    compression = directory.number(tags.COMPRESSION, 1)
+    samples = directory.number(tags.SAMPLES, 1)
     bits = directory.numbers(tags.BITS) or (1,)
     formats = directory.numbers(tags.SAMPLE_FORMAT) or (1,)
-    if len(set(bits)) > 1 or len(set(formats)) > 1:
-        raise ValueError("its samples are not all of one kind")
     kind = {1: "u", 2: "i", 3: "f", 4: "u"}.get(formats[0])
-    if kind is None or not 1 <= bits[0] <= 64 or samples < 1:
-        raise ValueError("its samples are not of a kind that is read")
+    if len(set(bits)) > 1 or len(set(formats)) > 1 or kind is None or bits[0] > 64:
+        raise UnsupportedError("has samples of several kinds, or of one that is not read")
+    if bits[0] < 1 or samples < 1:
+        raise ValueError("its tags give no samples")
     photometric = directory.number(tags.PHOTOMETRIC, RGB if samples > 2 else BLACK_IS_ZERO)
     extra = directory.numbers(tags.EXTRA_SAMPLES)
     if not extra and samples == COLOR_SAMPLES.get(photometric, samples) + 1:
@@ -107,7 +107,6 @@ def read_layout(directory: Directory) -> Layout:
         directory.number(tags.ORIENTATION, tags.xmp_orientation(directory.octets(tags.XMP))),
         directory.number(tags.PLANAR, 1) == 2,
         extra, piece, directory.numbers(tags.SUBSAMPLING)[:2] != (1, 1),
-        directory.number(tags.PREDICTOR, 1),
         profile if isinstance(profile, bytes) else None,
     )  # fmt: skip
 
@@ -147,21 +146,13 @@ def check_layout(file: str, layout: Layout, max_pixels: int) -> None:
         raise FileError(
             f"{file} has signed samples: expected unsigned ones, or floats in [0, 1]; convert it"
         )
-    if layout.photometric == YCBCR and layout.compression == UNCOMPRESSED and layout.subsampled:
+    if layout.compression not in COMPRESSIONS or layout.photometric not in COLOR_SAMPLES:
+        raise not_read(file, layout)
+    if layout.photometric == YCBCR and layout.compression not in JPEG and layout.subsampled:
         raise FileError(
             f"{file} holds uncompressed YCbCr with fewer samples of color than of light, which is "
             "not read; save it as RGB"
         )
-
-
-def by_tifffile(layout: Layout) -> bool:
-    """Return whether tifffile decodes such a picture."""
-    return (
-        layout.compression in (UNCOMPRESSED, *DEFLATE)
-        and layout.photometric in COLOR_SAMPLES
-        and layout.predictor in (1, 2)  # 3, for floats, requires imagecodecs
-        and layout.bits in ((16, 32, 64) if layout.kind == "f" else (8, 16, 32, 64))
-    )
 
 
 def not_read(file: str, layout: Layout) -> FileError:

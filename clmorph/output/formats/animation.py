@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 #: Longer side, in pixels, to which small frames are enlarged.
 SIDE = 384
 
+#: The highest frame rate of files with milliseconds; browsers show a frame of 10 ms for 100 ms.
+FASTEST = 90.0
+
 #: Left, top, right and bottom in pixels; right and bottom are exclusive.
 Box = tuple[int, int, int, int]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from clmorph._shared.progress import Report, tracked
-from clmorph.output.formats.animation import SIDE, changed, pieces, timed_frames
+from clmorph.output.formats.animation import FASTEST, SIDE, changed, pieces, timed_frames
 from clmorph.output.formats.format import Format
 from clmorph.output.formats.limits import encoding
 from clmorph.output.metadata import as_png_info, read_png
@@ -112,6 +112,6 @@ def _chunks(picture: "Image", info: "PngInfo | None") -> Iterator[tuple[bytes, b
 FORMATS = (
     Format(
         name="apng", endings=(".apng",), write=write, read_metadata=read_png,
-        signatures=((0, SIGNATURE[:4]),), animated=True,
+        signatures=((0, SIGNATURE[:4]),), animated=True, fastest=FASTEST,
     ),
 )  # fmt: skip

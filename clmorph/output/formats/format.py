@@ -46,7 +46,7 @@ class Format:
     relevant_options : tuple of str
         The options of frame style and playback that the format uses.
     fastest : float
-        The highest frame rate, in frames per second. Browsers slow down GIFs with a higher one.
+        The highest frame rate, in frames per second. Browsers slow down a higher one to 10.
     """
 
     name: str

@@ -72,7 +72,7 @@ def _title(recording: Recording) -> str:
     images = recording.parameters.get("images") or ()
     names = [Path(str(image["file"])).stem for image in images if "file" in image]
     ordered = names[::-1] if recording.times[0] > recording.times[-1] else names
-    return " → ".join(ordered) or "Morph"
+    return " → ".join(ordered) or recording.morphs[0].title
 
 
 def _curves(recording: Recording) -> list[Curve]:

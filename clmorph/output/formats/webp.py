@@ -3,11 +3,11 @@
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from clmorph._shared.progress import Report, Share
 from clmorph.output.bounded import MAX_HEAD, MAX_TEXT
-from clmorph.output.formats.animation import SIDE, timed_frames
+from clmorph.output.formats.animation import FASTEST, SIDE, timed_frames
 from clmorph.output.formats.format import PACE, SIZES, Format
 from clmorph.output.formats.limits import check_sides, encoding
 from clmorph.output.framing import Framing
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 LOSSY_QUALITY, LOSSLESS_EFFORT = 90, 80
 #: The longest side in pixels: the field has 14 bits.
 LONGEST_SIDE = 16383
+#: Flags of an extended WebP.
+ANIMATED, HAS_EXIF, HAS_ALPHA = 0x02, 0x08, 0x10
 #: The largest number of chunks that the search for Exif reads: one per frame, and some more.
 MAX_CHUNKS = 1_000_000
 
@@ -32,13 +34,53 @@ def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -
     framing = recording.framing(style, SIDE)
     check_sides(framing.size, LONGEST_SIDE, "WebP")
     frames = timed_frames(recording, 1000)
+    plays = int(recording.motion.loop == "once")
     _reel(recording, [index for index, _ in frames], framing, report).save(
         file, format="WEBP", save_all=True, duration=[duration for _, duration in frames],
-        loop=int(recording.motion.loop == "once"), lossless=style.lossless, exact=style.lossless,
+        loop=plays, lossless=style.lossless, exact=style.lossless,
         quality=LOSSLESS_EFFORT if style.lossless else LOSSY_QUALITY, method=4,
         exif=as_exif(recording.parameters),
     )  # fmt: skip
+    _keep_animated(file, framing, sum(duration for _, duration in frames), plays)
     report(Share(1.0, f"{len(frames)} of {len(frames)}"))
+
+
+def _keep_animated(file: Path, framing: Framing, duration: int, plays: int) -> None:
+    """Make a still, which libwebp writes if all frames are equal, an animation of one frame.
+
+    RFC 9649, section 2.7, defines the chunks.
+    """
+    with file.open("rb") as stream:
+        stream.seek(12)
+        chunks = [*iter(lambda: _chunk(stream), None)]
+    if any(kind == b"ANMF" for kind, _ in chunks):
+        return
+    size = b"".join((side - 1).to_bytes(3, "little") for side in framing.size)
+    pixels = b"".join(_packed(*each) for each in chunks if each[0] in (b"ALPH", b"VP8 ", b"VP8L"))
+    whole = [
+        (
+            b"VP8X",
+            bytes((ANIMATED | HAS_EXIF | (HAS_ALPHA if framing.clear else 0), 0, 0, 0)) + size,
+        ),
+        (b"ANIM", struct.pack("<IH", 0, plays)),
+        (b"ANMF", bytes(6) + size + duration.to_bytes(3, "little") + b"\0" + pixels),
+        *(each for each in chunks if each[0] == b"EXIF"),
+    ]
+    body = b"WEBP" + b"".join(_packed(*each) for each in whole)
+    file.write_bytes(_packed(b"RIFF", body))
+
+
+def _chunk(stream: BinaryIO) -> tuple[bytes, bytes] | None:
+    """Return the kind and the content of the next chunk of a whole WebP."""
+    head = stream.read(8)
+    if len(head) < 8:
+        return None
+    kind, length = struct.unpack("<4sI", head)
+    return kind, stream.read(length + length % 2)[:length]
+
+
+def _packed(kind: bytes, content: bytes) -> bytes:
+    return kind + struct.pack("<I", len(content)) + content + bytes(len(content) % 2)
 
 
 def _reel(recording: Recording, order: list[int], framing: Framing, report: Report) -> "Image":
@@ -103,5 +145,6 @@ FORMATS = (
     Format(
         name="webp", endings=(".webp",), write=write, read_metadata=read_metadata,
         signatures=((0, b"RIFF"),), animated=True, relevant_options=(*SIZES, *PACE, "lossless"),
+        fastest=FASTEST,
     ),
 )  # fmt: skip

@@ -8,7 +8,7 @@ from clmorph.backends.opencl.devices.device import Device as Device
 from clmorph.backends.opencl.devices.device import describe, is_meant, names_of, preference
 from clmorph.backends.opencl.devices.install_hints import advice
 from clmorph.backends.opencl.devices.process import Once
-from clmorph.backends.opencl.devices.runtimes import intel_runtime, list_platforms
+from clmorph.backends.opencl.devices.runtimes import list_platforms
 from clmorph.backends.opencl.devices.trial import FURTHER, probe_seconds, run_probe
 from clmorph.backends.opencl.devices.verdicts import (
     driver_identity,
@@ -245,9 +245,4 @@ def _installation_hint(devices: tuple[Device, ...]) -> str:
     """Return advice on how to get a usable device, given the devices that were found."""
     if any("Intel" in device.platform for device in devices):
         return "update the drivers (clmorph devices --again), or use the backend 'numpy'"
-    if intel_runtime() is not None:
-        return (
-            "Intel's CPU runtime is installed but was not found: unset OCL_ICD_VENDORS, if it is "
-            "set, or install the runtime again; or use the backend 'numpy'"
-        )
     return f"{advice()[0]}; or use the backend 'numpy' (clmorph devices tells more)"

@@ -4,6 +4,8 @@ import platform
 import sys
 from pathlib import Path
 
+from clmorph.backends.opencl.devices.runtimes import intel_runtime
+
 #: The package of an OpenCL CPU runtime by Linux family (ID or ID_LIKE of /etc/os-release).
 LINUX_PACKAGES = {
     "debian": "apt install pocl-opencl-icd",
@@ -28,9 +30,12 @@ def linux_family() -> str:
 
 
 def advice(
-    system: str = sys.platform, machine: str = platform.machine(), family: str | None = None
+    system: str = sys.platform,
+    machine: str = platform.machine(),
+    family: str | None = None,
+    installed: bool | None = None,
 ) -> list[str]:
-    """Return advice on what to install where no OpenCL device works, the easiest first.
+    """Return advice on what to do where no OpenCL device works, the easiest first.
 
     Parameters
     ----------
@@ -40,11 +45,19 @@ def advice(
         As `platform.machine`.
     family : str, optional
         Linux family; read from the system if not given.
+    installed : bool, optional
+        Whether Intel's CPU runtime is installed; looked up if not given.
     """
     lines = []
     if system == "linux":
         if machine == "x86_64":
-            lines.append("CPU, without root: pip install 'clmorph[cpu]'")
+            installed = intel_runtime() is not None if installed is None else installed
+            lines.append(
+                "CPU: Intel's runtime is installed but was not found: unset OCL_ICD_VENDORS, if it "
+                "is set, or install the runtime again"
+                if installed
+                else "CPU, without root: pip install 'clmorph[cpu]'"
+            )
         packages = LINUX_PACKAGES.get(linux_family() if family is None else family)
         lines.append(f"CPU, as root: {packages or 'install PoCL with your package manager'}")
         lines.append(
