@@ -169,7 +169,7 @@ class ImagePair:
             **options.of(LiftOptions),
         )  # fmt: skip
         measures = maps.added(measures, self.given_shapes, options.feature_weight)
-        return guided(*measures, options.landmarks or (), self.given_shapes)
+        return guided(*measures, options.landmarks or (), self.given_shapes)[:2]
 
     def blocks(self, source: Measure, target: Measure) -> tuple[PixelBlocks, PixelBlocks]:
         """Group pixels into blocks, between which the transport is solved."""
