@@ -9,13 +9,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from clmorph._shared.files import check_place
 from clmorph._shared.validation import check_max_pixels
 from clmorph.cli.terminal import NOTES, note, say
 from clmorph.errors import FileError, ImageWarning, InputError, OutputError
+from clmorph.pipeline.guides import Guided, guides
 from clmorph.pipeline.maps import Maps, read_maps
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.result import Morph
 
 #: A handler that keeps Python from printing log records without another handler.
 SILENT = logging.NullHandler()
@@ -119,6 +123,29 @@ def open_backend(device: str | None, backend: str | None) -> Any:
     if shared is not None:
         note(shared)
     return operations
+
+
+def found_guides(
+    pictures: Sequence[Any], pairs: Sequence[tuple[int, int]], options: MorphOptions, maps: Maps
+) -> Guided:
+    """Return the landmarks of morphs between pictures, and print what was found."""
+    with quiet_libraries(), NOTES.status("looking for faces and for what both pictures show"):
+        guide = guides(pictures, pairs, options, maps)
+    if guide.found:
+        say(f"landmarks: {guide.found}")
+    return guide
+
+
+def note_misses(morph: Morph, names: str = "") -> None:
+    """Print a note about landmarks that are missed by a pixel or more."""
+    far = np.flatnonzero(morph.misses >= 1.0)
+    if len(far):
+        worst = int(np.argmax(morph.misses))
+        which = "landmark" if len(far) == 1 else f"{len(far)} landmarks, most of all landmark"
+        note(
+            f"the warp misses {which} {worst + 1} by {morph.misses[worst]:.2g} pixels{names}: "
+            "others nearby move otherwise"
+        )
 
 
 def chosen_preset(preset: str, options: MorphOptions) -> str:

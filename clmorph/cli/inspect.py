@@ -13,7 +13,14 @@ from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
 from clmorph.analysis.figures import check_plotting, draw_inspection
 from clmorph.analysis.inspect import inspect
-from clmorph.cli.common import chosen_preset, note_warning, open_backend, read_beside, read_picture
+from clmorph.cli.common import (
+    chosen_preset,
+    found_guides,
+    note_warning,
+    open_backend,
+    read_beside,
+    read_picture,
+)
 from clmorph.cli.terminal import Stages, say
 from clmorph.errors import ConvergenceWarning
 from clmorph.pipeline.options import MorphOptions
@@ -59,6 +66,7 @@ def run_inspect(
         preset = recognized(as_images(pictures))
         options = MorphOptions(preset=preset, **given)
         say(chosen_preset(preset, options))
+    options = found_guides(as_images(pictures), [(0, 1)], options, maps).of(0)
     with Stages() as stages, warnings.catch_warnings():
         # The printed statistics report convergence instead.
         warnings.simplefilter("ignore", ConvergenceWarning)

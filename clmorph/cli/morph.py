@@ -21,6 +21,8 @@ from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
 from clmorph.cli.common import (
     chosen_preset,
+    found_guides,
+    note_misses,
     note_warning,
     open_backend,
     read_beside,
@@ -43,6 +45,7 @@ from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
 from clmorph.pipeline.budget import default_memory
+from clmorph.pipeline.guides import Guided
 from clmorph.pipeline.maps import NO_MAPS, Maps
 from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import ImagePair, shapes_of
@@ -108,8 +111,9 @@ class _Run:
     outputs: Sequence[Output]
     solved: list[Potentials] = field(default_factory=list)
     particles: list[int] = field(default_factory=list)
-    shapes: Sequence[tuple[int, int]] | None = None
+    shapes: Sequence[tuple[int, int]] = ()
     maps: Maps = NO_MAPS
+    guide: Guided | None = None
 
     def __post_init__(self) -> None:
         self.motion = motion_of(self.options, held_frames(len(self.images), self.options.n_frames))
@@ -161,9 +165,12 @@ class _Run:
         """Compute the morphs of successive pictures, one at a time."""
         for number, pair in enumerate(itertools.pairwise(pictures)):
             mark = f" {number + 1}" if len(pictures) > 2 else ""
-            morph = ImagePair(pair, self.options, self.shapes, self.maps).morph(
-                operations, stages.marked(mark)
-            )
+            options = self.options if self.guide is None else self.guide.of(number)
+            morph = ImagePair(
+                pair, options.replace(max_memory=self.options.max_memory),
+                self.shapes[number : number + 2], self.maps,
+            ).morph(operations, stages.marked(mark))  # fmt: skip
+            note_misses(morph)
             self.solved.append(morph.potentials)
             self.particles.append(len(morph.particles))
             yield morph
@@ -193,8 +200,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     if request.options_of is not None:
         preset = recognized(whole)
         run.options = request.options_of(preset)
-    guides = ["landmark"] if run.options.landmarks else []
-    for name in [*guides, *request.beside]:
+    for name in request.beside:
         if len(whole) > 2:
             raise InputError(
                 f"--{name} is for two pictures, but {len(whole)} are given: morph them two at a "
@@ -202,6 +208,10 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
             )
     run.maps = read_beside(request.labels, request.features, request.max_pixels)
     run.shapes = shapes_of(whole)
+    run.guide = found_guides(
+        whole, list(itertools.pairwise(range(len(whole)))), run.options, run.maps
+    )
+    run.options = run.guide.options
     pictures = fitted(whole, run.options)
     operations = open_backend(device, backend)
     if request.capped:
@@ -260,6 +270,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
             summary = _summary(run, film, stages, notes)
     if preset is not None:
         summary["preset"] = preset
+    summary["found"] = run.guide.found
     summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
     click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
 

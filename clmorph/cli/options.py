@@ -108,9 +108,10 @@ def given_options(
     for name, value in given.items():
         if name in known and known[name].kind.several and isinstance(value, tuple):
             parts = [from_line(known[name], text) for text in value]
-            if parts:  # the last "none" drops what came before it
-                last = max((k + 1 for k, part in enumerate(parts) if part is None), default=0)
-                found[name] = sum(parts[last:], ()) or None
+            if parts:  # the last word, such as "none", drops what came before it
+                words = [k for k, part in enumerate(parts) if not isinstance(part, tuple)]
+                last = words[-1] if words else -1
+                found[name] = sum(parts[last + 1 :], ()) or parts[last]
         elif name in known and value is not None:
             found[name] = value if isinstance(value, bool) else from_line(known[name], value)
     return found
@@ -228,6 +229,7 @@ mix_options = _together(
     _of(MorphOptions, "reach"),
     _of(SolverOptions, "epsilon", "rho"),
     _of(LiftOptions),
+    _of(GuideOptions, "landmarks"),
     _of(SolverOptions, "tol", "max_iter"),
     _of(PlanOptions),
     _of(RenderOptions),

@@ -27,10 +27,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clmorph._shared.typing import Array
+from clmorph._shared.typing import Array, BoolArray
 from clmorph.errors import InputError
 from clmorph.measures.measure import Measure
 
+#: Largest stretch with which the border is mapped to the border, of all but a twentieth of the
+#: pixels; beyond it the border is free.
+MOST_STRETCH = 2.5
 #: Steps of the flow.
 STEPS = 8
 #: Smoothing of the splines, in turn, until the warp does not fold.
@@ -121,7 +124,9 @@ def warp(starts: Array, ends: Array, source: Measure, target: Measure) -> Warp:
                     found = _flow(starts, ends, source, base, smoothing)
             except np.linalg.LinAlgError:
                 break
-            if found.areas.min() > LEAST_AREA:
+            if found.areas.min() > LEAST_AREA and (
+                base is fitted or _stretched(found, source.shape) < MOST_STRETCH
+            ):
                 return found
     return _flow(starts, ends, source, fitted, np.inf)
 
@@ -165,8 +170,8 @@ def _whole_turn(starts: Array, ends: Array) -> complex:
     return turn / abs(turn) if explained > TURNED else 1.0 + 0.0j
 
 
-def _check_order(starts: Array, ends: Array) -> None:
-    """Refuse landmarks whose order is reversed, and name the two that do so the most."""
+def _contradictions(starts: Array, ends: Array) -> Array:
+    """Return how strongly each pair of landmarks contradicts: (n, n), -inf where it does not."""
     ways = [places[None] - places[:, None] for places in (starts, ends)]
     lengths = [np.hypot(way[..., 0], way[..., 1]) for way in ways]
     apart = np.minimum(*lengths) > NEAR
@@ -176,15 +181,45 @@ def _check_order(starts: Array, ends: Array) -> None:
     # Two at one place of a picture, but not of the other one.
     torn = np.maximum(*lengths) > np.maximum(2 * NEAR, MOST_STRETCHED * np.minimum(*lengths))
     wrong = torn | (apart & (cosines < REVERSED))
-    if not wrong.any():
-        return
     degree = wrong.sum(axis=1)
-    votes = np.where(wrong, degree[:, None] + degree - 0.5 * cosines, -np.inf)
+    return np.where(wrong, degree[:, None] + degree - 0.5 * cosines, -np.inf)
+
+
+def _check_order(starts: Array, ends: Array) -> None:
+    """Refuse landmarks whose order is reversed, and name the two that do so the most."""
+    votes = _contradictions(starts, ends)
+    if votes.max() == -np.inf:
+        return
     first, second = sorted(divmod(int(np.argmax(votes)), len(starts)))
     raise InputError(
         f"landmarks {first + 1} and {second + 1} contradict each other: one lies beyond the other "
         "in only one of the pictures; exchange their partners, correct them, or leave one out"
     )
+
+
+def agreeing(starts: Array, ends: Array) -> BoolArray:
+    """Return which landmarks can be kept so that no two of them contradict each other: (n,) array.
+
+    Parameters
+    ----------
+    starts, ends : (n, 2) arrays
+        Landmarks of both pictures, in units of their longer sides.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> starts = np.array([[0.1, 0.5], [0.3, 0.5], [0.5, 0.5], [0.9, 0.5], [0.9, 0.9]])
+    >>> agreeing(starts, starts[[0, 1, 3, 2, 4]] * (1, 0.9)).sum() < 5
+    True
+    """
+    kept = np.ones(len(starts), bool)
+    while kept.sum() > 1:
+        votes = _contradictions(starts[kept], ends[kept])
+        wrong = votes > -np.inf
+        if not wrong.any():
+            break
+        kept[np.flatnonzero(kept)[int(np.argmax(wrong.sum(axis=1)))]] = False
+    return kept
 
 
 def _flow(
@@ -222,14 +257,25 @@ def _flow(
     )
 
 
+def _stretched(found: Warp, shape: tuple[int, int]) -> float:
+    """Return by how much the most distorted parts are longer in one direction than across."""
+    field = found.positions.reshape(*shape, 2)
+    steps = np.stack([np.gradient(field, axis=k) for k in (0, 1)], axis=-1)
+    sizes = np.linalg.svd(steps, compute_uv=False)
+    return float(np.quantile(sizes[..., 0] / sizes[..., 1], 0.95))
+
+
 def _refined(field: Array, axes: list[Array], source: Measure) -> Array:
     """Interpolate a field of positions to all pixels."""
     from scipy.interpolate import RectBivariateSpline
 
-    fine = [np.linspace(axis[0], axis[-1], count)
-            for axis, count in zip(axes, source.shape, strict=True)]  # fmt: skip
+    rows, columns = (
+        np.linspace(axis[0], axis[-1], count)
+        for axis, count in zip(axes, source.shape, strict=True)
+    )
     return np.stack(
-        [RectBivariateSpline(*axes, field[..., k])(*fine) for k in (0, 1)], axis=-1
+        [RectBivariateSpline(axes[0], axes[1], field[..., k])(rows, columns) for k in (0, 1)],
+        axis=-1,
     )
 
 
@@ -255,4 +301,3 @@ def _spline(knots: Array, values: Array, smoothing: Array) -> Callable[[Array], 
     from scipy.interpolate import RBFInterpolator
 
     return RBFInterpolator(knots, values, smoothing=smoothing, kernel="thin_plate_spline")
-

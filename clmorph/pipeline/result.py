@@ -69,6 +69,10 @@ class Morph(FrameSequence):
         The images as frames show them at both ends, where they have more pixels than the measures:
         with layers, particles give fields alone, so that above 512 pixels along the longer side
         smaller copies are lifted, unless more is solved than these.
+    found : str
+        What ``landmarks="auto"`` has found, in a line; "" if nothing. `options` has the points.
+    misses : (n,) array
+        How far the warp misses the partner of each landmark, in pixels of image_b as it was given.
 
     Examples
     --------
@@ -102,6 +106,8 @@ class Morph(FrameSequence):
     pictures: tuple[NDArray[np.float64], NDArray[np.float64]] | None = field(
         default=None, repr=False
     )
+    found: str = ""
+    misses: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), repr=False)
     _renderer: SpreadRenderer = field(init=False, repr=False, compare=False)
     #: Cache of rendered frames: it holds no frame or all frames.
     _kept: list[NDArray[np.float32]] = field(

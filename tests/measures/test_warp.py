@@ -18,7 +18,10 @@ def plausible(rng):
     while True:
         width = rng.uniform(0.06, 0.25) * SIDE
         field = np.stack(
-            [gaussian_filter(rng.standard_normal((SIDE, SIDE)), width, mode="nearest") for _ in "xy"]
+            [
+                gaussian_filter(rng.standard_normal((SIDE, SIDE)), width, mode="nearest")
+                for _ in "xy"
+            ]
         )
         field *= rng.uniform(0.02, 0.25) / np.abs(field).max()
         down, right = np.gradient(field, 1 / (SIDE - 1), axis=(1, 2))
