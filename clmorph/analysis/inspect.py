@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,7 +29,7 @@ from clmorph.pipeline.budget import (
     warn_if_much_is_dropped,
 )
 from clmorph.pipeline.documentation import documented
-from clmorph.pipeline.guides import guides
+from clmorph.pipeline.guides import guides, labeled
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.maps import Maps
 from clmorph.pipeline.memory import estimate
@@ -66,7 +66,7 @@ def inspect(
     backend: Backend = "auto",
     weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
     color_metric: ArrayLike | None = None,
-    labels: tuple[ArrayLike, ArrayLike] | None = None,
+    labels: tuple[ArrayLike, ArrayLike] | Literal["auto"] | None = None,
     features: tuple[ArrayLike, ArrayLike] | None = None,
     divergence: bool = True,
     max_bytes: float = PruningOptions.max_bytes,
@@ -128,6 +128,7 @@ def inspect(
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
     maps = Maps(weights, color_metric, labels, features)
+    maps, _ = labeled(images, maps)
     guide = guides(images, [(0, 1)], chosen, maps)
     pair = ImagePair(
         fitted(images, chosen, maps), guide.of(0), shapes_of(images), maps, guide.found

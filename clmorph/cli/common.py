@@ -4,7 +4,7 @@ import logging
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,11 @@ from clmorph._shared.files import check_place
 from clmorph._shared.validation import check_max_pixels
 from clmorph.cli.terminal import NOTES, note, say
 from clmorph.errors import FileError, ImageWarning, InputError, OutputError
-from clmorph.pipeline.guides import Guided, guides
-from clmorph.pipeline.maps import Maps, read_maps
+from clmorph.pipeline.guides import Guided, guides, labeled
+from clmorph.pipeline.maps import AUTO_LABELS, Maps, read_maps
 from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.presets import AUTO, PRESETS
+from clmorph.pipeline.recipe import picture_entries
 from clmorph.pipeline.result import Morph
 
 #: A handler that keeps Python from printing log records without another handler.
@@ -134,6 +135,23 @@ def found_guides(
     if guide.found:
         say(f"landmarks: {guide.found}")
     return guide
+
+
+def found_labels(pictures: Sequence[Any], maps: Maps) -> Maps:
+    """Return maps whose labels are arrays, and print what was found if they were "auto"."""
+    with quiet_libraries():
+        found, text = labeled(pictures, maps)
+    if text:
+        say(f"labels: {text}")
+    return found
+
+
+def beside_entries(beside: Mapping[str, Sequence[Path]], folder: Path | None) -> dict[str, Any]:
+    """Return what a recipe says of files beside the pictures."""
+    return {
+        name: AUTO if tuple(paths) == AUTO_LABELS else picture_entries(paths, folder)
+        for name, paths in beside.items()
+    }
 
 
 def note_misses(morph: Morph, names: str = "") -> None:

@@ -16,6 +16,7 @@ from clmorph.analysis.inspect import inspect
 from clmorph.cli.common import (
     chosen_preset,
     found_guides,
+    found_labels,
     note_warning,
     open_backend,
     read_beside,
@@ -23,6 +24,7 @@ from clmorph.cli.common import (
 )
 from clmorph.cli.terminal import Stages, say
 from clmorph.errors import ConvergenceWarning
+from clmorph.pipeline.maps import AUTO_LABELS
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import as_images, recognized
 from clmorph.pipeline.presets import AUTO
@@ -58,7 +60,8 @@ def run_inspect(
     options = MorphOptions(preset=None if auto else preset, **given)
     if output is not None:
         check_plotting(output)
-        check_apart([output], [*images, *labels, *features])
+        files = () if tuple(labels) == AUTO_LABELS else labels
+        check_apart([output], [*images, *files, *features])
     pictures = [read_picture(path, max_pixels) for path in images]
     maps = read_beside(labels, features, max_pixels)
     operations = open_backend(device, backend)
@@ -66,6 +69,7 @@ def run_inspect(
         preset = recognized(as_images(pictures))
         options = MorphOptions(preset=preset, **given)
         say(chosen_preset(preset, options))
+    maps = found_labels(as_images(pictures), maps)
     options = found_guides(as_images(pictures), [(0, 1)], options, maps).of(0)
     with Stages() as stages, warnings.catch_warnings():
         # The printed statistics report convergence instead.

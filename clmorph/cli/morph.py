@@ -20,8 +20,10 @@ from clmorph._shared.printable import printable, size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
 from clmorph.cli.common import (
+    beside_entries,
     chosen_preset,
     found_guides,
+    found_labels,
     note_misses,
     note_warning,
     open_backend,
@@ -46,7 +48,7 @@ from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
 from clmorph.pipeline.budget import default_memory
 from clmorph.pipeline.guides import Guided
-from clmorph.pipeline.maps import NO_MAPS, Maps
+from clmorph.pipeline.maps import AUTO_LABELS, NO_MAPS, Maps
 from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import MorphOptions
@@ -192,7 +194,8 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
         raise InputError("--format is for one output: leave it out, or write one at a time")
     places = [Output(output, request.format) for output in outputs]
     recipes = recipe_places(outputs) if request.recipe else []
-    read = [*images, *request.labels, *request.features]
+    labels = () if tuple(request.labels) == AUTO_LABELS else request.labels
+    read = [*images, *labels, *request.features]
     check_apart([*outputs, *recipes], [*read, *([request.config] if request.config else [])])
     run = _Run(images, request.options, places)
     whole = [read_picture(path, request.max_pixels) for path in images]
@@ -207,6 +210,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
                 "time"
             )
     run.maps = read_beside(request.labels, request.features, request.max_pixels)
+    run.maps = found_labels(whole, run.maps)
     run.shapes = shapes_of(whole)
     run.guide = found_guides(
         whole, list(itertools.pairwise(range(len(whole)))), run.options, run.maps
@@ -229,9 +233,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     def metadata(folder: Path | None = None) -> dict[str, Any]:
         return recipe(
             run.options, images=picture_entries(images, folder), device=operations.description,
-            beside={
-                name: picture_entries(paths, folder) for name, paths in request.beside.items()
-            },
+            beside=beside_entries(request.beside, folder),
         )  # fmt: skip
 
     notes: list[Warning] = []

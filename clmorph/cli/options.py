@@ -66,6 +66,18 @@ class OutputName(FileName):
         return path
 
 
+class LabeledCommand(click.RichCommand):
+    """A command whose option ``--labels`` takes two files, or the one word auto."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: D102 (click's)
+        found = []
+        for k, text in enumerate(args):
+            found.append(text)
+            if text == "--labels=auto" or (text == "auto" and k and args[k - 1] == "--labels"):
+                found.append("auto")
+        return super().parse_args(ctx, found)
+
+
 class Value(click.ParamType):
     """A text of the command line that an option accepts; `given_options` converts it.
 
@@ -310,9 +322,10 @@ device_options = _together(
 
 map_options = _together(
     _option(
-        "Transport", "--labels", type=FileName(), nargs=2, metavar="A B",
+        "Transport", "--labels", type=FileName(), nargs=2, metavar="A B|auto",
         help="Label images of both pictures, of their sizes: gray levels, indices of a palette or "
-        "colors of PNG files, or .npy. Mass never changes its label.",
+        "colors of PNG files, or .npy. Mass never changes its label. auto: people, or what is not "
+        "transparent.",
     ),
     _option(
         "Transport", "--features", type=FileName(), nargs=2, metavar="A B",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from clmorph.backends.interface import MAX_DIMENSION
 from clmorph.errors import InputError
-from clmorph.images.finding.common import Finder
+from clmorph.images.finding.common import Finder, figures
 from clmorph.measures.landmark_options import AUTO, MAX_LANDMARKS, Landmarks, is_for_several
 from clmorph.measures.warp import agreeing
 from clmorph.pipeline.maps import NO_MAPS, Maps
@@ -90,6 +91,30 @@ def guides(
     if any(each):
         chosen = tuple(each) if len(pairs) > 1 else each[0]
     return Guided(options.replace(landmarks=chosen), each, "; ".join(lines))
+
+
+def labeled(images: Sequence[Picture], maps: Maps) -> tuple[Maps, str]:
+    """Return maps whose labels are arrays, and what was found if they were "auto".
+
+    Parameters
+    ----------
+    images : (image_a, image_b)
+        The images as they were given.
+    maps : Maps
+
+    Raises
+    ------
+    InputError
+        If a person is to be sought, and the extra ``faces`` is missing.
+    """
+    if not (isinstance(maps.labels, str) and maps.labels == AUTO):
+        return maps, ""
+    found = figures(images)
+    if found is None:
+        return replace(maps, labels=None), "no figure before a background in both pictures"
+    shares = " and ".join(f"{mask.mean():.0%}" for mask in found)
+    text = f"one figure in each picture, on {shares} of the pixels"
+    return replace(maps, labels=tuple(mask.astype(np.int8) for mask in found)), text
 
 
 def _morphs(count: int) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +27,7 @@ from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.output.playback import eased
 from clmorph.pipeline.budget import check_ways, make_plan
 from clmorph.pipeline.documentation import documented
-from clmorph.pipeline.guides import guides
+from clmorph.pipeline.guides import guides, labeled
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.maps import NO_MAPS, Maps
 from clmorph.pipeline.optimal_width import optimal_curve
@@ -55,7 +55,7 @@ def morph(
     backend: Backend = "auto",
     weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
     color_metric: ArrayLike | None = None,
-    labels: tuple[ArrayLike, ArrayLike] | None = None,
+    labels: tuple[ArrayLike, ArrayLike] | Literal["auto"] | None = None,
     features: tuple[ArrayLike, ArrayLike] | None = None,
     progress: StageProgress | None = None,
     **given: Unpack[MorphKeywords],
@@ -87,7 +87,8 @@ def morph(
     labels : (labels_a, labels_b), optional
         Integer arrays (H, W) of the shapes of image_a and image_b as they are given. Mass never
         changes its label, exactly; a label that only one image has does not move and fades as
-        unmatched mass does. See `clmorph.read_labels`.
+        unmatched mass does. See `clmorph.read_labels`. "auto": a person before a background, which
+        the extra ``faces`` finds, or what is not transparent; nothing if an image has neither.
     features : (features_a, features_b), optional
         Arrays (H, W) or (H, W, K) of the shapes of the images as they are given: further
         coordinates of the cost, weighted by `feature_weight`, at most six beside position and
@@ -132,6 +133,7 @@ def morph(
     images = as_images((image_a, image_b))
     chosen = as_options(options, preset, given, images, draft=draft)
     maps = Maps(weights, color_metric, labels, features)
+    maps, _ = labeled(images, maps)
     guide = guides(images, [(0, 1)], chosen, maps)
     pair = ImagePair(
         fitted(images, chosen, maps), guide.of(0), shapes_of(images), maps, guide.found

@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clmorph._shared.typing import Array
+from clmorph._shared.typing import Array, BoolArray
+from clmorph.errors import InputError
 from clmorph.images.finding.cascade import cascade_faces
 from clmorph.images.finding.matches import Features, features, matches
-from clmorph.images.finding.mesh import mesh_faces, mesh_missing
+from clmorph.images.finding.mesh import mesh_faces, mesh_missing, person
 from clmorph.images.finding.reduced import small_copy
 
 #: Longer sides of the copies in which meshes, and all else, are found.
@@ -91,6 +92,56 @@ class Finder:
         if number not in self._features:
             self._features[number] = features(small_copy(self._images[number], SEARCHED))
         return self._features[number]
+
+
+def figures(images: Sequence[Array]) -> list[BoolArray] | None:
+    """Return what stands before the background in two images, (H, W) each.
+
+    An image with opacity shows its figure itself; in others a person is sought.
+
+    Parameters
+    ----------
+    images : (image_a, image_b)
+        (H, W, 3) or (H, W, 4) arrays.
+
+    Returns
+    -------
+    list of (H, W) arrays, or None
+        None if an image has no figure.
+
+    Raises
+    ------
+    InputError
+        If a person is to be sought, and the extra ``faces`` is missing.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image = np.ones((2, 2, 4))
+    >>> image[0, 0, 3] = 0.0
+    >>> figures([image, image])[0].tolist()
+    [[False, True], [True, True]]
+    """
+    found = []
+    for image in images:
+        if image.shape[2] == 4:
+            found.append(image[..., 3] > 0)
+            continue
+        missing = mesh_missing()
+        if missing:
+            raise InputError(
+                "labels='auto' looks for people by the extra \"faces\", which is missing: "
+                f"{missing.replace('would find eyes and mouths too', 'finds them')}"
+            )
+        mask = person(small_copy(image, SEARCHED))
+        if mask is None:
+            return None
+        rows, columns = (
+            np.minimum((np.arange(side) + 0.5) * small / side, small - 1).astype(int)
+            for side, small in zip(image.shape[:2], mask.shape, strict=True)
+        )
+        found.append(mask[rows][:, columns])
+    return found
 
 
 def _paired(
