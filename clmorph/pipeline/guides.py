@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from clmorph.backends.arrays import as_array
 from clmorph.backends.interface import MAX_DIMENSION
 from clmorph.errors import InputError
 from clmorph.images.finding.common import Finder, figures
@@ -123,12 +124,15 @@ def _morphs(count: int) -> str:
 
 def _has_room(maps: Maps) -> bool:
     """Return whether landmarks go with the arrays beside the images."""
-    if maps.color_metric is not None and np.shape(maps.color_metric) != (3, 3):
-        return False
-    if maps.features is None:
-        return True
+    if maps.color_metric is not None:
+        metric = as_array(
+            "color_metric", maps.color_metric, "an array (3, 3), (H, W, 3, 3) or (H, W)"
+        )
+        if metric.shape != (3, 3):
+            return False
     pair = maps.features if isinstance(maps.features, tuple | list) else ()
-    counts = [np.shape(each)[2] if np.ndim(each) == 3 else 1 for each in pair]
+    shapes = [as_array("features", each, "arrays (H, W) or (H, W, K)").shape for each in pair]
+    counts = [shape[2] if len(shape) == 3 else 1 for shape in shapes]
     return max(counts, default=0) < MAX_DIMENSION - PLAIN
 
 

@@ -146,7 +146,7 @@ def run(ask: Ask) -> None:
         number=ask.number, url=tab.view(f"result-{ask.number}", path), film=kind.film,
         seconds=round(time.perf_counter() - began, 2), message=made.message,
         notes=[printable(str(each.message), MESSAGE) for each in found],
-        unmatched=made.unmatched, kind=kind.name, **words,
+        unmatched=made.unmatched, of=kind.name, **words,
     )  # fmt: skip
     tab.publish("result", **tab.told)
 

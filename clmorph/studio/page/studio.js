@@ -749,7 +749,7 @@ function again({ pictures, result }, { number, setting: before }) {
   const own = JSON.parse(before).landmarks;
   if (pictures.length) took({ pictures });
   if (own !== null) landmarks.set(own);
-  if (result === null || result.kind !== state.kind.name) return;
+  if (result === null || result.of !== state.kind.name) return;
   if (result.number < number) { // a preview of later settings comes
     $("downloads").hidden = $("stale").hidden = false;
     return;
