@@ -38,6 +38,8 @@ MOST_STRETCH = 2.5
 STEPS = 8
 #: Smoothing of the splines, in turn, until the warp does not fold.
 SMOOTHING = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+#: Strictness with which landmarks that are found are chosen.
+STRICT = 0.8
 #: Least area of a pixel after the warp, in units of its area after the base.
 LEAST_AREA = 0.05
 #: Fixed points along a side of the image's border.
@@ -170,17 +172,22 @@ def _whole_turn(starts: Array, ends: Array) -> complex:
     return turn / abs(turn) if explained > TURNED else 1.0 + 0.0j
 
 
-def _contradictions(starts: Array, ends: Array) -> Array:
-    """Return how strongly each pair of landmarks contradicts: (n, n), -inf where it does not."""
+def _contradictions(starts: Array, ends: Array, strictness: float = 1.0) -> Array:
+    """Return how strongly each pair of landmarks contradicts: (n, n), -inf where it does not.
+
+    With a strictness below 1 more pairs do, so that rounding makes none of the others contradict.
+    """
     ways = [places[None] - places[:, None] for places in (starts, ends)]
     lengths = [np.hypot(way[..., 0], way[..., 1]) for way in ways]
-    apart = np.minimum(*lengths) > NEAR
+    apart = np.minimum(*lengths) > strictness * NEAR
     one, other = (way[..., 0] + 1j * way[..., 1] for way in ways)
     turn = _whole_turn(starts, ends)
     cosines = np.real(np.conj(one * turn) * other) / np.where(apart, lengths[0] * lengths[1], 1.0)
     # Two at one place of a picture, but not of the other one.
-    torn = np.maximum(*lengths) > np.maximum(2 * NEAR, MOST_STRETCHED * np.minimum(*lengths))
-    wrong = torn | (apart & (cosines < REVERSED))
+    torn = np.maximum(*lengths) > strictness * np.maximum(
+        2 * NEAR, MOST_STRETCHED * np.minimum(*lengths)
+    )
+    wrong = torn | (apart & (cosines < strictness * REVERSED))
     degree = wrong.sum(axis=1)
     return np.where(wrong, degree[:, None] + degree - 0.5 * cosines, -np.inf)
 
@@ -214,7 +221,7 @@ def agreeing(starts: Array, ends: Array) -> BoolArray:
     """
     kept = np.ones(len(starts), bool)
     while kept.sum() > 1:
-        votes = _contradictions(starts[kept], ends[kept])
+        votes = _contradictions(starts[kept], ends[kept], STRICT)
         wrong = votes > -np.inf
         if not wrong.any():
             break

@@ -16,6 +16,8 @@ from clmorph.images.finding.reduced import small_copy
 
 #: Longer sides of the copies in which meshes, and all else, are found.
 MESHED, SEARCHED = 640, 256
+#: Largest number of points of all faces.
+MOST_POINTS = 256
 #: Least shorter side of a picture in which anything is sought, in pixels.
 LEAST = 48
 
@@ -69,8 +71,9 @@ class Finder:
         if self._faces_of(one) and self._faces_of(other):
             faces = [self._faces_of(number) for number in pair]
             pairs = _paired(faces[0], faces[1], shapes)
+            most = MOST_POINTS // len(pairs)
             starts, ends = (
-                np.vstack([faces[side][chosen[side]] for chosen in pairs]) for side in (0, 1)
+                np.vstack([faces[side][chosen[side]][:most] for chosen in pairs]) for side in (0, 1)
             )
             number = "one face" if len(pairs) == 1 else f"{len(pairs)} faces"
             more = f", of place and size alone; {self._missing}" if self._missing else ""

@@ -14,14 +14,18 @@ import numpy as np
 from clmorph._shared.typing import Array, BoolArray
 from clmorph.images.finding.reduced import Bytes, Copy
 
-#: Points of the mesh: outline, eyes, brows, nose, mouth.
+#: Points of the mesh: outline, eyes, brows, nose, mouth, what is between them, and more outline.
 OUTLINE = (10, 297, 284, 389, 454, 361, 397, 378, 152, 149, 172, 132, 234, 162, 54, 67)
 EYES = (33, 163, 145, 154, 133, 157, 159, 161, 263, 390, 374, 381, 362, 384, 386, 388)
 BROWS = (70, 63, 105, 66, 107, 300, 293, 334, 296, 336)
 NOSE = (168, 197, 4, 2, 98, 327)
 MOUTH = (61, 91, 84, 17, 314, 321, 291, 270, 267, 0, 37, 40)
-MESH = (*OUTLINE, *EYES, *BROWS, *NOSE, *MOUTH)
-#: Largest number of faces of a picture: 60 points each, of 256 landmarks.
+CHEEKS = (427, 101, 330, 207, 346, 420, 280, 151, 47, 337, 50, 434, 418, 108, 194, 426, 9, 430)
+BETWEEN = (338, 332, 251, 356, 323, 288, 365, 379, 400, 377, 148, 176, 150, 136, 58, 93, 127, 21,
+           103, 109)  # fmt: skip
+#: The most important ones come first.
+MESH = (*OUTLINE, *EYES, *BROWS, *NOSE, *MOUTH, *CHEEKS, *BETWEEN)
+#: Largest number of faces of a picture.
 MOST_FACES = 4
 #: Side of the square around a face in which its mesh is sought, in sides of the face's box.
 AROUND = 2.0
@@ -75,6 +79,8 @@ def mesh_faces(copy: Copy, numbers: tuple[int, ...] = MESH) -> list[Array]:
             margin = int(MARGIN * max(copy.pixels.shape[:2]))
             padded = np.pad(copy.pixels, ((margin,) * 2, (margin,) * 2, (0, 0)), mode="edge")
             boxes = [box - (margin, margin, 0.0) for box in _boxes(padded, models)]
+        if not boxes:
+            boxes = _small_boxes(copy.pixels, models)
         with models.face_mesh.FaceMesh(static_image_mode=True, max_num_faces=1) as model:
             for box in boxes[:MOST_FACES]:
                 places = _mesh(copy.pixels, box, model)
@@ -111,6 +117,20 @@ def _boxes(pixels: Bytes, models: Any) -> list[Array]:
                 middle = (box.xmin + box.width / 2) * width, (box.ymin + box.height / 2) * height
                 side = max(box.width * width, box.height * height)
                 new = np.array([*middle, side])
+                if all(_apart(new, other) for other in found):
+                    found.append(new)
+    return sorted(found, key=lambda box: -box[2])
+
+
+def _small_boxes(pixels: Bytes, models: Any) -> list[Array]:
+    """Return boxes of faces that are found in nine overlapping parts, the largest first."""
+    height, width = pixels.shape[:2]
+    found: list[Array] = []
+    for top in (0, height // 4, height // 2):
+        for left in (0, width // 4, width // 2):
+            part = np.ascontiguousarray(pixels[top : top + height // 2, left : left + width // 2])
+            for box in _boxes(part, models):
+                new = box + (left, top, 0.0)
                 if all(_apart(new, other) for other in found):
                     found.append(new)
     return sorted(found, key=lambda box: -box[2])
