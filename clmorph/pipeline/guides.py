@@ -74,8 +74,8 @@ def guides(
         known: list[Landmarks] = list(given) if is_for_several(given) else [given or ()]
         if given and len(known) != len(pairs):
             raise InputError(
-                f"landmarks of {_morphs(len(known))} given, but there are {_morphs(len(pairs))}: "
-                "expected pairs of points for two images, or a list of such pairs for each morph"
+                f"landmarks of {_morphs(len(known))} given: expected those of "
+                f"{_morphs(len(pairs))}, as pairs of points, or a list of such pairs for each morph"
             )
         return Guided(options, known if given else [() for _ in pairs], "")
     each: list[Landmarks] = []

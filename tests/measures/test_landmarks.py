@@ -328,7 +328,7 @@ def test_landmarks_of_the_command_line(tmp_path, monkeypatch, capfd, rng):
         assert told in capfd.readouterr().err
     chain = ["morph", "a.png", "b.png", "c.png", "-o", "x.gif", "--landmark", "5,5:6,6", *options]
     assert main(chain) == 2
-    assert "landmarks of one morph given, but there are 2 morphs" in capfd.readouterr().err
+    assert "landmarks of one morph given: expected those of 2 morphs" in capfd.readouterr().err
     assert not (tmp_path / "x.gif").exists()
 
 

@@ -130,7 +130,7 @@ def _small_boxes(pixels: Bytes, models: Any) -> list[Array]:
         for left in (0, width // 4, width // 2):
             part = np.ascontiguousarray(pixels[top : top + height // 2, left : left + width // 2])
             for box in _boxes(part, models):
-                new = box + (left, top, 0.0)
+                new = box + np.array((left, top, 0.0))
                 if all(_apart(new, other) for other in found):
                     found.append(new)
     return sorted(found, key=lambda box: -box[2])
