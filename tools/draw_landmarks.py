@@ -1,6 +1,8 @@
 """Draw a morph of two faces with and without landmarks: ``python tools/draw_landmarks.py out.png``.
 
-``--measure`` prints instead how many pixels landmarks miss their partners by, on random pictures.
+``--faces`` draws what ``landmarks="auto"`` makes of two portraits: without landmarks, with those of
+the cascade, and with those of the mesh (which needs the extra ``faces``). ``--measure`` prints
+instead how many pixels landmarks miss their partners by, on random pictures.
 """
 
 import argparse
@@ -12,7 +14,13 @@ from scipy.ndimage import gaussian_filter
 from skimage import data
 
 import clmorph
+from clmorph.images.finding.cascade import cascade_faces
+from clmorph.images.finding.common import MESHED, SEARCHED
+from clmorph.images.finding.mesh import mesh_faces
+from clmorph.images.finding.reduced import small_copy
 
+#: Left, top and side of the close-up of the astronaut, and the number of the other face.
+PORTRAIT, MAN = (120, 30, 200), 3
 TIMES = np.linspace(0.0, 1.0, 7)
 #: Left, top and side of the square that is taken of each photograph, and the side of the drawing.
 CUTS = {"astronaut": (165, 55, 120), "chelsea": (60, 0, 300)}
@@ -32,11 +40,36 @@ def face(name: str) -> np.ndarray:
     return np.asarray(getattr(data, name)()[top : top + side, left : left + side])
 
 
-def draw(path: Path, device: str) -> None:
-    """Draw two rows of frames: without landmarks, and with them."""
-    faces = [face(name) for name in FACES]
+def portraits() -> list[np.ndarray]:
+    """Return a photograph of a face, and a small gray one of scikit-image's collection."""
+    left, top, side = PORTRAIT
+    man = Image.fromarray(np.uint8(255 * data.lfw_subset()[MAN])).resize(
+        (side, side), Image.LANCZOS
+    )
+    woman = data.astronaut()[top : top + side, left : left + side]
+    return [woman, np.dstack([np.asarray(man)] * 3)]
+
+
+def found(images: list[np.ndarray], *, mesh: bool) -> list:
+    """Return the landmarks that the mesh or the cascade finds in two portraits."""
+    places = []
+    for image in images:
+        copy = small_copy(image / 255.0, MESHED if mesh else SEARCHED)
+        faces = mesh_faces(copy) if mesh else cascade_faces(copy)
+        places.append(copy.whole(faces[0]).tolist())
+    return list(zip(*places, strict=True))
+
+
+def draw(path: Path, device: str, *, by_auto: bool) -> None:
+    """Draw rows of frames: without landmarks, and with them."""
+    if by_auto:
+        faces = portraits()
+        ways = [None, found(faces, mesh=False), found(faces, mesh=True)]
+    else:
+        faces = [face(name) for name in FACES]
+        ways = [None, list(zip(*FACES.values(), strict=True))]
     rows = []
-    for landmarks in (None, list(zip(*FACES.values(), strict=True))):
+    for landmarks in ways:
         morph = clmorph.morph(*faces, landmarks=landmarks, n_frames=3, backend=device)
         frames = [
             Image.fromarray(np.rint(255 * np.clip(morph.frame(t), 0, 1)).astype(np.uint8))
@@ -89,13 +122,14 @@ def measure(device: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("output", type=Path, nargs="?", default=Path("landmarks.png"))
+    parser.add_argument("--faces", action="store_true", help="draw what is found in portraits")
     parser.add_argument("--measure", action="store_true", help="print misses in place of a picture")
     parser.add_argument("--device", default="auto")
     options = parser.parse_args()
     if options.measure:
         measure(options.device)
     else:
-        draw(options.output, options.device)
+        draw(options.output, options.device, by_auto=options.faces)
 
 
 if __name__ == "__main__":

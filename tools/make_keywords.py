@@ -33,6 +33,8 @@ class {name}Keywords(TypedDict, total=False):
     """Options of `clmorph.{function}` by name."""
 
 '''
+#: Largest length of a line.
+LENGTH = 100
 #: The classes of options, by the functions that take them.
 CLASSES: dict[str, type[Options]] = {
     "morph": MorphOptions,
@@ -59,15 +61,22 @@ def quoted(text: str) -> str:
     return f'"{text}"'
 
 
+def line_of(name: str, kind: Any) -> str:
+    """Return the line of an option, or several lines where one is too long."""
+    line = f"    {name}: {name_of(kind)}\n"
+    if len(line) <= LENGTH:
+        return line
+    parts = "\n        | ".join(map(name_of, get_args(kind)))
+    return f"    {name}: (\n        {parts}\n    )\n"
+
+
 def made() -> str:
     """Return the file's text."""
     text = HEAD
     for function, options in CLASSES.items():
         text += CLASS.format(name=function.capitalize(), function=function)
         text += "".join(
-            f"    {each.name}: {name_of(each.type)}\n"
-            for each in fields(options)
-            if "option" in each.metadata
+            line_of(each.name, each.type) for each in fields(options) if "option" in each.metadata
         )
     return text
 

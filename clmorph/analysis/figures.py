@@ -23,6 +23,7 @@ from clmorph.analysis.drawing import (
 from clmorph.analysis.panels import (
     color_bar,
     draw_lengths,
+    draw_marks,
     draw_mass,
     draw_residuals,
     mass_shares,
@@ -129,11 +130,12 @@ def _lay_out(figure: Any, found: Inspection) -> None:
     )  # fmt: skip
     moved = found.displacement
     source, target = _picture(found.source), _picture(found.target)
-    for place, picture, title in ((0, source, "Source"), (2, target, "Target")):
-        axes = figure.add_subplot(grid[0, place])
+    for side, (picture, title) in enumerate(((source, "Source"), (target, "Target"))):
+        axes = figure.add_subplot(grid[0, 2 * side])
         axes.set_title(title)
         show(axes, picture)
         outline(axes, picture.shape)
+        draw_marks(axes, found.marks, side, picture.shape)
     axes = figure.add_subplot(grid[0, 1])
     count = _arrow_count(found)
     axes.set_title(f"Displacement of every {ordinal(step_of(found.source.shape, count))} pixel")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from clmorph._shared.options import specifications
 from clmorph._shared.progress import StageProgress
 from clmorph._shared.validation import check_flag, check_progress
-from clmorph.analysis.report import Inspection, Seconds
+from clmorph.analysis.report import Inspection, Marks, Seconds
 from clmorph.analysis.timing import SAMPLED_PAIRS, fill_seconds, frame_seconds
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import Backend, get_backend
@@ -29,6 +29,7 @@ from clmorph.pipeline.budget import (
     warn_if_much_is_dropped,
 )
 from clmorph.pipeline.documentation import documented
+from clmorph.pipeline.guides import guides, labeled
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.maps import Maps
 from clmorph.pipeline.memory import estimate
@@ -65,7 +66,7 @@ def inspect(
     backend: Backend = "auto",
     weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
     color_metric: ArrayLike | None = None,
-    labels: tuple[ArrayLike, ArrayLike] | None = None,
+    labels: tuple[ArrayLike, ArrayLike] | Literal["auto"] | None = None,
     features: tuple[ArrayLike, ArrayLike] | None = None,
     divergence: bool = True,
     max_bytes: float = PruningOptions.max_bytes,
@@ -127,8 +128,13 @@ def inspect(
     divergence = check_flag("divergence", divergence)
     report = check_progress(progress)
     maps = Maps(weights, color_metric, labels, features)
-    pair = ImagePair(fitted(images, chosen, maps), chosen, shapes_of(images), maps)
-    whole = pair.measures()
+    maps, _ = labeled(images, maps)
+    guide = guides(images, [(0, 1)], chosen, maps)
+    pair = ImagePair(
+        fitted(images, chosen, maps), guide.of(0), shapes_of(images), maps, guide.found
+    )
+    source, target, misses = pair.measures()
+    whole = source, target
     blocks = pair.blocks(*whole)
     parts = pair.parts(blocks)
     source, target = blocks[0].coarse, blocks[1].coarse
@@ -193,6 +199,7 @@ def inspect(
         moving=moving,
         shapes=(whole[0].shape, whole[1].shape),
         device=operations.description,
+        marks=Marks(guide.each[0], pair.given_shapes, misses, guide.found),
     )  # fmt: skip
 
 

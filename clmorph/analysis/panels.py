@@ -7,12 +7,14 @@ from numpy.typing import NDArray
 
 from clmorph._shared.printable import percent, size_text, time_text
 from clmorph.analysis.drawing import BLUE, GRAY, INK, RED, SKY, pale, show
-from clmorph.analysis.report import Inspection
+from clmorph.analysis.report import Inspection, Marks
 from clmorph.measures.measure import Measure
 from clmorph.transport.displacement import Displacement
 
 #: The share of white that is mixed into pictures under shares of mass.
 MASS_PALE = 0.6
+#: Largest number of landmarks that have numbers.
+MOST_NUMBERED = 12
 #: Number of bins of the histogram.
 BINS = 40
 
@@ -23,6 +25,20 @@ def outline(axes: Any, shape: tuple[int, ...]) -> None:
 
     size = shape[1], shape[0]
     axes.add_patch(Rectangle((-0.5, -0.5), *size, fill=False, edgecolor="#bbbbbb", linewidth=0.8))
+
+
+def draw_marks(axes: Any, marks: Marks, side: int, shape: tuple[int, ...]) -> None:
+    """Draw the landmarks of one picture, which is shown with this shape; a few have numbers."""
+    if not len(marks.pairs):
+        return
+    points = np.array(marks.pairs, float)[:, side]
+    points = (points + 0.5) / marks.shapes[side][::-1] * (shape[1], shape[0]) - 0.5
+    axes.plot(*points.T, "o", markersize=3, markerfacecolor=SKY, markeredgecolor="white",
+              markeredgewidth=0.6)  # fmt: skip
+    if len(points) <= MOST_NUMBERED:
+        for number, point in enumerate(points):
+            axes.annotate(str(number + 1), point, xytext=(3, 2), textcoords="offset points",
+                          fontsize=7, color="white", clip_on=True)  # fmt: skip
 
 
 def color_bar(figure: Any, axes: Any, drawn: Any, label: str, **options: Any) -> None:

@@ -1,9 +1,11 @@
 """The results of an inspection, as numbers and as text."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clmorph._shared.printable import percent, size_text, time_text
 from clmorph.measures.measure import Measure
@@ -36,6 +38,36 @@ class Seconds(NamedTuple):
     frames: float
 
 
+class Marks(NamedTuple):
+    """Landmarks of both images.
+
+    Attributes
+    ----------
+    pairs : sequence of ((x, y), (x', y'))
+        In pixels of the images as they were given.
+    shapes : two of (height, width)
+        Shapes of these images.
+    misses : (n,) array
+        How far the warp misses the partner of each landmark, in pixels of the second image.
+    found : str
+        What ``landmarks="auto"`` has found; "" if it found nothing or was not asked.
+    """
+
+    pairs: Sequence[tuple[tuple[float, float], tuple[float, float]]] = ()
+    shapes: Sequence[tuple[int, int]] = ()
+    misses: NDArray[np.float64] = np.zeros(0)
+    found: str = ""
+
+    @property
+    def text(self) -> str:
+        """What landmarks there are, in a few words; "" if there are none."""
+        if not len(self.pairs):
+            return ""
+        number = "one point" if len(self.pairs) == 1 else f"{len(self.pairs)} points"
+        missed = f"; missed by up to {self.misses.max():.2g} px" if self.misses.max() > 0.05 else ""
+        return (self.found or number) + missed
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Inspection:
     """Measurements of a transport, and estimates of the time and memory of a morph by it.
@@ -66,6 +98,8 @@ class Inspection:
         Shapes of the images that a morph draws.
     device : str
         The device that was used.
+    marks : Marks
+        Landmarks.
 
     Examples
     --------
@@ -94,6 +128,7 @@ class Inspection:
     moving: int
     shapes: tuple[tuple[int, int], tuple[int, int]]
     device: str
+    marks: Marks
 
     def __repr__(self) -> str:
         (h, w), (height, width) = self.source.shape, self.target.shape
@@ -194,6 +229,11 @@ class Inspection:
                 "high": divergence.interval[1],
             },
             "no_divergence": self.no_divergence or None,
+            "landmarks": {
+                "pairs": [[list(point) for point in pair] for pair in self.marks.pairs],
+                "misses": self.marks.misses.tolist(),
+                "found": self.marks.found or None,
+            },
             "plan": {
                 "pairs": self.pairs,
                 "bytes": self.pair_bytes,
@@ -266,9 +306,11 @@ class Inspection:
         if not self.memory.shared:
             memory += f", {size_text(self.memory.device)} on the device"
         about = "" if plan is not None else "about "
+        marks = self.marks.text
         return [
             ("source", _measure_text(self.source, self.shapes[0])),
             ("target", _measure_text(self.target, self.shapes[1])),
+            *([("landmarks", marks)] if marks else []),
             ("solver", self.potentials.message),
             ("certificate", f"value {self.potentials.dual:.5g}, {bounds}"),
             ("transported", f"{percent(self.transported)} of the source's mass"),

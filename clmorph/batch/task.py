@@ -31,6 +31,7 @@ from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import Output, write_all
 from clmorph.pipeline.budget import default_memory
+from clmorph.pipeline.guides import guides
 from clmorph.pipeline.maps import read_maps
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.prepare import fitted, recognized
@@ -100,8 +101,9 @@ def _done(job: Job, device: str, notes: list[warnings.WarningMessage]) -> dict[s
         options = job.settled(recognized(whole) if job.preset is None else job.preset)
         motion = motion_of(options, held_frames(2, options.n_frames))
         place.check_motion(motion)
-        pictures = fitted(whole, options)
         maps = read_maps(beside.get("labels", ()), beside.get("features", ()), job.max_pixels)
+        options = guides(whole, [(0, 1)], options, maps).of(0)
+        pictures = fitted(whole, options)
         operations = get_backend(device)
         morph = ImagePair(pictures, options, shapes_of(whole), maps).morph(operations, _silent)
 

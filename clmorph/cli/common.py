@@ -2,18 +2,23 @@
 
 import logging
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from clmorph._shared.files import check_place
 from clmorph._shared.validation import check_max_pixels
 from clmorph.cli.terminal import NOTES, note, say
 from clmorph.errors import ImageWarning, InputError, OutputError
-from clmorph.pipeline.maps import Maps, read_maps
+from clmorph.pipeline.guides import Guided, guides, labeled
+from clmorph.pipeline.maps import AUTO_LABELS, Maps, read_maps
 from clmorph.pipeline.options import MorphOptions
-from clmorph.pipeline.presets import PRESETS
+from clmorph.pipeline.presets import AUTO, PRESETS
+from clmorph.pipeline.recipe import picture_entries
+from clmorph.pipeline.result import Morph
 
 #: Pixels of the shorter side of a reduced picture below which little of it is left.
 THIN = 8
@@ -122,6 +127,46 @@ def open_backend(device: str | None, backend: str | None) -> Any:
     if shared is not None:
         note(shared)
     return operations
+
+
+def found_guides(
+    pictures: Sequence[Any], pairs: Sequence[tuple[int, int]], options: MorphOptions, maps: Maps
+) -> Guided:
+    """Return the landmarks of morphs between pictures, and print what was found."""
+    with quiet_libraries(), NOTES.status("looking for faces and for what both pictures show"):
+        guide = guides(pictures, pairs, options, maps)
+    if guide.found:
+        say(f"landmarks: {guide.found}")
+    return guide
+
+
+def found_labels(pictures: Sequence[Any], maps: Maps) -> Maps:
+    """Return maps whose labels are arrays, and print what was found if they were "auto"."""
+    with quiet_libraries():
+        found, text = labeled(pictures, maps)
+    if text:
+        say(f"labels: {text}")
+    return found
+
+
+def beside_entries(beside: Mapping[str, Sequence[Path]], folder: Path | None) -> dict[str, Any]:
+    """Return what a recipe says of files beside the pictures."""
+    return {
+        name: AUTO if tuple(paths) == AUTO_LABELS else picture_entries(paths, folder)
+        for name, paths in beside.items()
+    }
+
+
+def note_misses(morph: Morph, names: str = "") -> None:
+    """Print a note about landmarks that are missed by a pixel or more."""
+    far = np.flatnonzero(morph.misses >= 1.0)
+    if len(far):
+        worst = int(np.argmax(morph.misses))
+        which = "landmark" if len(far) == 1 else f"{len(far)} landmarks, most of all landmark"
+        note(
+            f"the warp misses {which} {worst + 1} by {morph.misses[worst]:.2g} pixels{names}: "
+            "others nearby move otherwise"
+        )
 
 
 def chosen_preset(preset: str, options: MorphOptions) -> str:

@@ -20,6 +20,7 @@ from clmorph._shared.validation import shown
 from clmorph.cli.common import quiet_libraries
 from clmorph.cli.terminal import note
 from clmorph.errors import FileError, InputError
+from clmorph.pipeline.maps import AUTO_LABELS
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.pipeline.recipe import (
@@ -195,7 +196,12 @@ def read_settings(
 
 
 def _entries(path: Path, name: str, value: Any, count: int | None = None) -> list[Any]:
-    """Return a checked list of `count` file names, or of tables with one."""
+    """Return a checked list of `count` file names, or of tables with one.
+
+    In place of the files of labels there can be the word "auto".
+    """
+    if name == "labels" and value == AUTO:
+        return [AUTO, AUTO]
     known = [
         isinstance(entry.get("file") if isinstance(entry, dict) else entry, str)
         for entry in (value if isinstance(value, list) else [None])
@@ -247,7 +253,11 @@ def as_toml(
     import tomli_w
 
     files = {IMAGES: images, **(beside or {})}
-    named = {name: [str(path) for path in paths] for name, paths in files.items() if paths}
+    named: Settings = {
+        name: AUTO if tuple(paths) == AUTO_LABELS else [str(path) for path in paths]
+        for name, paths in files.items()
+        if paths
+    }
     return tomli_w.dumps(named | {name: _plain(settings[name]) for name in sorted(settings)})
 
 

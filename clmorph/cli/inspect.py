@@ -15,6 +15,8 @@ from clmorph.analysis.figures import check_plotting, draw_inspection
 from clmorph.analysis.inspect import inspect
 from clmorph.cli.common import (
     chosen_preset,
+    found_guides,
+    found_labels,
     note_thin,
     note_warning,
     open_backend,
@@ -23,6 +25,7 @@ from clmorph.cli.common import (
 )
 from clmorph.cli.terminal import Stages, say
 from clmorph.errors import ConvergenceWarning
+from clmorph.pipeline.maps import AUTO_LABELS
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import as_images, recognized
 from clmorph.pipeline.presets import AUTO
@@ -58,7 +61,8 @@ def run_inspect(
     options = MorphOptions(preset=None if auto else preset, **given)
     if output is not None:
         check_plotting(output)
-        check_apart([output], [*images, *labels, *features])
+        files = () if tuple(labels) == AUTO_LABELS else labels
+        check_apart([output], [*images, *files, *features])
     pictures = [read_picture(path, max_pixels) for path in images]
     maps = read_beside(labels, features, max_pixels)
     operations = open_backend(device, backend)
@@ -67,6 +71,8 @@ def run_inspect(
         options = MorphOptions(preset=preset, **given)
         say(chosen_preset(preset, options))
     note_thin(images, pictures, options)
+    maps = found_labels(as_images(pictures), maps)
+    options = found_guides(as_images(pictures), [(0, 1)], options, maps).of(0)
     with Stages() as stages, warnings.catch_warnings():
         # The printed statistics report convergence instead.
         warnings.simplefilter("ignore", ConvergenceWarning)

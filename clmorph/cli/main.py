@@ -16,6 +16,7 @@ from clmorph.cli import options
 from clmorph.cli.reporting import run
 from clmorph.errors import InputError, OptionWarning
 from clmorph.images.pixels import MAX_PIXELS
+from clmorph.pipeline.maps import AUTO_LABELS
 from clmorph.pipeline.options import MorphOptions, preset_options
 from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS, drafted
 
@@ -135,7 +136,7 @@ def _pictures(images: tuple[Path, ...], config: files.Found | None) -> tuple[Pat
     return tuple(path for path, _ in named)
 
 
-@cli.command(epilog=_PRESETS)
+@cli.command(epilog=_PRESETS, cls=options.LabeledCommand)
 @click.argument("images", metavar="A B [C …]", nargs=-1, type=options.FileName())
 @options.file_options
 @options.preset_option
@@ -194,7 +195,9 @@ def morph(
     beside = {"labels": labels or (), "features": features or ()}
     if config is not None:
         for name, files_of in config.beside.items():
-            if not beside[name]:
+            if not beside[name] and files_of.entries == [AUTO, AUTO]:
+                beside[name] = AUTO_LABELS
+            elif not beside[name]:
                 named = files_of.images()
                 beside[name] = tuple(path for path, _ in named)
                 announce_changes(named)
@@ -456,7 +459,7 @@ def mix(
     )  # fmt: skip
 
 
-@cli.command(epilog=_PRESETS)
+@cli.command(epilog=_PRESETS, cls=options.LabeledCommand)
 @click.argument("images", metavar="A B", nargs=-1, type=options.FileName())
 @click.option(
     "-o", "--output", type=options.OutputName(), panel="File",

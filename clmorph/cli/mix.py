@@ -15,11 +15,20 @@ import click
 from clmorph._shared.files import check_apart
 from clmorph._shared.printable import printable
 from clmorph.cli import config as files
-from clmorph.cli.common import chosen_preset, note_thin, open_backend, read_picture, recipe_places
+from clmorph.cli.common import (
+    chosen_preset,
+    found_guides,
+    note_thin,
+    open_backend,
+    read_picture,
+    recipe_places,
+)
 from clmorph.cli.terminal import Stages, say
 from clmorph.errors import InputError
 from clmorph.output.save import Output
+from clmorph.pipeline.maps import NO_MAPS
 from clmorph.pipeline.mixing.mix import check_images, mixes_of
+from clmorph.pipeline.mixing.mixes import pairs_of
 from clmorph.pipeline.mixing.weights import (
     MOST_IMAGES,
     check_mix_weights,
@@ -120,6 +129,8 @@ def run_mix(request: Request, *, device: str | None, backend: str | None, as_jso
     if request.preset == AUTO:
         say(chosen_preset(str(preset), chosen))
     note_thin(images, pictures, chosen)
+    guide = found_guides(pictures, pairs_of(count), chosen, NO_MAPS)
+    chosen = guide.options
     operations = open_backend(device, backend)
 
     def metadata(folder: Path | None = None) -> dict[str, Any]:
@@ -141,6 +152,7 @@ def run_mix(request: Request, *, device: str | None, backend: str | None, as_jso
             "outputs": [{"path": str(each.path), "format": each.name} for each in places],
             "mixes": len(mixes),
             "preset": preset,
+            "found": guide.found,
         }
         if stops is None:
             write_sheet(places, mixes.sheet(chosen.background), metadata(), texts)

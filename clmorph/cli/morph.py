@@ -20,7 +20,11 @@ from clmorph._shared.printable import printable, size_text
 from clmorph.backends.interface import Operations
 from clmorph.cli import config as files
 from clmorph.cli.common import (
+    beside_entries,
     chosen_preset,
+    found_guides,
+    found_labels,
+    note_misses,
     note_thin,
     note_warning,
     open_backend,
@@ -44,7 +48,8 @@ from clmorph.output.playback import held_frames, motion_of
 from clmorph.output.recording import Recording, recorded
 from clmorph.output.save import PACE, SIZES, Output, write_all
 from clmorph.pipeline.budget import default_memory
-from clmorph.pipeline.maps import NO_MAPS, Maps
+from clmorph.pipeline.guides import Guided
+from clmorph.pipeline.maps import AUTO_LABELS, NO_MAPS, Maps
 from clmorph.pipeline.memory import estimate
 from clmorph.pipeline.morph import ImagePair, shapes_of
 from clmorph.pipeline.options import MorphOptions
@@ -109,8 +114,9 @@ class _Run:
     outputs: Sequence[Output]
     solved: list[Potentials] = field(default_factory=list)
     particles: list[int] = field(default_factory=list)
-    shapes: Sequence[tuple[int, int]] | None = None
+    shapes: Sequence[tuple[int, int]] = ()
     maps: Maps = NO_MAPS
+    guide: Guided | None = None
 
     def __post_init__(self) -> None:
         self.motion = motion_of(self.options, held_frames(len(self.images), self.options.n_frames))
@@ -162,9 +168,12 @@ class _Run:
         """Compute the morphs of successive pictures, one at a time."""
         for number, pair in enumerate(itertools.pairwise(pictures)):
             mark = f" {number + 1}" if len(pictures) > 2 else ""
-            morph = ImagePair(pair, self.options, self.shapes, self.maps).morph(
-                operations, stages.marked(mark)
-            )
+            options = self.options if self.guide is None else self.guide.of(number)
+            morph = ImagePair(
+                pair, options.replace(max_memory=self.options.max_memory),
+                self.shapes[number : number + 2], self.maps,
+            ).morph(operations, stages.marked(mark))  # fmt: skip
+            note_misses(morph)
             self.solved.append(morph.potentials)
             self.particles.append(len(morph.particles))
             yield morph
@@ -186,7 +195,8 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
         raise InputError("--format is for one output: leave it out, or write one at a time")
     places = [Output(output, request.format) for output in outputs]
     recipes = recipe_places(outputs) if request.recipe else []
-    read = [*images, *request.labels, *request.features]
+    labels = () if tuple(request.labels) == AUTO_LABELS else request.labels
+    read = [*images, *labels, *request.features]
     check_apart([*outputs, *recipes], [*read, *([request.config] if request.config else [])])
     run = _Run(images, request.options, places)
     whole = [read_picture(path, request.max_pixels) for path in images]
@@ -194,15 +204,19 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     if request.options_of is not None:
         preset = recognized(whole)
         run.options = request.options_of(preset)
-    guides = ["landmark"] if run.options.landmarks else []
-    for name in [*guides, *request.beside]:
+    for name in request.beside:
         if len(whole) > 2:
             raise InputError(
                 f"--{name} is for two pictures, but {len(whole)} are given: morph them two at a "
                 "time"
             )
     run.maps = read_beside(request.labels, request.features, request.max_pixels)
+    run.maps = found_labels(whole, run.maps)
     run.shapes = shapes_of(whole)
+    run.guide = found_guides(
+        whole, list(itertools.pairwise(range(len(whole)))), run.options, run.maps
+    )
+    run.options = run.guide.options
     pictures = fitted(whole, run.options)
     note_thin(images, whole, run.options)
     operations = open_backend(device, backend)
@@ -221,9 +235,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
     def metadata(folder: Path | None = None) -> dict[str, Any]:
         return recipe(
             run.options, images=picture_entries(images, folder), device=operations.description,
-            beside={
-                name: picture_entries(paths, folder) for name, paths in request.beside.items()
-            },
+            beside=beside_entries(request.beside, folder),
         )  # fmt: skip
 
     notes: list[Warning] = []
@@ -262,6 +274,7 @@ def run_morph(request: Request, *, device: str | None, backend: str | None, as_j
             summary = _summary(run, film, stages, notes)
     if preset is not None:
         summary["preset"] = preset
+    summary["found"] = run.guide.found
     summary["seconds"]["total"] = round(time.perf_counter() - began, 3)
     click.echo(json.dumps(summary) if as_json else _last_line(run, summary))
 

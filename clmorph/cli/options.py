@@ -66,6 +66,18 @@ class OutputName(FileName):
         return path
 
 
+class LabeledCommand(click.RichCommand):
+    """A command whose option ``--labels`` takes two files, or the one word auto."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: D102 (click's)
+        found = []
+        for k, text in enumerate(args):
+            found.append(text)
+            if text == "--labels=auto" or (text == "auto" and k and args[k - 1] == "--labels"):
+                found.append("auto")
+        return super().parse_args(ctx, found)
+
+
 class Value(click.ParamType):
     """A text of the command line that an option accepts; `given_options` converts it.
 
@@ -108,9 +120,10 @@ def given_options(
     for name, value in given.items():
         if name in known and known[name].kind.several and isinstance(value, tuple):
             parts = [from_line(known[name], text) for text in value]
-            if parts:  # the last "none" drops what came before it
-                last = max((k + 1 for k, part in enumerate(parts) if part is None), default=0)
-                found[name] = sum(parts[last:], ()) or None
+            if parts:  # the last word, such as "none", drops what came before it
+                words = [k for k, part in enumerate(parts) if not isinstance(part, tuple)]
+                last = words[-1] if words else -1
+                found[name] = sum(parts[last + 1 :], ()) or parts[last]
         elif name in known and value is not None:
             found[name] = value if isinstance(value, bool) else from_line(known[name], value)
     return found
@@ -228,6 +241,7 @@ mix_options = _together(
     _of(MorphOptions, "reach"),
     _of(SolverOptions, "epsilon", "rho"),
     _of(LiftOptions),
+    _of(GuideOptions, "landmarks"),
     _of(SolverOptions, "tol", "max_iter"),
     _of(PlanOptions),
     _of(RenderOptions),
@@ -309,9 +323,10 @@ device_options = _together(
 
 map_options = _together(
     _option(
-        "Transport", "--labels", type=FileName(), nargs=2, metavar="A B",
+        "Transport", "--labels", type=FileName(), nargs=2, metavar="A B|auto",
         help="Label images of both pictures, of their sizes: gray levels, indices of a palette or "
-        "colors of PNG files, or .npy. Mass never changes its label.",
+        "colors of PNG files, or .npy. Mass never changes its label. auto: people, or what is not "
+        "transparent.",
     ),
     _option(
         "Transport", "--features", type=FileName(), nargs=2, metavar="A B",

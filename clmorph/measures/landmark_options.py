@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,12 +16,72 @@ from clmorph.errors import InputError
 Point = tuple[float, float]
 #: Pairs of corresponding points, ((x, y), (x', y')), in pixels of the two images.
 Landmarks = Sequence[tuple[Point, Point]]
+#: The value with which landmarks are found in the pictures.
+AUTO = "auto"
+#: What the option of landmarks may be: for more than two images a sequence for each pair of them.
+Guide = Landmarks | Sequence[Landmarks] | Literal["auto"] | None
 #: Largest number of landmarks: the work of the spline grows with its third power.
 MAX_LANDMARKS = 256
+#: Largest number of morphs that have landmarks of their own.
+MAX_MORPHS = 256
 #: Largest length of a file of landmarks, in characters.
 MAX_FILE = 1 << 20
 _EXPECTED = "pairs of points in pixels, such as [((120, 80), (131, 92))]"
-_PLAINLY = "x,y:x',y' in pixels, such as 120,80:131,92, or the name of a CSV file"
+_PLAINLY = "x,y:x',y' in pixels, such as 120,80:131,92, the name of a CSV file, or auto"
+
+
+def check_guide(name: str, value: Any) -> Any:
+    """Return the option of landmarks: "auto", pairs of points, or such pairs for several morphs.
+
+    Parameters
+    ----------
+    name : str
+    value : "auto", sequence of pairs, or sequence of sequences of pairs
+        Of a chain of images there is a sequence for each image and its successor, and of a mix one
+        for each two images in the order (1, 2), (1, 3), ..., (2, 3), ...
+
+    Raises
+    ------
+    InputError
+        If it is anything else.
+
+    Examples
+    --------
+    >>> check_guide("landmarks", [[[[1, 2], [3, 4]]], []])
+    ((((1.0, 2.0), (3.0, 4.0)),), ())
+    """
+    if isinstance(value, str) and value == AUTO:
+        return AUTO
+    rows = _parts(value)
+    if rows is not None and is_for_several(rows):
+        if len(rows) > MAX_MORPHS:
+            raise InputError(
+                f"{name}: landmarks of {len(rows)} morphs; expected {MAX_MORPHS} or fewer"
+            )
+        return tuple(check_landmarks(name, row) for row in rows)
+    try:
+        return check_landmarks(name, value)
+    except InputError as error:
+        raise InputError(f"{error}, or {AUTO!r}") from None
+
+
+def is_for_several(value: Any) -> bool:
+    """Return whether landmarks are those of several morphs: a sequence of sequences of pairs.
+
+    Examples
+    --------
+    >>> is_for_several([((1, 2), (3, 4))]), is_for_several([[((1, 2), (3, 4))], []])
+    (False, True)
+    """
+    for row in _parts(value) or []:
+        parts = _parts(row)
+        if parts is None:
+            return False
+        if not parts:
+            return True  # a morph without landmarks
+        ends = _parts(parts[0]) or [None]
+        return _parts(ends[0]) is not None
+    return False
 
 
 def check_landmarks(name: str, value: Any) -> tuple[tuple[Point, Point], ...]:
@@ -72,8 +132,8 @@ def _point(numbers: Any) -> Point:
     return float(numbers[0]), float(numbers[1])
 
 
-def read_landmarks(text: str) -> tuple[tuple[Point, Point], ...]:
-    """Return landmarks from a text: one or more x,y:x',y', or the name of a CSV file.
+def read_landmarks(text: str) -> Any:
+    """Return landmarks from a text: one or more x,y:x',y', the name of a CSV file, or "auto".
 
     A line of the file is ``x,y,x',y'``; empty lines, lines after ``#`` and a first line of names
     are left out. Pairs in a text are separated by spaces or semicolons.
@@ -90,6 +150,8 @@ def read_landmarks(text: str) -> tuple[tuple[Point, Point], ...]:
     >>> read_landmarks("120,80:131,92")
     (((120.0, 80.0), (131.0, 92.0)),)
     """
+    if text == AUTO:
+        return AUTO
     try:
         pairs = [
             tuple(tuple(map(float, end.split(","))) for end in pair.split(":"))
@@ -134,11 +196,15 @@ def as_number(text: str) -> float | None:
 
 _POINT_SCHEMA = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
 _PAIR_SCHEMA = {"type": "array", "items": _POINT_SCHEMA, "minItems": 2, "maxItems": 2}
+_PAIRS_SCHEMA = {"type": "array", "items": _PAIR_SCHEMA, "maxItems": MAX_LANDMARKS}
 #: The kind of landmarks among options.
 LANDMARKS = Kind(
-    check_landmarks, _PLAINLY, "x,y:x',y'|CSV", read_landmarks,
-    {"type": "array", "items": _PAIR_SCHEMA, "maxItems": MAX_LANDMARKS},
-    lambda value: isinstance(value, list), several=True,
+    check_guide, _PLAINLY, "auto|x,y:x',y'|CSV", read_landmarks,
+    {"anyOf": [
+        {"const": AUTO}, _PAIRS_SCHEMA,
+        {"type": "array", "items": _PAIRS_SCHEMA, "maxItems": MAX_MORPHS},
+    ]},
+    lambda value: isinstance(value, list) or value == AUTO, several=True,
 )  # fmt: skip
 
 #: Largest weight of a feature, and largest number of features.
@@ -191,10 +257,11 @@ FEATURE_WEIGHT = Kind(
 class GuideOptions(Options):
     """Options that guide the transport."""
 
-    landmarks: Landmarks | None = option(
-        None, LANDMARKS,
+    landmarks: Guide = option(
+        AUTO, LANDMARKS,
         "Points that correspond, each a point of A and its partner in B, in pixels of each picture "
-        "as it is given; repeatable. What is at one moves to the other.",
+        "as it is given; repeatable. What is at one moves to the other. auto: faces, or things in "
+        "both pictures, if there are any; none: no points.",
         "Transport", unit="pixels", outside="landmark",
     )  # fmt: skip
     feature_weight: float | Sequence[float] = option(

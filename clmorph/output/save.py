@@ -236,6 +236,10 @@ def _as_chain(
     raise InputError("morphs: expected a Morph, or a sequence of at least one")
 
 
+#: The option that belongs to the two pictures of a morph; a chain has a list of its values.
+LANDMARKS = "landmarks"
+
+
 def held_frames_of(chain: Sequence[FrameSequence]) -> NDArray[np.bool_]:
     """Return which frames of a chain are pictures themselves: (n,) array."""
     steps = [len(morph) - 1 for morph in chain]
@@ -252,15 +256,18 @@ def metadata_of(morphs: Sequence[FrameSequence], options: Options) -> dict[str, 
     morphs : sequence of Morph
     options : Options
         The first morph's options, with those given to `save`. If some morphs were made with other
-        options than the first, the recipe lists all morphs.
+        options than the first, the recipe lists all morphs; landmarks may differ.
     """
-    pace = {*specifications(PlaybackOptions), *specifications(FrameStyle)}
+    own = {*specifications(PlaybackOptions), *specifications(FrameStyle), LANDMARKS}
     each = [
-        {name: value for name, value in morph.options.as_dict().items() if name not in pace}
+        {name: value for name, value in morph.options.as_dict().items() if name not in own}
         for morph in morphs
     ]
     metadata = dict(morphs[0].parameters)
     if all(one == each[0] for one in each):
+        marks = [getattr(morph.options, LANDMARKS, None) or () for morph in morphs]
+        if len(morphs) > 1 and any(marks):
+            options = options.replace(**{LANDMARKS: marks})
         return metadata | {"options": options.outside()}
     del metadata["options"]
     return metadata | {"morphs": [morph.options.outside() for morph in morphs]}

@@ -14,7 +14,12 @@ class MorphKeywords(TypedDict, total=False):
     color_space: Literal["srgb", "linear", "lab", "luv", "oklab"]
     mass: Literal["uniform", "luminance", "alpha", "foreground"]
     extent: Literal["true", "unit"]
-    landmarks: Sequence[tuple[tuple[float, float], tuple[float, float]]] | None
+    landmarks: (
+        Sequence[tuple[tuple[float, float], tuple[float, float]]]
+        | Sequence[Sequence[tuple[tuple[float, float], tuple[float, float]]]]
+        | Literal["auto"]
+        | None
+    )
     feature_weight: float | Sequence[float]
     blur: float | None
     reach: float | tuple[float | None, float | None] | None

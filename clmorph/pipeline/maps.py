@@ -106,6 +106,8 @@ class Maps:
         return measures if whole is None else with_features(measures, whole, weight)
 
 
+#: What stands in place of the files of labels where these are to be found in the pictures.
+AUTO_LABELS = (Path("auto"), Path("auto"))
 #: No arrays.
 NO_MAPS = Maps()
 
@@ -116,7 +118,7 @@ def read_maps(labels: Sequence[Path], features: Sequence[Path], max_pixels: int)
     Parameters
     ----------
     labels, features : sequences of Path
-        Two files each, or none.
+        Two files each, or none; labels can be `AUTO_LABELS`.
     max_pixels : int
         Largest number of pixels of a file.
 
@@ -125,8 +127,11 @@ def read_maps(labels: Sequence[Path], features: Sequence[Path], max_pixels: int)
     FileError
         If a file cannot be read.
     """
+    found = tuple(labels) == AUTO_LABELS
     return Maps(
-        labels=tuple(read_labels(path, max_pixels=max_pixels) for path in labels) or None,
+        labels=AUTO_LABELS[0].name
+        if found
+        else tuple(read_labels(path, max_pixels=max_pixels) for path in labels) or None,
         features=tuple(read_features(path, max_pixels=max_pixels) for path in features) or None,
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,8 @@ from clmorph.errors import InputError
 from clmorph.frames.kernel_width import KernelWidth, effective_count
 from clmorph.frames.particles import particles
 from clmorph.images.detail import auto_sigma
-from clmorph.measures.landmarks import guided
+from clmorph.measures.landmark_options import AUTO
+from clmorph.measures.landmarks import Guided, guided
 from clmorph.measures.lift_pair import lift_pair
 from clmorph.measures.measure import Measure
 from clmorph.measures.options import LiftOptions
@@ -26,6 +27,7 @@ from clmorph.measures.pixel_blocks import PixelBlocks, group_pixels
 from clmorph.output.playback import eased
 from clmorph.pipeline.budget import check_ways, make_plan
 from clmorph.pipeline.documentation import documented
+from clmorph.pipeline.guides import guides, labeled
 from clmorph.pipeline.keywords import MorphKeywords
 from clmorph.pipeline.maps import NO_MAPS, Maps
 from clmorph.pipeline.optimal_width import optimal_curve
@@ -53,7 +55,7 @@ def morph(
     backend: Backend = "auto",
     weights: tuple[ArrayLike | None, ArrayLike | None] | None = None,
     color_metric: ArrayLike | None = None,
-    labels: tuple[ArrayLike, ArrayLike] | None = None,
+    labels: tuple[ArrayLike, ArrayLike] | Literal["auto"] | None = None,
     features: tuple[ArrayLike, ArrayLike] | None = None,
     progress: StageProgress | None = None,
     **given: Unpack[MorphKeywords],
@@ -85,7 +87,8 @@ def morph(
     labels : (labels_a, labels_b), optional
         Integer arrays (H, W) of the shapes of image_a and image_b as they are given. Mass never
         changes its label, exactly; a label that only one image has does not move and fades as
-        unmatched mass does. See `clmorph.read_labels`.
+        unmatched mass does. See `clmorph.read_labels`. "auto": a person before a background, which
+        the extra ``faces`` finds, or what is not transparent; nothing if an image has neither.
     features : (features_a, features_b), optional
         Arrays (H, W) or (H, W, K) of the shapes of the images as they are given: further
         coordinates of the cost, weighted by `feature_weight`, at most six beside position and
@@ -130,7 +133,11 @@ def morph(
     images = as_images((image_a, image_b))
     chosen = as_options(options, preset, given, images, draft=draft)
     maps = Maps(weights, color_metric, labels, features)
-    pair = ImagePair(fitted(images, chosen, maps), chosen, shapes_of(images), maps)
+    maps, _ = labeled(images, maps)
+    guide = guides(images, [(0, 1)], chosen, maps)
+    pair = ImagePair(
+        fitted(images, chosen, maps), guide.of(0), shapes_of(images), maps, guide.found
+    )
     return pair.morph(backend, check_progress(progress))
 
 
@@ -148,20 +155,23 @@ class ImagePair:
         and features have; those of `images` if missing.
     maps : Maps
         Arrays beside the images.
+    found : str
+        What landmarks were found, in a line (`clmorph.pipeline.guides`).
     """
 
     images: Sequence[Picture]
     options: MorphOptions
     shapes: Sequence[tuple[int, int]] | None = None
     maps: Maps = NO_MAPS
+    found: str = ""
 
     @property
     def given_shapes(self) -> Sequence[tuple[int, int]]:
         """Shapes of the images as they were given."""
         return self.shapes or shapes_of(self.images)
 
-    def measures(self, images: Sequence[Picture] | None = None) -> tuple[Measure, Measure]:
-        """Lift both images, or copies of them."""
+    def measures(self, images: Sequence[Picture] | None = None) -> Guided:
+        """Lift both images, or copies of them, with the misses of landmarks."""
         first, second = self.images if images is None else images
         maps, options = self.maps, self.options
         measures = lift_pair(
@@ -169,7 +179,9 @@ class ImagePair:
             **options.of(LiftOptions),
         )  # fmt: skip
         measures = maps.added(measures, self.given_shapes, options.feature_weight)
-        return guided(*measures, options.landmarks or (), self.given_shapes)
+        landmarks: Any = options.landmarks or ()
+        assert landmarks != AUTO  # `guides` has found them
+        return guided(*measures, landmarks, self.given_shapes)
 
     def blocks(self, source: Measure, target: Measure) -> tuple[PixelBlocks, PixelBlocks]:
         """Group pixels into blocks, between which the transport is solved."""
@@ -233,7 +245,7 @@ class ImagePair:
         """Solve the transport, make its particles, and choose the kernel widths."""
         options = self.options
         small = small_copies(self.images, options, self.maps)
-        source, target = self.measures(small)
+        source, target, misses = self.measures(small)
         if options.sigma is not None and source.has_metric_map:
             raise InputError(NO_DIVERGENCE)
         if options.barycentric:
@@ -278,6 +290,8 @@ class ImagePair:
             arrays=self.maps.names,
             shapes=(self.given_shapes[0], self.given_shapes[1]),
             pictures=None if small is None else (self.images[0], self.images[1]),
+            found=self.found,
+            misses=misses,
         )  # fmt: skip
         if options.sigma is None:
             return result

@@ -317,6 +317,8 @@ def preset_options(name: str | None) -> dict[str, Any]:
     chosen = PRESETS[check_choice("preset", "photo" if name is None else name, tuple(PRESETS))]
     decided = {option for preset in PRESETS.values() for option in preset.options}
     usual = {name: getattr(MorphOptions, name) for name in specifications(MorphOptions)}
+    # Landmarks belong to pictures: only presets that must not have any decide them.
+    decided.discard("landmarks")
     return {name: value for name, value in usual.items() if name in decided} | dict(chosen.options)
 
 

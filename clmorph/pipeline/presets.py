@@ -75,6 +75,7 @@ PRESETS: dict[str, Preset] = {
             "splatting": "fixed",
             "sigma_start": 0.3,
             "extent": "unit",
+            "landmarks": None,
         },
     ),
     "paper": Preset(
@@ -97,6 +98,7 @@ PRESETS: dict[str, Preset] = {
             "path_space": "srgb",
             "extent": "unit",
             "unmatched": "drop",
+            "landmarks": None,
         },
     ),
 }

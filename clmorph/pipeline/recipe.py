@@ -57,7 +57,7 @@ def recipe(
     images: Sequence[Mapping[str, Any]] = (),
     device: str = "",
     arrays: Sequence[str] = (),
-    beside: Mapping[str, Sequence[Mapping[str, Any]]] | None = None,
+    beside: Mapping[str, Any] | None = None,
     mixes: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the recipe of a file, which suffices to make the file again.
@@ -73,7 +73,8 @@ def recipe(
         Names of further input arrays ("weights", "color_metric"; "labels" and "features" if they
         are no files), which a recipe does not contain.
     beside : mapping, optional
-        Files beside the pictures by what they are (`BESIDE`): name and digest of each.
+        Files beside the pictures by what they are (`BESIDE`): name and digest of each, or the word
+        "auto" for labels that are found.
     mixes : mapping, optional
         What mixes show: one of `SHOWN` and its value.
     """
@@ -83,7 +84,7 @@ def recipe(
     found |= {} if mixes is None else {COMMAND: MIX, **mixes}
     found |= {IMAGES: [dict(image) for image in images]} if images else {}
     for name, entries in (beside or {}).items():
-        found[name] = [dict(entry) for entry in entries]
+        found[name] = entries if isinstance(entries, str) else [dict(entry) for entry in entries]
     found |= {"arrays": list(arrays)} if arrays else {}
     return found | ({"device": device} if device else {})
 

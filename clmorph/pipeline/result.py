@@ -1,6 +1,7 @@
 """The result `Morph`: a sequence of frames that can be rendered and saved."""
 
 from collections.abc import Generator
+from contextlib import closing
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, overload
@@ -8,7 +9,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from clmorph._shared.validation import check_integer, check_number
+from clmorph._shared.progress import Share, StageProgress
+from clmorph._shared.validation import check_integer, check_number, check_progress
 from clmorph.backends.arrays import pyopencl_needed
 from clmorph.backends.interface import Operations
 from clmorph.errors import InputError
@@ -69,6 +71,10 @@ class Morph(FrameSequence):
         The images as frames show them at both ends, where they have more pixels than the measures:
         with layers, particles give fields alone, so that above 512 pixels along the longer side
         smaller copies are lifted, unless more is solved than these.
+    found : str
+        What ``landmarks="auto"`` has found, in a line; "" if nothing. `options` has the points.
+    misses : (n,) array
+        How far the warp misses the partner of each landmark, in pixels of image_b as it was given.
 
     Examples
     --------
@@ -102,6 +108,8 @@ class Morph(FrameSequence):
     pictures: tuple[NDArray[np.float64], NDArray[np.float64]] | None = field(
         default=None, repr=False
     )
+    found: str = ""
+    misses: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), repr=False)
     _renderer: SpreadRenderer = field(init=False, repr=False, compare=False)
     #: Cache of rendered frames: it holds no frame or all frames.
     _kept: list[NDArray[np.float32]] = field(
@@ -366,9 +374,38 @@ class Morph(FrameSequence):
     @property
     def frames(self) -> list[NDArray[np.float32]]:
         """All frames, at `times`; the first access renders and caches them."""
-        if not self._kept:
-            self._kept.extend(list(self.iter_frames()))
+        self.keep()
         return self._kept
+
+    def keep(self, progress: StageProgress | None = None) -> None:
+        """Render and cache all frames, so that files which are written later need not do so.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with the stage "frames" and the share of it that is done.
+
+        Examples
+        --------
+        >>> import clmorph
+        >>> import numpy as np
+        >>> left, right = np.zeros((2, 6, 6, 3))
+        >>> left[:, :3] = right[:, 3:] = 1.0
+        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+        >>> morph.keep()
+        >>> morph[2] is morph.frames[2]
+        True
+        """
+        if self._kept:
+            return
+        report = check_progress(progress)
+        found = []
+        with closing(self.iter_frames()) as frames:
+            for frame in frames:
+                found.append(frame)
+                share = len(found) / len(self)
+                report("frames", Share(share, f"{len(found)} of {len(self)}"))
+        self._kept.extend(found)
 
     @property
     def pixelated(self) -> bool:

@@ -25,6 +25,9 @@ from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, PRESETS
 from clmorph.studio.kinds import KINDS, PAINTED, Kind, painted_name
 
+#: What the page sends in place of landmarks that are those that were found.
+LANDMARKS_FOUND = "auto"
+
 
 @dataclass(frozen=True)
 class Choices:
@@ -88,7 +91,7 @@ def read_choices(asked: Any) -> Choices:
     ----------
     asked : mapping
         ``kind``, ``preset``, ``device``, ``settings`` (texts by names outside, truth values for
-        flags), ``grid``, ``painted`` and ``landmarks`` (pairs of points).
+        flags), ``grid``, ``painted`` and ``landmarks`` (pairs of points, or "auto").
 
     Raises
     ------
@@ -118,9 +121,9 @@ def read_choices(asked: Any) -> Choices:
             raise InputError(unknown_option(key, known))
         name, each = known[key]
         given[name] = _value(key, each, value)
-    marks = asked.get("landmarks") or ()
-    if marks and kind.landmarks:
-        given["landmarks"] = check_landmarks("landmarks", marks)
+    marks = asked.get("landmarks", LANDMARKS_FOUND)
+    if marks != LANDMARKS_FOUND and kind.landmarks:
+        given["landmarks"] = check_landmarks("landmarks", marks) or None
     grid = str(asked.get("grid") or "").strip()[:20] if kind.grid else ""
     painted = bool(kind.painted) and asked.get("painted") is True
     found = Choices(kind, preset, given, device, grid, painted)
@@ -157,8 +160,9 @@ def command_line(choices: Choices, recognized: str, names: Sequence[str]) -> str
             words.append(line if value else f"--no-{line[2:]}")
             continue
         if name == "landmarks":
-            for (x, y), (u, v) in value:
+            for (x, y), (u, v) in value or ():
                 words += [line, f"{x!r},{y!r}:{u!r},{v!r}"]
+            words += [] if value else [line, known[name].word]
             continue
         text = _text(to_outside(known[name], value), name)
         words += [f"{line}={text}"] if text.startswith("-") else [line, text]
@@ -187,7 +191,11 @@ _CODE = {
 labels = tuple(clmorph.read_labels(file) for file in beside) or None
 chain = [clmorph.morph(a, b, labels=labels, **given) for a, b in pairwise(pictures)]
 more = {"labels": picture_entries(beside)} if beside else {}
-known = recipe(chain[0].options, images=picture_entries(files), beside=more, device=device)
+options = chain[0].options
+marks = [each.options.landmarks or () for each in chain]
+if len(chain) > 1 and any(marks):
+    options = options.replace(landmarks=marks)
+known = recipe(options, images=picture_entries(files), beside=more, device=device)
 clmorph.save(chain, OUTPUT, parameters=known)
 """,
     "rearrange": """\

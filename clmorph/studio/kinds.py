@@ -6,7 +6,7 @@ from pathlib import PurePath
 from types import MappingProxyType
 from typing import Any
 
-from clmorph._shared.options import Option, Options, outside_name, specifications
+from clmorph._shared.options import Option, Options, outside_name, specifications, to_outside
 from clmorph.pipeline.mixing.weights import MOST_IMAGES
 from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.presets import AUTO, AUTO_HELP, PRESETS
@@ -96,6 +96,7 @@ class Kind:
             "name": outside_name(name, known), "help": self.main.get(name, known.help),
             "unit": known.unit, "panel": known.panel, "word": known.word,
             "main": name in self.main, "flag": not known.kind.metavar,
+            "usual": to_outside(known, getattr(self.options, name)),
         }  # fmt: skip
         if "enum" in schema:
             found["choices"] = [*schema["enum"], *([known.word] if known.word else [])]

@@ -19,6 +19,7 @@ from clmorph.images.pixels import fit
 from clmorph.images.resizing import as_unit
 from clmorph.output.picture import write_picture
 from clmorph.output.save import Output, save
+from clmorph.pipeline.guides import guides
 from clmorph.pipeline.mixing.mix import check_images, mixes_of
 from clmorph.pipeline.mixing.writing import write_sheet
 from clmorph.pipeline.morph import morph
@@ -27,6 +28,7 @@ from clmorph.pipeline.presets import DRAFT_TOL
 from clmorph.pipeline.rearrange import arranged
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recolor import recolored
+from clmorph.pipeline.result import Morph
 from clmorph.studio.overlays import CREATED, DESTROYED, tinted, unmatched_shares
 
 #: Largest number of blocks and of particles of a preview.
@@ -35,6 +37,10 @@ BLOCKS, PARTICLES = 48, 40_000
 #: rearrangement; size of mixes; and the longer sides of both pictures where one is recolored.
 MORPH_STEPS, REARRANGE_STEPS = ((40, 5), (96, 12)), ((32, 6), (64, 16))
 MIX_STEPS, RECOLOR_SIDES = (24, 48), (320, 128)
+
+
+#: Largest number of bytes of the frames of a film that are kept in memory.
+MOST_KEPT = 1 << 30
 
 
 class Made(ABC):
@@ -78,8 +84,18 @@ class Film(Made):
         ]
 
     def write(self, path: Path, parameters: dict[str, Any], report: StageProgress) -> None:
-        """Write it to a file in the format of its ending."""
+        """Write it to a file in the format of its ending, and keep the frames for the next one."""
+        morphs = [part for part in self.parts if isinstance(part, Morph)]
+        need = sum(4 * len(part) * np.prod(part.canvas(0.5).shape) * 4 for part in morphs)
+        if need <= MOST_KEPT:
+            for number, part in enumerate(morphs, 1):
+                part.keep(_marked(report, number, len(morphs) + 1))
         save(self.parts, path, parameters=parameters, progress=report)
+
+    def still(self, time: float) -> Array:
+        """Return the frame at a time, from 0 to the number of parts: (H, W, C) in [0, 1]."""
+        part = min(int(time), len(self.parts) - 1)
+        return np.asarray(self.parts[part].frame(min(time - part, 1.0)), np.float64)
 
 
 @dataclass(frozen=True)
@@ -146,10 +162,12 @@ def make_morphs(task: Task, report: StageProgress) -> Film:
     """Morph each picture into the next one."""
     labels = tuple(read_labels(path) for path in task.painted)
     found = []
+    pairs = list(itertools.pairwise(range(len(task.pictures))))
+    guide = guides(task.pictures, pairs, task.options)
     for number, (one, other) in enumerate(itertools.pairwise(task.pictures), 1):
         found.append(
             morph(
-                one, other, task.options, backend=task.operations,
+                one, other, guide.of(number - 1), backend=task.operations,
                 labels=(labels[0], labels[1]) if labels else None,
                 progress=_marked(report, number, len(task.pictures)),
             )

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import secrets
+import warnings
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -21,8 +22,9 @@ from starlette.responses import FileResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Route
 
 from clmorph._shared.printable import MESSAGE, printable, size_text
-from clmorph.errors import ClmorphError, FileError, InputError
+from clmorph.errors import ClmorphError, FileError, ImageWarning, InputError
 from clmorph.images.pixels import fit, read_visible, to_bytes
+from clmorph.pipeline.options import MorphOptions
 from clmorph.studio import choices, work
 from clmorph.studio.guard import FRAMED
 from clmorph.studio.kinds import KINDS, MAX_PICTURES, MIN_PICTURES, PAINTED, painted_name
@@ -34,6 +36,8 @@ from clmorph.studio.worker import Job, Worker
 MAX_UPLOAD, MAX_REQUEST = 64 << 20, 1 << 18
 #: Longer side of a picture as the page shows it.
 SHOWN_SIDE = 640
+#: Longer side of a picture that is enlarged under its landmarks.
+LARGE_SIDE = 2560
 #: Seconds after which a silent stream says that it is alive.
 ALIVE = 15.0
 #: Files of the page by their addresses.
@@ -97,7 +101,8 @@ class Studio:
             *(
                 Route(tab + path, self._asked(self._of_tab(action)), methods=methods)
                 for path, action, methods in (
-                    ("/close", self.close, post),
+                    ("/leave", self.leave, post),
+                    ("/found", self.found, post),
                     ("/events", self.events, got),
                     ("/pictures", self.add, post),
                     ("/samples", self.add_samples, post),
@@ -106,12 +111,14 @@ class Studio:
                     ("/pictures/{key}/painted/{kind}", self.paint, post),
                     ("/pictures/{key}/painted/{kind}", self.painted, got),
                     ("/pictures/{key}/shown", self.shown, got),
+                    ("/pictures/{key}/large", self.large, got),
                     ("/swap", self.swap, post),
                     ("/preview", partial(self.start, "preview"), post),
                     ("/run", partial(self.start, "run"), post),
                     ("/cancel", self.cancel, post),
                     ("/views/{name}", self.view, got),
                     ("/files/{ending}", self.file, got),
+                    ("/still", self.still, got),
                 )
             ),
         ]
@@ -145,15 +152,28 @@ class Studio:
         return answer
 
     async def open(self, request: Request) -> Response:
-        """Open a tab, and describe the controls."""
-        tab = self.tabs.open()
+        """Open a tab, or that of a page that is loaded again, and describe the controls."""
+        tab = self.tabs.find(request.query_params.get("again", "")) or self.tabs.open()
         kinds = [kind.described() for kind in KINDS.values()]
-        return JSONResponse({"tab": tab.key, "devices": self.devices, "kinds": kinds})
+        return JSONResponse(
+            {
+                "tab": tab.key, "devices": self.devices, "kinds": kinds, "result": tab.told,
+                "pictures": [picture.known for picture in tab.pictures],
+            }
+        )  # fmt: skip
 
-    async def close(self, request: Request, tab: Tab) -> Response:
-        """Close a tab."""
-        self.tabs.close(tab.key)
+    async def leave(self, request: Request, tab: Tab) -> Response:
+        """Note that the page goes; its tab is closed unless it comes again soon."""
+        self.tabs.leave(tab)
         return Response(status_code=204)
+
+    async def found(self, request: Request, tab: Tab) -> Response:
+        """Return the landmarks that are found in two pictures."""
+        if len(tab.pictures) != 2:
+            raise InputError(f"{len(tab.pictures)} pictures given: expected 2")
+        ask = work.Ask(tab, tuple(tab.pictures), choices.Choices(KINDS["morph"]), 0)
+        guide = await run_in_threadpool(ask.guide, MorphOptions())
+        return JSONResponse({"pairs": guide.each[0], "text": guide.found})
 
     async def events(self, request: Request, tab: Tab) -> Response:
         """Stream what happens to a tab (server-sent events)."""
@@ -213,6 +233,16 @@ class Studio:
         """Return a picture as the page shows it."""
         found = _find(tab, request)
         return _missing() if found is None else FileResponse(f"{found.path}.png-shown")
+
+    async def large(self, request: Request, tab: Tab) -> Response:
+        """Return a picture as the page enlarges it."""
+        found = _find(tab, request)
+        if found is None:
+            return _missing()
+        path = Path(f"{found.path}.png-large")
+        if not path.exists():
+            await run_in_threadpool(_show, found.pixels, path, LARGE_SIDE)
+        return FileResponse(path)
 
     async def remove(self, request: Request, tab: Tab) -> Response:
         """Forget a picture."""
@@ -279,7 +309,7 @@ class Studio:
         preset = await run_in_threadpool(ask.recognized)
         chosen = choices.with_reach(chosen, preset)
         ask = replace(ask, choices=chosen)
-        options = chosen.options(preset)
+        options = await run_in_threadpool(ask.options, preset)
         failed = partial(tab.publish, "error", number=number, of=kind)
         what = partial(work.run if kind == "run" else work.preview, ask)
         job = Job(
@@ -321,6 +351,23 @@ class Studio:
         if ending not in kind.downloads:
             return _missing()
         path = tab.folder / f"{kind.output}-{result.number}.{ending}"
+        write = partial(work.write_file, result, path, work.checking)
+        return await self._written(tab, path, f"{kind.output}.{ending}", write)
+
+    async def still(self, request: Request, tab: Tab) -> Response:
+        """Write the frame of the last film at a time, and return it."""
+        result = tab.result
+        if result is None or not result.choices.kind.film:
+            raise InputError("no film to take a still from yet: run it first")
+        time = _number(request, "time")
+        path = tab.folder / f"still-{result.number}-{time:.4f}.png"
+        write = partial(work.write_still, result, time, path)
+        return await self._written(tab, path, f"{result.choices.kind.output}-{time:.2f}.png", write)
+
+    async def _written(
+        self, tab: Tab, path: Path, name: str, write_it: Callable[[], None]
+    ) -> Response:
+        """Return a file, which the worker writes unless it is there."""
         done: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
         def tell(line: str) -> None:
@@ -329,7 +376,7 @@ class Studio:
 
         def write() -> None:
             if not path.exists():
-                work.write_file(result, path, work.checking)
+                write_it()
             tell("")
 
         guarded = partial(work.guarded, write, tell, self.line)
@@ -337,7 +384,19 @@ class Studio:
         line = await done
         if line:
             return JSONResponse({"line": line}, 400)
-        return _attached(path, f"{kind.output}.{ending}")
+        return _attached(path, name)
+
+
+def _number(request: Request, name: str) -> float:
+    """Return a time of the query, at least 0."""
+    text = request.query_params.get(name, "")
+    try:
+        found = float(text)
+    except ValueError:
+        found = -1.0
+    if not 0.0 <= found <= MAX_PICTURES:
+        raise InputError(f"{name}={printable(text, 40)}: expected a time of the film, from 0")
+    return found
 
 
 def _settle(done: "asyncio.Future[str]", line: str) -> None:
@@ -351,10 +410,19 @@ async def _page(name: str, kind: str, request: Request) -> Response:
 
 def _read(path: Path) -> Shown:
     """Read a picture, and write what the page shows of it."""
-    pixels = read_visible(path)
-    small = to_bytes(fit(pixels, SHOWN_SIDE))
-    Image.fromarray(np.ascontiguousarray(small)).save(f"{path}.png-shown", "PNG")
-    return Shown(path, pixels, path.parent.name)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", ImageWarning)
+        pixels = read_visible(path)
+    _show(pixels, Path(f"{path}.png-shown"), SHOWN_SIDE)
+    notes = tuple(str(each.message).replace(str(path), path.name) for each in found)
+    return Shown(path, pixels, path.parent.name, notes=notes)
+
+
+def _show(pixels: Any, path: Path, side: int) -> None:
+    """Write a picture as the page shows it."""
+    small = to_bytes(fit(pixels, side))
+    Image.fromarray(np.ascontiguousarray(small)).save(path, "PNG")
 
 
 def _find(tab: Tab, request: Request) -> Shown | None:

@@ -12,6 +12,7 @@ from typing import Any
 
 from clmorph._shared.printable import printable
 from clmorph.errors import InputError
+from clmorph.pipeline.guides import Guided
 from clmorph.studio.choices import Choices
 from clmorph.studio.kinds import KINDS, PAINTED, painted_ending
 from clmorph.studio.making import Made
@@ -20,6 +21,8 @@ from clmorph.studio.making import Made
 MAX_TABS = 16
 #: Seconds after which a tab that nobody listens to is closed.
 LEFT = 120.0
+#: Seconds within which a page that is loaded again finds its tab.
+RELOADED = 20.0
 #: Largest number of characters of a picture's name.
 MAX_NAME = 100
 
@@ -28,13 +31,15 @@ MAX_NAME = 100
 class Shown:
     """A picture of a tab: its file, its pixels (H, W, C), and what the page knows of it.
 
-    `painted` are the files with its painted regions, by the kind of these ("labels", "mask").
+    `painted` are the files with its painted regions, by the kind of these ("labels", "mask"), and
+    `notes` is what reading the file has warned of.
     """
 
     path: Path
     pixels: Any = field(repr=False)
     key: str
     painted: dict[str, Path] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def known(self) -> dict[str, Any]:
@@ -43,7 +48,7 @@ class Shown:
         painted = {kind: path.name for kind, path in self.painted.items()}
         return {
             "key": self.key, "name": self.path.name, "width": width, "height": height,
-            "painted": painted,
+            "painted": painted, "notes": list(self.notes),
         }  # fmt: skip
 
 
@@ -67,6 +72,10 @@ class Tab:
     pictures: list[Shown] = field(default_factory=list)
     views: dict[str, Path] = field(default_factory=dict)
     result: Result | None = None
+    #: The message about `result`, for a page that is loaded again.
+    told: dict[str, Any] | None = None
+    #: The landmarks that were found last, by the pictures between which.
+    found: dict[tuple[Any, ...], Guided] = field(default_factory=dict)
     heard: float = field(default_factory=time.monotonic)
     listeners: set["asyncio.Queue[dict[str, Any]]"] = field(default_factory=set)
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -129,6 +138,10 @@ class Tabs:
         """
         self.sweep()
         if len(self._tabs) >= MAX_TABS:
+            left = [tab for tab in self._tabs.values() if not tab.listeners]
+            if left:
+                self.close(min(left, key=lambda tab: tab.heard).key)
+        if len(self._tabs) >= MAX_TABS:
             raise InputError(f"{MAX_TABS} tabs are open: expected fewer; close one")
         key = secrets.token_urlsafe(16)
         folder = self._folder / secrets.token_hex(8)
@@ -149,6 +162,15 @@ class Tabs:
         if tab is not None:
             self._gone(key)
             shutil.rmtree(tab.folder, ignore_errors=True)
+
+    def leave(self, tab: Tab) -> None:
+        """Close a tab whose page has gone, unless it is loaded again soon."""
+
+        def end() -> None:
+            if not tab.listeners and self._tabs.get(tab.key) is tab:
+                self.close(tab.key)
+
+        tab.loop.call_later(RELOADED, end)
 
     def sweep(self) -> None:
         """Close the tabs that were left."""

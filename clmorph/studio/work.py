@@ -5,9 +5,11 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from clmorph._shared.files import atomic_path
 from clmorph._shared.options import Options
 from clmorph._shared.printable import MESSAGE, printable, reason_of
 from clmorph._shared.progress import StageProgress
@@ -15,11 +17,21 @@ from clmorph.backends.cancellation import check_cancelled
 from clmorph.backends.interface import Operations
 from clmorph.backends.select import get_backend
 from clmorph.errors import ClmorphError, ClmorphWarning, ConvergenceWarning, MemoryWarning
+from clmorph.output.picture import write_picture
 from clmorph.pipeline.budget import default_memory
+from clmorph.pipeline.guides import Guided, guides
+from clmorph.pipeline.mixing.mixes import pairs_of
+from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import recognized
 from clmorph.pipeline.recipe import picture_entries, recipe
-from clmorph.studio.choices import Choices, command_line, memory_given, python_code
-from clmorph.studio.making import MAKERS, Task, small_tasks
+from clmorph.studio.choices import (
+    LANDMARKS_FOUND,
+    Choices,
+    command_line,
+    memory_given,
+    python_code,
+)
+from clmorph.studio.making import MAKERS, Film, Task, small_tasks
 from clmorph.studio.tabs import Result, Shown, Tab
 
 #: Seconds between two reports of progress.
@@ -44,6 +56,26 @@ class Ask:
         if not self.choices.kind.presets:
             return ""
         return recognized(picture.pixels for picture in self.pictures)
+
+    def options(self, preset: str) -> Any:
+        """Return all options, with the landmarks that were found if none are chosen."""
+        options = self.choices.options(preset)
+        if getattr(options, "landmarks", None) != LANDMARKS_FOUND:
+            return options
+        return self.guide(options).options
+
+    def guide(self, options: Any) -> Guided:
+        """Return the landmarks of the pictures; they are found once."""
+        count = len(self.pictures)
+        pairs = pairs_of(count) if self.choices.kind.grid else list(pairwise(range(count)))
+        key = (self.choices.kind.grid, *(picture.key for picture in self.pictures))
+        with self.tab.lock:
+            if key not in self.tab.found:
+                self.tab.found.clear()
+                images = [picture.pixels for picture in self.pictures]
+                self.tab.found[key] = guides(images, pairs, MorphOptions())
+            found = self.tab.found[key]
+        return found._replace(options=options.replace(landmarks=found.options.landmarks))
 
     def words(self, preset: str) -> dict[str, str]:
         """Return the command line and the Python code, for the page."""
@@ -72,7 +104,7 @@ def preview(ask: Ask) -> None:
     """Show small results, each finer than the one before."""
     operations = get_backend(ask.choices.device)
     kind = ask.choices.kind
-    task = _task(ask, ask.choices.options(ask.recognized()), operations)
+    task = _task(ask, ask.options(ask.recognized()), operations)
     steps = small_tasks(kind.name, task)
     for step, small in enumerate(steps):
         made = MAKERS[kind.name](small, checking)
@@ -89,7 +121,7 @@ def run(ask: Ask) -> None:
     """Compute the whole result, and show it."""
     tab, began, kind = ask.tab, time.perf_counter(), ask.choices.kind
     preset = ask.recognized()
-    options = ask.choices.options(preset)
+    options = ask.options(preset)
     report = _Reports(tab, ask.number)
     report("preparation", 0.0)
     operations = get_backend(ask.choices.device)
@@ -98,24 +130,25 @@ def run(ask: Ask) -> None:
         warnings.simplefilter("always", ClmorphWarning)
         warnings.simplefilter("ignore", ConvergenceWarning)
         made = MAKERS[kind.name](_task(ask, options, operations), report)
-    words = {}
+    choices = ask.choices
     if getattr(options, "max_memory", 0) is None and any(
         isinstance(each.message, MemoryWarning) for each in found
     ):
         # As on the command line: the recipe holds the limit that reduced the particles.
         options = options.replace(max_memory=default_memory(operations))
         choices = memory_given(options, ask.choices)
-        words = replace(ask, choices=choices).words(preset)
+    words = replace(ask, choices=choices).words(preset)
     result = Result(ask.number, made, _parameters(ask, options, operations), ask.choices)
     path = tab.folder / f"result-{ask.number}.{'html' if kind.film else 'png'}"
     write_file(result, path, report)
     tab.result = result
-    tab.publish(
-        "result", number=ask.number, url=tab.view(f"result-{ask.number}", path), film=kind.film,
+    tab.told = dict(
+        number=ask.number, url=tab.view(f"result-{ask.number}", path), film=kind.film,
         seconds=round(time.perf_counter() - began, 2), message=made.message,
         notes=[printable(str(each.message), MESSAGE) for each in found],
-        unmatched=made.unmatched, **words,
+        unmatched=made.unmatched, of=kind.name, **words,
     )  # fmt: skip
+    tab.publish("result", **tab.told)
 
 
 def write_file(result: Result, path: Path, report: StageProgress) -> None:
@@ -124,6 +157,13 @@ def write_file(result: Result, path: Path, report: StageProgress) -> None:
         path.write_text(json.dumps(result.parameters, indent=2) + "\n", "utf-8")
         return
     result.made.write(path, result.parameters, report)
+
+
+def write_still(result: Result, time: float, path: Path) -> None:
+    """Write the frame of a finished film at a time, from 0 to the number of its parts."""
+    assert isinstance(result.made, Film)
+    with atomic_path(path) as file:
+        write_picture(result.made.still(time), {**result.parameters, "time": time}, file)
 
 
 def _task(ask: Ask, options: Options, operations: Operations) -> Task:

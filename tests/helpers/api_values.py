@@ -150,7 +150,7 @@ SOLVER = {"tol": 1e-3, "max_iter": 2000}
 WIDTHS = {"sigma_start": 1.2, "sigma_end": 0.5, "gamma": 0.5}
 LIFTING = {"extent": "true", "mass": "uniform", "weights": None, "color_space": "srgb",
            "color_metric": None, "color_weight": 2.0}  # fmt: skip
-GUIDES = {"landmarks": None, "labels": None, "features": None, "feature_weight": 1.0}
+GUIDES = {"landmarks": "auto", "labels": None, "features": None, "feature_weight": 1.0}
 
 
 def cases() -> dict[str, dict[str, Any]]:
@@ -190,7 +190,7 @@ def cases() -> dict[str, dict[str, Any]]:
             "draft": False, "n_frames": 2, "splatting": "adaptive", "sigma": None,
             "endpoints": "exact", "detail": "particles", "unmatched": "fade",
             "path_space": "srgb", "barycentric": False, "sample": None, "seed": 0,
-            "ease": "linear", "feature_weight": 1.0, "landmarks": None,
+            "ease": "linear", "feature_weight": 1.0, "landmarks": "auto",
         },
         "Mixes.frame": {"self": some["mixes"], "weights": [1.0, 1.0, 0.0]},
         "Mixes.morph": {"self": some["mixes"], "first": 0, "second": 1},

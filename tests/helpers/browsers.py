@@ -38,6 +38,13 @@ def watched(browser):
     """
     bad, contexts = [], []
 
+    def answered(dialog):
+        # A page may ask whether it is to be left.
+        if dialog.type == "beforeunload":
+            dialog.accept()
+        else:
+            bad.append(dialog.message)
+
     def open_page(address, own, before="", **options):
         context = browser.new_context(**({"reduced_motion": "reduce"} | options))
         contexts.append(context)
@@ -45,7 +52,7 @@ def watched(browser):
         page.add_init_script(before)
         page.on("console", lambda message: bad.append(message.text))
         page.on("pageerror", lambda error: bad.append(str(error)))
-        page.on("dialog", lambda dialog: bad.append(dialog.message))
+        page.on("dialog", answered)
 
         def asked(request):
             if not request.url.startswith((*own, "data:", "blob:", "about:srcdoc")):

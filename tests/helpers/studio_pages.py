@@ -58,7 +58,8 @@ def opened(browser, port):
 
         yield opened_page
     # The browser says of each refusal that it is one.
-    assert [text for text in bad if not text.startswith("Failed to load resource")] == []
+    refused = [text for text in bad if not text.startswith("Failed to load resource")]
+    assert refused == [], refused
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,8 @@ def kinds():
 @pytest.mark.parametrize("name", ["pixel-art", "logo", "photo"])
 def test_pictures_choose(name):
     pair = kinds()[name]
-    wanted = MorphOptions(preset=name, n_frames=3, solve_size=16)
+    # Nothing is found in these, so that the result has no landmarks.
+    wanted = MorphOptions(preset=name, n_frames=3, solve_size=16, landmarks=None)
     for way in ({}, {"preset": "auto"}, {"preset": None}):
         assert clmorph.morph(*pair, **SMALL, **way).options == wanted
     # What is given stays, and an object of options is complete.
@@ -44,7 +45,7 @@ def test_pairs_of_two_kinds():
     assert preset_for(["sprite", "photograph"]) == "photo"
     assert preset_for(["drawing", "photograph", "sprite"]) == "photo"
     found = clmorph.morph(sprite("heart"), logo("disc", 40), **SMALL)
-    assert found.options == MorphOptions(preset="logo", n_frames=3, solve_size=16)
+    assert found.options == MorphOptions(preset="logo", n_frames=3, solve_size=16, landmarks=None)
 
 
 def test_auto_needs_pictures():

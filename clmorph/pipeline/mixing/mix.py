@@ -13,8 +13,9 @@ from clmorph._shared.validation import check_progress, shown
 from clmorph.backends.select import Backend, get_backend
 from clmorph.errors import InputError
 from clmorph.pipeline.documentation import documented
+from clmorph.pipeline.guides import guides
 from clmorph.pipeline.keywords import MorphKeywords
-from clmorph.pipeline.mixing.mixes import Mixes
+from clmorph.pipeline.mixing.mixes import Mixes, pairs_of
 from clmorph.pipeline.mixing.weights import (
     MOST_IMAGES,
     check_mix_weights,
@@ -138,7 +139,6 @@ def mixes_of(
     else:
         layout = row_layout(check_mix_weights(weights, count))
     chosen = as_options(options, preset, given, images, draft=draft)
-    if chosen.landmarks:
-        raise InputError("landmarks are pairs of points of two images: expected none for mixes")
+    guide = guides(images, pairs_of(count), chosen)
     small = fitted(images, chosen)
-    return Mixes(small, layout, chosen, get_backend(backend), shapes_of(images), progress)
+    return Mixes(small, layout, guide, get_backend(backend), shapes_of(images), progress)

@@ -23,6 +23,7 @@ from clmorph.images.detail import is_pixel_art
 from clmorph.output.options import FrameStyle
 from clmorph.output.playback import eased
 from clmorph.output.save import Output
+from clmorph.pipeline.guides import Guided
 from clmorph.pipeline.mixing.leg import Leg
 from clmorph.pipeline.mixing.sheet import sheet_of
 from clmorph.pipeline.mixing.weights import Layout, check_mix_weights, path_weights
@@ -32,6 +33,17 @@ from clmorph.pipeline.options import MorphOptions
 from clmorph.pipeline.prepare import Picture
 from clmorph.pipeline.recipe import recipe
 from clmorph.pipeline.result import Morph
+
+
+def pairs_of(count: int) -> list[tuple[int, int]]:
+    """Return the pairs of images between which mixes are solved, in the order of landmarks.
+
+    Examples
+    --------
+    >>> pairs_of(3)
+    [(0, 1), (0, 2), (1, 2)]
+    """
+    return list(itertools.combinations(range(count), 2))
 
 
 class _Solved:
@@ -58,7 +70,8 @@ class Mixes(Sequence[Frame]):
         Weights of each picture, with the sum 1.
     layout : Layout
         The places of the pictures on `sheet`.
-    options : MorphOptions
+    guide : Guided
+        The options, with the landmarks of each pair of images.
     operations : Operations
     shapes : list of (height, width)
         Shapes of the images as they were given.
@@ -78,7 +91,7 @@ class Mixes(Sequence[Frame]):
 
     images: list[Picture]
     layout: Layout
-    options: MorphOptions
+    guide: Guided = field(repr=False)
     operations: Operations = field(repr=False)
     shapes: list[tuple[int, int]]
     progress: StageProgress = field(repr=False)
@@ -86,6 +99,16 @@ class Mixes(Sequence[Frame]):
 
     def __repr__(self) -> str:
         return f"<Mixes of {len(self.images)} images, {len(self)} pictures>"
+
+    @property
+    def options(self) -> MorphOptions:
+        """The options of all morphs; of three or more images the landmarks are those of all."""
+        return self.guide.options
+
+    @property
+    def found(self) -> str:
+        """What ``landmarks="auto"`` has found, in a line; "" if nothing."""
+        return self.guide.found
 
     @property
     def weights(self) -> Array:
@@ -172,7 +195,7 @@ class Mixes(Sequence[Frame]):
         second = check_integer("second", second, 0, len(self.images) - 1)
         if (first, second) not in self._solved.morphs:
             pair = ImagePair(
-                [self.images[first], self.images[second]], self.options,
+                [self.images[first], self.images[second]], self._options_of(first, second),
                 [self.shapes[first], self.shapes[second]],
             )  # fmt: skip
             name = f" {first + 1}-{second + 1}" if len(self.images) > 2 else ""
@@ -180,6 +203,17 @@ class Mixes(Sequence[Frame]):
                 self.operations, lambda stage, share: self.progress(stage + name, share)
             )
         return self._solved.morphs[first, second]
+
+    def _options_of(self, first: int, second: int) -> MorphOptions:
+        """Return the options of the morph between two images."""
+        pairs = pairs_of(len(self.images))
+        if (first, second) in pairs:
+            return self.guide.of(pairs.index((first, second)))
+        if first == second:
+            return self.options.replace(landmarks=None)
+        back = self.guide.of(pairs.index((second, first)))
+        landmarks: Any = back.landmarks or ()
+        return back.replace(landmarks=[pair[::-1] for pair in landmarks] or None)
 
     def sheet(self, background: str | None = None) -> NDArray[np.uint8]:
         """Return all pictures side by side, those of a grid at their places.
@@ -346,7 +380,8 @@ class Mixes(Sequence[Frame]):
         first, second, key = self._halves(weights)
         if key not in self._solved.last:
             ends = [self._drawn(each).astype(np.float64) for each in (first, second)]
-            found = ImagePair(ends, self.options).morph(self.operations, self.progress)
+            plain = self.options.replace(landmarks=None)
+            found = ImagePair(ends, plain).morph(self.operations, self.progress)
             self._solved.last.clear()
             self._solved.last[key] = found
         share = float(weights[second > 0].sum())

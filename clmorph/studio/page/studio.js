@@ -5,8 +5,12 @@ const $ = (id) => document.getElementById(id);
 const PAUSE = 60;
 const state = {
   tab: "", pictures: [], number: 0, running: null, shown: 0, view: null, coming: null, timer: 0, log: [],
-  kind: null, asks: new Map(), viewed: null, heard: -1, told: -1, ran: null,
+  kind: null, asks: new Map(), viewed: null, heard: -1, told: -1, ran: null, history: [], zoom: [1, 1],
 };
+/** What a page that is loaded again knows of the one before; it goes with the browser's tab. */
+const KEPT = "clmorph-studio";
+/** Largest number of steps that can be undone, and largest zoom of a picture. */
+const MOST_STEPS = 100, MOST_ZOOM = 16;
 const landmarks = makeLandmarks(() => { marked(); later(); });
 const brush = makeBrush(painted);
 const compare = makeCompare(
@@ -46,6 +50,7 @@ const of = (path) => `/tabs/${state.tab}${path}`;
 // Pictures
 
 async function add(files) {
+  await studio.ready;
   fail("");
   for (const file of files) {
     try {
@@ -65,9 +70,12 @@ async function add(files) {
 
 function took({ pictures }) {
   const before = state.pictures.map(({ key }) => key).join();
+  const others = before !== pictures.map(({ key }) => key).join();
   state.pictures = pictures;
-  if (before !== pictures.map(({ key }) => key).join()) {
-    landmarks.clear();
+  if (others) {
+    landmarks.forget();
+    state.history = [];
+    state.zoom = [1, 1];
     state.viewed = null; // other pictures are no other settings
     $("stale").hidden = state.ran === null;
     compare.clear();
@@ -82,8 +90,11 @@ function took({ pictures }) {
     const frame = element("div", { class: "frame" }, image);
     const link = element("a", { href: of(`/pictures/${picture.key}`), download: picture.name, title: `${picture.name}, ${picture.width} × ${picture.height}` }, `${letter}: ${picture.name}`);
     const remove = element("button", { type: "button", "aria-label": `Remove picture ${letter}`, title: "Remove" }, "×");
-    remove.addEventListener("click", () => tell(of(`/pictures/${picture.key}/remove`)));
-    $("shown").append(element("li", {}, frame, element("div", { class: "caption" }, link, remove)));
+    remove.addEventListener("click", () => tell(() => of(`/pictures/${picture.key}/remove`)));
+    const pane = element("div", { class: "window" }, frame);
+    const zooms = pictures.length === 2 ? zoomers(index, pane, frame, image, picture) : [];
+    const notes = picture.notes.map((note) => element("small", { class: "note" }, note));
+    $("shown").append(element("li", {}, pane, element("div", { class: "caption" }, link, ...zooms, remove), ...notes));
     if (pictures.length === 2) {
       landmarks.attach(index, frame, picture);
       brush.attach(index, frame, picture);
@@ -99,12 +110,59 @@ function took({ pictures }) {
   buttons();
   say("");
   if (pictures.length >= 2) later();
+  if (others) find();
 }
 
-const tell = (path) => ask(path).then(took).catch((error) => fail(error.message));
+/** Buttons that enlarge a picture, so that points can be set in its single pixels. */
+function zoomers(side, pane, frame, image, picture) {
+  const letter = "AB"[side];
+  const show = (factor) => {
+    const old = state.zoom[side];
+    const height = pane.clientHeight;
+    const [x, y] = [pane.scrollLeft + pane.clientWidth / 2, pane.scrollTop + height / 2];
+    state.zoom[side] = Math.min(Math.max(factor, 1), MOST_ZOOM);
+    const grown = state.zoom[side] / old;
+    pane.style.height = state.zoom[side] > 1 ? `${old > 1 ? height : image.clientHeight}px` : "";
+    frame.style.width = `${100 * state.zoom[side]}%`;
+    pane.scrollTo(x * grown - pane.clientWidth / 2, y * grown - pane.clientHeight / 2);
+    if (state.zoom[side] > 1 && Math.max(picture.width, picture.height) > 640) image.src = of(`/pictures/${picture.key}/large`);
+    image.classList.toggle("small", picture.width < 128 || image.clientWidth > 3 * picture.width);
+    smaller.disabled = state.zoom[side] === 1;
+    larger.disabled = state.zoom[side] === MOST_ZOOM;
+  };
+  const [smaller, larger] = [["\u2212", "Reduce", 0.5], ["+", "Enlarge", 2]].map(([text, what, factor]) => {
+    const button = element("button", { type: "button", "aria-label": `${what} picture ${letter}`, title: what }, text);
+    button.addEventListener("click", () => show(state.zoom[side] * factor));
+    return button;
+  });
+  smaller.disabled = true;
+  return [smaller, larger];
+}
+
+/** Ask for the landmarks that the pictures show, and draw them. */
+async function find() {
+  $("found").hidden = true;
+  if (state.pictures.length !== 2) return;
+  const keys = state.pictures.map(({ key }) => key).join();
+  try {
+    const { pairs, text } = await ask(of("/found"));
+    if (keys !== state.pictures.map(({ key }) => key).join()) return;
+    landmarks.found(pairs);
+    $("found").textContent = text ? `Landmarks: ${text}.` : "";
+    marked();
+    keep();
+  } catch (error) {
+    fail(error.message);
+  }
+}
+
+const tell = (path) => studio.ready.then(() => ask(path())).then(took).catch((error) => fail(error.message));
 
 function marked() {
-  $("unmark").hidden = !landmarks.any || !state.kind.landmarks;
+  const used = state.kind.landmarks && state.pictures.length === 2;
+  $("unmark").hidden = !landmarks.any || !used;
+  $("remark").hidden = landmarks.untouched || !landmarks.known || !used;
+  $("found").hidden = !used || !landmarks.known;
 }
 
 /** Show what guides this kind of work: landmarks, the brush, or both by choice. */
@@ -176,6 +234,7 @@ function build({ kinds, devices }) {
     let panel = "";
     for (const option of kind.options) {
       const control = makeControl(option);
+      control.usual(option.usual);
       kind.controls.set(option.name, control);
       if (!option.main && option.panel !== panel) {
         panel = option.panel;
@@ -201,7 +260,12 @@ function build({ kinds, devices }) {
   choose(named() || kinds[0]);
 }
 
-const presetHelp = () => { $("preset-help").textContent = state.kind.presets[$("preset").value] || ""; };
+/** Say what the preset does; of auto also what it chose. */
+function presetHelp(chosen = "") {
+  const { presets } = state.kind;
+  const name = $("preset").value;
+  $("preset-help").textContent = name === "auto" && chosen ? `The pictures choose ${chosen}: ${presets[chosen]}` : presets[name] || "";
+}
 
 /** Go to a tab: its controls take the place of those before; the pictures stay. */
 function choose(kind) {
@@ -229,8 +293,11 @@ function choose(kind) {
   $("preset-row").hidden = !Object.keys(kind.presets).length;
   presetHelp();
   $("grid-row").hidden = !kind.grid;
-  $("downloads").replaceChildren($("stale"), ...kind.downloads.map((ending) => {
-    const button = element("button", { type: "button", id: `get-${ending}` }, ending === "json" ? "Recipe" : ending.toUpperCase());
+  const stills = kind.downloads.includes("gif") ? ["still"] : [];
+  const named = { json: "Recipe", still: "Still (PNG)" };
+  $("downloads").replaceChildren($("stale"), ...[...kind.downloads, ...stills].map((ending) => {
+    const button = element("button", { type: "button", id: `get-${ending}` }, named[ending] || ending.toUpperCase());
+    if (ending === "still") button.title = "The frame that the film shows now";
     button.addEventListener("click", () => download(ending, button));
     return button;
   }));
@@ -322,7 +389,7 @@ function asked(number) {
   }
   return JSON.stringify({
     number, settings, kind: state.kind.name, preset: $("preset").value || undefined, device: $("device").value,
-    grid: $("grid").value, landmarks: landmarks.pairs(), painted: state.kind.painted !== "" && brush.any,
+    grid: $("grid").value, landmarks: landmarks.untouched ? "auto" : landmarks.pairs(), painted: state.kind.painted !== "" && brush.any,
     strokes: brush.strokes,
   });
 }
@@ -364,6 +431,54 @@ function difference(before, now) {
   return words.length ? `before: ${words.slice(0, 3).join(", ")}` : "";
 }
 
+// Undo, and what is kept for a page that is loaded again
+
+/** All that was set, as text: values by name, landmarks, and for which kind and pictures. */
+function setting() {
+  const values = {};
+  for (const [name, control] of controls) if (control.input.value !== "") values[name] = control.input.value;
+  return JSON.stringify({
+    kind: state.kind.name, values, preset: $("preset").value, grid: $("grid").value,
+    landmarks: landmarks.untouched ? null : landmarks.pairs(),
+  });
+}
+
+function restore(text) {
+  const { values, preset, grid, landmarks: pairs } = JSON.parse(text);
+  for (const [name, control] of controls) control.input.value = values[name] ?? "";
+  if (preset in state.kind.presets) $("preset").value = preset;
+  $("grid").value = grid;
+  if (pairs === null) landmarks.back();
+  else landmarks.set(pairs);
+  presetHelp();
+  marked();
+}
+
+/** Note what is set now, as a step that can be undone. */
+function remember() {
+  const now = setting();
+  const last = state.history.at(-1);
+  if (last && JSON.parse(last).kind !== state.kind.name) state.history = [];
+  if (state.history.at(-1) !== now) state.history.push(now);
+  if (state.history.length > MOST_STEPS) state.history.shift();
+  $("undo").disabled = state.history.length < 2;
+  keep();
+}
+
+function undo() {
+  if (state.history.length < 2) return;
+  state.history.pop();
+  restore(state.history.at(-1));
+  later();
+}
+
+function keep() {
+  if (state.tab) sessionStorage.setItem(KEPT, JSON.stringify({ tab: state.tab, number: state.number, setting: setting() }));
+}
+
+/** Whether something would be lost with the page. */
+const precious = () => state.running !== null || (state.ran !== null && !state.saved) || !landmarks.untouched || brush.any;
+
 // Previews and runs
 
 function later() {
@@ -374,6 +489,7 @@ function later() {
 const enough = () => state.pictures.length >= 2 && state.pictures.length <= state.kind.most;
 
 async function preview() {
+  remember();
   if (state.pictures.length < 2) return;
   const number = (state.number += 1);
   state.log.push({ number, asked: performance.now() });
@@ -395,6 +511,7 @@ async function preview() {
 function settled(found, number) {
   if (number < state.told) return;
   for (const [name, control] of controls) if (control.value() === undefined) control.usual(found.options[name]);
+  presetHelp(found.preset);
   if (number === state.told) return; // the command came with the result
   state.told = number;
   $("command").value = found.command;
@@ -447,6 +564,7 @@ function heard(message) {
     if (message.last && state.running === null) say("preview");
   } else if (type === "result" && number === state.running) {
     state.running = null;
+    state.saved = false;
     buttons();
     show(message, number);
     $("downloads").hidden = false;
@@ -540,15 +658,18 @@ function still(url) {
 
 async function download(ending, button) {
   button.disabled = true;
-  say(`writing the ${ending === "json" ? "recipe" : ending.toUpperCase()}`);
+  const time = ending === "still" ? state.view?.contentWindow?.clmorph?.time ?? 0 : null;
+  const name = time === null ? `${state.kind.output}.${ending}` : `${state.kind.output}-${time.toFixed(2)}.png`;
+  say(`writing the ${ending === "json" ? "recipe" : time === null ? ending.toUpperCase() : "still"}`);
   try {
-    const answer = await fetch(of(`/files/${ending}`));
+    const answer = await fetch(of(time === null ? `/files/${ending}` : `/still?time=${time}`));
     if (!answer.ok) throw new Error((await answer.json()).line);
     const url = URL.createObjectURL(await answer.blob());
-    const link = element("a", { href: url, download: `${state.kind.output}.${ending}` });
+    const link = element("a", { href: url, download: name });
     link.click();
     setTimeout(() => URL.revokeObjectURL(url), 60000);
-    say(`${state.kind.output}.${ending}`);
+    state.saved = true;
+    say(name);
   } catch (error) {
     say("");
     fail(error.message);
@@ -562,9 +683,17 @@ $("choose").addEventListener("change", async () => {
   await add([...$("choose").files]);
   $("choose").value = "";
 });
-$("samples").addEventListener("click", () => tell(of("/samples")));
-$("swap").addEventListener("click", () => tell(of("/swap")));
+$("samples").addEventListener("click", () => tell(() => of("/samples")));
+$("swap").addEventListener("click", () => tell(() => of("/swap")));
 $("unmark").addEventListener("click", () => { landmarks.clear(); marked(); later(); });
+$("remark").addEventListener("click", () => { landmarks.back(); marked(); later(); });
+$("undo").addEventListener("click", undo);
+document.addEventListener("keydown", (event) => {
+  if (!(event.ctrlKey || event.metaKey) || event.shiftKey || event.key.toLowerCase() !== "z") return;
+  if (event.target.matches("input[type=text], textarea")) return; // it has an undo of its own
+  undo();
+  event.preventDefault();
+});
 $("over").addEventListener("change", () => over(true));
 $("guide").addEventListener("change", guides);
 $("unpaint").addEventListener("click", () => brush.clear());
@@ -598,17 +727,41 @@ document.addEventListener("paste", (event) => {
   const files = [...event.clipboardData.files];
   if (files.length) add(files);
 });
-window.addEventListener("pagehide", () => navigator.sendBeacon(of("/close")));
+window.addEventListener("pagehide", () => navigator.sendBeacon(of("/leave")));
+window.addEventListener("beforeunload", (event) => { if (precious()) event.preventDefault(); });
 window.addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
 
 async function begin() {
-  const found = await ask("/tabs");
+  const kept = JSON.parse(sessionStorage.getItem(KEPT) ?? "{}");
+  const found = await ask(`/tabs?again=${encodeURIComponent(kept.tab ?? "")}`);
   state.tab = found.tab;
   build(found);
   const events = new EventSource(of("/events"));
   events.addEventListener("message", (event) => heard(JSON.parse(event.data)));
   await new Promise((resolve) => { events.addEventListener("open", resolve, { once: true }); });
+  if (found.tab === kept.tab) again(found, kept);
+}
+
+/** Show what the page before had: its pictures, settings, landmarks and result. */
+function again({ pictures, result }, { number, setting: before }) {
+  state.number = Math.max(state.number, number, result?.number ?? 0);
+  if (JSON.parse(before).kind === state.kind.name) restore(before);
+  const own = JSON.parse(before).landmarks;
+  if (pictures.length) took({ pictures });
+  if (own !== null) landmarks.set(own);
+  if (result === null || result.of !== state.kind.name) return;
+  if (result.number < number) { // a preview of later settings comes
+    $("downloads").hidden = $("stale").hidden = false;
+    return;
+  }
+  clearTimeout(state.timer); // the result stays, in place of a preview
+  state.running = result.number;
+  remembered(result.number);
+  state.ran = state.asks.get(result.number);
+  heard({ ...result, type: "result" });
+  state.saved = true; // it is kept
 }
 
 /** For scripts and tests: ready, and the state, to be read. */
-window.studio = { ready: begin().catch((error) => fail(error.message)), state, landmarks, brush, compare };
+window.studio = { ready: null, state, landmarks, brush, compare };
+studio.ready = begin().catch((error) => fail(error.message));

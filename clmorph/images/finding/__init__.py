@@ -1,0 +1,1 @@
+"""Find what two pictures have in common: faces, people, and things seen twice."""

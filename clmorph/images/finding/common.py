@@ -1,0 +1,166 @@
+"""Find landmarks: points that correspond in two pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from clmorph._shared.typing import Array, BoolArray
+from clmorph.errors import InputError
+from clmorph.images.finding.cascade import cascade_faces
+from clmorph.images.finding.matches import Features, features, matches
+from clmorph.images.finding.mesh import mesh_faces, mesh_missing, person
+from clmorph.images.finding.reduced import small_copy
+
+#: Longer sides of the copies in which meshes, and all else, are found.
+MESHED, SEARCHED = 640, 256
+#: Largest number of points of all faces.
+MOST_POINTS = 256
+#: Least shorter side of a picture in which anything is sought, in pixels.
+LEAST = 48
+
+
+class Found(NamedTuple):
+    """Points that two pictures have in common.
+
+    Attributes
+    ----------
+    starts, ends : (n, 2) arrays
+        In pixels of each picture; none if nothing was found.
+    text : str
+        What was found, in a few words; "" if nothing was.
+    """
+
+    starts: Array
+    ends: Array
+    text: str
+
+
+NOTHING = Found(np.zeros((0, 2)), np.zeros((0, 2)), "")
+
+
+class Finder:
+    """Finds what images have in common, two at a time; what is known of one is kept.
+
+    Parameters
+    ----------
+    images : sequence of (H, W, 3) or (H, W, 4) arrays
+        sRGB in [0, 1], and opacity; of any size.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> Finder([np.zeros((64, 64, 3)), np.ones((64, 64, 3))]).common(0, 1).text
+    ''
+    """
+
+    def __init__(self, images: Sequence[Array]) -> None:
+        self._images = images
+        self._missing = mesh_missing()
+        self._faces: dict[int, list[Array]] = {}
+        self._features: dict[int, Features] = {}
+
+    def common(self, one: int, other: int) -> Found:
+        """Find points that correspond in two images: of faces, or else of things in both."""
+        pair = one, other
+        shapes = [self._images[number].shape[:2] for number in pair]
+        if min(min(shape) for shape in shapes) < LEAST:
+            return NOTHING
+        if self._faces_of(one) and self._faces_of(other):
+            faces = [self._faces_of(number) for number in pair]
+            pairs = _paired(faces[0], faces[1], shapes)
+            most = MOST_POINTS // len(pairs)
+            starts, ends = (
+                np.vstack([faces[side][chosen[side]][:most] for chosen in pairs]) for side in (0, 1)
+            )
+            number = "one face" if len(pairs) == 1 else f"{len(pairs)} faces"
+            more = f", of place and size alone; {self._missing}" if self._missing else ""
+            return Found(starts, ends, f"{number} in each picture: {len(starts)} points{more}")
+        places = matches(*(self._features_of(number) for number in pair))
+        if not len(places[0]):
+            return NOTHING
+        return Found(*places, f"the same thing in both pictures: {len(places[0])} points")
+
+    def _faces_of(self, number: int) -> list[Array]:
+        """Return points of the faces of an image, in its pixels; the largest face comes first."""
+        if number not in self._faces:
+            copy = small_copy(self._images[number], SEARCHED if self._missing else MESHED)
+            found = cascade_faces(copy) if self._missing else mesh_faces(copy)
+            self._faces[number] = [copy.whole(face) for face in found]
+        return self._faces[number]
+
+    def _features_of(self, number: int) -> Features:
+        if number not in self._features:
+            self._features[number] = features(small_copy(self._images[number], SEARCHED))
+        return self._features[number]
+
+
+def figures(images: Sequence[Array]) -> list[BoolArray] | None:
+    """Return what stands before the background in two images, (H, W) each.
+
+    An image with opacity shows its figure itself; in others a person is sought.
+
+    Parameters
+    ----------
+    images : (image_a, image_b)
+        (H, W, 3) or (H, W, 4) arrays.
+
+    Returns
+    -------
+    list of (H, W) arrays, or None
+        None if an image has no figure.
+
+    Raises
+    ------
+    InputError
+        If a person is to be sought, and the extra ``faces`` is missing.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image = np.ones((2, 2, 4))
+    >>> image[0, 0, 3] = 0.0
+    >>> figures([image, image])[0].tolist()
+    [[False, True], [True, True]]
+    """
+    found = []
+    for image in images:
+        if image.shape[2] == 4:
+            found.append(image[..., 3] > 0)
+            continue
+        missing = mesh_missing()
+        if missing:
+            raise InputError(
+                "labels='auto' looks for people by the extra \"faces\", which is missing: "
+                f"{missing.replace('would find eyes and mouths too', 'finds them')}"
+            )
+        mask = person(small_copy(image, SEARCHED))
+        if mask is None:
+            return None
+        rows, columns = (
+            np.minimum((np.arange(side) + 0.5) * small / side, small - 1).astype(int)
+            for side, small in zip(image.shape[:2], mask.shape, strict=True)
+        )
+        found.append(mask[rows][:, columns])
+    return found
+
+
+def _paired(
+    one: Sequence[Array], other: Sequence[Array], shapes: Sequence[tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """Pair faces by size and place; of the larger number the smallest are left over."""
+    from scipy.optimize import linear_sum_assignment
+
+    count = min(len(one), len(other))
+    marks = []
+    for faces, shape in zip((one, other), shapes, strict=True):
+        rows = []
+        for face in faces[:count]:
+            size = np.log(np.ptp(face[:, 0]) / max(shape))
+            rows.append([*(face.mean(axis=0) / (shape[1], shape[0])), 0.25 * size])
+        marks.append(np.array(rows))
+    costs = np.linalg.norm(marks[0][:, None] - marks[1], axis=2)
+    rows_of, columns = linear_sum_assignment(costs)
+    return list(zip(rows_of.tolist(), columns.tolist(), strict=True))

@@ -1,0 +1,71 @@
+"""Small copies of pictures, in which things are found, and the way back to their pixels."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from clmorph._shared.typing import Array
+
+Bytes = NDArray[np.uint8]
+#: Color under transparent pixels: neither black nor white, so that outlines of either are seen.
+UNDER = 0.5
+
+
+class Copy(NamedTuple):
+    """A small copy of a picture.
+
+    Attributes
+    ----------
+    pixels : (H, W, 3) uint8 array
+    shape : (height, width)
+        Shape of the picture.
+    """
+
+    pixels: Bytes
+    shape: tuple[int, int]
+
+    def whole(self, places: Array) -> Array:
+        """Return places (n, 2) of the copy in pixels of the picture, rounded to tenths.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> Copy(np.zeros((4, 8, 3), np.uint8), (8, 16)).whole(np.array([[0.0, 3.0]])).tolist()
+        [[0.5, 6.5]]
+        """
+        small = np.array(self.pixels.shape[1::-1], float)
+        size = np.array(self.shape[::-1], float)
+        found = (np.asarray(places, float) + 0.5) / small * size - 0.5
+        return np.round(np.clip(found, 0.0, size - 1.0), 1)
+
+
+def small_copy(image: Array, most: int) -> Copy:
+    """Return a copy whose longer side has at most `most` pixels.
+
+    Parameters
+    ----------
+    image : (H, W, 3) or (H, W, 4) array
+        sRGB in [0, 1], and opacity.
+    most : int
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> small_copy(np.zeros((40, 30, 3)), 20).pixels.shape
+    (20, 15, 3)
+    """
+    shape = image.shape[:2]
+    # Of large pictures every k-th pixel is enough: two to three times as many are left.
+    step = max(1, max(shape) // (2 * most))
+    pixels = image[step // 2 :: step, step // 2 :: step] if min(shape) > step else image
+    if pixels.shape[2] == 4:
+        pixels = UNDER + (pixels[..., :3] - UNDER) * pixels[..., 3:]
+    found = Image.fromarray((255 * np.clip(pixels, 0, 1) + 0.5).astype(np.uint8))
+    scale = min(1.0, most / max(shape))
+    size = tuple(max(1, round(side * scale)) for side in shape[::-1])
+    small = found.resize((size[0], size[1]), Image.Resampling.LANCZOS)
+    return Copy(np.ascontiguousarray(small), (shape[0], shape[1]))
