@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from clmorph._shared.typing import Array
+from clmorph._shared.typing import AnyArray, Array
+from clmorph.images.resizing import as_unit
 
 Bytes = NDArray[np.uint8]
 #: Color under transparent pixels: neither black nor white, so that outlines of either are seen.
@@ -43,13 +44,13 @@ class Copy(NamedTuple):
         return np.round(np.clip(found, 0.0, size - 1.0), 1)
 
 
-def small_copy(image: Array, most: int) -> Copy:
+def small_copy(image: AnyArray, most: int) -> Copy:
     """Return a copy whose longer side has at most `most` pixels.
 
     Parameters
     ----------
     image : (H, W, 3) or (H, W, 4) array
-        sRGB in [0, 1], and opacity.
+        sRGB and opacity: integers, or floats in [0, 1].
     most : int
 
     Examples
@@ -61,7 +62,7 @@ def small_copy(image: Array, most: int) -> Copy:
     shape = image.shape[:2]
     # Of large pictures every k-th pixel is enough: two to three times as many are left.
     step = max(1, max(shape) // (2 * most))
-    pixels = image[step // 2 :: step, step // 2 :: step] if min(shape) > step else image
+    pixels = as_unit(image[step // 2 :: step, step // 2 :: step] if min(shape) > step else image)
     if pixels.shape[2] == 4:
         pixels = UNDER + (pixels[..., :3] - UNDER) * pixels[..., 3:]
     found = Image.fromarray((255 * np.clip(pixels, 0, 1) + 0.5).astype(np.uint8))
