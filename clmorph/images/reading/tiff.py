@@ -4,6 +4,9 @@ tifffile decodes all samples. The tags (`tiff_layout`) decide here what the samp
 """
 
 import io
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +59,7 @@ def read_samples(file: Path, page: int, layout: Layout) -> tuple[AnyArray, AnyAr
     """
     from tifffile import TiffFile
 
-    with TiffFile(file) as tiff:
+    with _quiet(), TiffFile(file) as tiff:
         found: Any = tiff.pages[page]
         _check_pieces(file, tiff.filehandle, found, layout)
         samples = np.asarray(found.asarray()).reshape(found.shaped)
@@ -71,6 +74,17 @@ def read_samples(file: Path, page: int, layout: Layout) -> tuple[AnyArray, AnyAr
     if samples.shape != (layout.height, layout.width, layout.samples):
         raise ValueError("its tags contradict each other")
     return samples, palette
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Python from printing what tifffile logs about odd tags, if nobody else handles it."""
+    log, handler = logging.getLogger("tifffile"), logging.NullHandler()
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
 
 
 def _palette(page: Any) -> AnyArray:
