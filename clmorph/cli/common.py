@@ -28,7 +28,7 @@ SILENT = logging.NullHandler()
 
 @contextmanager
 def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
-    """Hide messages of Pillow and tifffile about unusual metadata.
+    """Hide messages of Pillow about unusual metadata.
 
     Such messages do not help the user, because clmorph itself checks pixels and recipes. Only the
     command line may use this function, because it changes the global state of the process.
@@ -38,17 +38,15 @@ def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
     list of warnings.WarningMessage
         Warnings of clmorph itself, which the caller prints.
     """
-    logs = [logging.getLogger(name) for name in ("PIL", "tifffile")]
-    for log in logs:
-        log.addHandler(SILENT)
+    log = logging.getLogger("PIL")
+    log.addHandler(SILENT)
     try:
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter("ignore")
             warnings.simplefilter("always", ImageWarning)
             yield found
     finally:
-        for log in logs:
-            log.removeHandler(SILENT)
+        log.removeHandler(SILENT)
 
 
 def read_picture(path: Path, max_pixels: int) -> Any:

@@ -437,6 +437,15 @@ def test_bits_of_jpeg_2000_and_avif_are_kept(read, rng, bits, samples):
         assert np.abs(read(data) - want).max() < 1e-5
 
 
+def test_sizes_within_jpeg_2000_are_checked(read, rng):
+    """The box says 7 x 5 pixels, and the data would take 10 GB."""
+    array = rng.integers(0, 4096, (HEIGHT, WIDTH, 3), np.uint16)
+    data = imagecodecs.jpeg2k_encode(array, bitspersample=12, level=0, codecformat="jp2")
+    place = data.index(b"\xff\x4f\xff\x51") + 8
+    with pytest.raises(FileError, match="contradict"):
+        read(data[:place] + struct.pack(">II", 30000, 30000) + data[place + 8 :])
+
+
 def test_16_bits_for_three_colors_are_no_reduction(read):
     """A bitmap of 5, 6 and 5 bits a pixel holds fewer than 8 of a sample."""
     rows = np.full((4, 4), 0xF800, "<u2").tobytes()

@@ -6,6 +6,8 @@ file says wherever it reads such a file at all.
 """
 
 import itertools
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -207,4 +209,11 @@ def test_decoders_write_nothing_to_the_terminal(tmp_path, capfd):
     (tmp_path / "a.tif").write_bytes(data[:9] + b"\xff" * 200 + data[209:])
     with pytest.raises(FileError):
         read_image(tmp_path / "a.tif")
+    odd = tiff(bytes(64), 8, 8, {258: 8, 262: 1, 296: 77, 338: 99})  # tifffile logs such numbers
+    code = "import sys, clmorph; print(clmorph.read_image(sys.argv[1]).shape)"
+    (tmp_path / "b.tif").write_bytes(odd)
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "b.tif"], capture_output=True, text=True, check=True
+    )
+    assert (done.stdout, done.stderr) == ("(8, 8, 3)\n", "")
     assert capfd.readouterr() == ("", "")

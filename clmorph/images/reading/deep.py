@@ -1,5 +1,6 @@
 """Decoding where Pillow keeps only 8 of more bits a sample, or takes microseconds a pixel."""
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ from clmorph.images.reading.opening import Reader, UnsupportedError
 
 #: Modes of Pillow that hold 16 bits of gray.
 GRAY_16 = ("I;16", "I;16B", "I;16L", "I;16N")
-#: The markers with which the data of a JPEG 2000 picture begin, and the place of the first depth.
-_JPEG_2000, _DEPTH = b"\xff\x4f\xff\x51", 42
+#: The markers with which the data of a JPEG 2000 picture begin, and the places of its size and of
+#: the first depth.
+_JPEG_2000, _SIZE, _DEPTH = b"\xff\x4f\xff\x51", 8, 42
 #: The number of bytes before the samples of an uncompressed DDS.
 _DDS_HEADER = 128
 #: The number by which JPEG 2000 names YCbCr.
@@ -102,6 +104,10 @@ def _jpeg_2000_bits(picture: Any, data: bytes) -> int:
     place = data.find(_JPEG_2000)
     if place < 0 or place + _DEPTH >= len(data) or picture.mode in ("P", "PA"):
         return 8  # damaged, or a palette
+    # The decoder believes these numbers, and the size that was checked is that of a box.
+    right, bottom, left, top = struct.unpack_from(">4I", data, place + _SIZE)
+    if (right - left, bottom - top) != picture.size:
+        raise ValueError("its headers contradict each other")
     depth = data[place + _DEPTH]
     if depth & 0x80:
         raise UnsupportedError("has signed samples")

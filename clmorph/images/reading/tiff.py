@@ -4,6 +4,9 @@ tifffile decodes all samples. The tags (`tiff_layout`) decide here what the samp
 """
 
 import io
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -56,21 +59,30 @@ def read_samples(file: Path, page: int, layout: Layout) -> tuple[AnyArray, AnyAr
     """
     from tifffile import TiffFile
 
-    with TiffFile(file) as tiff:
+    with _quiet(), TiffFile(file) as tiff:
         found: Any = tiff.pages[page]
         _check_pieces(file, tiff.filehandle, found, layout)
-        samples = np.asarray(found.asarray()).reshape(found.shaped)
+        # Separate samples, depth, height, width, samples together: nothing larger is decoded.
+        apart, depth, height, width, together = found.shaped
+        if depth != 1:
+            raise ValueError("it has depth")
+        if (height, width, apart * together) != (layout.height, layout.width, layout.samples):
+            raise ValueError("its tags contradict each other")
+        samples = np.asarray(found.asarray()).reshape(apart, height, width, together)
         palette = _palette(found) if layout.photometric == PALETTE else None
-    if samples.shape[1] != 1:
-        raise ValueError("it has depth")
     samples = samples.astype(np.uint8) if samples.dtype == np.bool_ else samples
-    # (separate samples, depth, height, width, samples together)
-    samples = np.moveaxis(samples[:, 0], 0, -1).reshape(
-        *samples.shape[2:4], samples.shape[0] * samples.shape[4]
-    )
-    if samples.shape != (layout.height, layout.width, layout.samples):
-        raise ValueError("its tags contradict each other")
-    return samples, palette
+    return np.moveaxis(samples, 0, -1).reshape(height, width, layout.samples), palette
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Python from printing what tifffile logs about odd tags, if nobody else handles it."""
+    log, handler = logging.getLogger("tifffile"), logging.NullHandler()
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
 
 
 def _palette(page: Any) -> AnyArray:
