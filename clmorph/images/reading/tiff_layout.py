@@ -17,9 +17,11 @@ COLOR_SAMPLES = {
 }  # fmt: skip
 #: Values of Compression: JPEG of the old and the new kind, and WebP.
 JPEG, WEBP = (6, 7), 50001
+#: Values of Compression: the three kinds of fax.
+FAX = (2, 3, 4)
 #: Values of Compression that are read: also none, three kinds of fax, LZW, Deflate by two numbers,
 #: PackBits, LZMA and Zstandard. None of their decoders exceeds the size that it is told.
-COMPRESSIONS = frozenset((1, 2, 3, 4, 5, *JPEG, 8, 32946, 32773, 34925, 50000, WEBP))
+COMPRESSIONS = frozenset((1, *FAX, 5, *JPEG, 8, 32946, 32773, 34925, 50000, WEBP))
 #: Values of ExtraSamples: opacity with premultiplied colors, and with unmultiplied colors.
 ASSOCIATED, UNASSOCIATED = 1, 2
 #: Largest number of pieces (strips or tiles) of one picture.
@@ -148,11 +150,23 @@ def check_layout(file: str, layout: Layout, max_pixels: int) -> None:
         )
     if layout.compression not in COMPRESSIONS or layout.photometric not in COLOR_SAMPLES:
         raise not_read(file, layout)
+    if layout.compression in FAX and not reads_fax():
+        raise FileError(f"{file} is compressed as fax, which needs imagecodecs 2026.3.6 or newer")
     if layout.photometric == YCBCR and layout.compression not in JPEG and layout.subsampled:
         raise FileError(
             f"{file} holds uncompressed YCbCr with fewer samples of color than of light, which is "
             "not read; save it as RGB"
         )
+
+
+def reads_fax() -> bool:
+    """Return whether imagecodecs decodes fax. NumPy 1.26 has no version that does."""
+    import imagecodecs
+
+    return all(
+        hasattr(imagecodecs, name) and getattr(imagecodecs, name).available
+        for name in ("CCITTRLE", "CCITTFAX3", "CCITTFAX4")
+    )
 
 
 def not_read(file: str, layout: Layout) -> FileError:
