@@ -238,7 +238,7 @@ def sinkhorn_divergence(
         )
         further = solve(
             problem, pair, given, smaller, max_iter, precision, lambda share: None,
-            level_tol=smaller,
+            exact=True,
         )  # fmt: skip
         cross = replace(better(cross, further, tol), measures=pair)
         result = combined(cross, parts[0], parts[1], given)

@@ -192,7 +192,7 @@ def solve_further(
     numbers, smallest = list(wide), min(wide.values())
     again = solve_many(
         [pairs[number] for number in numbers], given, smallest, max_iter, operations, precision,
-        lambda share: None, lambda number: name(numbers[number]), smallest,
+        lambda share: None, lambda number: name(numbers[number]), exact=True,
     )  # fmt: skip
     for number, further in zip(numbers, again, strict=True):
-        solved.replace(number, better(solved[number], further, tol))
+        solved._put(number, better(solved[number], further, tol))

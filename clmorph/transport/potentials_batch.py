@@ -84,7 +84,7 @@ class PotentialsBatch(Sequence[Potentials]):
             self._made[number] = part.make(place)
         return self._made[number]
 
-    def replace(self, number: int, potentials: Potentials) -> None:
+    def _put(self, number: int, potentials: Potentials) -> None:
         """Let a problem have other potentials."""
         self._made[number], self.statuses[number] = potentials, potentials.status
         self.residuals[number], self.n_iter[number] = potentials.residual, potentials.n_iter

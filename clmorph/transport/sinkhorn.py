@@ -23,7 +23,7 @@ from clmorph.transport._solver.checks import (
     check_solver_options,
     choose_truncation,
 )
-from clmorph.transport._solver.iteration import LEVEL_TOLERANCE, SHORT, Iteration
+from clmorph.transport._solver.iteration import SHORT, Iteration
 from clmorph.transport._solver.multiscale import Multiscale
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS
@@ -188,7 +188,7 @@ def solve(
     multiscale: bool | str = "auto",
     verify: bool = False,
     keep: bool = False,
-    level_tol: float = LEVEL_TOLERANCE,
+    exact: bool = False,
 ) -> Potentials:
     """Solve one problem by the certified iteration, without a warning.
 
@@ -207,8 +207,8 @@ def solve(
         Checked arguments of `sinkhorn`.
     keep : bool
         Whether the result keeps the near pairs, if the problem has such.
-    level_tol : float
-        As in `Iteration`; a problem that is solved through coarser problems has its own.
+    exact : bool
+        As in `Iteration`; a problem that is solved through coarser problems never is.
     """
     limit = problem.truncation
     options = given.blur, tol, max_iter, precision, report
@@ -223,7 +223,7 @@ def solve(
         if coarse:
             iteration = Multiscale(problem, pair, *options)
         else:
-            iteration = Iteration(problem, *options, level_tol=level_tol)
+            iteration = Iteration(problem, *options, exact=exact)
         iteration.run(g)
     if verify and limit is not None:
         _take_all_pairs(iteration, given.epsilon)

@@ -21,7 +21,6 @@ from clmorph.transport._solver.checks import (
     check_solver_options,
     choose_truncation,
 )
-from clmorph.transport._solver.iteration import LEVEL_TOLERANCE
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.softmin import MANY_PAIRS, overflow
 from clmorph.transport._solver.symmetric import SymmetricIteration, is_symmetric
@@ -191,7 +190,7 @@ def solve_many(
     precision: str,
     report: Progress,
     name: Callable[[int], str] = problem_name,
-    level_tol: float = LEVEL_TOLERANCE,
+    exact: bool = False,
 ) -> PotentialsBatch:
     """Solve the problems of checked pairs of measures, without a warning.
 
@@ -204,7 +203,7 @@ def solve_many(
     operations : Operations
     name : callable
         A function that returns the name of a problem for error messages.
-    level_tol : float
+    exact : bool
         As in `solve`.
     """
     for number, pair in enumerate(pairs):
@@ -223,7 +222,7 @@ def solve_many(
         try:
             if _is_large(own[0]):
                 parts.append(
-                    Single(numbers[0], _solve_large(own[0], operations, given, *options, level_tol))
+                    Single(numbers[0], _solve_large(own[0], operations, given, *options, exact))
                 )
             else:
                 problem = problem_of_many(operations, own, given.rho)
@@ -231,7 +230,7 @@ def solve_many(
                 if is_symmetric(own[0], given.rho):
                     iteration = SymmetricIteration(problem, given.blur, *options)
                 else:
-                    iteration = BatchIteration(problem, given.blur, *options, level_tol)
+                    iteration = BatchIteration(problem, given.blur, *options, exact)
                 iteration.run()
                 parts.append(Solved(np.array(numbers), iteration, given))
         except NotFiniteError as error:
@@ -256,13 +255,13 @@ def _solve_large(
     max_iter: int,
     precision: str,
     report: Progress,
-    level_tol: float,
+    exact: bool,
 ) -> Potentials:
     """Solve a problem by itself."""
     limit = choose_truncation("auto", tol, len(pair[0]) * len(pair[1]) >= MANY_PAIRS)
     problem = Problem.between(operations, *pair, given.rho, limit)
     options = given, tol, max_iter, precision, report
-    return solve(problem, pair, *options, level_tol=level_tol)
+    return solve(problem, pair, *options, exact=exact)
 
 
 def together(

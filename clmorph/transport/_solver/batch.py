@@ -160,6 +160,7 @@ def some(problem: Problem, problems: IntArray) -> Problem:
     )  # fmt: skip
     one, other = problem.oscillations
     made.oscillations = one[problems], other[problems]
+    made.exact_sums = problem.exact_sums
     return made
 
 

@@ -29,7 +29,7 @@ class BatchIteration:
     ----------
     problem : Problem
         Made by `problem_of_many`; there are B problems, of N and M points in all.
-    blur, tol, max_iter, precision, report, level_tol
+    blur, tol, max_iter, precision, report, exact
         As in `Iteration`.
 
     Attributes
@@ -56,9 +56,10 @@ class BatchIteration:
         max_iter: int,
         precision: str,
         report: Callable[[float], None],
-        level_tol: float = LEVEL_TOLERANCE,
+        exact: bool = False,
     ) -> None:
-        self.problem, self._level_tol = problem, level_tol
+        self.problem, problem.exact_sums = problem, exact
+        self._level_tol = tol if exact else LEVEL_TOLERANCE
         self.tol, self.precision = tol, precision
         self._blur, self._max_iter, self._report = blur, max_iter, report
         count = problem.of_rows.shape[0]

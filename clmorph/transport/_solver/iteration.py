@@ -72,8 +72,9 @@ class Iteration:
     patience : int
         Iterations without a new best residual after which the iteration ends, if rounding explains
         that.
-    level_tol : float
-        Residual at which the iteration leaves a level before the last.
+    exact : bool
+        Whether the levels before the last are solved to `tol`, too, and all with exact sums: where
+        groups of points stand far apart, mass finds its way between them at large blurs alone.
 
     Attributes
     ----------
@@ -104,9 +105,10 @@ class Iteration:
         report: Callable[[float], None],
         certify: bool = True,
         patience: int = STALLED,
-        level_tol: float = LEVEL_TOLERANCE,
+        exact: bool = False,
     ) -> None:
-        self.problem, self._level_tol = problem, level_tol
+        self.problem, problem.exact_sums = problem, exact
+        self._level_tol = tol if exact else LEVEL_TOLERANCE
         self.tol, self.precision, self._certify = tol, precision, certify
         self._patience = patience
         self.residuals: list[float] = []

@@ -54,6 +54,8 @@ class Problem:
     reductions : (Reductions of the rows, Reductions of the columns)
     """
 
+    #: Whether every softmin has the powers and sums of `bounded_softmins`, at three times the time.
+    exact_sums = False
     #: Radius of the region where the problem is valid, in units of epsilon.
     trust_radius = np.inf
 
@@ -176,14 +178,14 @@ class Problem:
     def softmin_rows(self, g: Array, epsilon: float, precise: bool, bounded: bool = False) -> Array:
         """Return T(g), (N,) array; flags as in `Softmin` (paper, 3.1; math: softmin)."""
         self.n_softmin += 1
-        return self.to_rows(g, epsilon, precise, bounded)
+        return self.to_rows(g, epsilon, precise, bounded or self.exact_sums)
 
     def softmin_columns(
         self, f: Array, epsilon: float, precise: bool, bounded: bool = False
     ) -> Array:
         """Return T(f), (M,) array; flags as in `Softmin` (paper, 3.1; math: softmin)."""
         self.n_softmin += 1
-        return self.to_columns(f, epsilon, precise, bounded)
+        return self.to_columns(f, epsilon, precise, bounded or self.exact_sums)
 
     @property
     def left_out(self) -> float:
@@ -262,7 +264,7 @@ class Problem:
 
     def start_iteration(self) -> ResidentIteration | None:
         """Return an iteration on the device, if all pairs are summed and the backend has it."""
-        if self.truncation is None and not self._asked:
+        if self.truncation is None and not self._asked and not self.exact_sums:
             self._resident = self.operations.start_iteration(
                 self.rows, self.columns, (self.a, self.b), self.inverse_rho
             )
