@@ -75,8 +75,8 @@ def sinkhorn(
     reach : float, None, or a pair (reach_source, reach_target)
         Length scale, in the points' unit, of the marginal penalty: beyond it mass is destroyed and
         created rather than moved. None, the default, is balanced transport, which needs equal
-        masses. With a pair, each half belongs to one measure; one None is semi-unbalanced
-        transport.
+        masses: they may differ by a millionth, and by half of `tol`. With a pair, each half belongs
+        to one measure; one None is semi-unbalanced transport.
     tol : float
         Residual at which the iteration stops, in units of epsilon.
     max_iter : int
