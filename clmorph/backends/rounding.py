@@ -5,7 +5,9 @@ from typing import Any
 from clmorph.backends.interface import Operations
 
 
-def rounding_error(operations: Operations, n_columns: Any, largest: Any, precise: bool) -> Any:
+def rounding_error(
+    operations: Operations, n_columns: Any, largest: Any, precise: bool, exact: bool = False
+) -> Any:
     """Return the rounding error that a log-sum-exp of `operations` may have, in nats.
 
     The estimate adds a few roundings of each term (8 units, the exponential's error included),
@@ -21,6 +23,8 @@ def rounding_error(operations: Operations, n_columns: Any, largest: Any, precise
         The largest C / epsilon.
     precise : bool
         Whether exponents are formed in more than float32.
+    exact : bool
+        Whether powers and sums are, too, as in `Operations.bounded_softmin`.
 
     Examples
     --------
@@ -29,5 +33,8 @@ def rounding_error(operations: Operations, n_columns: Any, largest: Any, precise
     >>> rounding_error(NumPyOperations(), 100, 1000.0, precise=False) < 1e-12
     True
     """
-    in_exponent = operations.precise_roundoff if precise else operations.exponent_roundoff
-    return operations.sum_roundoff * (8 + 2 * n_columns**0.5) + in_exponent * largest
+    in_exponent = operations.exponent_roundoff
+    if precise or exact:
+        in_exponent = operations.precise_roundoff
+    in_sum = operations.precise_roundoff if exact else operations.sum_roundoff
+    return in_sum * (8 + 2 * n_columns**0.5) + in_exponent * largest

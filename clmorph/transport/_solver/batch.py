@@ -62,10 +62,17 @@ class BatchSoftmin:
             raise NotFiniteError(int(self.numbers[problem]))
         return softmin
 
-    def rounding(self, n_columns: int, largest_cost: Array, epsilon: float, precise: bool) -> Any:
+    def rounding(
+        self,
+        n_columns: int,
+        largest_cost: Array,
+        epsilon: float,
+        precise: bool,
+        exact: bool = False,
+    ) -> Any:
         """Return the largest effect of rounding on a softmin, in nats, for each problem."""
         counts = self.of_columns.counts
-        return rounding_error(self.operations, counts, largest_cost / epsilon, precise)
+        return rounding_error(self.operations, counts, largest_cost / epsilon, precise, exact)
 
 
 class NotFiniteError(Exception):

@@ -204,9 +204,10 @@ class Problem:
 
     def rounding(self, epsilon: float, precise: bool) -> Any:
         """Return the largest effect of rounding on a softmin, in nats."""
+        kind = epsilon, precise, self.exact_sums
         return self._larger(
-            self.to_rows.rounding(len(self.b), self.largest_cost, epsilon, precise),
-            self.to_columns.rounding(len(self.a), self.largest_cost, epsilon, precise),
+            self.to_rows.rounding(len(self.b), self.largest_cost, *kind),
+            self.to_columns.rounding(len(self.a), self.largest_cost, *kind),
         )
 
     def _larger(self, one: Any, other: Any) -> Any:

@@ -202,7 +202,14 @@ class Softmin:
         logarithms += (grown + softmin - self._near.softmin) / epsilon
         return float(np.exp(np.minimum(logarithms.max(), 700.0)))
 
-    def rounding(self, n_columns: int, largest_cost: float, epsilon: float, precise: bool) -> float:
+    def rounding(
+        self,
+        n_columns: int,
+        largest_cost: float,
+        epsilon: float,
+        precise: bool,
+        exact: bool = False,
+    ) -> float:
         """Return the largest effect of rounding on a softmin, in nats; see `rounding_error`.
 
         Parameters
@@ -216,7 +223,7 @@ class Softmin:
         if self._near is not None and self._chosen_for[0] == epsilon:
             n_columns = self._near.n_columns
             largest_cost = min(largest_cost, self._near.largest)
-        return rounding_error(self.operations, n_columns, largest_cost / epsilon, precise)
+        return rounding_error(self.operations, n_columns, largest_cost / epsilon, precise, exact)
 
 
 def check_finite(softmin: Array) -> Array:
