@@ -216,8 +216,8 @@ def agreeing(starts: Array, ends: Array) -> BoolArray:
     --------
     >>> import numpy as np
     >>> starts = np.array([[0.1, 0.5], [0.3, 0.5], [0.5, 0.5], [0.9, 0.5], [0.9, 0.9]])
-    >>> agreeing(starts, starts[[0, 1, 3, 2, 4]] * (1, 0.9)).sum() < 5
-    True
+    >>> int(agreeing(starts, starts[[0, 1, 3, 2, 4]]).sum())
+    4
     """
     kept = np.ones(len(starts), bool)
     while kept.sum() > 1:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clmorph.backends.arrays import as_array
 from clmorph.backends.interface import MAX_DIMENSION
 from clmorph.errors import InputError
 from clmorph.images.finding.common import Finder, figures
@@ -123,15 +122,14 @@ def _morphs(count: int) -> str:
 
 
 def _has_room(maps: Maps) -> bool:
-    """Return whether landmarks go with the arrays beside the images."""
-    if maps.color_metric is not None:
-        metric = as_array(
-            "color_metric", maps.color_metric, "an array (3, 3), (H, W, 3, 3) or (H, W)"
-        )
-        if metric.shape != (3, 3):
+    """Return whether landmarks go with the arrays beside the images, which are checked later."""
+    try:
+        if maps.color_metric is not None and np.shape(maps.color_metric) != (3, 3):
             return False
-    pair = maps.features if isinstance(maps.features, tuple | list) else ()
-    shapes = [as_array("features", each, "arrays (H, W) or (H, W, K)").shape for each in pair]
+        pair = maps.features if isinstance(maps.features, tuple | list) else ()
+        shapes = [np.shape(each) for each in pair]
+    except ValueError:  # lists that differ in length
+        return False
     counts = [shape[2] if len(shape) == 3 else 1 for shape in shapes]
     return max(counts, default=0) < MAX_DIMENSION - PLAIN
 

@@ -374,38 +374,8 @@ class Morph(FrameSequence):
     @property
     def frames(self) -> list[NDArray[np.float32]]:
         """All frames, at `times`; the first access renders and caches them."""
-        self.keep()
+        keep_frames(self)
         return self._kept
-
-    def keep(self, progress: StageProgress | None = None) -> None:
-        """Render and cache all frames, so that files which are written later need not do so.
-
-        Parameters
-        ----------
-        progress : callable, optional
-            Called with the stage "frames" and the share of it that is done.
-
-        Examples
-        --------
-        >>> import clmorph
-        >>> import numpy as np
-        >>> left, right = np.zeros((2, 6, 6, 3))
-        >>> left[:, :3] = right[:, 3:] = 1.0
-        >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-        >>> morph.keep()
-        >>> morph[2] is morph.frames[2]
-        True
-        """
-        if self._kept:
-            return
-        report = check_progress(progress)
-        found = []
-        with closing(self.iter_frames()) as frames:
-            for frame in frames:
-                found.append(frame)
-                share = len(found) / len(self)
-                report("frames", Share(share, f"{len(found)} of {len(self)}"))
-        self._kept.extend(found)
 
     @property
     def pixelated(self) -> bool:
@@ -455,3 +425,34 @@ class Morph(FrameSequence):
     def _repr_html_(self) -> str:
         """Show the morph in a notebook as an interactive page."""
         return repr_html(self)
+
+
+def keep_frames(morph: Morph, progress: StageProgress | None = None) -> None:
+    """Render and cache all frames of a morph, so that files written later need not do so.
+
+    Parameters
+    ----------
+    morph : Morph
+    progress : callable, optional
+        Called with the stage "frames" and the share of it that is done.
+
+    Examples
+    --------
+    >>> import clmorph
+    >>> import numpy as np
+    >>> left, right = np.zeros((2, 6, 6, 3))
+    >>> left[:, :3] = right[:, 3:] = 1.0
+    >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
+    >>> keep_frames(morph)
+    >>> morph[2] is morph.frames[2]
+    True
+    """
+    report = check_progress(progress)
+    if morph._kept:
+        return
+    found = []
+    with closing(morph.iter_frames()) as frames:
+        for frame in frames:
+            found.append(frame)
+            report("frames", Share(len(found) / len(morph), f"{len(found)} of {len(morph)}"))
+    morph._kept.extend(found)

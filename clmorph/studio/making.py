@@ -28,7 +28,7 @@ from clmorph.pipeline.presets import DRAFT_TOL
 from clmorph.pipeline.rearrange import arranged
 from clmorph.pipeline.rearrange_options import RearrangeOptions
 from clmorph.pipeline.recolor import recolored
-from clmorph.pipeline.result import Morph
+from clmorph.pipeline.result import Morph, keep_frames
 from clmorph.studio.overlays import CREATED, DESTROYED, tinted, unmatched_shares
 
 #: Largest number of blocks and of particles of a preview.
@@ -89,7 +89,7 @@ class Film(Made):
         need = sum(4 * len(part) * np.prod(part.canvas(0.5).shape) * 4 for part in morphs)
         if need <= MOST_KEPT:
             for number, part in enumerate(morphs, 1):
-                part.keep(_marked(report, number, len(morphs) + 1))
+                keep_frames(part, _marked(report, number, len(morphs) + 1))
         save(self.parts, path, parameters=parameters, progress=report)
 
     def still(self, time: float) -> Array:
