@@ -72,6 +72,8 @@ BEFORE = {"astronaut, cat": 0.44, "coffee, rocket": 0.30, "astronaut, camera": 0
 #: Pictures that are alike in place.
 ALIKE = ("deformed", "left eye")
 FILMS = ("film", "cross-fade", "wipe", "particles")
+#: Films are measured without landmarks: what is drawn is judged, and not what is found.
+PLAIN = {"landmarks": None}
 #: Options of the particles alone.
 PARTICLES = {"preset": "photo", "detail": "particles"}
 
@@ -223,8 +225,8 @@ def wipe(first: Picture, last: Picture, count: int) -> list[Picture]:
 
 def films(ends: tuple[Picture, Picture], count: int, device: str) -> dict[str, list[Picture]]:
     """Return the films of a pair by their names in `FILMS`."""
-    film = list(clmorph.morph(*ends, n_frames=count, backend=device))
-    particles = clmorph.morph(*ends, n_frames=FRAMES, backend=device, **PARTICLES)
+    film = list(clmorph.morph(*ends, n_frames=count, backend=device, **PLAIN))
+    particles = clmorph.morph(*ends, n_frames=FRAMES, backend=device, **PLAIN, **PARTICLES)
     shape = film[count // 2].shape[:2]
     # As they are measured: of one size, opacity over gray.
     plain = [resized(over(film[number], 0.5), shape) for number in (0, -1)]
@@ -347,7 +349,7 @@ def judge_deformed(name: str, seed: int, device: str) -> tuple[str, float]:
     first = picture(name)
     truth, last = deformed(first, seed)
     middles = [
-        clmorph.morph(first, last, n_frames=3, backend=device, **way).frame(0.5)[..., :3]
+        clmorph.morph(first, last, n_frames=3, backend=device, **PLAIN, **way).frame(0.5)[..., :3]
         for way in ({}, PARTICLES)
     ]
     fade = (first + last) / 2
