@@ -265,7 +265,14 @@ class StoredSoftmin(Softmin):
         """
         return StoredVectors(masses, self._start + correction, self._softmin + correction, origin)
 
-    def rounding(self, n_columns: int, largest_cost: float, epsilon: float, precise: bool) -> float:
+    def rounding(
+        self,
+        n_columns: int,
+        largest_cost: float,
+        epsilon: float,
+        precise: bool,
+        exact: bool = False,
+    ) -> float:
         """Return the effect of rounding on a softmin in nats; exponents are small here."""
         return 64 * self.operations.sum_roundoff
 
