@@ -297,8 +297,8 @@ def test_rounding_that_is_in_the_way_is_told(device, rng):
     pairs[2] = tuple((w, np.column_stack((x, [0.0]))) for w, x in pairs[2])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
-        found = solve(pairs, 0.1, 0.3, 1e-9, 300, backend=device)
-        alone = [clmorph.sinkhorn(*pair, 0.1, 0.3, 1e-9, 300, backend=device) for pair in pairs]
+        found = solve(pairs, 0.1, 0.3, 1e-12, 300, backend=device)
+        alone = [clmorph.sinkhorn(*pair, 0.1, 0.3, 1e-12, 300, backend=device) for pair in pairs]
     assert found.statuses == [each.status for each in alone]
     assert "precision" in found.statuses
 
@@ -411,6 +411,21 @@ def test_measures_with_themselves_converge_in_batches(any_backend, rng):
         assert alone.converged
         assert np.abs(each.f - alone.f).max() < 3e-6 * each.epsilon
         assert true_residual((measure, measure), each) <= each.residual
+
+
+def test_small_residuals_are_reached_on_every_backend(any_backend, rng):
+    """Sums in float32 end slow balanced solves at 1e-6 to 1e-5; then exact sums take over."""
+    sources, targets = rng.random((2, 8, 40, 3))
+    weights = np.full((8, 40), 1 / 40)
+    options = {"blur": 0.07, "tol": 1e-8, "max_iter": 5000, "backend": any_backend}
+    found = clmorph.sinkhorn_batch((weights, sources), (weights, targets), **options)
+    assert found.converged
+    for number, each in enumerate(found):
+        pair = (weights[number], sources[number]), (weights[number], targets[number])
+        alone = clmorph.sinkhorn(*pair, **options)
+        for solved in (each, alone):
+            assert solved.converged
+            assert true_residual(pair, solved) <= solved.residual <= 1e-8
 
 
 def test_self_terms_are_solved_once(monkeypatch, rng):

@@ -15,6 +15,7 @@ from clmorph.transport._solver.iteration import (
     LEVEL_TOLERANCE,
     REPEATED,
     annealing,
+    may_sum_exactly,
     top_blur,
 )
 from clmorph.transport._solver.problem import Problem
@@ -146,7 +147,9 @@ class BatchIteration:
             for precise in (False, True):
                 numbers = np.flatnonzero(self.precise == precise)
                 left.append((precise, numbers, g[self._columns.points_of(numbers)]))
+        exact = problem.exact_sums
         for precise, numbers, start in left:
+            problem.exact_sums = exact
             for share in (1.0, *REPEATED):
                 if not len(numbers):
                     break
@@ -156,6 +159,11 @@ class BatchIteration:
                 self._measure(reached, epsilon)
                 # The bound of the rounding can have lifted a residual above the tolerance.
                 again = converged & (self.status[numbers] != "converged")
+                bounds = self.roundoffs.max(axis=0)[numbers]
+                status = self.status[numbers]
+                further = may_sum_exactly(problem, status, self.precision, self.tol, bounds)
+                problem.exact_sums |= bool(np.any(further))
+                again |= further
                 again &= self.n_iter[numbers] < limit
                 rest = self._part(reached, np.flatnonzero(again))
                 numbers, start = rest.problems, rest.g

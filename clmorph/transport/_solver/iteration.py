@@ -44,6 +44,8 @@ STALLED = 25
 #: Shares of the tolerance that are tried one after the other where the final residual, the bound
 #: of its rounding included, is above the tolerance.
 REPEATED = (0.8, 0.4)
+#: Exact sums take over where the bound of their rounding is this share of the tolerance at most.
+EXACT_SHARE = 0.5
 #: A dual may fall by this many times the largest fall that was seen after a plain half-step.
 NOISE_MARGIN = 2.0
 #: The iteration changes from float32 to better exponents at this many times the measured rounding
@@ -178,6 +180,11 @@ class Iteration:
             reached = self._iterate(g, epsilon, share * self.tol, limit, precise, steps)
             converged = self.status == "converged"
             self._measure(reached, epsilon, precise)
+            options = self.status, self.precision, self.tol, self.problem.error
+            if self._certify and may_sum_exactly(self.problem, *options):
+                self.problem.exact_sums, g = True, reached.g
+                steps = new_steps(self.problem)
+                continue
             if self.status == "converged" or not converged or self.n_iter >= limit:
                 return
             # The bound of the rounding lifted the residual above the tolerance: iterate further.
@@ -266,6 +273,25 @@ class Iteration:
             floor = steps.column_dual
             # An extrapolation can cost one softmin more, which the limit must allow.
             extrapolated = steps.go_on(self.n_iter + 1 < limit and self._max_iter >= SHORT)
+
+
+def may_sum_exactly(problem: Problem, status: Any, precision: str, tol: float, error: Any) -> Any:
+    """Return whether sums in float32 have ended a solve, whose tolerance exact sums can reach.
+
+    Parameters
+    ----------
+    problem : Problem
+    status : str, or an array of them
+        As in `Iteration`.
+    precision, tol
+        As in `Iteration`.
+    error : float, or an array of them
+        Bounds of the errors of `bounded_softmins`.
+    """
+    operations = problem.operations
+    coarse = operations.sum_roundoff > operations.precise_roundoff and not problem.exact_sums
+    possible = coarse and precision == "auto" and problem.truncation is None
+    return possible & (status == "precision") & (error < EXACT_SHARE * tol)
 
 
 def annealing(problem: Problem, blur: float, largest_cost: float, max_iter: int) -> list[float]:

@@ -265,7 +265,9 @@ class Problem:
 
     def start_iteration(self) -> ResidentIteration | None:
         """Return an iteration on the device, if all pairs are summed and the backend has it."""
-        if self.truncation is None and not self._asked and not self.exact_sums:
+        if self.exact_sums:
+            return None
+        if self.truncation is None and not self._asked:
             self._resident = self.operations.start_iteration(
                 self.rows, self.columns, (self.a, self.b), self.inverse_rho
             )

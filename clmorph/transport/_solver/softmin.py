@@ -218,7 +218,7 @@ class Softmin:
         largest_cost : float
             Upper bound of the cost of all pairs.
         epsilon : float
-        precise : bool
+        precise, exact : bool
         """
         if self._near is not None and self._chosen_for[0] == epsilon:
             n_columns = self._near.n_columns

@@ -13,7 +13,7 @@ from clmorph._shared.typing import Array, BoolArray, IntArray, Progress
 from clmorph.measures.points import AnyMeasure
 from clmorph.transport._solver.batch import some
 from clmorph.transport._solver.batch_steps import STOPPED, Record
-from clmorph.transport._solver.iteration import REPEATED
+from clmorph.transport._solver.iteration import REPEATED, may_sum_exactly
 from clmorph.transport._solver.problem import Problem
 from clmorph.transport._solver.reductions import Segments
 from clmorph.transport._solver.state import ROUNDING_MARGIN, State
@@ -127,8 +127,11 @@ class SymmetricIteration:
             out = self.n_iter[numbers] >= self._max_iter
             self.status[numbers[~out]] = "precision"
             self.status[numbers[self.residual[numbers] <= self.tol]] = "converged"
+            status, bounds = self.status[numbers], self.roundoffs.max(axis=0)[numbers]
+            exact = may_sum_exactly(self.problem, status, self.precision, self.tol, bounds)
+            self.problem.exact_sums |= bool(np.any(exact))
             # The bound of the rounding can have lifted a residual above the tolerance.
-            numbers = numbers[(self.residual[numbers] > self.tol) & ~out & ~stalled]
+            numbers = numbers[(self.residual[numbers] > self.tol) & ~out & (exact | ~stalled)]
             if not len(numbers):
                 break
         self._report(1.0)
