@@ -117,14 +117,15 @@ function took({ pictures }) {
 function zoomers(side, pane, frame, image, picture) {
   const letter = "AB"[side];
   const show = (factor) => {
-    const old = state.zoom[side];
-    const height = pane.clientHeight;
-    const [x, y] = [pane.scrollLeft + pane.clientWidth / 2, pane.scrollTop + height / 2];
+    // What is in the middle stays there.
+    const x = (pane.scrollLeft + pane.clientWidth / 2) / frame.clientWidth;
+    const y = (pane.scrollTop + pane.clientHeight / 2) / frame.clientHeight;
     state.zoom[side] = Math.min(Math.max(factor, 1), MOST_ZOOM);
-    const grown = state.zoom[side] / old;
-    pane.style.height = state.zoom[side] > 1 ? `${old > 1 ? height : image.clientHeight}px` : "";
+    const large = state.zoom[side] > 1;
+    pane.parentElement.classList.toggle("wide", large);
+    pane.style.height = large ? `${(pane.clientWidth * picture.height) / picture.width}px` : "";
     frame.style.width = `${100 * state.zoom[side]}%`;
-    pane.scrollTo(x * grown - pane.clientWidth / 2, y * grown - pane.clientHeight / 2);
+    pane.scrollTo(x * frame.clientWidth - pane.clientWidth / 2, y * frame.clientHeight - pane.clientHeight / 2);
     if (state.zoom[side] > 1 && Math.max(picture.width, picture.height) > 640) image.src = of(`/pictures/${picture.key}/large`);
     image.classList.toggle("small", picture.width < 128 || image.clientWidth > 3 * picture.width);
     smaller.disabled = state.zoom[side] === 1;
