@@ -5,14 +5,9 @@ from typing import Self, TypeVar
 
 
 class Share(float):
-    """The share of the work that is done, from 0 to 1, with a note about it.
+    """The share of the work that is done, from 0 to 1, with a note such as a solver's residual.
 
     It is a float, so callers that need only the number can ignore the note.
-
-    Attributes
-    ----------
-    note : str
-        A remark, such as the residual that a solver has reached.
     """
 
     note: str
