@@ -5,10 +5,7 @@ from typing import Self, TypeVar
 
 
 class Share(float):
-    """The share of the work that is done, from 0 to 1, with a note such as a solver's residual.
-
-    It is a float, so callers that need only the number can ignore the note.
-    """
+    """The share of the work that is done, from 0 to 1: a float, with a note such as a residual."""
 
     note: str
 

@@ -33,9 +33,9 @@ def check_client(client: Any) -> Any:
 
 @contextmanager
 def on_workers(client: Any, tasks: list[Any], remedy: str) -> Iterator[None]:
-    """Report what ends workers as DeviceError, and cancel `tasks` (futures) in the end.
+    """Report what ends workers as DeviceError, which names a remedy, and cancel the tasks.
 
-    The list is filled inside the block, and `remedy` tells in the message what may help.
+    `tasks` are futures; the list is filled inside the block.
     """
     try:
         yield

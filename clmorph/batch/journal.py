@@ -39,11 +39,7 @@ def identity(job: Job, device: str) -> str:
 
 
 class Journal:
-    """The record of the jobs that have ended, which only one run holds at a time.
-
-    `folder` is the folder of outputs; a local one is made. The attribute `records` is a dict of the
-    last record of each output.
-    """
+    """The last record of each output of the jobs that have ended; one run holds it at a time."""
 
     def __init__(self, folder: str) -> None:
         self.place, self.records = resolved(JOURNAL, folder), dict[str, dict[str, Any]]()

@@ -21,10 +21,7 @@ from clmorph._shared.printable import MESSAGE, printable
 
 
 class _StandardError:
-    """The current `sys.stderr`; write errors are ignored.
-
-    A note that cannot be written, for example to a log on a full disk, must not end a morph.
-    """
+    """The current `sys.stderr`; write errors, as of a log on a full disk, must not end a morph."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(sys.stderr, name)

@@ -49,10 +49,7 @@ _SCALE_STEPS = 17
 
 
 def to_space(colors: ArrayLike, space: str) -> Array:
-    """Convert sRGB (..., 3) in [0, 1] to coordinates of a color space.
-
-    Their unit makes a color weight comparable between spaces.
-    """
+    """Convert sRGB (..., 3) in [0, 1] to coordinates of a color space, in this module's unit."""
     check_choice("color space", space, COLOR_SPACES)
     convert, scale = _CONVERSIONS[space][0], _scale(space)
     return _in_parts(lambda part: convert(part) / scale, np.asarray(colors, float))

@@ -91,10 +91,7 @@ class Motion:
         return there + there[-2:0:-1] if self.loop == "ping-pong" else there
 
     def played(self, holds: NDArray[np.bool_]) -> list[tuple[int, float]]:
-        """Return the frames of one round and the seconds that each is shown.
-
-        `holds` (n,) marks the frames that are pictures, which are held.
-        """
+        """Return the frames of one round and their seconds; `holds` (n,) marks the pictures."""
         even = 1.0 / self.fps
         return [(index, even + self.hold * holds[index]) for index in self.order(len(holds))]
 

@@ -23,9 +23,10 @@ class Spool(Sequence[NDArray[Any]]):
     """A sequence of arrays of any shapes and one dtype: a few in memory, more in a temporary file.
 
     The file is removed at the end of the `with` block. Where the operating system supports files
-    without names, it has none, so that its disk space is freed however the process ends. Elsewhere
-    (Windows, network disks) it lies in a staging folder in `folder`, which the next run removes if
-    this process is killed. Without `folder` it goes to the system's folder for temporary files.
+    without names it has none, so that its disk space is freed however the process ends. Elsewhere
+    (Windows, network disks) it has one; therefore it lies in a staging folder in `folder`, which
+    the next run removes if this process is killed. Without `folder` it lies in the system's
+    temporary folder.
     """
 
     def __init__(self, dtype: Any, folder: Path | None = None) -> None:

@@ -36,10 +36,7 @@ NOTHING = Found(np.zeros((0, 2)), np.zeros((0, 2)), "")
 
 
 class Finder:
-    """Finds what images have in common, two at a time; what is known of one is kept.
-
-    The images are (H, W, 3) or (H, W, 4), sRGB in [0, 1] and opacity, of any size.
-    """
+    """Finds what images (H, W, 3 or 4) have in common; what is known of one is kept."""
 
     def __init__(self, images: Sequence[Array]) -> None:
         self._images = images

@@ -1,7 +1,4 @@
-"""Read the samples of TIFF files and convert them to colors.
-
-tifffile decodes all samples. The tags (`tiff_layout`) decide here what the samples mean.
-"""
+"""Read the samples of TIFF files by tifffile, and convert them to colors by their tags."""
 
 import io
 import logging

@@ -1,8 +1,4 @@
-"""Read arrays of an ``.npz`` from an unknown source, with a check of their sizes before reading.
-
-The size of an array stands in the archive's directory and in the array's header. Only plain
-numbers and texts are read, never objects that NumPy would unpickle.
-"""
+"""Read numbers and texts of an ``.npz`` from an unknown source, after a check of their sizes."""
 
 import math
 import zipfile
