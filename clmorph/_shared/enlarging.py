@@ -11,17 +11,9 @@ _Real = TypeVar("_Real", np.float32, np.float64)
 def enlarged(
     image: NDArray[_Real], shape: tuple[int, int], first: int = 0, stop: int | None = None
 ) -> NDArray[_Real]:
-    """Return rows of an image with more pixels, linear between the given ones.
+    """Return rows of an image (H, W, C) enlarged to `shape`, linear between the given pixels.
 
     Beyond the centers of the outermost pixels it is constant.
-
-    Parameters
-    ----------
-    image : (H, W, C) array
-    shape : (height, width)
-        The shape of the whole result.
-    first, stop : int
-        The first row that is returned, and the one after the last; all rows by default.
     """
     height, width = shape
     low, weight = _between(

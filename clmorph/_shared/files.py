@@ -25,23 +25,10 @@ NO_FLUSH = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EROFS)
 
 
 def check_place(target: str | PathLike[str]) -> Path:
-    """Return the path at which a result can be written, before its computation begins.
+    """Return the resolved path at which a result can be written, before its computation begins.
 
-    Parameters
-    ----------
-    target : path
-        Path of a file or a folder, which may exist already.
-
-    Returns
-    -------
-    Path
-        The resolved path: a symbolic link is replaced by its destination.
-
-    Raises
-    ------
-    OutputError
-        If the value is no path, its folder is missing or cannot be written, the target is
-        write-protected, or it is neither a file nor a folder (a device or a pipe, for example).
+    The target is a file or a folder, which may exist already. OutputError is raised if its folder
+    is missing or cannot be written, if it is write-protected, or neither a file nor a folder.
     """
     if not isinstance(target, str | PathLike) or not str(target):
         raise OutputError(f"{target!r} is not a path; expected one such as 'out.gif'")
@@ -78,18 +65,9 @@ def check_file_place(target: str | PathLike[str]) -> Path:
 
 
 def home_of(place: Path) -> Path:
-    """Return the folder in which temporary files for a target are made.
+    """Return the folder in which temporary files for a target are made, on its file system.
 
-    Parameters
-    ----------
-    place : Path
-        Path of a file, or of a folder that is new or empty.
-
-    Returns
-    -------
-    Path
-        A folder on the target's file system. An existing target folder is returned itself, because
-        it may be the mount point of another disk.
+    An existing target folder is returned itself: it may be the mount point of another disk.
     """
     return place if place.is_dir() else place.parent
 
@@ -102,22 +80,10 @@ def is_empty(folder: Path) -> bool:
 def check_apart(
     written: Sequence[str | PathLike[str]], read: Sequence[str | PathLike[str]] = ()
 ) -> None:
-    """Check that no output replaces an input or another output.
+    """Raise InputError if an output replaces an input or another output, or a folder around one.
 
     Links are followed. Different names of one file are recognized: hard links, and names that
-    differ only in case where the file system ignores case.
-
-    Parameters
-    ----------
-    written : sequence of paths
-        All files and folders that a command will write; they need not exist.
-    read : sequence of paths
-        All files that the command reads: pictures and settings.
-
-    Raises
-    ------
-    InputError
-        If an output would replace another of these files, or a folder that contains it.
+    differ only in case where the file system ignores case. Outputs need not exist.
     """
     outputs = [(Path(path), _resolved(path)) for path in written]
     for number, (name, place) in enumerate(outputs):
@@ -190,23 +156,7 @@ def errors_as_output(target: str | PathLike[str]) -> Iterator[None]:
 def atomic_path(target: str | PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path; the file written there replaces the target in one step.
 
-    See `atomic_paths`.
-
-    Parameters
-    ----------
-    target : path
-        Path of a file, or of a folder that is new or empty.
-
-    Yields
-    ------
-    Path
-        The path at which the block must create a file or a folder. The block may create other
-        files beside it.
-
-    Raises
-    ------
-    OutputError
-        If the target cannot be written. Every OSError of the block becomes an OutputError.
+    See `atomic_paths`. Every OSError of the block becomes an OutputError.
     """
     with atomic_paths([target]) as (made,), errors_as_output(target):
         yield made
@@ -217,26 +167,11 @@ def atomic_paths(targets: Sequence[str | PathLike[str]]) -> Iterator[list[Path]]
     """Yield temporary paths; the files written there replace all targets together.
 
     Each path lies in a temporary folder on the target's disk, has the target's ending and does not
-    exist yet. If the block raises an exception, KeyboardInterrupt included, or if one target
+    exist yet. A target is a file, or a folder that is new or empty; the block may create other
+    files beside it. If the block raises an exception, KeyboardInterrupt included, or if one target
     cannot be replaced, all targets stay as they were. No temporary file remains in any case. New
-    data are flushed to the disk before they replace a target. A replaced file keeps its
-    permissions and, where the system allows it, its owner.
-
-    Parameters
-    ----------
-    targets : sequence of paths
-        Distinct paths of files, or of folders that are new or empty.
-
-    Yields
-    ------
-    list of Path
-        The paths at which the block must create files or folders. The block may create other
-        files beside them.
-
-    Raises
-    ------
-    OutputError
-        If a target cannot be written.
+    data are flushed to the disk before they replace a target. A replaced file keeps its permissions
+    and, where the system allows it, its owner.
     """
     places = [check_place(target) for target in targets]
     with ExitStack() as stack:

@@ -1,8 +1,4 @@
-"""Kinds of option values: numbers, whole numbers, choices, flags, texts.
-
-A kind defines how a value is checked, how a text of the command line or a scalar of TOML or JSON is
-converted to a value, and how JSON Schema describes the value.
-"""
+"""Kinds of option values (numbers, choices, flags, texts): checks, conversions, JSON Schema."""
 
 import math
 import warnings
@@ -22,39 +18,26 @@ from clmorph.errors import InputError, OptionWarning
 
 @dataclass(frozen=True)
 class Kind:
-    """The values that an option accepts.
+    """The values that an option accepts."""
 
-    Attributes
-    ----------
-    check : callable
-        It is called with a name and a value, and returns the converted value or raises InputError.
-    expected : str
-        The description of such values in error messages.
-    metavar : str
-        The placeholder of the value in the help.
-    read : callable
-        It converts a text of the command line to a value, or raises ValueError.
-    schema : mapping
-        The JSON Schema of such values.
-    scalar : callable
-        It returns whether a value of TOML or JSON is of this kind, before the value is converted.
-    words : tuple of (text, value)
-        Texts of the external form (see `_shared.options`) and the values for which they stand,
-        beside the option's own word for None.
-    pair : bool
-        Whether the option accepts two values, one for the source and one for the target.
-    several : bool
-        Whether the value is a sequence, to which each use on the command line adds.
-    """
-
+    #: Returns the converted value, given a name and a value, or raises InputError.
     check: Callable[[str, Any], Any]
+    #: The description of such values in error messages.
     expected: str
+    #: The placeholder of the value in the help.
     metavar: str
+    #: Converts a text of the command line to a value, or raises ValueError.
     read: Callable[[str], Any]
+    #: The JSON Schema of such values.
     schema: Mapping[str, Any]
+    #: Whether a value of TOML or JSON is of this kind, before the value is converted.
     scalar: Callable[[Any], bool]
+    #: Texts of the external form (see `_shared.options`) and the values for which they stand,
+    #: beside the option's own word for None.
     words: tuple[tuple[str, Any], ...] = ()
+    #: Whether the option accepts two values, one for the source and one for the target.
     pair: bool = False
+    #: Whether the value is a sequence, to which each use on the command line adds.
     several: bool = False
 
 
@@ -92,14 +75,7 @@ def integer(low: int, high: int) -> Kind:
 
 
 def choice(literal: Any, former: Mapping[str, str] | None = None) -> Kind:
-    """Return the kind of the texts of a `Literal`.
-
-    Parameters
-    ----------
-    literal : Literal
-    former : mapping, optional
-        Texts of earlier versions, with those that have taken their place. They give a warning.
-    """
+    """Return the kind of the texts of a `Literal`; `former` texts give a warning and still work."""
     choices, old = get_args(literal), former or {}
 
     def check(name: str, value: Any) -> str:

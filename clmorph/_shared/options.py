@@ -1,13 +1,10 @@
 """Options: each option is defined once, and all its uses are derived from the definition.
 
-Each stage owns a frozen class of options (a subclass of `Options`). A field made by `option` holds
-the option's type, default, range, unit, help and panel. Validation, the options of the command
-line, files of settings, recipes, a JSON schema, the types and the documentation of keywords are
-derived from these fields. No option is described anywhere else.
-
-"Outside" means the external form of an option: on the command line, in TOML and in recipes. There
-an option can have another name (``frames`` for ``n_frames``), another unit (gigabytes for bytes),
-and a word for None.
+Each stage owns a frozen subclass of `Options`. Its fields, made by `option`, hold type, default,
+range, unit, help and panel; the command line, files of settings, recipes, a JSON schema, and the
+types and documentation of keywords are derived from them. "Outside" means the form of an option on
+the command line, in TOML and in recipes: there it can have another name (``frames`` for
+``n_frames``), another unit (gigabytes for bytes), and a word for None.
 """
 
 import math
@@ -28,34 +25,22 @@ FEW = 16
 
 @dataclass(frozen=True)
 class Option:
-    """The definition of an option, apart from its name, type and default.
-
-    Attributes
-    ----------
-    kind : Kind
-    help : str
-        The help, one line.
-    panel : str
-        The heading under which the help shows the option.
-    unit : str
-        The unit of the value outside.
-    outside : str
-        The option's name outside; empty if it is the same as in Python.
-    word : str
-        The text that stands for None outside.
-    scale : float
-        The unit outside, in units of the value in Python.
-    off : tuple
-        Values that turn the option off, so that they do not remove its alternative.
-    """
+    """The definition of an option, apart from its name, type and default."""
 
     kind: Kind
+    #: The help, one line.
     help: str
+    #: The heading under which the help shows the option.
     panel: str
+    #: The unit of the value outside.
     unit: str = ""
+    #: The option's name outside; empty if it is the same as in Python.
     outside: str = ""
+    #: The text that stands for None outside.
     word: str = "none"
+    #: The unit outside, in units of the value in Python.
     scale: float = 1.0
+    #: Values that turn the option off, so that they do not remove its alternative.
     off: tuple[Any, ...] = (None, False)
 
 
@@ -71,13 +56,7 @@ def with_default(options: type["Options"], name: str, value: Any) -> Any:
 
 @dataclass(frozen=True, init=False)
 class Options:
-    """Base of the classes of options, which are frozen, keyword-only and checked on creation.
-
-    Raises
-    ------
-    InputError
-        If an option is unknown, or its value is invalid.
-    """
+    """Base of the classes of options, which are frozen, keyword-only and checked on creation."""
 
     def __init__(self, **given: Any) -> None:
         known = specifications(type(self))
@@ -94,11 +73,6 @@ class Options:
         """Return the checked value of an option; None is valid if the option has a word for it.
 
         Functions that take one option check it by this method, so that its range stands once.
-
-        Raises
-        ------
-        InputError
-            If the value is invalid.
         """
         known = specifications(cls)[name]
         if value is None and known.word:
@@ -130,13 +104,7 @@ class Options:
         return values
 
     def check_together(self) -> None:
-        """Check rules between options.
-
-        Raises
-        ------
-        InputError
-            If options contradict one another.
-        """
+        """Raise InputError if options contradict one another."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return all options by their names."""
@@ -148,20 +116,9 @@ class Options:
 
     @classmethod
     def of_call(cls, options: Any, given: Mapping[str, Any], example: str) -> Self:
-        """Return the options of a call, from an object of this class and options by name.
+        """Return the options of a call: those of an object of this class, replaced by name.
 
-        Parameters
-        ----------
-        options : object of this class, or None
-        given : mapping
-            Options by name, which replace those of the object.
-        example : str
-            An option by name, such as ``n_frames=30``, for the error message.
-
-        Raises
-        ------
-        InputError
-            If `options` has another type, or an option cannot be used.
+        `example` is an option by name, such as ``n_frames=30``, for the error message.
         """
         if options is None:
             return cls(**given)
@@ -220,13 +177,9 @@ def to_outside(known: Option, value: Any) -> Any:
 
 
 def from_outside(known: Option, name: str, value: Any) -> Any:
-    """Convert a value of TOML or JSON to the option's value in Python.
+    """Convert a value of TOML or JSON to the option's value in Python, or raise InputError.
 
-    Raises
-    ------
-    InputError
-        If the value is not of the option's kind. Wrong kinds, such as 4.7 frames, are never
-        converted silently.
+    Wrong kinds, such as 4.7 frames, are never converted silently.
     """
     if isinstance(value, str) and value == known.word:
         return None
@@ -240,13 +193,7 @@ def from_outside(known: Option, name: str, value: Any) -> Any:
 
 
 def from_line(known: Option, value: str) -> Any:
-    """Convert a text of the command line to the option's value.
-
-    Raises
-    ------
-    InputError
-        If the text stands for no value.
-    """
+    """Convert a text of the command line to the option's value, or raise InputError."""
     if known.kind.pair and "," in value:
         return tuple(from_line(known, part) for part in value.split(","))
     if known.word and value == known.word:

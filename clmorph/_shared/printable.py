@@ -11,19 +11,9 @@ JOINERS = "\u200c\u200d"
 def printable(text: object, most: int = VALUE) -> str:
     r"""Return a text in a form that is safe in a message and on a terminal.
 
-    Parameters
-    ----------
-    text : object
-        A file name, a key or a value from a file, or a whole message.
-    most : int
-        Largest number of characters of the result; a longer text loses its middle.
-
-    Returns
-    -------
-    str
-        Control characters, line breaks and marks that reverse the direction of writing become
-        escapes such as ``\x1b``. Spaces of any width become plain spaces. Bytes of a name that are
-        no text become U+FFFD.
+    A text of more than `most` characters loses its middle. Control characters, line breaks and
+    marks that reverse the direction of writing become escapes such as ``\x1b``. Spaces of any width
+    become plain spaces. Bytes of a name that are no text become U+FFFD.
     """
     # The text is shortened twice: first to avoid escaping a megabyte, and again after escaping.
     short = _shortened(str(text), most)
@@ -33,17 +23,8 @@ def printable(text: object, most: int = VALUE) -> str:
 def reason_of(error: BaseException, most: int = VALUE) -> str:
     """Return the message of an error of the system or of a library as one short line.
 
-    Parameters
-    ----------
-    error : exception
-    most : int
-        Largest number of characters of the result.
-
-    Returns
-    -------
-    str
-        The message of an OSError without its number and file; the class name of an error that has
-        no message.
+    The number and the file of an OSError are left out; an error without a message is named by its
+    class.
     """
     told = str(getattr(error, "strerror", None) or error)
     return printable(" ".join(told.split()) or type(error).__name__, most)

@@ -5,15 +5,7 @@ from typing import Self, TypeVar
 
 
 class Share(float):
-    """The share of the work that is done, from 0 to 1, with a note about it.
-
-    It is a float, so callers that need only the number can ignore the note.
-
-    Attributes
-    ----------
-    note : str
-        A remark, such as the residual that a solver has reached.
-    """
+    """The share of the work that is done, from 0 to 1: a float, with a note such as a residual."""
 
     note: str
 

@@ -32,12 +32,8 @@ class Terminated(BaseException):
     Ctrl-C raises this exception instead of KeyboardInterrupt, for two reasons. If a
     KeyboardInterrupt passes through code compiled from a text (`dataclasses` and other modules run
     such code on import), the interpreter treats it as unhandled and ends by the signal instead of
-    an exit code. And click prints an empty line for it.
-
-    Attributes
-    ----------
-    number : int
-        The number of the signal; the exit code is 128 plus this number.
+    an exit code. And click prints an empty line for it. The exit code is 128 plus the signal's
+    `number`.
     """
 
     def __init__(self, number: int) -> None:
@@ -48,12 +44,8 @@ class Terminated(BaseException):
 class Ending:
     """The state of a run with respect to signals that end it.
 
-    Attributes
-    ----------
-    written : bool
-        Whether all files of the run have replaced their targets.
-    partial : str
-        What a run of many parts has done so far, in place of `written`.
+    `written` tells whether all files of the run have replaced their targets, and `partial`, in its
+    place, what a run of many parts has done so far.
     """
 
     def __init__(self) -> None:
@@ -123,12 +115,8 @@ _current: Ending | None = None
 def terminable() -> Iterator[Ending]:
     """Convert signals that end a program to exceptions while the block runs.
 
-    A nested block and a block outside the main thread change nothing.
-
-    Yields
-    ------
-    Ending
-        The state of the outermost block.
+    A nested block and a block outside the main thread change nothing. The state is that of the
+    outermost block.
     """
     global _current
     if _current is not None or threading.current_thread() is not threading.main_thread():

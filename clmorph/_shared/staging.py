@@ -1,12 +1,9 @@
 """Hidden staging folders for new files, and the removal of those that killed processes left.
 
-The name of a staging folder is ``.clmorph-`` and eight characters. The process that made the folder
-holds a lock on the file ``owner`` inside until the process ends; the system releases the lock
-however it ends. The next run that writes to the same place removes the folders whose lock is free.
-Two simultaneous runs do not remove each other's folders.
-
-Nothing is removed if the file system has no locks, or if another machine made the folder (the
-file ``owner`` contains the machine's name).
+The process that made a folder ``.clmorph-XXXXXXXX`` holds a lock on the file ``owner`` inside,
+which the system releases however the process ends. The next run that writes to the same place
+removes the folders whose lock is free. Nothing is removed if the file system has no locks, or if
+another machine made the folder (``owner`` contains its name).
 """
 
 import errno
@@ -41,21 +38,9 @@ TRIES = 100
 
 @contextmanager
 def staging_folder(home: Path) -> Iterator[Path]:
-    """Make a folder for the block, and remove it with its contents afterwards.
+    """Make a folder in `home` for the block, and remove it with its contents afterwards.
 
-    Parameters
-    ----------
-    home : Path
-        The parent folder. Folders that killed processes left there are removed first.
-
-    Yields
-    ------
-    Path
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be made.
+    Folders that killed processes left there are removed first.
     """
     clear_leftovers(home)
     folder = handle = None

@@ -18,17 +18,8 @@ def in_order(
 ) -> Iterator[tuple[_Item, _Result]]:
     """Yield each item with the result of a function of it, computed a few items ahead.
 
-    Parameters
-    ----------
-    function : callable
-        Safe to be called in several threads at once. What it raises is raised here, at its item.
-    items : iterable
-        Items are taken in this thread.
-
-    Examples
-    --------
-    >>> list(in_order(abs, [-1, 2]))
-    [(-1, 1), (2, 2)]
+    The function is called in several threads at once; what it raises is raised here, at its item.
+    Items are taken in this thread.
     """
     threads = min(MOST_THREADS, os.cpu_count() or 1)
     waiting: deque[tuple[_Item, Future[_Result]]] = deque()

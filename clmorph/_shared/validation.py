@@ -29,13 +29,7 @@ def check_number(
     *,
     open_low: bool = False,
 ) -> float:
-    """Return `value` as a float within [low, high], or (low, high] if `open_low`.
-
-    Raises
-    ------
-    InputError
-        If it is not a finite number in that range.
-    """
+    """Return `value` as a float in [low, high] or, if `open_low`, in (low, high]."""
     bracket = "(" if open_low else "["
     expected = f"expected a number in {bracket}{low:g}, {high:g}]"
     number = as_float(value)
@@ -47,13 +41,7 @@ def check_number(
 
 
 def check_integer(name: str, value: Any, low: int, high: int) -> int:
-    """Return `value` as an int within [low, high].
-
-    Raises
-    ------
-    InputError
-        If it is not a whole number in that range.
-    """
+    """Return `value` as an int in [low, high]."""
     refused = InputError(f"{name}={shown(value)}: expected a whole number in [{low}, {high}]")
     number = as_float(value)
     if number is None:
@@ -71,13 +59,7 @@ def check_integer(name: str, value: Any, low: int, high: int) -> int:
 
 
 def check_choice(name: str, value: Any, choices: Sequence[str]) -> str:
-    """Return `value` if it is one of `choices`.
-
-    Raises
-    ------
-    InputError
-        Otherwise.
-    """
+    """Return `value` if it is one of `choices`."""
     if isinstance(value, str) and value in choices:
         return value
     raise InputError(f"{name}={shown(value)}: expected one of {', '.join(map(repr, choices))}")
@@ -89,38 +71,20 @@ def check_max_pixels(value: Any) -> int:
 
 
 def check_flag(name: str, value: Any) -> bool:
-    """Return a truth value of Python or NumPy as bool.
-
-    Raises
-    ------
-    InputError
-        If the value has another type, even if Python treats it as true or false.
-    """
+    """Return a truth value of Python or NumPy as bool; other true or false values are refused."""
     if isinstance(value, bool | np.bool_):
         return bool(value)
     raise InputError(f"{name}={shown(value)}: expected True or False")
 
 
 def check_callable(name: str, value: Any) -> None:
-    """Check that a value is None or can be called.
-
-    Raises
-    ------
-    InputError
-        Otherwise.
-    """
+    """Raise InputError if a value is neither None nor a function."""
     if value is not None and not callable(value):
         raise InputError(f"{name}={shown(value)}: expected a function to call, or None")
 
 
 def check_progress(progress: Callable[..., None] | None) -> Callable[..., None]:
-    """Return the progress function, or a function without effect for None.
-
-    Raises
-    ------
-    InputError
-        If `progress` cannot be called.
-    """
+    """Return the progress function, or a function without effect for None."""
     check_callable("progress", progress)
     return progress or (lambda *told: None)
 

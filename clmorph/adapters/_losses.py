@@ -24,25 +24,9 @@ NAMES = ("a", "x", "b", "y")
 def divergence_and_gradient(
     arrays: tuple[Any, Any, Any, Any], differentiate: bool, options: dict[str, Any]
 ) -> tuple[Array, tuple[Array, ...]]:
-    """Return divergences and their derivatives.
+    """Return divergences, () or (B,), and their derivatives by `arrays` (a, x, b, y), if asked for.
 
-    Parameters
-    ----------
-    arrays : (a, x, b, y)
-    differentiate : bool
-        Whether derivatives are needed.
-    options : dict
-        Keywords of `clmorph.sinkhorn_divergence`.
-
-    Returns
-    -------
-    values : () or (B,) array
-    gradient : four arrays with the shapes of `arrays`, or none
-
-    Raises
-    ------
-    InputError
-        If shapes do not belong together, or a problem cannot be solved.
+    `options` are keywords of `clmorph.sinkhorn_divergence`.
     """
     a, x, b, y = (as_floats(*pair) for pair in zip(NAMES, arrays, strict=True))
     batched = check_shapes(a.shape, x.shape, b.shape, y.shape)
@@ -60,13 +44,7 @@ def divergence_and_gradient(
 
 
 def check_shapes(*shapes: tuple[int, ...]) -> bool:
-    """Return whether arrays of these shapes, of a, x, b and y, are a batch.
-
-    Raises
-    ------
-    InputError
-        If the shapes do not belong together.
-    """
+    """Return whether arrays of these shapes, of a, x, b and y, are a batch, or raise InputError."""
     a, x, b, y = shapes
     if not (
         len(a) == len(b) in (1, 2)

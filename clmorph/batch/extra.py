@@ -14,25 +14,13 @@ TURN = threading.Lock()
 
 
 def need_dask() -> None:
-    """Raise an error that says what to install if the extra ``dask`` is missing.
-
-    Raises
-    ------
-    InputError
-        If `distributed` or `fsspec` is not installed.
-    """
+    """Raise an error that says what to install if the extra ``dask`` is missing."""
     if any(find_spec(name) is None for name in ("distributed", "fsspec")):
         raise InputError('batches need the extra "dask": pip install "clmorph[dask]"')
 
 
 def check_client(client: Any) -> Any:
-    """Return a client of Dask's scheduler, checked.
-
-    Raises
-    ------
-    InputError
-        If the extra ``dask`` is missing, or the value is no client.
-    """
+    """Return a client of Dask's scheduler that is connected, or raise InputError."""
     need_dask()
     from distributed import Client
 
@@ -45,20 +33,9 @@ def check_client(client: Any) -> Any:
 
 @contextmanager
 def on_workers(client: Any, tasks: list[Any], remedy: str) -> Iterator[None]:
-    """Report what ends workers as an error of clmorph, and cancel the tasks in the end.
+    """Report what ends workers as DeviceError, which names a remedy, and cancel the tasks.
 
-    Parameters
-    ----------
-    client : distributed.Client
-    tasks : list
-        Futures; it is filled inside.
-    remedy : str
-        What may help, for the error message.
-
-    Raises
-    ------
-    DeviceError
-        If a worker or the scheduler has ended.
+    `tasks` are futures; the list is filled inside the block.
     """
     try:
         yield

@@ -28,19 +28,7 @@ NUMBERS = (
 
 
 def write_index(folder: str, records: Iterable[Mapping[str, Any]]) -> str:
-    """Write the page into the folder of outputs, and return its path.
-
-    Parameters
-    ----------
-    folder : str
-    records : iterable of mappings
-        Of the journal.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
+    """Write a page of the journal's records into the folder of outputs, and return its path."""
     place = resolved(INDEX, folder)
     text = index_page(folder, list(records))
     with local_output(place) as path:

@@ -35,36 +35,24 @@ PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".gif", ".bmp", ".tif", ".tiff", "
 
 @dataclass(frozen=True)
 class Job:
-    """One morph of a batch.
+    """One morph of a batch."""
 
-    Attributes
-    ----------
-    where : str
-        The place of the job in its table, for messages.
-    source, target, output : str
-        Absolute paths, or such as fsspec opens.
-    options : dict
-        Options of the row, by their names in Python.
-    preset : str or None
-        The preset of the row or of the defaults; None if the pictures choose it.
-    defaults : dict
-        Options of the file of settings, by their names in Python.
-    own_preset : bool
-        Whether the row names the preset, which then wins over the defaults.
-    max_pixels : int
-    beside : dict
-        Absolute paths of the label images and of the features of both pictures, by these words.
-    """
-
+    #: The place of the job in its table, for messages.
     where: str
+    #: Absolute paths, or such as fsspec opens; `target` and `output` too.
     source: str
     target: str
     output: str
+    #: Options of the row, by their names in Python.
     options: Mapping[str, Any] = field(default_factory=dict)
+    #: The preset of the row or of the defaults; None if the pictures choose it.
     preset: str | None = None
+    #: Options of the file of settings, by their names in Python.
     defaults: Mapping[str, Any] = field(default_factory=dict)
+    #: Whether the row names the preset, which then wins over the defaults.
     own_preset: bool = False
     max_pixels: int = 0
+    #: Absolute paths of the label images and of the features of both pictures, by these words.
     beside: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
     @property
@@ -90,18 +78,9 @@ class Defaults:
 
 
 def read_jobs(place: str, defaults: Defaults) -> list[Job]:
-    """Return the jobs of a CSV or JSON file.
+    """Return the jobs of a CSV or JSON file; FileError names the line or entry that is wrong.
 
-    Parameters
-    ----------
-    place : str
-        The file. Pictures are relative to its folder, outputs to the folder of outputs.
-    defaults : Defaults
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read, or a row is wrong; the message names the line or the entry.
+    Pictures are relative to the file's folder, outputs to the folder of outputs.
     """
     ending = name_of(place).rpartition(".")[2].lower()
     if ending not in ("csv", "json"):
@@ -264,14 +243,8 @@ def _made(
 def from_folder(folder: str, ending: str, chain: bool, defaults: Defaults) -> list[Job]:
     """Return the jobs between the pictures of a folder, in the order of their names.
 
-    Parameters
-    ----------
-    folder : str
-    ending : str
-        The ending of outputs, such as ".gif".
-    chain : bool
-        Whether each picture becomes the next one only; else all pairs are taken, one way.
-    defaults : Defaults
+    In a `chain` each picture becomes the next one only; else all pairs are taken, one way. `ending`
+    is that of outputs, such as ".gif".
     """
     try:
         found = sorted(Path(folder).iterdir())
@@ -306,13 +279,7 @@ def from_folder(folder: str, ending: str, chain: bool, defaults: Defaults) -> li
 
 
 def from_pairs(pairs: Iterable[Any], defaults: Defaults) -> list[Job]:
-    """Return the jobs of tuples (source, target, output).
-
-    Raises
-    ------
-    InputError
-        If an item is no such tuple.
-    """
+    """Return the jobs of tuples (source, target, output), or raise InputError."""
     jobs = []
     try:
         items = list(pairs)
@@ -336,13 +303,8 @@ _TUPLE = f"({', '.join(COLUMNS)})"
 def checked(jobs: list[Job], folder: str | None = None) -> list[Job]:
     """Return jobs, after a check that no output replaces another output or a picture.
 
-    Links are followed, and two names of one file are recognized.
-
-    Parameters
-    ----------
-    jobs : list of Job
-    folder : str, optional
-        The folder of outputs, whose index and journal no output may replace.
+    Links are followed, and two names of one file are recognized. No output may replace the index
+    and the journal of `folder` either.
     """
     read = {file_identity(place) for job in jobs for place in job.read}
     own = () if folder is None else (INDEX, JOURNAL)

@@ -27,8 +27,8 @@ INTERVAL = 10.0
 def identity(job: Job, device: str) -> str:
     """Return a digest of all that decides the bytes of a job's output.
 
-    Those are the options, the files that are read by size and time, the device as it was asked
-    for, and the version of clmorph.
+    Those are the options, the files that are read by size and time, the device as it was asked for,
+    and the version of clmorph.
     """
     beside = {kind: [[place, stamp(place)] for place in two] for kind, two in job.beside.items()}
     parts = [
@@ -39,23 +39,7 @@ def identity(job: Job, device: str) -> str:
 
 
 class Journal:
-    """The record of the jobs that have ended, which only one run holds at a time.
-
-    Attributes
-    ----------
-    records : dict
-        The last record of each output.
-
-    Parameters
-    ----------
-    folder : str
-        The folder of outputs; a local one is made.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written, or another run writes to it.
-    """
+    """The last record of each output of the jobs that have ended; one run holds it at a time."""
 
     def __init__(self, folder: str) -> None:
         self.place, self.records = resolved(JOURNAL, folder), dict[str, dict[str, Any]]()
@@ -102,17 +86,8 @@ class Journal:
     def missing(self, jobs: list[Job], device: str, redo: bool) -> list[tuple[Job, str]]:
         """Return the jobs that are still to be done, with their identities.
 
-        Parameters
-        ----------
-        jobs : list of Job
-        device : str
-        redo : bool
-            Whether jobs are done again whose options, pictures or device have changed.
-
-        Raises
-        ------
-        InputError
-            If some have changed and `redo` is not set, so that outputs of two kinds would mix.
+        With `redo` jobs are done again whose options, pictures or device have changed; without it
+        such jobs raise InputError, so that outputs of two kinds do not mix.
         """
         left, changed = [], []
         for job in jobs:

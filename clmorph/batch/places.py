@@ -68,13 +68,7 @@ def exists(place: str) -> bool:
 
 @contextmanager
 def local_copy(place: str) -> Iterator[Path]:
-    """Yield the path of a file on this machine; a remote one is copied for the block.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be fetched.
-    """
+    """Yield the path of a file on this machine; a remote one is copied for the block."""
     if not is_remote(place):
         yield Path(place)
         return
@@ -90,13 +84,7 @@ def local_copy(place: str) -> Iterator[Path]:
 
 @contextmanager
 def local_output(place: str) -> Iterator[Path]:
-    """Yield the path to which an output is written; a remote output is sent when it is whole.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be made, or the file cannot be sent.
-    """
+    """Yield the path to which an output is written; a remote output is sent when it is whole."""
     if not is_remote(place):
         try:
             Path(place).parent.mkdir(parents=True, exist_ok=True)
@@ -122,13 +110,7 @@ def local_output(place: str) -> Iterator[Path]:
 
 
 def read_bytes(place: str) -> bytes:
-    """Return the content of a file.
-
-    Raises
-    ------
-    FileError
-        If it cannot be read.
-    """
+    """Return the content of a file, or raise FileError."""
     try:
         if not is_remote(place):
             return Path(place).read_bytes()
@@ -139,13 +121,7 @@ def read_bytes(place: str) -> bytes:
 
 
 def read_if_any(place: str) -> bytes:
-    """Return the content of a file; nothing if there is none.
-
-    Raises
-    ------
-    FileError
-        If it cannot be known whether there is one, or it cannot be read.
-    """
+    """Return the content of a file; nothing if there is none."""
     try:
         if not is_remote(place):
             return Path(place).read_bytes()

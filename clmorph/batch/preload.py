@@ -5,11 +5,6 @@ from typing import Any
 
 
 def dask_setup(worker: Any) -> None:
-    """Leave Ctrl-C, which a terminal sends to all processes, to the command: it ends the workers.
-
-    Parameters
-    ----------
-    worker : distributed.Worker
-    """
+    """Leave Ctrl-C, which a terminal sends to all processes, to the command: it ends workers."""
     del worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)

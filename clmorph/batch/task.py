@@ -45,21 +45,7 @@ HEIGHT, SHOWN = 56, (0.0, 0.5, 1.0)
 
 
 def run_job(job: Job, key: str, device: str) -> dict[str, Any]:
-    """Do one job; an error becomes a record, too.
-
-    Parameters
-    ----------
-    job : Job
-    key : str
-        Its identity.
-    device : str
-        What `clmorph.get_backend` takes.
-
-    Returns
-    -------
-    dict
-        The record for the journal.
-    """
+    """Do one job whose identity is `key`, and return its record; an error becomes one, too."""
     began = time.perf_counter()
     try:
         with _TURN, warnings.catch_warnings(record=True) as found:

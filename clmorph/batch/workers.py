@@ -23,15 +23,10 @@ SETTINGS = {
 
 
 def devices_of(device: str, workers: int | None) -> list[str]:
-    """Return the device of each local worker.
+    """Return the device of each of the local workers, which share the devices in turn.
 
-    Parameters
-    ----------
-    device : str
-        What the user asked for. "auto" is every physical device, unless ``CLMORPH_DEVICE`` or
-        ``PYOPENCL_CTX`` names one, and NumPy if no device is usable.
-    workers : int, optional
-        The number of workers, which share the devices in turn; one for each device if not given.
+    "auto" is every physical device, unless ``CLMORPH_DEVICE`` or ``PYOPENCL_CTX`` names one, and
+    NumPy if no device is usable. Without a number there is one worker for each device.
     """
     named = any(os.environ.get(name) for name in ("CLMORPH_DEVICE", "PYOPENCL_CTX"))
     if device not in ("auto", "opencl") or named:
@@ -79,15 +74,8 @@ def local_client(devices: list[str], memory: str | None = None) -> Iterator[Any]
     """Yield the client of a new cluster on this machine, with a process for each device.
 
     Its processes know one another by a certificate that lives in their memory alone, so that no
-    other user of the machine can send them work.
-
-    Parameters
-    ----------
-    devices : list of str
-        What ``auto`` means in each worker.
-    memory : str, optional
-        The memory of each worker, such as "2GB"; Dask restarts a worker that exceeds it. An equal
-        share of the machine's memory if not given.
+    other user of the machine can send them work. Dask restarts a worker that exceeds its `memory`,
+    such as "2GB", or an equal share of the machine's memory if None.
     """
     need_dask()
     from distributed import Client, Nanny, Scheduler, SpecCluster
@@ -130,13 +118,7 @@ def local_client(devices: list[str], memory: str | None = None) -> Iterator[Any]
 
 @contextmanager
 def remote_client(address: str) -> Iterator[Any]:
-    """Yield the client of a running scheduler.
-
-    Raises
-    ------
-    InputError
-        If it does not answer.
-    """
+    """Yield the client of a running scheduler, or raise InputError if it does not answer."""
     need_dask()
     from distributed import Client
 

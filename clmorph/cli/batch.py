@@ -36,33 +36,19 @@ LEAST_MEMORY = 300e6
 
 @dataclass(frozen=True)
 class BatchRequest:
-    """The request of the command line.
-
-    Attributes
-    ----------
-    table, all_pairs, chain : str or None
-        Where the jobs come from; one of them is given.
-    ending : str
-        The ending of outputs of `all_pairs` and `chain`.
-    defaults : Defaults
-    scheduler : str or None
-        The address of a running scheduler.
-    workers : int or None
-        The number of local workers.
-    memory : str or None
-        The memory of a local worker.
-    device : str
-    redo : bool
-    as_json : bool
-    """
+    """The request of the command line; one of `table`, `all_pairs` and `chain` is given."""
 
     table: str | None
     all_pairs: str | None
     chain: str | None
+    #: The ending of outputs of `all_pairs` and `chain`.
     ending: str
     defaults: Defaults
+    #: The address of a running scheduler.
     scheduler: str | None
+    #: The number of local workers.
     workers: int | None
+    #: The memory of a local worker.
     memory: str | None
     device: str
     redo: bool
@@ -82,13 +68,7 @@ def batch_request(
     max_pixels: int | None,
     **more: Any,
 ) -> BatchRequest:
-    """Return the request that the arguments of the command line mean.
-
-    Raises
-    ------
-    InputError
-        If an argument cannot be used.
-    """
+    """Return the request that the arguments of the command line mean, or raise InputError."""
     if not out or "\0" in out:
         raise InputError("--out is empty: expected the name of a folder")
     if device is not None and backend not in (None, "auto", "opencl"):

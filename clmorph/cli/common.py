@@ -28,15 +28,10 @@ SILENT = logging.NullHandler()
 
 @contextmanager
 def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
-    """Hide messages of Pillow about unusual metadata.
+    """Hide messages of Pillow about unusual metadata, and yield the warnings of clmorph itself.
 
     Such messages do not help the user, because clmorph itself checks pixels and recipes. Only the
     command line may use this function, because it changes the global state of the process.
-
-    Yields
-    ------
-    list of warnings.WarningMessage
-        Warnings of clmorph itself, which the caller prints.
     """
     log = logging.getLogger("PIL")
     log.addHandler(SILENT)
@@ -50,24 +45,7 @@ def quiet_libraries() -> Iterator[list[warnings.WarningMessage]]:
 
 
 def read_picture(path: Path, max_pixels: int) -> Any:
-    """Read an image and print its warnings as notes.
-
-    Parameters
-    ----------
-    path : Path
-    max_pixels : int
-        Largest number of pixels; a larger image is refused.
-
-    Returns
-    -------
-    (H, W, 3) or (H, W, 4) array
-        See `clmorph.images.pixels.as_samples`.
-
-    Raises
-    ------
-    FileError
-        If the image cannot be read, or all its pixels are fully transparent.
-    """
+    """Read an image as `clmorph.images.pixels.as_samples` has it; print its warnings as notes."""
     from clmorph.images.pixels import read_visible
 
     check_max_pixels(max_pixels)  # so that an error concerns the option, not the file
@@ -104,15 +82,7 @@ def note_warning(notes: list[Warning], message: Any, *others: Any, **more: Any) 
 
 
 def open_backend(device: str | None, backend: str | None) -> Any:
-    """Choose the device and print its name.
-
-    Raises
-    ------
-    InputError
-        If `device` and `backend` contradict each other.
-    DeviceError
-        If there is no such device.
-    """
+    """Choose the device and print its name."""
     if device is not None and backend not in (None, "auto", "opencl"):
         raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
     from clmorph.backends.select import get_backend
@@ -168,14 +138,7 @@ def note_misses(morph: Morph, names: str = "") -> None:
 
 
 def chosen_preset(preset: str, options: MorphOptions) -> str:
-    """Return a line about the preset that the pictures have chosen.
-
-    Parameters
-    ----------
-    preset : str
-    options : MorphOptions
-        The options of the run, some of which can differ from those of the preset.
-    """
+    """Return a line about the preset of the pictures, and which options differ from it."""
     usual = MorphOptions(preset=preset)
     given = [
         name for name in PRESETS[preset].options if getattr(options, name) != getattr(usual, name)
@@ -185,13 +148,7 @@ def chosen_preset(preset: str, options: MorphOptions) -> str:
 
 
 def recipe_places(outputs: Sequence[Path]) -> list[Path]:
-    """Return the paths of the recipes beside outputs.
-
-    Raises
-    ------
-    OutputError
-        If there is a folder at one of them.
-    """
+    """Return the paths of the recipes beside outputs, or raise OutputError if one is a folder."""
     found = []
     for output in outputs:
         # Paths without a name, such as ``.``, are resolved.

@@ -1,10 +1,9 @@
 """Settings of a run: presets, files of settings, and options of the command line.
 
-The user writes settings in TOML, so a TOML file may contain any setting. A recipe (in JSON, a GIF's
-comment, a page) can come from anybody, so it controls only the options of the morph. Output paths
-and the limit of pixels are not read from a recipe. A recipe can lower the limit of memory but not
-raise it. It refers to pictures by bare file names, which are searched beside the recipe and in the
-current folder.
+A TOML file, which the user writes, may contain any setting. A recipe (in JSON, a GIF's comment, a
+page) can come from anybody, so it controls only the options of the morph: no output paths and no
+limit of pixels; it can lower the limit of memory but not raise it. It refers to pictures by bare
+file names, which are searched beside the recipe and in the current folder.
 """
 
 import os
@@ -49,30 +48,16 @@ DEVICES = re.compile(
 
 @dataclass(frozen=True)
 class Named:
-    """The pictures that a file of settings names.
-
-    Attributes
-    ----------
-    file : Path
-        The file of settings.
-    own : bool
-        Whether the user wrote it.
-    entries : list
-        File names, or tables with ``file`` and optionally ``sha256``.
-    """
+    """The pictures that a file of settings names."""
 
     file: Path
+    #: Whether the user wrote the file.
     own: bool
+    #: File names, or tables with ``file`` and optionally ``sha256``.
     entries: Sequence[str | Mapping[str, Any]]
 
     def images(self) -> list[tuple[Path, str | None]]:
-        """Return the path of each picture, with its digest when the file was written, if known.
-
-        Raises
-        ------
-        InputError
-            If a recipe names a picture in another folder.
-        """
+        """Return the path of each picture, and its digest when the file was written, if known."""
         found = []
         for entry in self.entries:
             name = entry if isinstance(entry, str) else str(entry["file"])
@@ -97,13 +82,8 @@ class Named:
 def is_bare(name: str, *, windows: bool = os.name == "nt") -> bool:
     """Return whether a file name has no folder and, on Windows, no drive or device.
 
-    Parameters
-    ----------
-    name : str
-    windows : bool
-        Whether the rules of Windows apply: backslashes separate folders, a colon ends a drive's
-        name, some names are devices, and trailing dots and spaces are dropped. On other systems
-        all of these are ordinary parts of names.
+    By the rules of Windows backslashes separate folders, a colon ends a drive's name, some names
+    are devices, and trailing dots and spaces are dropped. Elsewhere these are parts of names.
     """
     if len(name) >= 256 or re.search(r"[/\0]", name) or name in ("", ".", ".."):
         return False
@@ -116,29 +96,19 @@ def is_bare(name: str, *, windows: bool = os.name == "nt") -> bool:
 
 @dataclass(frozen=True)
 class Found:
-    """The contents of a file of settings.
+    """The contents of a file of settings."""
 
-    Attributes
-    ----------
-    options : dict
-        Options of the morph, by their names in Python.
-    preset : str or None
-        The preset that the file names.
-    named : Named
-        The pictures that it names.
-    own : dict
-        The settings in `OWN`, which only the user decides, for the command line's own options.
-    beside : dict
-        The label images, the features and the mask that it names, by these words.
-    mixes : dict
-        What of mixes it shows: one of `SHOWN` and its value.
-    """
-
+    #: Options of the morph, by their names in Python.
     options: Settings
+    #: The preset that the file names.
     preset: str | None
+    #: The pictures that it names.
     named: Named
+    #: The settings in `OWN`, which only the user decides, for the command line's own options.
     own: Settings
+    #: The label images, the features and the mask that it names, by these words.
     beside: Mapping[str, Named]
+    #: What of mixes it shows: one of `SHOWN` and its value.
     mixes: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -147,18 +117,8 @@ def read_settings(
 ) -> Found:
     """Read settings from TOML, from a recipe (JSON), or from a file that clmorph has written.
 
-    Parameters
-    ----------
-    path : Path
-    command : type
-        The class of the command's options.
-    mixes : bool
-        Whether the command is ``clmorph mix``, whose options are those of a morph.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or contains an unknown key.
+    `command` is the class of the command's options; with `mixes` the command is ``clmorph mix``,
+    whose options are those of a morph.
     """
     if not path.exists():
         raise InputError(f"--config {path}: no such file")
@@ -196,10 +156,7 @@ def read_settings(
 
 
 def _entries(path: Path, name: str, value: Any, count: int | None = None) -> list[Any]:
-    """Return a checked list of `count` file names, or of tables with one.
-
-    In place of the files of labels there can be the word "auto".
-    """
+    """Return a checked list of `count` file names, or of tables with one; labels may be "auto"."""
     if name == "labels" and value == AUTO:
         return [AUTO, AUTO]
     known = [

@@ -68,21 +68,8 @@ def _cloud(measure: Measure) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def check(operations: Operations, kernels: Sequence[str] = ()) -> Iterator[Finding]:
     """Compare a backend with NumPy, one operation after the other.
 
-    Parameters
-    ----------
-    operations : Operations
-    kernels : sequence of str
-        Names of kernels, and of kernel files with or without their ending. If some are given, only
-        the operations that use one of them are compared.
-
-    Yields
-    ------
-    Finding
-
-    Raises
-    ------
-    InputError
-        If there is no kernel, and no file, of such a name.
+    If names of kernels, or of kernel files with or without their ending, are given, only the
+    operations that use one of them are compared.
     """
     wanted = _wanted(kernels)
     for kernels_of_check, run in _checks(operations):
@@ -205,19 +192,7 @@ def nearest(findings: Sequence[Finding]) -> Finding | None:
 
 
 def report(device: Any, findings: list[Finding], pairs_per_second: float) -> dict[str, Any]:
-    """Collect the data about a device for a report, without personal data.
-
-    Parameters
-    ----------
-    device : clmorph.backends.opencl.devices.find.Device
-    findings : list of Finding
-    pairs_per_second : float
-
-    Returns
-    -------
-    dict
-        A dictionary that JSON can represent.
-    """
+    """Collect the data about a device for a report in JSON, without personal data."""
     from clmorph._shared.version import __version__
 
     close = nearest(findings)

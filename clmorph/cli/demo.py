@@ -36,25 +36,7 @@ def demo_images() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def run_demo(operations: Operations, folder: Path, stages: Stages) -> list[str]:
-    """Make the demo's files.
-
-    Parameters
-    ----------
-    operations : Operations
-    folder : Path
-        The folder for ``clmorph-demo.gif``, ``.html`` and ``.png``.
-    stages : Stages
-
-    Returns
-    -------
-    list of str
-        Lines for the user: pictures, options, times, files.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written to.
-    """
+    """Make the demo's files in a folder, and return lines for the user about them."""
     files = [folder / f"clmorph-demo{ending}" for ending in (".gif", ".html", ".png")]
     outputs = [Output(file) for file in files]
     sprite, photo = demo_images()

@@ -146,19 +146,9 @@ def check_devices(
     """Compare devices with NumPy, print the results; return 1 if one is out of tolerance.
 
     A device that is named is compared even if it is unusable because of a wrong result. What is
-    found is remembered: a failure makes the device unusable, and a device that passes everything
-    is no longer unusable because of a wrong result.
-
-    Parameters
-    ----------
-    spec : str, optional
-        The device; if not given, the one that "auto" selects.
-    every : bool
-        Whether to compare every usable device.
-    report : Path, optional
-        The file for a report.
-    kernels : sequence of str
-        Kernels and files; only operations that use one of them are compared. All if empty.
+    found is remembered: a failure makes the device unusable, and a device that passes everything is
+    no longer unusable because of a wrong result. If there are `kernels`, only operations that use
+    one of these, or of these files, are compared.
     """
     from clmorph.cli.conformance import check_kernel_names
 

@@ -44,19 +44,7 @@ def run_inspect(
     labels: Sequence[Path] = (),
     features: Sequence[Path] = (),
 ) -> None:
-    """Solve the transport between two pictures, print its statistics, and optionally draw it.
-
-    Parameters
-    ----------
-    images : (A, B)
-    output : Path, optional
-        Path of the drawing: .png, .svg or .pdf.
-    preset : str, optional
-    given : dict
-        Options by their names in Python.
-    max_pixels, device, backend, as_json, labels, features
-        As for ``clmorph morph``.
-    """
+    """Solve the transport between two pictures, print its statistics, and optionally draw it."""
     auto = preset is None or preset == AUTO
     options = MorphOptions(preset=None if auto else preset, **given)
     if output is not None:

@@ -90,12 +90,7 @@ Reader = Callable[[Path], files.Found]
 def _config_option(read: Reader, *, preset: bool = False) -> Callable[[Any], Any]:
     """Return the option --config, whose file is read before any other option is processed.
 
-    Parameters
-    ----------
-    read : callable
-        Reads the file.
-    preset : bool
-        Whether the preset that the file names stands for that of the command line.
+    With `preset` the preset that the file names stands for that of the command line.
     """
 
     def settings(context: click.Context, parameter: click.Parameter, path: Any) -> Any:
@@ -251,10 +246,7 @@ def _options(
 ) -> Callable[[str | None], MorphOptions]:
     """Join a preset, the file of settings and the command line; the command line wins.
 
-    Returns
-    -------
-    callable
-        The options by the name of the preset.
+    The result is a function of the preset's name.
     """
     file = {} if config is None else config.options
     given = context.get_parameter_source("preset") is ParameterSource.COMMANDLINE

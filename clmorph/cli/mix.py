@@ -45,55 +45,31 @@ from clmorph.pipeline.recipe import picture_entries, recipe
 
 @dataclass(frozen=True)
 class Request:
-    """The request of the command line.
-
-    Attributes
-    ----------
-    images : sequence of Path
-    outputs : sequence of Path
-    given : dict
-        Options of the command line, by their names in Python.
-    preset : str or None
-    draft : bool
-    shown : dict
-        At most one of "grid" (the number of mixes along a side, or rows x columns, such as "5x5"),
-        "weights" (of each mix), "path" (letters) and "stops" (weights), see
-        `clmorph.pipeline.mixing.weights`.
-    format : str or None
-        The output format, in place of the format of the output's ending.
-    recipe : bool
-        Whether a recipe is written beside each output.
-    max_pixels : int
-        Largest number of pixels of a picture.
-    config : Found, optional
-        The file of settings.
-    preset_wins : bool
-        Whether the preset replaces options of the file, because the command line names it.
-    """
+    """The request of the command line."""
 
     images: Sequence[Path]
     outputs: Sequence[Path]
+    #: Options of the command line, by their names in Python.
     given: dict[str, Any]
     preset: str | None
     draft: bool
+    #: At most one of "grid" (the number of mixes along a side, or rows x columns, such as "5x5"),
+    #: "weights" (of each mix), "path" (letters) and "stops" (weights), see
+    #: `clmorph.pipeline.mixing.weights`.
     shown: dict[str, Any]
+    #: The output format, in place of the format of the output's ending.
     format: str | None
+    #: Whether a recipe is written beside each output.
     recipe: bool
     max_pixels: int
+    #: The file of settings.
     config: files.Found | None = None
+    #: Whether the preset replaces options of the file, because the command line names it.
     preset_wins: bool = False
 
 
 def run_mix(request: Request, *, device: str | None, backend: str | None, as_json: bool) -> None:
-    """Mix pictures and write the output files.
-
-    Parameters
-    ----------
-    request : Request
-    device, backend : str, optional
-    as_json : bool
-        Whether the summary is printed as JSON for programs, instead of text for people.
-    """
+    """Mix pictures, write the output files, and print a summary (`as_json`: for programs)."""
     began = time.perf_counter()
     images = request.images
     count = len(images)
@@ -186,19 +162,7 @@ def _options(request: Request, preset: str | None) -> MorphOptions:
 
 
 def weights_of(texts: Sequence[str], count: int) -> list[list[float]]:
-    """Return the weights of each mix from texts such as 1,2,1.
-
-    Parameters
-    ----------
-    texts : sequence of str
-    count : int
-        Number of pictures.
-
-    Raises
-    ------
-    InputError
-        If a text has other than `count` numbers.
-    """
+    """Return the weights of each mix from texts such as 1,2,1 of `count` numbers each."""
     found = []
     for text in texts:
         try:

@@ -61,40 +61,25 @@ from clmorph.transport.potentials import Potentials
 
 @dataclass(frozen=True)
 class Request:
-    """The request of the command line.
+    """The request of the command line."""
 
-    Attributes
-    ----------
-    images : sequence of Path
-        Two pictures, or more for a chain of morphs.
-    outputs : sequence of Path
-    options : MorphOptions
-    options_of : callable or None
-        The options by a preset, if the pictures choose it; they replace `options`.
-    format : str or None
-        The output format, in place of the format of the output's ending.
-    recipe : bool
-        Whether a recipe is written beside each output.
-    max_pixels : int
-        Largest number of pixels of a picture; larger pictures are refused.
-    config : Path or None
-        The file of settings, which must not be overwritten.
-    capped : bool
-        Whether `max_memory` comes from a recipe, which may lower the device's limit but not raise
-        it.
-    labels, features : sequence of Path
-        Files of both pictures, or none.
-    """
-
+    #: Two pictures, or more for a chain of morphs.
     images: Sequence[Path]
     outputs: Sequence[Path]
     options: MorphOptions
+    #: The options by a preset, if the pictures choose it; they replace `options`.
     options_of: Callable[[str], MorphOptions] | None = None
+    #: The output format, in place of the format of the output's ending.
     format: str | None = None
+    #: Whether a recipe is written beside each output.
     recipe: bool = False
     max_pixels: int = MAX_PIXELS
+    #: The file of settings, which must not be overwritten.
     config: Path | None = None
+    #: Whether `max_memory` comes from a recipe, which may lower the device's limit but not raise
+    #: it.
     capped: bool = False
+    #: Files of both pictures, or none.
     labels: Sequence[Path] = ()
     features: Sequence[Path] = ()
 
@@ -180,15 +165,7 @@ class _Run:
 
 
 def run_morph(request: Request, *, device: str | None, backend: str | None, as_json: bool) -> None:
-    """Morph each picture into the next one and write the output files.
-
-    Parameters
-    ----------
-    request : Request
-    device, backend : str, optional
-    as_json : bool
-        Whether the summary is printed as JSON for programs, instead of text for people.
-    """
+    """Morph each picture into the next one, write the output files, and print a summary."""
     began = time.perf_counter()
     outputs, images = request.outputs, request.images
     if request.format is not None and len(outputs) > 1:
@@ -336,13 +313,7 @@ def _last_line(run: _Run, summary: dict[str, Any]) -> str:
 
 
 def announce_changes(images: Sequence[tuple[Path, str | None]]) -> None:
-    """Print a note about images that have changed since the file of settings was written.
-
-    Raises
-    ------
-    FileError
-        If an image does not exist.
-    """
+    """Print a note about images that have changed since the file of settings was written."""
     for path, known in images:
         if not path.exists():
             raise FileError(

@@ -1,8 +1,4 @@
-"""Options of the command line: those of the option classes, and its own.
-
-The option classes alone (`clmorph.pipeline.options`) define the meaning, the values and the
-defaults of options.
-"""
+"""Options of the command line: those of the option classes, which define them, and its own."""
 
 import os
 import re
@@ -106,15 +102,7 @@ class Value(click.ParamType):
 def given_options(
     given: Mapping[str, Any], options: type[Options] = MorphOptions
 ) -> dict[str, Any]:
-    """Return options of the command line by their names in Python.
-
-    Parameters
-    ----------
-    given : mapping
-        The values from click, by the names of parameters; None for options that were not given.
-    options : type
-        The class of the command's options.
-    """
+    """Return the options that the command line gives, by their names in Python."""
     known = specifications(options)
     found: dict[str, Any] = {}
     for name, value in given.items():
@@ -148,13 +136,8 @@ def _all_options() -> dict[str, Option]:
 def in_option_names(message: str, more: Mapping[str, str] | None = None) -> str:
     """Return a message in which options are written as on the command line.
 
-    ``n_frames=1`` becomes ``--frames 1``, and None the option's word.
-
-    Parameters
-    ----------
-    message : str
-    more : mapping, optional
-        The names of further arguments on the command line, by their names in Python.
+    ``n_frames=1`` becomes ``--frames 1``, and None the option's word. `more` names further
+    arguments on the command line, by their names in Python.
     """
     known, names = _all_options(), names_outside()
     first = re.match(r"(\w+)=", message)

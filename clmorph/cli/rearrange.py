@@ -30,45 +30,25 @@ from clmorph.pipeline.recipe import picture_entries, recipe
 
 @dataclass(frozen=True)
 class Request:
-    """The request of the command line.
+    """The request of the command line."""
 
-    Attributes
-    ----------
-    images : sequence of Path
-        Two pictures, or more for a chain, in which the pixels of the first one move on.
-    outputs : sequence of Path
-    options : RearrangeOptions
-    format : str or None
-        The output format, in place of the format of the output's ending.
-    recipe : bool
-        Whether a recipe is written beside each output.
-    max_pixels : int
-        Largest number of pixels of a picture.
-    config : Path or None
-        The file of settings, which must not be overwritten.
-    """
-
+    #: Two pictures, or more for a chain, in which the pixels of the first one move on.
     images: Sequence[Path]
     outputs: Sequence[Path]
     options: RearrangeOptions
+    #: The output format, in place of the format of the output's ending.
     format: str | None
+    #: Whether a recipe is written beside each output.
     recipe: bool
     max_pixels: int
+    #: The file of settings, which must not be overwritten.
     config: Path | None
 
 
 def run_rearrange(
     request: Request, *, device: str | None, backend: str | None, as_json: bool
 ) -> None:
-    """Rearrange the pixels of the first picture into each next one, and write the output files.
-
-    Parameters
-    ----------
-    request : Request
-    device, backend : str, optional
-    as_json : bool
-        Whether the summary is printed as JSON for programs, instead of text for people.
-    """
+    """Move the pixels of the first picture into each next one; write files and a summary."""
     began = time.perf_counter()
     images, options = request.images, request.options
     places = [Output(output, request.format) for output in request.outputs]

@@ -29,44 +29,25 @@ from clmorph.pipeline.recolor_options import RecolorOptions
 
 @dataclass(frozen=True)
 class Request:
-    """The request of the command line.
+    """The request of the command line."""
 
-    Attributes
-    ----------
-    images : (photo, like)
-    outputs : sequence of Path
-    options : RecolorOptions
-    mask : Path or None
-        A picture of the size of the photo: white where it is recolored.
-    recipe : bool
-        Whether a recipe is written beside each output.
-    max_pixels : int
-        Largest number of pixels of a picture.
-    config : Path or None
-        The file of settings, which must not be overwritten.
-    """
-
+    #: The photo and the picture whose colors it gets.
     images: Sequence[Path]
     outputs: Sequence[Path]
     options: RecolorOptions
+    #: A picture of the size of the photo: white where it is recolored.
     mask: Path | None
+    #: Whether a recipe is written beside each output.
     recipe: bool
     max_pixels: int
+    #: The file of settings, which must not be overwritten.
     config: Path | None
 
 
 def run_recolor(
     request: Request, *, device: str | None, backend: str | None, as_json: bool
 ) -> None:
-    """Recolor the photo and write the output files.
-
-    Parameters
-    ----------
-    request : Request
-    device, backend : str, optional
-    as_json : bool
-        Whether the summary is printed as JSON for programs, instead of text for people.
-    """
+    """Recolor the photo, write the output files, and print a summary."""
     began = time.perf_counter()
     images, options = request.images, request.options
     masks = [] if request.mask is None else [request.mask]

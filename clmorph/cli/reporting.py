@@ -33,15 +33,8 @@ def run(
 ) -> int:
     """Run the command line and return its exit code; report every error in one line.
 
-    Parameters
-    ----------
-    command : click.Command
-    arguments : sequence of str, optional
-        The arguments, in place of those of the process.
-    names : mapping
-        The name of each argument of the library on the command line.
-    ending : Ending
-        The signals that have arrived.
+    `names` gives the name on the command line of each argument of the library, and `ending` the
+    signals that have arrived.
     """
     try:
         code = _run(command, arguments)

@@ -19,13 +19,7 @@ SAMPLES = ("sprite.png", "photograph.png")
 def run_studio(
     host: str, port: int | None, device: str | None, backend: str | None, browser: bool
 ) -> None:
-    """Serve the studio until it is ended.
-
-    Raises
-    ------
-    InputError
-        If the extra "studio" is missing, or an argument cannot be used.
-    """
+    """Serve the studio until it is ended."""
     if device is not None and backend not in (None, "auto", "opencl"):
         raise InputError(f"--device {device} and --backend {backend} contradict: give one of them")
     serve(

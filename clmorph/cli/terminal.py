@@ -21,10 +21,7 @@ from clmorph._shared.printable import MESSAGE, printable
 
 
 class _StandardError:
-    """The current `sys.stderr`; write errors are ignored.
-
-    A note that cannot be written, for example to a log on a full disk, must not end a morph.
-    """
+    """The current `sys.stderr`; write errors, as of a log on a full disk, must not end a morph."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(sys.stderr, name)
@@ -63,17 +60,8 @@ class Stages:
     """Progress bars, one for each stage; they are hidden if standard error is no terminal.
 
     A call with a stage's name and the share that is done opens, moves or closes the stage's bar.
-
-    Attributes
-    ----------
-    seconds : dict
-        Time of each stage. What passes before a call counts for the stage that calls, so the times
-        add up to the whole.
-
-    Parameters
-    ----------
-    began : float, optional
-        When the first stage began, by `time.perf_counter`; now if not given.
+    `seconds` has the time of each stage. What passes before a call counts for the stage that calls,
+    so the times add up to the whole from `began`, by `time.perf_counter`.
     """
 
     def __init__(self, began: float | None = None) -> None:

@@ -1,9 +1,8 @@
 """Color spaces for the cost and for the path, and metrics of color (paper, section 5).
 
-Every space is a map from sRGB in [0, 1] to three coordinates. All coordinates of a space are
-divided by one number. It is chosen so that two colors drawn uniformly from the sRGB cube have the
-same root mean square distance in every space. A color weight therefore means the same in all
-spaces.
+A space maps sRGB in [0, 1] to three coordinates, divided by one number so that two colors drawn
+uniformly from the sRGB cube have the same root mean square distance in every space. A color weight
+therefore means the same in all spaces.
 """
 
 from __future__ import annotations
@@ -50,53 +49,16 @@ _SCALE_STEPS = 17
 
 
 def to_space(colors: ArrayLike, space: str) -> Array:
-    """Convert sRGB to the coordinates of a color space.
-
-    Parameters
-    ----------
-    colors : (..., 3) array
-        sRGB in [0, 1].
-    space : {"srgb", "linear", "lab", "luv", "oklab"}
-
-    Returns
-    -------
-    (..., 3) array
-        Coordinates, in the unit that makes a color weight comparable between spaces.
-
-    Raises
-    ------
-    InputError
-        If there is no such space.
-
-    Examples
-    --------
-    >>> to_space([0.0, 0.5, 1.0], "srgb").tolist()
-    [0.0, 0.5, 1.0]
-    >>> from_space(to_space([0.2, 0.5, 0.9], "oklab"), "oklab").round(6).tolist()
-    [0.2, 0.5, 0.9]
-    """
+    """Convert sRGB (..., 3) in [0, 1] to coordinates of a color space, in this module's unit."""
     check_choice("color space", space, COLOR_SPACES)
     convert, scale = _CONVERSIONS[space][0], _scale(space)
     return _in_parts(lambda part: convert(part) / scale, np.asarray(colors, float))
 
 
 def from_space(coordinates: ArrayLike, space: str) -> Array:
-    """Convert coordinates of a color space to sRGB, the inverse of `to_space`.
+    """Convert coordinates (..., 3) of a color space to sRGB, the inverse of `to_space`.
 
-    Parameters
-    ----------
-    coordinates : (..., 3) array
-    space : {"srgb", "linear", "lab", "luv", "oklab"}
-
-    Returns
-    -------
-    (..., 3) array
-        sRGB, clipped to [0, 1], because a path between two colors can leave the sRGB gamut.
-
-    Raises
-    ------
-    InputError
-        If there is no such space.
+    It is clipped to [0, 1], because a path between two colors can leave the sRGB gamut.
     """
     check_choice("color space", space, COLOR_SPACES)
     convert, scale = _CONVERSIONS[space][1], _scale(space)
@@ -136,25 +98,11 @@ def _without_negative_light(lab: Array) -> Array:
 
 
 def as_metric(metric: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return a metric of color M (paper, 5) as an array, after checking that it is one.
+    """Return a metric of color M (paper, 5) as (3, 3) or (H * W, 3, 3), or raise InputError.
 
-    Parameters
-    ----------
-    metric : (3, 3) array, or (H, W, 3, 3), or (H, W)
-        One symmetric, positive semidefinite matrix for all pixels, or one for each pixel. A map
-        (H, W) of numbers stands for these times the identity. The shape (3, 3) is always one
-        matrix.
-    shape : (H, W)
-        Shape of the image.
-
-    Returns
-    -------
-    (3, 3) or (H * W, 3, 3) array
-
-    Raises
-    ------
-    InputError
-        If the argument is no metric.
+    M is one symmetric, positive semidefinite (3, 3) matrix, or one for each pixel (H, W, 3, 3). A
+    map (H, W) of numbers stands for these times the identity. The shape (3, 3) is always one
+    matrix.
     """
     values = as_floats("color_metric", metric, "an array (3, 3), (H, W, 3, 3) or (H, W)")
     constant = values.shape == (3, 3)

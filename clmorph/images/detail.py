@@ -27,57 +27,29 @@ BAND_SHARE = 0.99
 
 
 def intrinsic_spacing(image: Array) -> float:
-    """Return the side, in pixels, of the smallest detail of an image (at least 1).
+    """Return the side, in pixels, of the smallest detail of an image (H, W, C), at least 1.
 
-    Parameters
-    ----------
-    image : (H, W, C) array
-
-    Returns
-    -------
-    float
-        The side of the blocks of an enlarged sprite, even if compression has left artifacts; half
-        the shortest period in the spectrum of any other image.
+    It is the side of the blocks of an enlarged sprite, even if compression has left artifacts, and
+    half the shortest period in the spectrum of any other image.
     """
     return max(1.0, float(_block_side(image)), _half_period(image))
 
 
 def auto_sigma(image: Array) -> float:
-    """Return the kernel width for an image, in pixels: half of its smallest detail.
-
-    Parameters
-    ----------
-    image : (H, W, C) array
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> sprite = np.random.default_rng(0).random((16, 16, 3))
-    >>> auto_sigma(np.kron(sprite, np.ones((4, 4, 1))))  # blocks of 4 x 4 pixels
-    2.0
-    """
+    """Return the kernel width for an image (H, W, C), in pixels: half of its smallest detail."""
     return 0.5 * intrinsic_spacing(image)
 
 
 def is_pixel_art(image: Array) -> bool:
-    """Return whether an image is a sprite: it is small with few colors, or it consists of blocks.
+    """Return whether an image is a sprite: small with few colors, or made of blocks.
 
-    Parameters
-    ----------
-    image : (H, W, 3) or (H, W, 4) array
-        Opacity and the colors of invisible pixels are ignored.
+    Opacity and the colors of invisible pixels are ignored.
     """
     return _block_side(_visible(image)) > 1 or has_few_colors(image)
 
 
 def has_few_colors(image: Array) -> bool:
-    """Return whether an image is small, has few colors in 8 bits and no anti-aliased edges.
-
-    Parameters
-    ----------
-    image : (H, W, 3) or (H, W, 4) array
-        Opacity and the colors of invisible pixels are ignored.
-    """
+    """Return whether an image is small, has few colors in 8 bits and no anti-aliased edges."""
     if max(image.shape[:2]) > SPRITE_SIDE:
         return False
     if image.shape[2] == 4:

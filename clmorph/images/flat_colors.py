@@ -28,13 +28,7 @@ ROUNDS = 3
 
 
 def background_color(colors: Array) -> Array | None:
-    """Return the color of a flat background: (3,) array, or None if there is none.
-
-    Parameters
-    ----------
-    colors : (H, W, 3) array
-        The background's color is that of at least half of the pixels along the border.
-    """
+    """Return the color (3,) of at least half of the border's pixels, or None if there is none."""
     border = np.concatenate((colors[0], colors[-1], colors[1:-1, 0], colors[1:-1, -1]))
     color = np.median(border, axis=0)
     share = np.mean(np.abs(border - color).max(axis=1) <= LEVEL)
@@ -44,23 +38,10 @@ def background_color(colors: Array) -> Array | None:
 def foreground(colors: Array, alpha: Array | None = None) -> BoolArray:
     """Return which pixels stand before a transparent or flat background: (H, W) array of bool.
 
-    All pixels of the background's color belong to it, those inside a ring too. A pixel of an edge
-    belongs to the side to which its color or its opacity is nearer; pixel art has no such edges.
-    If there is no background, or nothing before it, all pixels belong to the foreground.
-
-    Parameters
-    ----------
-    colors : (H, W, 3) array
-    alpha : (H, W) array, optional
-        Opacity. If it is given, the background is what is transparent.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> picture = np.ones((5, 6, 3))
-    >>> picture[1:4, 2:4] = (0.8, 0.1, 0.1)
-    >>> foreground(picture).sum()
-    np.int64(6)
+    If opacity `alpha` is given, the background is what is transparent. All pixels of the
+    background's color belong to it, those inside a ring too. A pixel of an edge belongs to the side
+    to which its color or its opacity is nearer; pixel art has no such edges. If there is no
+    background, or nothing before it, all pixels belong to the foreground.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -91,18 +72,8 @@ def foreground(colors: Array, alpha: Array | None = None) -> BoolArray:
 def shares_in_mixtures(colors: Array, background: Array, which: BoolArray) -> Array:
     """Return the share of its strongest neighbor in each pixel that mixes it with the background.
 
-    Parameters
-    ----------
-    colors : (H, W, 3) array
-    background : (3,) array
-    which : (H, W) array of bool
-        The n pixels that are asked about.
-
-    Returns
-    -------
-    (n,) array
-        From 0 to 1, which it is where a pixel is no mixture: off the line between both colors, and
-        nearly as far from the background.
+    The share (n,), of the n pixels `which`, is 1 where a pixel is no mixture: off the line between
+    both colors, and nearly as far from the background.
     """
     half = WINDOW // 2
     rows, columns = np.nonzero(which)
@@ -135,35 +106,18 @@ def _noise(found: BoolArray, contrast: Array) -> BoolArray:
 
 
 class Regions(NamedTuple):
-    """Regions of a picture whose pixels have nearly one color.
+    """Regions of a picture whose pixels have nearly one color."""
 
-    Attributes
-    ----------
-    labels : (H, W) array of int
-        The number of each pixel's region, from 0.
-    colors : (H, W, 3) array
-        The picture; beyond the regions, the color of the nearest pixel in one.
-    alpha : (H, W) array
-        Opacity, likewise.
-    """
-
+    #: The number of each pixel's region, from 0; (H, W).
     labels: IntArray
+    #: The picture (H, W, 3); beyond the regions, the color of the nearest pixel in one.
     colors: Array
+    #: Opacity (H, W), likewise.
     alpha: Array
 
 
 def flat_regions(colors: Array, alpha: Array, within: BoolArray, n_colors: int) -> Regions:
-    """Divide pixel art into regions of nearly one color.
-
-    Parameters
-    ----------
-    colors : (H, W, 3) array
-    alpha : (H, W) array
-    within : (H, W) array of bool
-        The pixels that are divided; at least one.
-    n_colors : int
-        Largest number of regions.
-    """
+    """Divide the pixels `within` pixel art into at most `n_colors` regions of nearly one color."""
     from scipy.ndimage import distance_transform_edt
 
     labels = np.zeros(within.shape, dtype=np.int64)
@@ -173,19 +127,10 @@ def flat_regions(colors: Array, alpha: Array, within: BoolArray, n_colors: int) 
 
 
 def palette(colors: Array, n_colors: int) -> tuple[IntArray, Array]:
-    """Return the nearest of a few colors for each color, by maximum coverage and k-means.
+    """Return the nearest of a few colors for each color (N, 3), by maximum coverage and k-means.
 
-    Parameters
-    ----------
-    colors : (N, 3) array
-    n_colors : int
-
-    Returns
-    -------
-    (N,) array of int
-        The number of the nearest one, from 0 without gaps; colors that are `ALIKE` share one.
-    (N, 3) array
-        The color that stands for each, before alike ones are joined.
+    The numbers (N,) of the nearest count from 0 without gaps; colors that are `ALIKE` share one.
+    The colors (N, 3) that stand for each are those before alike ones are joined.
     """
     from PIL import Image
 

@@ -17,28 +17,10 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def into_gamut(coordinates: Array, space: str) -> Array:
-    """Convert coordinates of a color space to sRGB, as `from_space` does, with the hue kept.
+    """Convert coordinates (N, 3) to sRGB, as `from_space` does, with the hue kept.
 
     A color that sRGB cannot show is moved straight towards the gray of its lightness until it can.
     Where single channels were clipped instead, bright orange would turn yellow.
-
-    Parameters
-    ----------
-    coordinates : (N, 3) array
-    space : {"srgb", "linear", "lab", "luv", "oklab"}
-
-    Returns
-    -------
-    (N, 3) array
-        sRGB in [0, 1].
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> into_gamut(np.array([[0.2, 0.5, 0.9]]), "srgb").tolist()
-    [[0.2, 0.5, 0.9]]
-    >>> into_gamut(np.array([[1.4, 0.6, 0.2]]), "srgb").round(3).tolist()  # clipped: 1, 0.6, 0.2
-    [[1.0, 0.686, 0.528]]
     """
     colors = from_space(coordinates, space)
     # A color that was clipped has a channel at a bound.

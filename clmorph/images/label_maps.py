@@ -25,20 +25,7 @@ _SCALAR = ("1", "L", "P", "I", "I;16", "I;16B", "I;16L", "I;16N")
 
 
 def as_labels(name: str, value: Any, shape: tuple[int, int]) -> IntArray:
-    """Return a label image of the shape of its picture as an (H, W) array of int64.
-
-    Parameters
-    ----------
-    name : str
-        The name of the label image in error messages.
-    value : (H, W) array of integers or bool
-    shape : (height, width)
-
-    Raises
-    ------
-    InputError
-        If it is no such array.
-    """
+    """Return a label image of its picture's shape as int64 (H, W), or raise InputError."""
     if is_path(value):
         raise InputError(
             f"{name} is a path: expected an array; use clmorph.read_labels({shown(value)})"
@@ -58,13 +45,7 @@ def as_labels(name: str, value: Any, shape: tuple[int, int]) -> IntArray:
 
 
 def label_text(label: int) -> str:
-    """Return a label for messages: a number, or a color.
-
-    Examples
-    --------
-    >>> label_text(7), label_text(COLORED + 0xFF8000)
-    ('7', '#ff8000')
-    """
+    """Return a label for messages: a number, or a color such as '#ff8000'."""
     colored = COLORED <= label < 2 * COLORED
     return f"#{label - COLORED:06x}" if colored else str(label)
 
@@ -79,20 +60,9 @@ def owners(shape: tuple[int, int], reduced: tuple[int, int]) -> IntArray:
 
 
 def reduced_labels(labels: IntArray, shape: tuple[int, int]) -> IntArray:
-    """Return a label image at a smaller size: the most frequent label in each pixel.
+    """Return a label image (H, W) at a smaller size: the most frequent label in each pixel.
 
     Of equally frequent labels the least is taken, so every pixel has one label that is there.
-
-    Parameters
-    ----------
-    labels : (H, W) array of int
-    shape : (height, width)
-        No larger than (H, W).
-
-    Examples
-    --------
-    >>> reduced_labels(np.array([[1, 1, 5, 5], [1, 5, 5, 5]]), (1, 2)).tolist()
-    [[1, 5]]
     """
     if labels.shape == shape:
         return labels
@@ -221,15 +191,7 @@ def _of_colors(file: Path, pixels: Any) -> IntArray:
 
 
 def read_npy(file: Path, max_pixels: int) -> Any:
-    """Return the array of a ``.npy`` file, of at most this number of rows times columns.
-
-    Raises
-    ------
-    FileError
-        If it has more.
-    ValueError, OSError
-        If the file cannot be read; it is never executed.
-    """
+    """Return the array of a ``.npy`` file of at most `max_pixels` rows times columns."""
     with file.open("rb") as stream:
         version = np.lib.format.read_magic(stream)
         read = (

@@ -23,45 +23,17 @@ SPARSE = 61
 
 
 def as_pixels(image: ArrayLike, name: str = "image", *, max_pixels: int | None = None) -> Array:
-    """Return an image as (H, W, 3) or (H, W, 4) float64 in [0, 1].
+    """Return an image as (H, W, 3) or (H, W, 4) float64 sRGB in [0, 1], or raise InputError.
 
-    Parameters
-    ----------
-    image : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) array
-        uint8, uint16, bool, or float in [0, 1].
-    name : str
-        The name of the image in error messages.
-    max_pixels : int, optional
-        Largest number of pixels; a larger image raises an error.
-
-    Returns
-    -------
-    (H, W, 3) or (H, W, 4) float64 array
-        sRGB in [0, 1]. If any pixel is not opaque there is a fourth channel, opacity. Colors are
-        not multiplied by it.
-
-    Raises
-    ------
-    InputError
-        If an image cannot have the shape, dtype or values of the array.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> as_pixels(np.array([[0, 255]], np.uint8)).tolist()
-    [[[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]]
+    It is given as (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), of uint8, uint16, bool, or float in
+    [0, 1]. If any pixel is not opaque there is a fourth channel, opacity; colors are not multiplied
+    by it.
     """
     return as_unit(as_samples(image, name, max_pixels=max_pixels))
 
 
 def as_samples(image: ArrayLike, name: str = "image", *, max_pixels: int | None = None) -> AnyArray:
-    """Return an image as `as_pixels` does, but integers as they are, which takes less memory.
-
-    Returns
-    -------
-    (H, W, 3) or (H, W, 4) array
-        uint8, uint16 or float64; `clmorph.images.resizing.as_unit` converts it.
-    """
+    """Return an image as `as_pixels` does, but integers as they are, which takes less memory."""
     if isinstance(image, str | PathLike):
         raise InputError(
             f"{name} is a path: expected an array; use clmorph.read_image({shown(image)})"
@@ -110,10 +82,7 @@ def _checked_floats(pixels: Array, name: str) -> Array:
 
 
 def as_rgb(image: ArrayLike, name: str = "image") -> Array:
-    """Return an image as (H, W, 3) float64 in [0, 1], composited on white where transparent.
-
-    Parameters and errors are those of `as_pixels`.
-    """
+    """Return an image as (H, W, 3) float64 in [0, 1], composited on white where transparent."""
     colors, alpha = split_alpha(as_pixels(image, name))
     return colors if alpha is None else colors * alpha[..., None] + (1.0 - alpha[..., None])
 
@@ -135,17 +104,9 @@ def split_alpha(
 
 
 def block_size(image: AnyArray) -> int:
-    """Return k if an image consists of k x k blocks of one color each, as enlarged sprites do.
+    """Return the largest k if an image consists of k x k blocks of one color each, otherwise 1.
 
-    Parameters
-    ----------
-    image : (H, W, C) array
-        Colors of invisible pixels are ignored.
-
-    Returns
-    -------
-    int
-        The largest such k; 1 for all other images, and for images of a single color.
+    Colors of invisible pixels are ignored; an image of a single color has no blocks.
     """
     places = [*_changes(image, 0), *_changes(image, 1)]
     return int(np.gcd.reduce([*image.shape[:2], *places])) if places else 1
@@ -274,15 +235,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Ar
 
 
 def read_visible(path: str | PathLike[str], max_pixels: int = MAX_PIXELS) -> AnyArray:
-    """Read an image file as `read_image` does, in the form of `as_samples`.
-
-    Raises
-    ------
-    InputError
-        As `read_image`.
-    FileError
-        As `read_image`, and if every pixel is transparent.
-    """
+    """Read an image file as `as_samples` has it; if every pixel is transparent raise FileError."""
     samples, notes = _read(path, max_pixels)
     for note in notes:
         warnings.warn(note, ImageWarning, stacklevel=2)

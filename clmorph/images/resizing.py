@@ -26,27 +26,11 @@ def resized(
     *,
     weighted: bool = False,
 ) -> Array:
-    """Return an image at another size, by linear interpolation after smoothing where it shrinks.
+    """Return an image (H, W, C) at another size, linearly interpolated, smoothed where it shrinks.
 
-    Parameters
-    ----------
-    image : (H, W, C) array
-        uint8 or uint16, whose largest value becomes 1, or float.
-    shape : (height, width)
-    mode : {"mirror", "edge"}
-        What lies beyond the border: the image mirrored at its outermost pixels, or these.
-    weighted : bool
-        Whether colors are multiplied by the fourth channel, opacity, and stay so.
-
-    Returns
-    -------
-    (height, width, C) array
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> resized(np.array([[[0], [255]]], np.uint8), (1, 4), "edge").ravel().tolist()
-    [0.0, 0.25, 0.75, 1.0]
+    The largest value of integers becomes 1. Beyond the border lies the image mirrored at its
+    outermost pixels ("mirror"), or these ("edge"). With `weighted` colors are multiplied by the
+    fourth channel, opacity, and stay so.
     """
     (height, width), channels = image.shape[:2], image.shape[2]
     if (height, width) == shape:
@@ -64,14 +48,7 @@ def resized(
 
 
 def as_unit(samples: AnyArray, *, weighted: bool = False) -> Array:
-    """Return samples as float64, those of integers in [0, 1].
-
-    Parameters
-    ----------
-    samples : (H, W, C) array
-    weighted : bool
-        Whether colors are multiplied by the fourth channel, opacity.
-    """
+    """Return samples (H, W, C) as float64, integers in [0, 1]; `weighted` multiplies by opacity."""
     if samples.dtype.kind == "u":
         made = samples / float(np.iinfo(samples.dtype).max)
     else:

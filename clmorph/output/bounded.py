@@ -23,19 +23,7 @@ UNREADABLE = (
 
 
 class BoundedFile(io.FileIO):
-    """A file of which only a limited number of bytes can be read.
-
-    Parameters
-    ----------
-    path : Path
-    in_all, at_once : int, optional
-        Bytes that may be read altogether, and in one call.
-
-    Raises
-    ------
-    ValueError
-        Raised by `read`, `readall` and `readinto` when the caller requests more.
-    """
+    """A file that raises ValueError when a reader requests too many bytes, in all or at once."""
 
     def __init__(self, path: Path, *, in_all: int | None = None, at_once: int | None = None):
         super().__init__(path)
@@ -67,13 +55,10 @@ class BoundedFile(io.FileIO):
 
 
 def from_text(text: str | bytes) -> Any:
-    """Return the value of a JSON text, within the limits that clmorph keeps when it writes.
+    """Return the value of a JSON text, or raise ValueError or RecursionError.
 
-    Raises
-    ------
-    ValueError, RecursionError
-        If the text is longer than `MAX_TEXT`, is not JSON, has a key twice, or holds a number
-        that is not finite.
+    A text is refused if it is longer than `MAX_TEXT`, has a key twice, or holds a number that is
+    not finite.
     """
     if len(text) > MAX_TEXT:
         raise ValueError(f"its parameters have more than {MAX_TEXT} characters")

@@ -15,13 +15,7 @@ MAX_SIDE = 16384
 
 
 def check_color(color: Any) -> str:
-    """Return the color if Pillow knows it.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
+    """Return the color, or raise InputError if Pillow does not know it."""
     from PIL import ImageColor
 
     try:
@@ -36,13 +30,7 @@ def check_color(color: Any) -> str:
 
 
 def as_canvas(canvas: Any) -> Any:
-    """Return a canvas as one of `CANVASES` or as (width, height).
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
+    """Return a canvas as one of `CANVASES` or as (width, height), or raise InputError."""
     if isinstance(canvas, str) and canvas in CANVASES:
         return canvas
     sides: Any = canvas

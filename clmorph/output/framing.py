@@ -23,18 +23,10 @@ def in_time(shapes: Iterable[tuple[int, ...]], times: NDArray[Any]) -> list[tupl
 
 
 def enlargement(canvas: Any, shapes: Iterable[tuple[int, ...]]) -> float:
-    """Return the enlargement by a canvas of a given size of the frame that it enlarges least.
+    """Return the factor by which a canvas enlarges the frame that it enlarges least.
 
-    Parameters
-    ----------
-    canvas : {"dynamic", "source", "target"} or (width, height)
-    shapes : iterable of (H, W, C)
-
-    Returns
-    -------
-    float
-        At most 1 if a frame is at least as large as the canvas, and for canvases with a name,
-        whose size comes from the frames.
+    It is at most 1 if a frame is as large as the canvas, and 1 for canvases with a name, whose size
+    comes from the frames.
     """
     if isinstance(canvas, str):
         return 1.0
@@ -45,22 +37,10 @@ def enlargement(canvas: Any, shapes: Iterable[tuple[int, ...]]) -> float:
 def enlargement_note(
     style: FrameStyle, shapes: Iterable[tuple[int, ...]], pixelated: bool, size: int | None
 ) -> str | None:
-    """Return a note for a user whose canvas enlarges all frames and so makes them soft.
+    """Return a note for a user whose canvas enlarges all frames by at least `ENLARGED`, or None.
 
-    Parameters
-    ----------
-    style : FrameStyle
-    shapes : iterable of (H, W, C)
-        Shapes of the frames.
-    pixelated : bool
-        Whether the pictures are pixel art, which stays sharp.
-    size : int or None
-        The longer side to which pictures were reduced (``--size``); None if they were not.
-
-    Returns
-    -------
-    str or None
-        None unless frames are enlarged by at least `ENLARGED`.
+    `size` is the longer side in pixels to which pictures were reduced (``--size``), None if they
+    were not. Pixel art gets no note, because it stays sharp.
     """
     shapes = list(shapes)
     factor = enlargement(style.canvas, shapes)
@@ -77,28 +57,11 @@ def enlargement_note(
 
 
 class Framing:
-    """Bring frames to one size.
+    """Bring frames of `shapes` (H, W, C), in the order of the morph's time, to one size.
 
-    Parameters
-    ----------
-    style : FrameStyle
-    shapes : iterable of (H, W, C)
-        Shapes of the frames, in the order of the morph's time; see `in_time`.
-    pixelated : bool
-        Whether the pictures are pixel art.
-    side : int
-        The least length of the longer side where the style leaves the size open, in pixels.
-    even : bool
-        Whether the size is rounded up to even numbers, for video.
-    opacity : bool
-        Whether the file can hold opacity.
-
-    Attributes
-    ----------
-    size : (width, height)
-    nearest : bool
-    clear : bool
-        Whether pictures have opacity.
+    `side` is the least length in pixels of the longer side where the style leaves the size open.
+    With `even` the size is rounded up to even numbers, for video; `opacity` tells whether the file
+    can hold it. The attribute `size` is (width, height), and `clear` whether pictures have opacity.
     """
 
     def __init__(
@@ -145,11 +108,9 @@ class Framing:
         return color if isinstance(color, tuple) else (color,) * 3
 
     def __call__(self, frame: NDArray[np.uint8]) -> "Image":
-        """Return a frame (H, W, 3 or 4) on the canvas, as RGB, or RGBA if `clear`.
+        """Return a frame (H, W, 3 or 4) centered on the canvas, as RGB, or RGBA if `clear`.
 
-        The frame is scaled to fit with its aspect ratio kept, and centered. The background
-        surrounds it, or transparent pixels if the pictures have opacity. Pixel art is enlarged by
-        whole factors, so that its pixels stay squares of one size.
+        Pixel art is enlarged by whole factors, so that its pixels stay squares of one size.
         """
         from PIL import Image
 
@@ -204,9 +165,8 @@ class Framing:
 def _resampled(picture: "Image", size: tuple[int, int], how: "Resampling") -> "Image":
     """Return an RGBA picture at another size.
 
-    Colors are multiplied by opacity for the resampling, so that the colors of transparent pixels
-    do not show at edges. Both overshoot there by the same factor; opacity is clipped only after
-    the division by it, or a light rim would remain.
+    Colors are multiplied by opacity for it, so that those of transparent pixels do not show at
+    edges. Opacity is clipped only after the division by it, or a light rim would remain.
     """
     from PIL import Image
 

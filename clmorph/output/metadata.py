@@ -22,13 +22,7 @@ IMAGE_DESCRIPTION = 0x010E
 
 
 def as_text(parameters: Mapping[str, Any]) -> str:
-    """Return parameters as JSON in ASCII.
-
-    Raises
-    ------
-    TypeError, ValueError, RecursionError
-        If JSON cannot represent them, or the text is longer than `MAX_TEXT`.
-    """
+    """Return parameters as JSON in ASCII, or raise TypeError, ValueError or RecursionError."""
     text = json.dumps(dict(parameters), allow_nan=False)
     if len(text) > MAX_TEXT:
         raise ValueError(f"{len(text)} characters are too many: files hold at most {MAX_TEXT}")
@@ -36,13 +30,7 @@ def as_text(parameters: Mapping[str, Any]) -> str:
 
 
 def checked_parameters(parameters: Any) -> Mapping[str, Any]:
-    """Return the parameters that a caller gave for a file.
-
-    Raises
-    ------
-    InputError
-        If they are no mapping, or JSON cannot represent them.
-    """
+    """Return a caller's parameters for a file; InputError if JSON cannot represent them."""
     if not isinstance(parameters, Mapping):
         raise InputError(f"parameters={shown(parameters)}: expected a mapping that JSON takes")
     try:
@@ -73,17 +61,7 @@ def read_png(path: Path) -> str:
 
 @contextmanager
 def image_head(reader: "type[ImageFile]", path: Path) -> Iterator["ImageFile"]:
-    """Yield the image as Pillow reads it before its pixels, from at most `MAX_HEAD` bytes.
-
-    Parameters
-    ----------
-    reader : class of Pillow
-    path : Path
-
-    Yields
-    ------
-    ImageFile
-    """
+    """Yield the image as Pillow reads it before its pixels, from at most `MAX_HEAD` bytes."""
     from PIL import Image
 
     try:

@@ -86,13 +86,7 @@ WRITERS: dict[str, Callable[[Array, Mapping[str, Any], Path], None]] = {
 
 
 def check_picture_place(path: str | PathLike[str]) -> Path:
-    """Return the path at which a picture can be written, before it is computed.
-
-    Raises
-    ------
-    OutputError
-        If the ending is unknown, or the path cannot be written to.
-    """
+    """Return the path of a picture to be written, or raise OutputError if it cannot be written."""
     if not is_path(path):
         raise OutputError(f"path={shown(path)}: expected a path such as 'out.png'")
     ending = Path(path).suffix.lower()
@@ -105,16 +99,7 @@ def check_picture_place(path: str | PathLike[str]) -> Path:
 
 
 def write_picture(pixels: Array, parameters: Mapping[str, Any], file: Path) -> None:
-    """Write a picture to a new file in the format of its ending.
-
-    Parameters
-    ----------
-    pixels : (H, W, 3) or (H, W, 4) array
-        sRGB in [0, 1].
-    parameters : mapping
-        Metadata, as values that JSON can represent.
-    file : Path
-    """
+    """Write sRGB (H, W, 3 or 4) in [0, 1] and metadata to a new file in the ending's format."""
     WRITERS[file.suffix.lower()](pixels, parameters, file)
 
 

@@ -16,24 +16,9 @@ SMOOTH = 30
 
 
 def eased(times: NDArray[np.float64], ease: Ease) -> NDArray[np.float64]:
-    """Return the times of the morph that frames at evenly spaced times show.
+    """Return the times of the morph, never decreasing, that frames at evenly spaced times show.
 
-    Parameters
-    ----------
-    times : (n,) array
-        Evenly spaced times from 0 to 1.
-    ease : {"linear", "smooth", "in", "out"}
-        "in" starts slowly, "out" ends slowly, "smooth" does both.
-
-    Returns
-    -------
-    (n,) array
-        Never decreasing times; 0 and 1 are unchanged.
-
-    Raises
-    ------
-    InputError
-        If `ease` has another value.
+    "in" starts slowly, "out" ends slowly, "smooth" does both; 0 and 1 are unchanged.
     """
     PlaybackOptions.checked("ease", ease)
     if ease == "smooth":
@@ -45,24 +30,12 @@ def eased(times: NDArray[np.float64], ease: Ease) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Motion:
-    """The timing of a recording: frame rate, holds and loop.
+    """The timing of a recording: frame rate, holds and loop."""
 
-    Attributes
-    ----------
-    fps : float
-        Frames per second.
-    hold : float
-        Seconds by which the pictures themselves are shown longer than other frames: the first, the
-        last, and those between in a chain.
-    loop : {"loop", "ping-pong", "once"}
-
-    Raises
-    ------
-    InputError
-        If one of the attributes has an invalid value.
-    """
-
+    #: Frames per second.
     fps: float = FPS
+    #: Seconds by which the pictures themselves are shown longer than other frames: the first, the
+    #: last, and those between in a chain.
     hold: float = PlaybackOptions.hold
     loop: Loop = PlaybackOptions.loop
 
@@ -75,21 +48,10 @@ class Motion:
         cls, duration: float, holds: NDArray[np.bool_], hold: float = PlaybackOptions.hold,
         loop: Loop = PlaybackOptions.loop,
     ) -> "Motion":  # fmt: skip
-        """Return the motion whose one round takes so many seconds.
+        """Return the motion whose one round takes `duration` seconds, holds included.
 
-        Parameters
-        ----------
-        duration : float
-            Seconds, holds included.
-        holds : (n,) array of bool
-            Whether a frame is one of the pictures, and so is held.
-        hold, loop
-            See the attributes of `Motion`.
-
-        Raises
-        ------
-        InputError
-            If the holds alone take as long, or the frame rate would be outside 0.1 to 240.
+        `holds` marks the frames that are pictures. InputError is raised if the holds alone take as
+        long, or the frame rate would be outside 0.1 to 240.
         """
         check_number("duration", duration, 0.0, 1e6, open_low=True)
         trial = cls(1.0, hold, loop).played(holds)
@@ -113,18 +75,10 @@ class Motion:
         return Fraction(self.fps).limit_denominator(1001)
 
     def rate_for(self, seconds: list[float]) -> Fraction:
-        """Return the frame rate at which each duration is a whole number of frames.
+        """Return the frame rate at which each duration (s) is a whole number of frames.
 
-        Parameters
-        ----------
-        seconds : list of float
-            Durations of the frames, as `played` returns them.
-
-        Returns
-        -------
-        Fraction
-            `rate` if all durations are whole numbers of its frames. Otherwise the first multiple of
-            `rate`, at least `SMOOTH`, at which no duration is off by more than half a frame.
+        It is `rate` if that suffices, otherwise the first multiple of it, at least `SMOOTH`, at
+        which no duration is off by more than half a frame.
         """
         frames = np.array(seconds) * float(self.rate)
         if np.all(np.abs(frames - np.round(frames)) < 0.01):
@@ -137,50 +91,20 @@ class Motion:
         return there + there[-2:0:-1] if self.loop == "ping-pong" else there
 
     def played(self, holds: NDArray[np.bool_]) -> list[tuple[int, float]]:
-        """Return the frames of one round and the seconds that each is shown.
-
-        Parameters
-        ----------
-        holds : (n,) array of bool
-            Whether a frame is one of the pictures, and so is held.
-        """
+        """Return the frames of one round and their seconds; `holds` (n,) marks the pictures."""
         even = 1.0 / self.fps
         return [(index, even + self.hold * holds[index]) for index in self.order(len(holds))]
 
 
 def motion_of(options: PlaybackOptions, holds: NDArray[np.bool_]) -> Motion:
-    """Return the motion that options ask for.
-
-    Parameters
-    ----------
-    options : PlaybackOptions
-    holds : (n,) array of bool
-        Whether a frame is one of the pictures, and so is held.
-
-    Raises
-    ------
-    InputError
-        If the requested duration is impossible.
-    """
+    """Return the motion that options ask for; `holds` (n,) marks the frames that are pictures."""
     if options.duration is not None:
         return Motion.lasting(options.duration, holds, options.hold, options.loop)
     return Motion(FPS if options.fps is None else options.fps, options.hold, options.loop)
 
 
 def whole_units(seconds: list[float], per_second: int | Fraction) -> list[int]:
-    """Round durations to a file's unit so that their sums stay true.
-
-    Parameters
-    ----------
-    seconds : list of float
-    per_second : int or Fraction
-        Units per second.
-
-    Returns
-    -------
-    list of int
-        At least 1 each.
-    """
+    """Round durations (s) to a file's unit, at least 1 each, so that their sums stay true."""
     # Halves, which are frequent with holds, are all rounded up, whatever the rounding errors of the
     # sums, so that equal durations side by side stay equal.
     ends = np.floor(np.cumsum(seconds) * float(per_second) + (0.5 + 1e-6)).astype(int)
@@ -188,18 +112,9 @@ def whole_units(seconds: list[float], per_second: int | Fraction) -> list[int]:
 
 
 def held_frames(n_images: int, n_frames: int) -> NDArray[np.bool_]:
-    """Return which frames of a chain of morphs are pictures themselves.
+    """Return which frames of a chain of morphs, each of `n_frames`, are pictures themselves.
 
-    Parameters
-    ----------
-    n_images : int
-        Pictures of the chain; each morph begins with the frame that the one before ended with.
-    n_frames : int
-        Frames of each morph, both ends included.
-
-    Returns
-    -------
-    ((n_images - 1) (n_frames - 1) + 1,) array of bool
+    The result has (n_images - 1) (n_frames - 1) + 1 entries, because neighbors share a frame.
     """
     holds = np.zeros((n_images - 1) * (n_frames - 1) + 1, bool)
     holds[:: n_frames - 1] = True

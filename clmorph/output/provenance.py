@@ -15,21 +15,11 @@ START = 64
 
 
 def read_parameters(path: Path) -> dict[str, Any]:
-    """Return the parameters that a file of clmorph was made with.
+    """Return the parameters that a file of clmorph was made with, or raise InputError.
 
-    At most some megabytes of the file are read, whatever its content, and no pixels.
-
-    Parameters
-    ----------
-    path : Path
-        A file of any format that `clmorph.save` or `clmorph.write_image` writes, a folder of
-        frames, or a recipe in JSON.
-        Its format is recognized by its content, whatever its name.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or does not contain parameters of clmorph.
+    `path` is a file of any format that `clmorph.save` or `clmorph.write_image` writes, a folder of
+    frames, or a recipe in JSON; its content decides which. At most some megabytes of it are read,
+    and no pixels.
     """
     if path.is_dir():
         path = min(path.glob("frame-*"), default=path)

@@ -34,34 +34,22 @@ class Drawn(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Rendered frames and their timing.
+    """Rendered frames and their timing."""
 
-    Attributes
-    ----------
-    frames : sequence of (H, W, 3) or (H, W, 4) arrays
-        uint8, or floats in [0, 1]; each of its own size, in the order of playback.
-    shapes : list of (H, W, C)
-        The frames' shapes.
-    times : (n,) array
-        The time of each frame, from 0 to the number of morphs; descending if reversed.
-    holds : (n,) array of bool
-        Whether a frame is one of the pictures, and so is shown longer.
-    motion : Motion
-    pixelated : bool
-        Whether all pictures are pixel art.
-    parameters : dict
-        The metadata of the files, as `json.dumps` takes them.
-    morphs : list of Morph
-        The morphs, for formats that store more than frames; empty if they were not kept.
-    """
-
+    #: (H, W, 3) or (H, W, 4), uint8 or floats in [0, 1], each of its own size, in the order of
+    #: playback.
     frames: Sequence[NDArray[Any]]
     shapes: list[tuple[int, ...]]
+    #: From 0 to the number of morphs; descending if reversed.
     times: NDArray[np.float64]
+    #: Whether a frame is one of the pictures, and so is shown longer.
     holds: NDArray[np.bool_]
     motion: Motion
+    #: Whether all pictures are pixel art.
     pixelated: bool = False
+    #: The metadata of the files, as `json.dumps` takes them.
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    #: For formats that store more than frames; empty if they were not kept.
     morphs: list[FrameSequence] = field(default_factory=list)
 
     def __len__(self) -> int:
@@ -102,31 +90,11 @@ def recorded(
     folder: Path | None = None,
     progress: StageProgress | None = None,
 ) -> Iterator[Recording]:
-    """Render morphs one after the other, each frame once, onto disk.
+    """Render morphs one after the other, each frame once, into a temporary file in `folder`.
 
-    Parameters
-    ----------
-    morphs : iterable of Morph, or of other objects that draw frames
-        Each begins with the picture that the one before ends with. They are taken one by one,
-        so that only one is in memory at a time.
-    motion : Motion
-    reverse : bool
-        Whether frames are played from the end to the beginning.
-    n_morphs : int
-        Number of morphs, for the names of stages.
-    exact : bool
-        Whether frames are kept as floats, for files that hold more than 8 bits.
-    keep : bool
-        Whether the morphs themselves are kept too, for formats that need them.
-    pixelated, parameters
-        As in `Recording`.
-    folder : Path, optional
-        Folder of the temporary file that holds the frames.
-    progress : callable, optional
-
-    Yields
-    ------
-    Recording
+    Each morph begins with the picture that the one before ends with; only one is in memory at a
+    time. With `exact` frames are kept as floats, and with `keep` the morphs are kept too, for
+    formats that need them. `n_morphs` is for the names of stages.
     """
     report = progress or (lambda stage, share: None)
     times: list[float] = []

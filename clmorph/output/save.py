@@ -40,24 +40,8 @@ __all__ = ["FORMATS", "PACE", "SIZES", "Output", "metadata_of", "save", "write_a
 class Output:
     """The path and format of a file to be written, checked before any computation.
 
-    Parameters
-    ----------
-    path : path
-    format : str, optional
-        A name of `FORMATS`, which overrides the ending of the path.
-
-    Attributes
-    ----------
-    path : Path
-    format : Format
-    name : str
-        The name of the format.
-
-    Raises
-    ------
-    OutputError
-        If the ending is unknown, the path cannot be written to, or a library that the format needs
-        is missing.
+    The name `format` of `FORMATS` overrides the path's ending. OutputError is raised if the ending
+    is unknown, the path cannot be written to, or a library that the format needs is missing.
     """
 
     def __init__(self, path: str | PathLike[str], format: str | None = None) -> None:
@@ -107,25 +91,9 @@ def write_all(
     report: Callable[[Output, float], None] | None = None,
     texts: Mapping[Path, str] | None = None,
 ) -> None:
-    """Write a recording to one or several files: all of them whole, or none.
+    """Write a recording, and `texts` by their paths, to files: all of them whole, or none.
 
-    Parameters
-    ----------
-    outputs : sequence of Output
-    recording : Recording
-        A recording made with the `exact` and `keep` that the formats need.
-    style : FrameStyle, optional
-    report : callable, optional
-        Called with an output and the share of it done.
-    texts : mapping, optional
-        Further texts to be written, each by the path of its file.
-
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
-    InputError
-        If a format or style does not suit the recording, or two outputs have the same path.
+    The recording was made with the `exact` and `keep` that the formats need.
     """
 
     def write(output: Output, new: Path) -> None:
@@ -249,14 +217,9 @@ def held_frames_of(chain: Sequence[FrameSequence]) -> NDArray[np.bool_]:
 
 
 def metadata_of(morphs: Sequence[FrameSequence], options: Options) -> dict[str, Any]:
-    """Return the recipe that a file holds.
+    """Return the recipe that a file holds: of all morphs if some were made with other options.
 
-    Parameters
-    ----------
-    morphs : sequence of Morph
-    options : Options
-        The first morph's options, with those given to `save`. If some morphs were made with other
-        options than the first, the recipe lists all morphs; landmarks may differ.
+    `options` are those of the first morph, with those given to `save`; landmarks may differ.
     """
     own = {*specifications(PlaybackOptions), *specifications(FrameStyle), LANDMARKS}
     each = [

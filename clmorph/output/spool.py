@@ -22,19 +22,11 @@ IN_MEMORY = 128 * 1024**2
 class Spool(Sequence[NDArray[Any]]):
     """A sequence of arrays of any shapes and one dtype: a few in memory, more in a temporary file.
 
-    A spool is used in a `with` block, at whose end the temporary file is removed. Where the
-    operating system supports files without names, the file has none, so that its disk space is
-    freed however the process ends. On Windows the file has a name until it is closed, and on
-    network disks it can get one. Therefore it lies in a staging folder, which does not count as
-    content of the folder (see `files.is_empty`) and which the next run removes if this process is
-    killed.
-
-    Parameters
-    ----------
-    dtype : dtype
-    folder : Path, optional
-        The folder in which the staging folder is made when the frames exceed `IN_MEMORY`. By
-        default the file goes to the system's folder for temporary files, without a staging folder.
+    The file is removed at the end of the `with` block. Where the operating system supports files
+    without names it has none, so that its disk space is freed however the process ends. Elsewhere
+    (Windows, network disks) it has one; therefore it lies in a staging folder in `folder`, which
+    the next run removes if this process is killed. Without `folder` it lies in the system's
+    temporary folder.
     """
 
     def __init__(self, dtype: Any, folder: Path | None = None) -> None:

@@ -10,22 +10,10 @@ def write_together(
     writers: Sequence[tuple[Path, Path, Callable[[Path], None]]],
     texts: Mapping[Path, str] | None = None,
 ) -> None:
-    """Write several files, and texts beside them.
+    """Write several files, and `texts` by their paths, all of them whole or none.
 
-    Parameters
-    ----------
-    writers : sequence of (place, path, function)
-        The place of a file, its path as the user gave it, and the function that writes it to the
-        path of a temporary file.
-    texts : mapping, optional
-        Further texts to be written in UTF-8, each by the path of its file.
-
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
-    InputError
-        If two files have the same path.
+    A writer is (place of a file, path as the user gave it, function that writes to a temporary
+    path).
     """
     beside = dict(texts or {})
     places = [*(place for place, _, _ in writers), *beside]

@@ -31,28 +31,17 @@ LANDMARKS_FOUND = "auto"
 
 @dataclass(frozen=True)
 class Choices:
-    """What is chosen on the page.
-
-    Attributes
-    ----------
-    kind : Kind
-    preset : str
-    given : mapping
-        Values by names in Python.
-    device : str
-        What `clmorph.get_backend` takes.
-    grid : str
-        Sides of the grid, as the command line takes them; "" for the usual ones, or for kinds
-        without a grid.
-    painted : bool
-        Whether painted regions count.
-    """
+    """What is chosen on the page."""
 
     kind: Kind
     preset: str = AUTO
+    #: Values by names in Python.
     given: Mapping[str, Any] = field(default_factory=dict)
+    #: What `clmorph.get_backend` takes.
     device: str = "auto"
+    #: Sides of the grid, as the command line takes them; "" for the usual ones, or without a grid.
     grid: str = ""
+    #: Whether painted regions count.
     painted: bool = False
 
     def options(self, recognized: str) -> Any:
@@ -85,19 +74,11 @@ class Choices:
 
 
 def read_choices(asked: Any) -> Choices:
-    """Return the choices that the page has sent.
+    """Return the choices that the page has sent, or raise InputError.
 
-    Parameters
-    ----------
-    asked : mapping
-        ``kind``, ``preset``, ``device``, ``settings`` (texts by names outside, truth values for
-        flags), ``grid``, ``painted`` and ``landmarks`` (pairs of points, or "auto").
-
-    Raises
-    ------
-    InputError
-        If an option is unknown, or a value stands for nothing. The names of files are no values
-        here, unlike on the command line.
+    It sends ``kind``, ``preset``, ``device``, ``settings`` (texts by names outside, truth values
+    for flags), ``grid``, ``painted`` and ``landmarks`` (pairs of points, or "auto"). The names of
+    files are no values here, unlike on the command line.
     """
     if not isinstance(asked, Mapping) or not isinstance(asked.get("settings", {}), Mapping):
         raise InputError("settings: expected texts by the names of options")
@@ -267,8 +248,8 @@ def memory_given(options: Options, choices: Choices) -> Choices:
 def with_reach(choices: Choices, recognized: str) -> Choices:
     """Return choices in which regions of different sizes can go into each other.
 
-    Regions are problems of their own, and in balanced ones masses must be equal. Where a preset is
-    balanced, painted regions therefore bring the usual reach with them.
+    In balanced problems the masses of each region must be equal. Where a preset is balanced,
+    painted regions therefore bring the usual reach with them.
     """
     named = {"reach", "rho"} & set(choices.given)
     if choices.kind.painted != "labels" or not choices.painted or named:

@@ -39,32 +39,16 @@ FRAMED = "frame-ancestors 'self'"
 
 @dataclass(frozen=True)
 class Access:
-    """Who may send requests.
+    """Who may send requests."""
 
-    Attributes
-    ----------
-    host : str
-        The address or name at which the studio listens.
-    port : int
-    token : str
-        The secret that a browser has to bring; empty if none is needed.
-    """
-
+    #: The address or name at which the studio listens.
     host: str
     port: int
+    #: The secret that a browser has to bring; empty if none is needed.
     token: str = ""
 
     def refusal(self, headers: Mapping[str, str], path: str, cookie: str = "") -> str:
-        """Return why a request is refused; an empty text if it is not.
-
-        Parameters
-        ----------
-        headers : mapping
-            Names in lower case.
-        path : str
-        cookie : str
-            The token that the request has brought.
-        """
+        """Return why a request is refused, or ""; header names are in lower case."""
         host = headers.get("host", "")
         if not self._is_ours(host):
             return "this host name is not the studio's"

@@ -25,54 +25,36 @@ _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of work.
+    """A kind of work."""
 
-    Attributes
-    ----------
-    name : str
-        The command of the command line that does the same.
-    title, action : str
-        What the page calls it, and what the button says that begins it.
-    help : str
-        What it does, in a sentence.
-    options : type
-        The class of its options, in which its controls are described.
-    main : mapping
-        The options that stand first, each with what it does to the picture.
-    sliders : mapping
-        Ends of their sliders, in the unit outside, and whether a step multiplies.
-    most : int
-        Largest number of pictures.
-    downloads : tuple of str
-        Endings of the files that the page offers.
-    output : str
-        The name of the file, without its ending.
-    film : bool
-        Whether the result is a film, and not a picture.
-    presets : bool
-        Whether there are presets.
-    grid : bool
-        Whether it shows a grid, whose sides are asked for.
-    landmarks : bool
-        Whether pairs of points can guide it.
-    painted : str
-        What painted regions are, a key of `PAINTED`, or "" if nothing is painted.
-    """
-
+    #: The command of the command line that does the same.
     name: str
+    #: What the page calls it.
     title: str
+    #: What the button says that begins it.
     action: str
+    #: What it does, in a sentence.
     help: str
+    #: The class of its options, in which its controls are described.
     options: type[Options]
+    #: The options that stand first, each with what it does to the picture.
     main: Mapping[str, str]
+    #: Ends of their sliders, in the unit outside, and whether a step multiplies.
     sliders: Mapping[str, tuple[float, float, bool]] = field(default_factory=lambda: _NOTHING)
+    #: Largest number of pictures.
     most: int = MAX_PICTURES
+    #: Endings of the files that the page offers.
     downloads: tuple[str, ...] = FILMS
+    #: The name of the file, without its ending.
     output: str = "morph"
+    #: Whether the result is a film, and not a picture.
     film: bool = True
     presets: bool = False
+    #: Whether it shows a grid, whose sides are asked for.
     grid: bool = False
+    #: Whether pairs of points can guide it.
     landmarks: bool = False
+    #: What painted regions are, a key of `PAINTED`, or "" if nothing is painted.
     painted: str = ""
 
     def described(self) -> dict[str, Any]:
@@ -108,19 +90,7 @@ class Kind:
 
 
 def painted_name(painted: str, name: str) -> str:
-    """Return the name of the file that holds the painted regions of a picture.
-
-    Parameters
-    ----------
-    painted : {"labels", "mask"}
-    name : str
-        The name of the picture's file.
-
-    Examples
-    --------
-    >>> painted_name("labels", "a.png"), painted_name("mask", "b.jpg")
-    ('a-labels.png', 'b-mask.png')
-    """
+    """Return the name of the file of a picture's painted regions, such as ``a-labels.png``."""
     return f"{PurePath(name).stem}{painted_ending(painted)}.png"
 
 

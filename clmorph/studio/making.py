@@ -100,10 +100,7 @@ class Film(Made):
 
 @dataclass(frozen=True)
 class Picture(Made):
-    """A recolored picture, sRGB in [0, 1]: (H, W, 3) or (H, W, 4) array.
-
-    `changed` is the mean change of its colors, in 255ths.
-    """
+    """A recolored picture, (H, W, 3 or 4) in [0, 1], and its colors' mean change in 255ths."""
 
     pixels: Array
     changed: float
@@ -138,20 +135,11 @@ class Sheet(Made):
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be made.
+    """What is to be made."""
 
-    Attributes
-    ----------
-    pictures : sequence of arrays
-        See `clmorph.images.pixels.as_samples`.
-    painted : sequence of Path
-        Files with painted regions, by what `clmorph.studio.kinds.Kind.painted` says.
-    options : Options
-    operations : Operations
-    grid : int, pair of int, or None
-    """
-
+    #: See `clmorph.images.pixels.as_samples`.
     pictures: Sequence[AnyArray]
+    #: Files with painted regions, by what `clmorph.studio.kinds.Kind.painted` says.
     painted: Sequence[Path]
     options: Any
     operations: Operations
@@ -222,15 +210,7 @@ MAKERS: dict[str, Callable[[Task, StageProgress], Made]] = {
 
 
 def small_tasks(kind: str, task: Task) -> list[Task]:
-    """Return tasks for previews, each finer than the one before.
-
-    Parameters
-    ----------
-    kind : str
-        A name of `clmorph.studio.kinds.KINDS`.
-    task : Task
-        The task whose result is previewed.
-    """
+    """Return tasks for previews of a task, each finer than the one before."""
     found: list[Task] = []
     for small in _SMALLER[kind](task):
         if not found or small.options != found[-1].options:

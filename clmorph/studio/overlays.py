@@ -19,18 +19,10 @@ LEAST = 1e-3
 
 
 def unmatched_shares(morph: FrameSequence) -> tuple[Array, Array]:
-    """Return the share of each pixel's mass that is destroyed, and that is created.
+    """Return the shares in [0, 1] of each pixel's mass that is destroyed, and created.
 
-    Parameters
-    ----------
-    morph : FrameSequence
-
-    Returns
-    -------
-    destroyed : (H, W) array
-        1 - (pi 1)_i / a_i at each pixel of the first picture, in [0, 1]; 0 without mass.
-    created : (H', W') array
-        The same for the columns of the plan and the second picture.
+    Destroyed is 1 - (pi 1)_i / a_i at each pixel (H, W) of the first picture, 0 without mass;
+    created (H', W') is the same for the columns of the plan and the second picture.
     """
     found = []
     rho = morph.potentials.rho

@@ -56,25 +56,16 @@ GONE = "this tab has been closed; load the page again"
 
 @dataclass
 class Studio:
-    """What all requests share.
+    """What all requests share."""
 
-    Attributes
-    ----------
-    folder : Path
-        The temporary folder.
-    worker : Worker
-    line_of : callable
-        How the command line says an error.
-    samples : sequence of Path
-        Pictures to begin with.
-    devices : list
-        What the page says of each device: ``name``, ``label``.
-    """
-
+    #: The temporary folder.
     folder: Path
     worker: Worker
+    #: How the command line says an error.
     line_of: work.LineOf
+    #: Pictures to begin with.
     samples: list[Path]
+    #: What the page says of each device: ``name``, ``label``.
     devices: list[dict[str, str]]
 
     def __post_init__(self) -> None:

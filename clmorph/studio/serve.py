@@ -39,29 +39,9 @@ def serve(
 ) -> None:
     """Serve the page until a signal ends the process.
 
-    Parameters
-    ----------
-    host : str
-        The address or name at which to listen. Unless it is a loopback address, a token is needed.
-    port : int or None
-        None: `PORT`, or a free one if it is taken. 0: a free one.
-    device : str
-        The device that the page offers first.
-    browser : bool
-        Whether the page is opened in the user's browser.
-    samples : callable
-        Writes the bundled pictures to a folder, and returns their paths.
-    line_of : callable
-        How an error is said.
-    say : callable
-        Prints a line.
-
-    Raises
-    ------
-    InputError
-        If the extra "studio" is missing, or the host or the port cannot be used.
-    OutputError
-        If the temporary folder cannot be made.
+    Unless `host` is a loopback address, a token is needed. With `port` None it listens at `PORT`,
+    or a free port if that is taken, and with 0 at a free port. `samples` writes the bundled
+    pictures to a folder, and `line_of` tells how an error is said.
     """
     need_studio()
     import uvicorn

@@ -29,16 +29,14 @@ MAX_NAME = 100
 
 @dataclass(frozen=True)
 class Shown:
-    """A picture of a tab: its file, its pixels (H, W, C), and what the page knows of it.
-
-    `painted` are the files with its painted regions, by the kind of these ("labels", "mask"), and
-    `notes` is what reading the file has warned of.
-    """
+    """A picture of a tab: its file, its pixels (H, W, C), and what the page knows of it."""
 
     path: Path
     pixels: Any = field(repr=False)
     key: str
+    #: Files with its painted regions, by their kind ("labels", "mask").
     painted: dict[str, Path] = field(default_factory=dict)
+    #: What reading the file has warned of.
     notes: tuple[str, ...] = ()
 
     @property
@@ -129,13 +127,7 @@ class Tabs:
         self._tabs: dict[str, Tab] = {}
 
     def open(self) -> Tab:
-        """Open a tab.
-
-        Raises
-        ------
-        InputError
-            If there are too many.
-        """
+        """Open a tab, or raise InputError if there are too many."""
         self.sweep()
         if len(self._tabs) >= MAX_TABS:
             left = [tab for tab in self._tabs.values() if not tab.listeners]

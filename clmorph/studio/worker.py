@@ -17,23 +17,14 @@ def _nothing() -> None:
 
 @dataclass(eq=False)
 class Job:
-    """A piece of work.
+    """A piece of work."""
 
-    Attributes
-    ----------
-    owner : str
-        The tab.
-    kind : {"preview", "run", "save"}
-    work : callable
-        It reports its result and its errors itself.
-    dropped : callable
-        Called once if the job was cancelled, before it began or in the middle.
-    cancellation : Cancellation
-    """
-
+    #: The tab.
     owner: str
     kind: Kind
+    #: It reports its result and its errors itself.
     work: Callable[[], None]
+    #: Called once if the job was cancelled, before it began or in the middle.
     dropped: Callable[[], None] = _nothing
     cancellation: Cancellation = field(default_factory=Cancellation)
 
@@ -50,13 +41,7 @@ class Worker:
         self._thread.start()
 
     def submit(self, job: Job, replaces: Iterable[Kind] = ()) -> int:
-        """Add a job, and cancel those of its tab that it replaces.
-
-        Returns
-        -------
-        int
-            The number of jobs of other tabs before it.
-        """
+        """Add a job, cancel those it replaces; return the number of other tabs' jobs before it."""
         self.cancel(job.owner, replaces)
         with self._changed:
             self._waiting.append(job)

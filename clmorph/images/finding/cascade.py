@@ -32,16 +32,6 @@ def cascade_faces(copy: Copy) -> list[Array]:
     """Return points of each face, the largest face first: (5, 2) arrays in pixels of the copy.
 
     The points lie at fixed places of the face's box: they tell its place and its size.
-
-    Parameters
-    ----------
-    copy : Copy
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> cascade_faces(Copy(np.zeros((50, 60, 3), np.uint8), (50, 60)))
-    []
     """
     kept: list[list[Array]] = []
     for number, found in enumerate(_passes(copy.pixels)):

@@ -23,18 +23,12 @@ LEAST = 48
 
 
 class Found(NamedTuple):
-    """Points that two pictures have in common.
+    """Points that two pictures have in common."""
 
-    Attributes
-    ----------
-    starts, ends : (n, 2) arrays
-        In pixels of each picture; none if nothing was found.
-    text : str
-        What was found, in a few words; "" if nothing was.
-    """
-
+    #: (n, 2), in pixels of each picture; n is 0 if nothing was found.
     starts: Array
     ends: Array
+    #: What was found, in a few words; "" if nothing was.
     text: str
 
 
@@ -42,19 +36,7 @@ NOTHING = Found(np.zeros((0, 2)), np.zeros((0, 2)), "")
 
 
 class Finder:
-    """Finds what images have in common, two at a time; what is known of one is kept.
-
-    Parameters
-    ----------
-    images : sequence of (H, W, 3) or (H, W, 4) arrays
-        sRGB in [0, 1], and opacity; of any size.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> Finder([np.zeros((64, 64, 3)), np.ones((64, 64, 3))]).common(0, 1).text
-    ''
-    """
+    """Finds what images (H, W, 3 or 4) have in common; what is known of one is kept."""
 
     def __init__(self, images: Sequence[Array]) -> None:
         self._images = images
@@ -100,30 +82,8 @@ class Finder:
 def figures(images: Sequence[Array]) -> list[BoolArray] | None:
     """Return what stands before the background in two images, (H, W) each.
 
-    An image with opacity shows its figure itself; in others a person is sought.
-
-    Parameters
-    ----------
-    images : (image_a, image_b)
-        (H, W, 3) or (H, W, 4) arrays.
-
-    Returns
-    -------
-    list of (H, W) arrays, or None
-        None if an image has no figure.
-
-    Raises
-    ------
-    InputError
-        If a person is to be sought, and the extra ``faces`` is missing.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> image = np.ones((2, 2, 4))
-    >>> image[0, 0, 3] = 0.0
-    >>> figures([image, image])[0].tolist()
-    [[False, True], [True, True]]
+    An image with opacity shows its figure itself; in others a person is sought, and InputError is
+    raised if the extra ``faces`` is missing. The result is None if an image has no figure.
     """
     found = []
     for image in images:

@@ -25,30 +25,17 @@ MOST, DISTANCE = 24, 0.03
 
 
 class Features(NamedTuple):
-    """Local features of a picture.
+    """Local features of a picture."""
 
-    Attributes
-    ----------
-    places : (n, 2) array
-        In pixels of the small copy.
-    descriptors : (n, 128) array
-    copy : Copy
-    """
-
+    #: (n, 2), in pixels of the small copy.
     places: Array
+    #: (n, 128).
     descriptors: AnyArray
     copy: Copy
 
 
 def features(copy: Copy) -> Features:
-    """Return the local features of a picture.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> len(features(Copy(np.zeros((64, 64, 3), np.uint8), (64, 64))).places)
-    0
-    """
+    """Return the local features of a picture."""
     from skimage.feature import SIFT
 
     model = SIFT(upsampling=1)
@@ -63,21 +50,10 @@ def features(copy: Copy) -> Features:
 
 
 def matches(one: Features, other: Features) -> tuple[Array, Array]:
-    """Return places of both pictures that show the same: (n, 2) arrays, n = 0 if nothing does.
+    """Return places of both pictures that show the same, (n, 2) in pixels; n is 0 if nothing does.
 
-    Parameters
-    ----------
-    one, other : Features
-
-    Returns
-    -------
-    starts, ends : (n, 2) arrays
-        In pixels of each picture.
-
-    References
-    ----------
-    Lowe (2004), "Distinctive image features from scale-invariant keypoints", International
-    Journal of Computer Vision 60(2), 91-110.
+    Lowe (2004), "Distinctive image features from scale-invariant keypoints", International Journal
+    of Computer Vision 60(2), 91-110.
     """
     from skimage.feature import match_descriptors
 

@@ -64,14 +64,7 @@ def _solutions() -> Iterator[Any]:
 
 
 def mesh_faces(copy: Copy, numbers: tuple[int, ...] = MESH) -> list[Array]:
-    """Return points of each face, the largest face first: (n, 2) arrays in pixels of the copy.
-
-    Parameters
-    ----------
-    copy : Copy
-    numbers : tuple of int
-        Numbers of points of the mesh.
-    """
+    """Return points of each face, the largest first: (n, 2) arrays in pixels of the copy."""
     found: list[Array] = []
     with _solutions() as models:
         boxes = _boxes(copy.pixels, models)
@@ -90,12 +83,7 @@ def mesh_faces(copy: Copy, numbers: tuple[int, ...] = MESH) -> list[Array]:
 
 
 def person(copy: Copy) -> BoolArray | None:
-    """Return where a person stands before a background, (H, W); None if nobody does.
-
-    Parameters
-    ----------
-    copy : Copy
-    """
+    """Return where a person stands before a background, (H, W); None if nobody does."""
     with (
         _solutions() as models,
         models.selfie_segmentation.SelfieSegmentation(model_selection=0) as model,

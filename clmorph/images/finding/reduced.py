@@ -17,27 +17,15 @@ UNDER = 0.5
 
 
 class Copy(NamedTuple):
-    """A small copy of a picture.
+    """A small copy of a picture."""
 
-    Attributes
-    ----------
-    pixels : (H, W, 3) uint8 array
-    shape : (height, width)
-        Shape of the picture.
-    """
-
+    #: (H, W, 3).
     pixels: Bytes
+    #: (height, width) of the picture.
     shape: tuple[int, int]
 
     def whole(self, places: Array) -> Array:
-        """Return places (n, 2) of the copy in pixels of the picture, rounded to tenths.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> Copy(np.zeros((4, 8, 3), np.uint8), (8, 16)).whole(np.array([[0.0, 3.0]])).tolist()
-        [[0.5, 6.5]]
-        """
+        """Return places (n, 2) of the copy in pixels of the picture, rounded to tenths."""
         small = np.array(self.pixels.shape[1::-1], float)
         size = np.array(self.shape[::-1], float)
         found = (np.asarray(places, float) + 0.5) / small * size - 0.5
@@ -45,20 +33,7 @@ class Copy(NamedTuple):
 
 
 def small_copy(image: AnyArray, most: int) -> Copy:
-    """Return a copy whose longer side has at most `most` pixels.
-
-    Parameters
-    ----------
-    image : (H, W, 3) or (H, W, 4) array
-        sRGB and opacity: integers, or floats in [0, 1].
-    most : int
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> small_copy(np.zeros((40, 30, 3)), 20).pixels.shape
-    (20, 15, 3)
-    """
+    """Return a copy of at most `most` pixels along the longer side; clear parts become gray."""
     shape = image.shape[:2]
     # Of large pictures every k-th pixel is enough: two to three times as many are left.
     step = max(1, max(shape) // (2 * most))

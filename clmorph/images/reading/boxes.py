@@ -8,14 +8,9 @@ _HOLDERS = {b"jp2h": 0, b"meta": 4, b"iprp": 0, b"ipco": 0}
 
 
 def boxes(data: bytes, start: int = 0, end: int | None = None) -> Iterator[tuple[bytes, bytes]]:
-    """Yield the kinds and the contents of the boxes that describe a picture, also of inner ones.
+    """Yield the kinds and contents of the boxes that describe a picture, until one is damaged.
 
-    Parameters
-    ----------
-    data : bytes
-        The whole file. What is damaged ends the boxes.
-    start, end : int
-        The part of it that is looked through; the end of the data by default.
+    Boxes inside of others are looked through too. `data` is the whole file.
     """
     end = len(data) if end is None else end
     while start + 8 <= end:

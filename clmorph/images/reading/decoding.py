@@ -27,27 +27,12 @@ Decoded = tuple[AnyArray, list[str]]
 
 
 def decode(file: Path, max_pixels: int) -> Decoded:
-    """Decode the first picture of a file.
+    """Decode the first picture of a file of at most `max_pixels`.
 
-    Parameters
-    ----------
-    file : Path
-    max_pixels : int
-        Largest number of pixels; a larger image is refused before it is decoded.
-
-    Returns
-    -------
-    (H, W), (H, W, 3) or (H, W, 4) array
-        sRGB in a form that `clmorph.images.pixels.as_pixels` accepts; floats are not checked.
-    list of str
-        Notes about the file, each of which continues the sentence "<name of the file> has".
-
-    Raises
-    ------
-    FileError
-        If the file is missing, too large, or of a kind that is not read.
-    Exception
-        Any exception of the decoder, if the file is damaged.
+    The array (H, W), (H, W, 3) or (H, W, 4) is sRGB in a form that `as_pixels` accepts; floats are
+    not checked. Each note continues the sentence "<name of the file> has". FileError is raised if
+    the file is missing, too large, or of a kind that is not read; a damaged one raises any
+    exception.
     """
     with Reader(file) as stream:
         if stream.read(4) in tiff_layout.SIGNATURES:
@@ -160,18 +145,10 @@ def _orientation(info: dict[Any, Any]) -> int:
 def _finished(
     colors: Any, alpha: AnyArray | None, description: Description, turned: int, notes: list[str]
 ) -> Decoded:
-    """Return sRGB with opacity, in the orientation in which the picture is viewed.
+    """Return sRGB with opacity, in the orientation (Exif's number) in which the picture is viewed.
 
-    Parameters
-    ----------
-    colors : PIL.Image.Image or array
-        An image of mode L, RGB, CMYK or LAB, or an array (H, W), (H, W, 3) or, for CMYK, (H, W, 4).
-    alpha : (H, W) array, optional
-    description : Description
-        What the file says about its colors.
-    turned : int
-        Orientation by Exif's numbers, 1 to 8.
-    notes : list of str
+    `colors` are a Pillow image of mode L, RGB, CMYK or LAB, or an array (H, W), (H, W, 3) or, for
+    CMYK, (H, W, 4).
     """
     profile, space, note = description
     notes = [*notes, note] if note else notes

@@ -24,17 +24,7 @@ _SYCC = b"\1\0\0\0\0\0\x12"
 def own_samples(picture: Any, file: Path) -> AnyArray | None:
     """Decode what Pillow would reduce to 8 bits, or decode slowly; None where this does not apply.
 
-    Parameters
-    ----------
-    picture : PIL.ImageFile.ImageFile
-        The picture, not decoded yet.
-    file : Path
-        Its file, which is opened a second time.
-
-    Returns
-    -------
-    (H, W) or (H, W, 2 to 4) array of uint8 or uint16, or None
-        The largest number of the dtype is full light.
+    The array (H, W) or (H, W, 2 to 4) is uint8 or uint16; the dtype's largest number is full light.
     """
     if picture.format not in (*_BITS, "QOI", "DDS"):
         return None

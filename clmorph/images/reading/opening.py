@@ -130,16 +130,9 @@ def _opened(name: str, file: Path, stream: IO[bytes], max_pixels: int) -> Any:
 
 
 def _accepts(name: str, start: bytes, unsigned: bool = False) -> bool | str:
-    """Return a plugin's answer to the first bytes of a file.
+    """Return a plugin's answer to the first bytes of a file, `unsigned` if it knows no signature.
 
-    Parameters
-    ----------
-    name : str
-        Pillow's name of the format. A format without a plugin accepts no file.
-    start : bytes
-        The first bytes of the file; too few of them can make a plugin fail.
-    unsigned : bool
-        The result for a format without a signature.
+    A format without a plugin accepts no file, and too few bytes can make a plugin fail.
     """
     from PIL import Image
 

@@ -17,21 +17,10 @@ _PROFILE_TOLERANCE = 2
 
 
 def to_srgb(picture: Any, profile: bytes | None) -> tuple[NDArray[np.uint8], str]:
-    """Convert the colors of a Pillow image by its profile.
+    """Convert a Pillow image of mode L, RGB, CMYK or LAB to sRGB by its ICC profile.
 
-    Parameters
-    ----------
-    picture : PIL.Image.Image
-        An image of mode L, RGB, CMYK or LAB.
-    profile : bytes, optional
-        ICC profile. Without one, RGB and gray count as sRGB and CMYK as ideal inks on white.
-
-    Returns
-    -------
-    (H, W) or (H, W, 3) array
-        sRGB.
-    str
-        A note for the user, or "".
+    Without one, RGB and gray count as sRGB and CMYK as ideal inks on white. The result has the
+    shape (H, W) or (H, W, 3) and comes with a note for the user or "".
     """
     from PIL import ImageCms
 

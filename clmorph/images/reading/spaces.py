@@ -49,22 +49,14 @@ _BRADFORD = np.array(
 
 
 class Space(NamedTuple):
-    """A color space.
-
-    Attributes
-    ----------
-    primaries : 8 floats
-    to_light : callable, optional
-        Linear light of stored values in [0, 1], where 1 is white; None for the curve of sRGB.
-    peak : float
-        The largest light; if it exceeds 1 it is compressed to 1.
-    scene : bool
-        Whether the light is that of a scene, which a display reproduces with more contrast (HLG).
-    """
+    """A color space."""
 
     primaries: Primaries = SRGB
+    #: Linear light of stored values in [0, 1], where 1 is white; None for the curve of sRGB.
     to_light: Callable[[Array], Array] | None = None
+    #: The largest light; if it exceeds 1 it is compressed to 1.
     peak: float = 1.0
+    #: Whether the light is that of a scene, which a display reproduces with more contrast (HLG).
     scene: bool = False
 
 
@@ -77,14 +69,7 @@ class Description(NamedTuple):
 
 
 def described(picture: Any, file: Path) -> Description:
-    """Return what a file says about its colors.
-
-    Parameters
-    ----------
-    picture : PIL.Image.Image
-    file : Path
-        Its file, which is opened a second time.
-    """
+    """Return what a file says about its colors; it is opened a second time."""
     profile = picture.info.get("icc_profile") or None
     with Reader(file) as stream:
         if picture.format == "PNG":
@@ -212,19 +197,9 @@ _TRANSFERS = {
 
 
 def from_space(colors: AnyArray, space: Space) -> AnyArray:
-    """Convert colors of a space to sRGB.
+    """Convert colors (H, W) or (H, W, 3) of uint8 or uint16 to sRGB, as uint16 if they change.
 
-    Parameters
-    ----------
-    colors : (H, W) or (H, W, 3) array
-        uint8 or uint16.
-    space : Space
-
-    Returns
-    -------
-    array
-        The same array if no conversion is needed; else uint16, because shadows of sRGB need more
-        than 8 bits after a conversion from linear light.
+    Shadows of sRGB need more than 8 bits after a conversion from linear light.
     """
     gray = colors.ndim == 2
     same = gray or np.allclose(space.primaries, SRGB, atol=_SAME_PRIMARIES)

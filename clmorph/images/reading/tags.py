@@ -1,8 +1,7 @@
 """Read the tags of a TIFF directory, the format of Exif data too, and check every number.
 
-Pillow and tifffile read tags too, but they warn or log about unusual ones, each in its own way,
-and only after they have opened the image. This module only reads the directory, and no number in
-it causes more work than the bytes of the file justify.
+Pillow and tifffile read tags too, but warn or log about unusual ones, and only after they have
+opened the image. Here no number causes more work than the bytes of the file justify.
 """
 
 import re
@@ -39,23 +38,15 @@ Values = tuple[int | float, ...] | bytes
 
 
 class Directory(NamedTuple):
-    """The tags of one picture.
+    """The tags of one picture."""
 
-    Attributes
-    ----------
-    order : str
-        Byte order, "<" (little-endian) or ">" (big-endian).
-    big : bool
-        Whether the file is a BigTIFF.
-    tags : dict
-        Values of the tags in `_WANTED`: tuples of numbers, or bytes. Unreadable tags are omitted.
-    next : int
-        Offset of the next directory, 0 if there is none.
-    """
-
+    #: "<" (little-endian) or ">" (big-endian).
     order: str
+    #: Whether the file is a BigTIFF.
     big: bool
+    #: Those in `_WANTED`: tuples of numbers, or bytes. Unreadable tags are omitted.
     tags: dict[int, Values]
+    #: Offset of the next directory, 0 if there is none.
     next: int
 
     def number(self, tag: int, default: int) -> int:
@@ -77,20 +68,7 @@ class Directory(NamedTuple):
 
 
 def read_directory(stream: IO[bytes], place: int = 0) -> Directory:
-    """Read a directory of a TIFF.
-
-    Parameters
-    ----------
-    stream : binary file
-        A file that begins with the header of a TIFF.
-    place : int
-        Offset of the directory; 0 for the first one.
-
-    Raises
-    ------
-    ValueError
-        If there is no directory.
-    """
+    """Read the directory at `place` of a TIFF, 0 for the first one; ValueError if there is none."""
     size = stream.seek(0, 2)
     stream.seek(0)
     header = stream.read(16)
@@ -152,22 +130,8 @@ def _values(
 def first_full_page(stream: IO[bytes]) -> tuple[Directory, int, bool]:
     """Return the first picture of a TIFF that is neither a reduced copy nor a mask of another.
 
-    Parameters
-    ----------
-    stream : binary file
-
-    Returns
-    -------
-    Directory
-    int
-        Number of the directory in the file, from 0.
-    bool
-        Whether another full picture follows among the first `MAX_DIRECTORIES`.
-
-    Raises
-    ------
-    ValueError
-        If the file has no such picture.
+    Its number counts from 0; the last value tells whether another full picture follows among the
+    first `MAX_DIRECTORIES`.
     """
     found: list[tuple[Directory, int]] = []
     first = read_directory(stream)

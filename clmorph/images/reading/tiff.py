@@ -1,7 +1,4 @@
-"""Read the samples of TIFF files and convert them to colors.
-
-tifffile decodes all samples. The tags (`tiff_layout`) decide here what the samples mean.
-"""
+"""Read the samples of TIFF files by tifffile, and convert them to colors by their tags."""
 
 import io
 import logging
@@ -33,29 +30,10 @@ from clmorph.images.reading.tiff_layout import (
 
 
 def read_samples(file: Path, page: int, layout: Layout) -> tuple[AnyArray, AnyArray | None]:
-    """Decode a picture by tifffile.
+    """Decode the picture number `page` of a file by tifffile, which may raise any exception.
 
-    Parameters
-    ----------
-    file : Path
-    page : int
-        Number of the picture in the file, from 0.
-    layout : Layout
-        The layout of that picture.
-
-    Returns
-    -------
-    (H, W, samples) array
-        The numbers as they are stored.
-    (2 ** bits, 3) uint8 array or None
-        The colors of a palette.
-
-    Raises
-    ------
-    FileError
-        If the file intentionally omits strips or tiles.
-    Exception
-        Any exception of tifffile, if the file is damaged.
+    Return the stored numbers (H, W, samples) and the colors (2 ** bits, 3) uint8 of a palette, or
+    None.
     """
     from tifffile import TiffFile
 
@@ -139,29 +117,10 @@ def _check_picture(data: bytes, layout: Layout) -> None:
 def interpret(
     file: str, samples: AnyArray, palette: AnyArray | None, layout: Layout
 ) -> tuple[Any, AnyArray | None]:
-    """Return the colors and the opacity that samples stand for.
+    """Return the colors and the opacity (H, W), or None, that samples stand for.
 
-    Parameters
-    ----------
-    file : str
-        Name of the file in error messages.
-    samples : (H, W, samples) array
-    palette : array, optional
-        As `read_samples` returns both.
-    layout : Layout
-
-    Returns
-    -------
-    (H, W), (H, W, 3) or (H, W, 4) array, or PIL.Image.Image
-        Gray, RGB or CMYK. Larger numbers mean more light or, for CMYK, more ink. An image is of
-        the mode LAB.
-    (H, W) array or None
-        Opacity.
-
-    Raises
-    ------
-    FileError
-        If samples of this kind are not supported.
+    Colors are gray, RGB or CMYK, of which larger numbers mean more light or more ink, or an image
+    of mode LAB. FileError is raised if samples of this kind are not supported.
     """
     if palette is None:
         samples = _full_range(samples, layout.bits)

@@ -33,52 +33,32 @@ _MAX_BYTES = 40
 
 
 class Layout(NamedTuple):
-    """The storage layout of one picture of a TIFF.
-
-    Attributes
-    ----------
-    width, height : int
-    bits : int
-        Bits of each sample.
-    kind : str
-        Kind of the samples: "u", "i" or "f".
-    samples : int
-    photometric, compression, orientation : int
-        Values of these tags in the file.
-    planar, subsampled : bool
-        Whether each channel is stored separately, and whether chroma has fewer samples than luma.
-    extra : tuple of int
-        Meaning of each sample after the colors, by the values of ExtraSamples.
-    piece : tuple of int
-        Width and height of a strip or tile.
-    profile : bytes, optional
-    """
+    """The storage layout of one picture of a TIFF."""
 
     width: int
     height: int
+    #: Bits of each sample.
     bits: int
+    #: Kind of the samples: "u", "i" or "f".
     kind: str
     samples: int
+    #: The value of this tag in the file, like the next two.
     photometric: int
     compression: int
     orientation: int
+    #: Whether each channel is stored separately.
     planar: bool
+    #: Meaning of each sample after the colors, by the values of ExtraSamples.
     extra: tuple[int, ...]
+    #: Width and height of a strip or tile.
     piece: tuple[int, int]
+    #: Whether chroma has fewer samples than luma.
     subsampled: bool
     profile: bytes | None
 
 
 def read_layout(directory: Directory) -> Layout:
-    """Return the storage layout of a picture.
-
-    Raises
-    ------
-    ValueError
-        If its tags are incomplete or contradict each other.
-    UnsupportedError
-        If its samples are of a kind that is not read.
-    """
+    """Return the storage layout of a picture, or raise ValueError or UnsupportedError."""
     width, height = directory.number(tags.WIDTH, 0), directory.number(tags.HEIGHT, 0)
     if width < 1 or height < 1:
         raise ValueError("its tags give no size")
@@ -114,21 +94,7 @@ def read_layout(directory: Directory) -> Layout:
 
 
 def check_layout(file: str, layout: Layout, max_pixels: int) -> None:
-    """Refuse a picture that would be misread, or whose pieces exceed it by too much.
-
-    Parameters
-    ----------
-    file : str
-        Name of the file in error messages.
-    layout : Layout
-    max_pixels : int
-        Largest number of pixels.
-
-    Raises
-    ------
-    FileError
-        If the picture is refused.
-    """
+    """Refuse a picture that would be misread, or whose pieces exceed it by too much."""
     across, down = -(-layout.width // layout.piece[0]), -(-layout.height // layout.piece[1])
     pieces = across * down * (layout.samples if layout.planar else 1)
     padded = across * down * layout.piece[0] * layout.piece[1]
@@ -179,21 +145,6 @@ def not_read(file: str, layout: Layout) -> FileError:
 
 
 def open_page(stream: IO[bytes]) -> tuple[Layout, int, bool]:
-    """Find the picture of a TIFF that is to be read; `check_layout` checks whether it can be read.
-
-    Returns
-    -------
-    Layout
-        The storage layout of the picture.
-    int
-        The number of its page, from 0.
-    bool
-        Whether another full picture follows.
-
-    Raises
-    ------
-    ValueError
-        If the file is damaged.
-    """
+    """Return the layout of the picture to be read, its page from 0, and whether another follows."""
     directory, page, more = tags.first_full_page(stream)
     return read_layout(directory), page, more

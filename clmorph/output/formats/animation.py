@@ -22,27 +22,16 @@ Box = tuple[int, int, int, int]
 
 
 def timed_frames(recording: Recording, per_second: int) -> list[tuple[int, int]]:
-    """Return the index and the duration, in a format's unit, of each frame of one round.
-
-    Parameters
-    ----------
-    recording : Recording
-    per_second : int
-        Units of duration per second.
-    """
+    """Return each frame's index and duration, in units of 1 / `per_second` s, in one round."""
     played = recording.played()
     units = whole_units([seconds for _, seconds in played], per_second)
     return [(index, duration) for (index, _), duration in zip(played, units, strict=True)]
 
 
 def box_of(where: NDArray[np.bool_]) -> Box:
-    """Return the smallest box around marked pixels.
+    """Return the smallest box around the pixels that are True in an (H, W) array.
 
-    If no pixel is marked, the box has one pixel, because files cannot hold empty frames.
-
-    Parameters
-    ----------
-    where : (H, W) array of bool
+    If none is, the box has one pixel, because files cannot hold empty frames.
     """
     rows, columns = np.flatnonzero(where.any(axis=1)), np.flatnonzero(where.any(axis=0))
     if len(rows) == 0:
@@ -51,14 +40,7 @@ def box_of(where: NDArray[np.bool_]) -> Box:
 
 
 def changed(before: "Image | None", after: "Image") -> Box:
-    """Return the box outside which two pictures of one size and mode are the same.
-
-    Parameters
-    ----------
-    before : Image or None
-        None for the first frame; the box then holds the whole picture.
-    after : Image
-    """
+    """Return the box outside which two pictures of one size and mode are the same."""
     if before is None:
         return 0, 0, after.width, after.height
     differs = np.asarray(before) != np.asarray(after)
@@ -66,12 +48,6 @@ def changed(before: "Image | None", after: "Image") -> Box:
 
 
 def pieces(units: int, most: int) -> list[int]:
-    """Return a duration as a sum of durations that a file can hold.
-
-    Parameters
-    ----------
-    units, most : int
-        At least 1.
-    """
+    """Return a duration as a sum of durations of at most `most`, all in a file's units."""
     whole, rest = divmod(units, most)
     return [most] * whole + [rest] * (rest > 0)

@@ -49,19 +49,10 @@ def write_frames(
     plays: int,
     info: "PngInfo",
 ) -> None:
-    """Write an animation.
+    """Write an animation of pictures of one size and mode, each with its milliseconds.
 
-    Parameters
-    ----------
-    stream : binary file
-    frames : iterable of (Image, int)
-        Pictures of one size and mode, each with its milliseconds; they are iterated over once.
-    durations : list of int
-        The same milliseconds in advance, because the file's header states the number of frames.
-    plays : int
-        Number of times that the animation is played; 0 repeats it forever.
-    info : PngInfo
-        The metadata.
+    `durations` states the same milliseconds in advance, because the file's header holds the number
+    of frames. With 0 `plays` the animation repeats forever.
     """
     count = sum(len(pieces(duration, LONGEST)) for duration in durations)
     before: Image | None = None

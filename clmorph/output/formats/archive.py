@@ -87,8 +87,8 @@ class Archive:
 def write(recording: Recording, style: FrameStyle, file: Path, report: Report) -> None:
     """Write frames (floats), times, parameters, and the plan and potentials of each morph.
 
-    Frames of equal size are stored as one array ``frames`` (n, H, W, C). Frames of different
-    sizes are stored as arrays ``frame_0000``, ``frame_0001`` and so on.
+    Frames of equal size are one array ``frames`` (n, H, W, C), others ``frame_0000``,
+    ``frame_0001``...
     """
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:
         _write_frames(archive, recording, report)

@@ -16,50 +16,32 @@ PACE = ("fps", "duration", "hold", "loop")
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
-    """A format of files: how it is recognized, written and read.
+    """A format of files: how it is recognized, written and read."""
 
-    Attributes
-    ----------
-    name : str
-        The value of the option `format` that selects this format.
-    endings : tuple of str
-        Endings of file names. The first is the usual one, and an empty one stands for a folder. A
-        format without endings is chosen by its name alone.
-    write : callable
-        Called with a recording, a frame style, a new path and a function that reports the share
-        done.
-    read_metadata : callable
-        Called with a path; returns the text of the metadata in a file of this format, empty if
-        there is none.
-    signatures : tuple of (offset, bytes)
-        A file has this format if these bytes stand at one of these offsets.
-    animated : bool
-        Whether a file is an animation, whose frames have durations.
-    folder : bool
-        Whether the result is a folder of files, each of which has the signature.
-    exact : bool
-        Whether frames are stored as floats.
-    keep : bool
-        Whether the writer needs the morphs in addition to their frames.
-    check : callable
-        Raises OutputError if a library that the format needs is missing.
-    relevant_options : tuple of str
-        The options of frame style and playback that the format uses.
-    fastest : float
-        The highest frame rate, in frames per second. Browsers slow down a higher one to 10.
-    """
-
+    #: The value of the option `format` that selects this format.
     name: str
+    #: The first ending is the usual one; an empty one stands for a folder. A format without endings
+    #: is chosen by its name alone.
     endings: tuple[str, ...]
+    #: Writes a recording in a frame style to a new path, and reports the share done.
     write: Callable[[Recording, FrameStyle, Path, Report], None]
+    #: Returns the text of the metadata in a file of this format, empty if there is none.
     read_metadata: Callable[[Path], str]
+    #: A file has this format if these bytes stand at one of these offsets.
     signatures: tuple[tuple[int, bytes], ...]
+    #: Whether a file is an animation, whose frames have durations.
     animated: bool = False
+    #: Whether the result is a folder of files, each of which has the signature.
     folder: bool = False
+    #: Whether frames are stored as floats.
     exact: bool = False
+    #: Whether the writer needs the morphs in addition to their frames.
     keep: bool = False
+    #: Raises OutputError if a library that the format needs is missing.
     check: Callable[[], None] = lambda: None
+    #: The options of frame style and playback that the format uses.
     relevant_options: tuple[str, ...] = (*SIZES, *PACE)
+    #: The highest frame rate, in frames per second. Browsers slow down a higher one to 10.
     fastest: float = math.inf
 
     def matches(self, start: bytes) -> bool:

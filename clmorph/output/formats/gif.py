@@ -160,15 +160,7 @@ def _as_rgb(numbers: NDArray[np.uint32]) -> NDArray[np.uint8]:
 
 
 class _Palette:
-    """Pictures in the colors of a palette; pixel art is not dithered.
-
-    Parameters
-    ----------
-    image : PIL.Image.Image
-        An image with the palette.
-    plain : bool
-        Whether pictures are pixel art.
-    """
+    """Pictures in the colors of an image's palette; `plain` ones (pixel art) are not dithered."""
 
     def __init__(self, image: "Image", plain: bool) -> None:
         self._image, self._plain = image, plain

@@ -9,17 +9,7 @@ from clmorph.errors import ClmorphError, InputError, OutputError
 
 
 def check_sides(size: tuple[int, int], most: int, words: str) -> None:
-    """Raise InputError if pictures are larger than a file can hold.
-
-    Parameters
-    ----------
-    size : (width, height)
-        In pixels.
-    most : int
-        The longest side that the file can hold.
-    words : str
-        The format's name, for people.
-    """
+    """Raise InputError if a side (pixels) is longer than `most`; `words` is the format's name."""
     if max(size) > most:
         raise InputError(
             f"pictures of {size[0]} x {size[1]} pixels are too large for {words}, whose sides have "
@@ -29,15 +19,7 @@ def check_sides(size: tuple[int, int], most: int, words: str) -> None:
 
 @contextmanager
 def encoding(words: str, *kinds: type[Exception]) -> Iterator[None]:
-    """Raise OutputError for an encoder's errors; errors of clmorph and of the disk pass unchanged.
-
-    Parameters
-    ----------
-    words : str
-        The format's name, for people.
-    kinds : exception classes
-        Further exceptions that the encoder raises.
-    """
+    """Raise OutputError for an encoder's errors, but let those of clmorph and of the disk pass."""
     failures: tuple[type[Exception], ...] = (
         RuntimeError,
         ValueError,

@@ -1,8 +1,4 @@
-"""Read arrays of an ``.npz`` from an unknown source, with a check of their sizes before reading.
-
-The size of an array stands in the archive's directory and in the array's header. Only plain
-numbers and texts are read, never objects that NumPy would unpickle.
-"""
+"""Read numbers and texts of an ``.npz`` from an unknown source, after a check of their sizes."""
 
 import math
 import zipfile
@@ -26,19 +22,10 @@ VERSION = (1, 0)
 
 
 class Arrays:
-    """The arrays of an ``.npz``, read one by one, with a limit of their total size.
+    """The arrays of an ``.npz``, read one by one, together at most `max_bytes` of memory.
 
-    Parameters
-    ----------
-    path : Path
-    max_bytes : float
-        The limit of the memory that all arrays read may take together.
-
-    Raises
-    ------
-    ValueError
-        If the file is damaged or more than `max_bytes` would be read. The constructor and all
-        methods raise it, or another exception of `clmorph.output.bounded.UNREADABLE`.
+    If the file is damaged or would exceed them, all methods raise ValueError or another exception
+    of `clmorph.output.bounded.UNREADABLE`.
     """
 
     def __init__(self, path: Path, *, max_bytes: float) -> None:
@@ -68,16 +55,7 @@ class Arrays:
         return self._archive.getinfo(f"{name}.npy").file_size
 
     def read(self, name: str, ndim: int, kinds: str = "f") -> NDArray[Any]:
-        """Return an array.
-
-        Parameters
-        ----------
-        name : str
-        ndim : int
-            Number of axes that the array must have.
-        kinds : str
-            Letters of the permitted kinds of dtype (see `numpy.dtype.kind`).
-        """
+        """Return an array, which must have `ndim` axes and one of the `kinds` of `numpy.dtype`."""
         shape, dtype, size = self._measured(name, ndim, kinds)
         self._left -= size
         if self._left < 0:

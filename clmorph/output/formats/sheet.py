@@ -23,32 +23,20 @@ COLUMNS = 5
 
 
 class Layout(NamedTuple):
-    """Lengths on a sheet, in pixels.
+    """Lengths on a sheet, in pixels."""
 
-    Attributes
-    ----------
-    gap : int
-        Between pictures, and around them.
-    label : int
-        Height of the strip below each picture, for its time.
-    font : int
-        Size of the text.
-    offset : int
-        From a picture down to its text.
-    """
-
+    #: Between pictures, and around them.
     gap: int
+    #: Height of the strip below each picture, for its time.
     label: int
+    #: Size of the text.
     font: int
+    #: From a picture down to its text.
     offset: int
 
     @classmethod
     def around(cls, width: int, height: int) -> "Layout":
-        """Return the layout for pictures of one size: text that can be read beside them.
-
-        Large pictures are looked at from afar, so text and gaps grow with them. Small ones do not
-        make the text smaller.
-        """
+        """Return the layout for pictures of one size; text and gaps grow with large ones."""
         scale = max(1.0, math.sqrt(width * height) / SIDE)
         return cls(*(round(length * scale) for length in (12, 22, 14, 3)))
 

@@ -22,29 +22,19 @@ SIDE = 720
 
 
 class Container(NamedTuple):
-    """A container of video, and the encoder for it.
+    """A container of video, and the encoder for it."""
 
-    Attributes
-    ----------
-    codec : str
-        FFmpeg's name of the encoder.
-    settings : dict
-        The encoder's options, for constant quality that is visually close to lossless.
-    options : dict
-        The container's options.
-    words : str
-        The name of the encoding, for people.
-    longest_side : int
-        The encoder's longest side, in pixels.
-    opacity : bool
-        Whether the container can hold opacity.
-    """
-
+    #: FFmpeg's name of the encoder.
     codec: str
+    #: The encoder's options, for constant quality that is visually close to lossless.
     settings: dict[str, str]
+    #: The container's options.
     options: dict[str, str]
+    #: The name of the encoding, for people.
     words: str
+    #: The encoder's longest side, in pixels.
     longest_side: int
+    #: Whether the container can hold opacity.
     opacity: bool
 
 

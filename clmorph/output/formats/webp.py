@@ -121,8 +121,8 @@ def as_exif(parameters: Mapping[str, Any]) -> "Exif":
 def read_metadata(path: Path) -> str:
     """Return the description in a WebP's Exif, without reading all frames as Pillow would.
 
-    RFC 9649, section 2.3, defines a chunk: four letters, the length as 4 bytes, and content that is
-    padded to an even number of bytes.
+    RFC 9649, section 2.3, defines a chunk: letters, length, and content padded to an even number of
+    bytes.
     """
     from PIL import Image
 

@@ -31,41 +31,26 @@ WEBP_SIDE = 16383
 
 
 class Encoded(NamedTuple):
-    """A frame as text.
+    """A frame as text."""
 
-    Attributes
-    ----------
-    text : str
-        The encoded frame in Base64.
-    kind : str
-        The media type.
-    size : (height, width)
-    quality : int
-        Quality of lossy WebP; 100 stands for no loss.
-    alpha : bool
-        Whether the frame has opacity.
-    """
-
+    #: The encoded frame in Base64.
     text: str
+    #: The media type.
     kind: str
+    #: (height, width).
     size: tuple[int, int]
+    #: Quality of lossy WebP; 100 stands for no loss.
     quality: int
+    #: Whether the frame has opacity.
     alpha: bool
 
 
 class Encoder:
-    """Encodes frames within a budget of bytes, without knowledge of later frames.
+    """Encodes `count` frames within `max_bytes` of text, without knowledge of later frames.
 
     Each frame may take an equal share of the remaining bytes, or a quarter more if it is encoded
     without loss; unused bytes are left for the next frames. From the first frame that needs more,
     all frames are compressed with loss, because a change between both would flicker.
-
-    Parameters
-    ----------
-    count : int
-        Number of frames.
-    max_bytes : float
-        The limit of the bytes that all frames may take, as text.
     """
 
     def __init__(self, count: int, max_bytes: float) -> None:
@@ -80,16 +65,7 @@ class Encoder:
         self.qualities: list[int] = []
 
     def encode(self, frames: Iterable[NDArray[np.uint8]]) -> Iterator[Encoded]:
-        """Yield frames as texts. Some frames ahead are compressed in threads.
-
-        Raises
-        ------
-        InputError
-            If a frame is not an (H, W, 3) or (H, W, 4) array of uint8, or there are more than the
-            encoder was told.
-        OutputError
-            If a frame needs more than its share of the bytes.
-        """
+        """Yield frames (H, W, 3 or 4) of uint8 as texts; some ahead are compressed in threads."""
         for picture, without_loss in in_order(self._first_try, self._checked(frames)):
             yield self._within_share(picture, without_loss)
 

@@ -12,23 +12,12 @@ WHOLE = 1e-9
 
 
 def frame_boxes(sizes: Sequence[tuple[int, int]], times: Array, extent: str = "true") -> Array:
-    """Return the size of each frame, borders of pixels included, and of the unit square in it.
+    """Return (n, 4): width and height of each frame, borders of pixels included, and of the square.
 
-    The canvas grows by whole pixels (`clmorph.frames.canvas.canvas_at`), but its content moves
-    smoothly: the pixels per unit are interpolated linearly from one image to the next.
-
-    Parameters
-    ----------
-    sizes : sequence of (height, width)
-    times : (n,) array
-        Images themselves stand at whole times and at both ends.
-    extent : {"true", "unit"}
-
-    Returns
-    -------
-    (n, 4) array
-        Width and height of each frame; width and height of the square of the common frame.
-        All in units of the longer side of the images, pixel center to pixel center.
+    The square is that of the common frame; the unit is the longer side of the images, pixel center
+    to pixel center. `sizes` are (height, width). The canvas grows by whole pixels
+    (`clmorph.frames.canvas.canvas_at`), but its content moves smoothly: the pixels per unit are
+    interpolated linearly from one image, at a whole time or an end, to the next.
     """
     shapes = np.asarray(sizes, np.float64).reshape(-1, 2)
     whole = np.abs(times - np.round(times)) < WHOLE

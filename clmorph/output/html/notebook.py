@@ -23,25 +23,8 @@ def repr_html(
 ) -> str:
     """Return a morph for a notebook: an iframe that holds its page and has no other access.
 
-    This function renders the frames and does not keep them. For long or large morphs it renders
-    an evenly spaced selection that includes both ends, and a note in the page reports it.
-
-    Parameters
-    ----------
-    morph : Morph
-    max_pixels : float
-        The limit of the pixels of all frames together; at least two frames are shown.
-    max_bytes : float
-        The limit of the bytes that frames may take, see `write_page`.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    OutputError
-        If two frames alone take more than `max_bytes`, even with loss.
+    This function renders the frames and does not keep them. It shows an evenly spaced selection of
+    at most `max_pixels` altogether that includes both ends, and a note in the page reports it.
     """
     max_pixels = check_number("max_pixels", max_pixels, 1.0, 1e12)
     count = len(morph.times)

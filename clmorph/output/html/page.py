@@ -56,24 +56,9 @@ def write_page(scene: Scene, file: TextIO, *, max_bytes: float = PAGE_BYTES) -> 
 
     The page is plain ASCII and loads no other resource, which its own Content-Security-Policy
     forbids. It stores frames without loss (as WebP, or as PNG where Pillow has no WebP). If they
-    would take more than `max_bytes`, the first frame that is too large for its share and all
-    later ones are compressed with loss, and a note in the page reports it.
-
-    Parameters
-    ----------
-    scene : Scene
-    file : text file
-        A file open for writing, in any encoding that contains ASCII. If an error is raised, the
-        text written so far is not a valid page.
-    max_bytes : float
-        The limit of the bytes that frames may take, as text.
-
-    Raises
-    ------
-    InputError
-        If a frame is not an image of 8 bits, or the numbers of frames and of times differ.
-    OutputError
-        If the frames take more than `max_bytes` even with loss.
+    would take more than `max_bytes` as text, the first frame that is too large for its share and
+    all later ones are compressed with loss, and a note in the page reports it. After an error the
+    text written so far is not a valid page.
     """
     max_bytes = check_number("max_bytes", max_bytes, 1.0, 1e12)
     for part in _parts(scene, max_bytes):
@@ -179,11 +164,7 @@ def _rows(parameters: Any) -> Iterator[str]:
 
 
 def _ascii(text: str) -> str:
-    """Escape text for HTML, with character references for characters outside ASCII.
-
-    The name of a picture may come from an unknown source, so the result contains no control
-    characters and its length is limited.
-    """
+    """Escape text from an unknown source for HTML: in ASCII, short, without control characters."""
     return escape(printable(text, MESSAGE)).encode("ascii", "xmlcharrefreplace").decode("ascii")
 
 
@@ -209,22 +190,7 @@ def _digest(text: str) -> str:
 
 
 def read_parameters(path: str | PathLike[str]) -> dict[str, Any]:
-    """Return the parameters that stand in a page, without running its script.
-
-    Parameters
-    ----------
-    path : path
-        A file that `write_page` made.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or was not made by `write_page`.
-    """
+    """Return the parameters in a page that `write_page` made, without running its script."""
     try:
         # The frames stand behind the parameters and are not read.
         with Path(path).open("rb") as file:

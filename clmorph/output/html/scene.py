@@ -20,16 +20,7 @@ LOOPS = ("loop", "ping-pong", "once")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Curve:
-    """A number for each frame.
-
-    Attributes
-    ----------
-    name : str
-    unit : str
-        Curves of equal units share one axis.
-    values : (n,) array
-        Finite.
-    """
+    """A finite number for each frame, (n,); curves of equal units share one axis."""
 
     name: str
     unit: str
@@ -46,23 +37,15 @@ class Curve:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Field:
-    """Arrows that travel along the morph, in the common frame.
+    """Arrows that travel along the morph, in the common frame."""
 
-    Attributes
-    ----------
-    positions : (K, 2) array
-        Start of each arrow: x to the right, y down.
-    displacement : (K, 2) array
-        Vector from the start of each arrow to its end.
-    weights : (K,) array, optional
-        Mass that each arrow represents, in any unit, at least 0; None if all are equal.
-    begin, end : float
-        Morph times between which the arrows travel; they are drawn only then.
-    """
-
+    #: (K, 2), the start of each arrow: x to the right, y down.
     positions: NDArray[np.float64]
+    #: (K, 2), from the start of each arrow to its end.
     displacement: NDArray[np.float64]
+    #: (K,), the mass that each arrow represents, in any unit; None if all are equal.
     weights: NDArray[np.float64] | None = None
+    #: Morph times between which the arrows travel; they are drawn only then.
     begin: float = 0.0
     end: float = 1.0
 
@@ -93,21 +76,14 @@ class Field:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Marks:
-    """Landmarks of a morph, which the page shows on both pictures and lets its reader change.
+    """Landmarks of a morph, which the page shows on both pictures and lets its reader change."""
 
-    Attributes
-    ----------
-    pairs : (n, 2, 2) array
-        A point of the first picture and its partner in the second, in pixels of the pictures as
-        they were given; n can be 0.
-    shapes : pair of (height, width)
-        Shapes of the pictures as they were given.
-    backwards : bool
-        Whether the first frame is the second picture.
-    """
-
+    #: (n, 2, 2), a point of the first picture and its partner in the second, in pixels of the
+    #: pictures as they were given; n can be 0.
     pairs: NDArray[np.float64]
+    #: (height, width) of the pictures as they were given.
     shapes: tuple[tuple[int, int], tuple[int, int]]
+    #: Whether the first frame is the second picture.
     backwards: bool = False
 
     def __post_init__(self) -> None:
@@ -126,58 +102,33 @@ class Marks:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene:
-    """A morph with all data that its page shows.
+    """A morph with all data that its page shows."""
 
-    Attributes
-    ----------
-    frames : sequence of (H, W, 3) or (H, W, 4) uint8 arrays
-        Each frame has its own size. With four channels, colors are straight: not multiplied by
-        opacity. Each frame is read once, in order, and not kept.
-    times : (n,) array
-        Morph time of each frame, ascending: 0 to 1, or 0 to k for a chain of k morphs.
-    fps : float
-        Frames per second.
-    hold : float
-        Additional seconds for which the first and the last frame are shown.
-    loop : {"loop", "ping-pong", "once"}
-    title : str
-    pixelated : bool
-        Whether pixels are enlarged as squares when the page opens.
-    curves : sequence of Curve
-    field : Field or sequence of Field, optional
-        One field for each morph of a chain.
-    parameters : mapping
-        Values that `json.dumps` accepts. The page shows them as a table, and `read_parameters`
-        returns them.
-    facts : mapping
-        Further rows of the table, which `read_parameters` does not return.
-    extent : {"true", "unit"}
-        Position of the frames in the common frame, as the measures were lifted.
-    notes : sequence of str
-        Notes shown under the picture.
-    marks : Marks, optional
-        Landmarks of the morph of two pictures, whose first and last frame are these pictures; None
-        where the page offers none.
-
-    Raises
-    ------
-    InputError
-        If an attribute has another shape or type.
-    """
-
+    #: (H, W, 3) or (H, W, 4), each of its own size; colors are straight: not multiplied by opacity.
+    #: Each frame is read once, in order, and not kept.
     frames: Sequence[NDArray[np.uint8]]
+    #: Morph time of each frame, ascending: 0 to 1, or 0 to k for a chain of k morphs.
     times: NDArray[np.float64]
     fps: float = FPS
+    #: Additional seconds for which the first and the last frame are shown.
     hold: float = PlaybackOptions.hold
     loop: str = "ping-pong"
     title: str = "Morph"
+    #: Whether pixels are enlarged as squares when the page opens.
     pixelated: bool = False
     curves: Sequence[Curve] = ()
+    #: One field for each morph of a chain.
     field: Field | Sequence[Field] | None = None
+    #: As `json.dumps` accepts them. The page shows them as a table, and `read_parameters` returns
+    #: them.
     parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    #: Further rows of the table, which `read_parameters` does not return.
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    #: Position of the frames in the common frame, as the measures were lifted.
     extent: str = "true"
+    #: Shown under the picture.
     notes: Sequence[str] = ()
+    #: For the morph of two pictures, which are the first and last frame; None if the page has none.
     marks: Marks | None = None
 
     def __post_init__(self) -> None:
@@ -217,13 +168,7 @@ class Scene:
 
 
 def as_json(name: str, value: Any) -> str:
-    """Return JSON in plain ASCII without the tags that would end its element in a page.
-
-    Raises
-    ------
-    InputError
-        If JSON cannot represent the value, such as NaN or infinity.
-    """
+    """Return JSON in plain ASCII without the tags that would end its element in a page."""
     try:
         text = json.dumps(value, allow_nan=False, separators=(",", ":"))
     except (TypeError, ValueError, RecursionError) as error:

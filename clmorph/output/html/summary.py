@@ -22,13 +22,7 @@ FAINTEST = 1e-3
 
 
 class RenderedFrames(Sequence[NDArray[np.uint8]]):
-    """Frames of a morph in 8 bits, each rendered when it is read, and not kept.
-
-    Parameters
-    ----------
-    morph : Morph
-    times : (n,) array
-    """
+    """Frames of a morph in 8 bits, each rendered when it is read, and not kept."""
 
     def __init__(self, morph: FrameSequence, times: Array) -> None:
         self._morph = morph
@@ -60,32 +54,10 @@ def scene_of(
     parameters: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
 ) -> Scene:
-    """Return the content of a page about a morph.
+    """Return the content of a page about a morph; most arguments are those of `Scene`.
 
-    Parameters
-    ----------
-    morph : Morph
-    frames : sequence of (H, W, 3) or (H, W, 4) arrays, optional
-        Frames at `times`: uint8, or floats in [0, 1]. With None each frame is rendered when it is
-        read.
-    times : (n,) array, optional
-        Times of the frames; those of the morph if not given.
-    fps, hold, loop, title
-        See `Scene`.
-    pixelated : bool, optional
-        As in `Scene`; if not given, whether both images are pixel art.
-    parameters : mapping, optional
-        Parameters that replace or complement those of the morph itself.
-    notes : sequence of str
-
-    Returns
-    -------
-    Scene
-
-    Raises
-    ------
-    InputError
-        If an argument cannot be used, see `Scene`.
+    `frames` are (H, W, 3) or (H, W, 4) at `times`, uint8 or floats in [0, 1]; with None each is
+    rendered when it is read. `parameters` replace or complement those of the morph itself.
     """
     chosen = morph.times if times is None else np.asarray(times, np.float64)
     pictures: Sequence[NDArray[Any]]
@@ -110,14 +82,7 @@ def scene_of(
 
 
 def marks_of(morph: FrameSequence, *, backwards: bool = False) -> Marks:
-    """Return the landmarks of a morph, in pixels of its pictures as they were given.
-
-    Parameters
-    ----------
-    morph : Morph
-    backwards : bool
-        See `Marks`.
-    """
+    """Return the landmarks of a morph, in pixels of its pictures as they were given."""
     landmarks = getattr(morph.options, "landmarks", None) or ()
     return Marks(np.array(landmarks, float), morph.given_shapes, backwards)
 
@@ -139,18 +104,10 @@ class _EightBits(Sequence[NDArray[np.uint8]]):
 
 
 def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
-    """Return curves of the shares of mass that travels, dies and is born, and of the kernel width.
+    """Return curves of the mass that travels, dies and is born, and of the kernel width.
 
-    Parameters
-    ----------
-    morph : Morph
-    times : (n,) array
-
-    Returns
-    -------
-    tuple of Curve
-        Masses as a share of all mass drawn at each time; widths in pixels of the canvas, if the
-        kernel draws the detail of the frames.
+    Masses are shares of all mass drawn at each time; widths are in pixels of the canvas, and given
+    only if the kernel draws the detail of the frames.
     """
     moving = morph.particles
     begun = [
@@ -171,18 +128,9 @@ def morph_curves(morph: FrameSequence, times: Array) -> tuple[Curve, ...]:
 
 
 def arrow_field(morph: FrameSequence, most: int = ARROWS) -> Field | None:
-    """Return the mean displacement of the mass of each place of the source.
+    """Return the mean displacement of the mass of each place of the source; None if no mass moves.
 
-    Parameters
-    ----------
-    morph : Morph
-    most : int
-        The largest number of places along the longer side; pixels of one place share an arrow.
-
-    Returns
-    -------
-    Field or None
-        None if no mass moves.
+    The longer side has at most `most` places; pixels of one place share an arrow.
     """
     source, plan = morph.source, morph.plan
     if isinstance(plan, Plan):
