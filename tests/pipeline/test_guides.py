@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from sights import photograph, seen_again
 
 import clmorph
 from clmorph import InputError, MorphOptions
+from clmorph.analysis.figures import draw_inspection
 from clmorph.cli.main import main
-from clmorph.images.finding import common
+from clmorph.images.finding import common, mesh
 from clmorph.pipeline.guides import guides
 from clmorph.pipeline.maps import Maps
 
@@ -143,3 +145,39 @@ def test_labels_of_what_is_not_transparent(rng):
     assert first.sum() == second.sum() == 36
     with pytest.raises(InputError, match=r"labels='auto' looks for people by the extra"):
         clmorph.morph(clear, opaque, labels="auto", n_frames=2, backend="numpy")
+
+
+def test_inspection_says_and_draws_landmarks(views, tmp_path):
+    options = {name: value for name, value in SMALL.items() if name != "n_frames"}
+    drawn = {}
+    for landmarks in ("auto", None):
+        found = clmorph.inspect(*views[:2], landmarks=landmarks, divergence=False, **options)
+        draw_inspection(found, tmp_path / "a.png")
+        drawn[landmarks] = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).astype(int)
+        said = [line for line in found.lines() if line.startswith("landmarks ")]
+        assert said == ([f"landmarks     {found.marks.text}"] if landmarks else [])
+        pairs = found.summary()["landmarks"]["pairs"]
+        assert len(pairs) == len(found.marks.pairs)
+        assert bool(pairs) == (landmarks == "auto")
+    # Dots of this color stand on the first picture, top left, which is brown and gray.
+    height, width, _ = drawn[None].shape
+    corner = np.s_[height // 10 : height // 2, : width // 4]
+    dots = [np.abs(each[corner] - (0x56, 0xB4, 0xE9)).sum(axis=2) < 60 for each in drawn.values()]
+    assert dots[0].sum() > 100
+    assert dots[1].sum() == 0
+
+
+def test_recipes_of_the_version_before_mean_none():
+    data = Path(__file__).parents[1] / "data"
+    for path in data.glob("recipe_0.2.0_*.json"):
+        assert clmorph.load_options(path)["landmarks"] is None
+
+
+@pytest.mark.parametrize(
+    ("version", "told"),
+    [((3, 11, 7), 'pip install "clmorph[faces]"'), ((3, 13, 0), "with Python 3.12 or older")],
+)
+def test_what_a_missing_extra_is_told(monkeypatch, version, told):
+    monkeypatch.setattr(mesh, "find_spec", lambda name: None)
+    monkeypatch.setattr(mesh.sys, "version_info", version)
+    assert told in mesh.mesh_missing()
