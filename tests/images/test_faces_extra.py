@@ -28,8 +28,8 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore"),
 ]
 
-#: Numbers of points of the mesh: every fourth one, as far as it is no landmark.
-HELD_OUT = tuple(number for number in range(0, 468, 4) if number not in MESH)
+#: Numbers of points of the mesh: all that are no landmarks.
+HELD_OUT = tuple(number for number in range(468) if number not in MESH)
 
 
 def portraits():
@@ -57,7 +57,7 @@ PAIRS = [
 
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
 def test_points_that_are_held_out_arrive(pair):
-    """Within 3 % of the face's width on average, and no pair of portraits is refused."""
+    """95 % of them within 3 % of the face's width, and no pair of portraits is refused."""
     images = [portraits()[name] for name in pair]
     guide = guides(images, [(0, 1)], MorphOptions())
     landmarks = guide.each[0]
@@ -86,8 +86,8 @@ def test_points_that_are_held_out_arrive(pair):
     arrived = (arrived - low) * (max(target.shape) - 1)
     arrived = (arrived + 0.5) / target.shape[::-1] * shapes[1][::-1] - 0.5
     missed = np.hypot(*(arrived - places[1]).T) / width
-    assert missed.mean() < 0.03
-    assert np.median(missed) < 0.02
+    assert missed.mean() < 0.015
+    assert np.quantile(missed, 0.95) < 0.03
 
 
 def test_no_face_is_found_where_there_is_none(rng):
@@ -140,12 +140,12 @@ def test_the_command_line_makes_the_film_again_without_the_detector(tmp_path, mo
     options = ["--size", "32", "--frames", "3", "--backend", "numpy", "--labels", "auto"]
     assert main(["morph", "close.png", "other.png", "-o", "a.gif", *options]) == 0
     said = capfd.readouterr().err
-    assert "landmarks: one face in each picture: 98 points" in said
+    assert f"landmarks: one face in each picture: {len(MESH)} points" in said
     assert "labels: " in said
     assert "TensorFlow" not in said
     assert main(["morph", "close.png", "other.png", "-o", "b.gif", "--recipe", *options]) == 0
     recipe = json.loads((tmp_path / "b.gif.json").read_text())
-    assert len(recipe["options"]["landmark"]) == 98
+    assert len(recipe["options"]["landmark"]) == len(MESH)
     assert recipe["labels"] == "auto"
     monkeypatch.setattr("clmorph.images.finding.common.mesh_faces", None)
     assert main(["morph", "--config", "a.gif", "-o", "c.gif", "--backend", "numpy"]) == 0

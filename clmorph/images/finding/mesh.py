@@ -23,8 +23,9 @@ MOUTH = (61, 91, 84, 17, 314, 321, 291, 270, 267, 0, 37, 40)
 CHEEKS = (427, 101, 330, 207, 346, 420, 280, 151, 47, 337, 50, 434, 418, 108, 194, 426, 9, 430)
 BETWEEN = (338, 332, 251, 356, 323, 288, 365, 379, 400, 377, 148, 176, 150, 136, 58, 93, 127, 21,
            103, 109)  # fmt: skip
+SIDES = (147, 376, 123, 352, 192, 416, 143, 372, 92, 322)
 #: The most important ones come first.
-MESH = (*OUTLINE, *EYES, *BROWS, *NOSE, *MOUTH, *CHEEKS, *BETWEEN)
+MESH = (*OUTLINE, *EYES, *BROWS, *NOSE, *MOUTH, *CHEEKS, *SIDES, *BETWEEN)
 #: Largest number of faces of a picture.
 MOST_FACES = 4
 #: Side of the square around a face in which its mesh is sought, in sides of the face's box.
