@@ -23,15 +23,7 @@ AUTO_HELP = (
 
 
 class Preset(NamedTuple):
-    """A preset.
-
-    Attributes
-    ----------
-    help : str
-        A description in one line.
-    options : dict
-        The options that differ from the defaults, by their names in Python.
-    """
+    """The options that differ from the defaults, by their names in Python, with a line of help."""
 
     help: str
     options: Mapping[str, Any]
@@ -113,15 +105,7 @@ DRAFT_TOL = 1e-2
 def drafted(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options that a first look changes, with their values.
 
-    Parameters
-    ----------
-    options : mapping
-        All options that a preset sets, and others that were given.
-
-    Examples
-    --------
-    >>> drafted({"size": 48, "n_frames": 60})["size"], drafted({"size": None})["n_frames"]
-    (48, 12)
+    `options` are all that a preset sets, and others that were given.
     """
     found: dict[str, Any] = {}
     for name, most in DRAFT.items():
@@ -134,20 +118,7 @@ def drafted(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def preset_for(kinds: Iterable[Kind]) -> PresetName:
-    """Return the preset for pictures of some kinds.
-
-    Parameters
-    ----------
-    kinds : iterable of {"sprite", "drawing", "photograph"}
-        See `clmorph.images.kind.kind_of`.
-
-    Examples
-    --------
-    >>> preset_for(["sprite", "sprite"]), preset_for(["sprite", "drawing"])
-    ('pixel-art', 'logo')
-    >>> preset_for(["drawing", "photograph"])
-    'photo'
-    """
+    """Return the preset for pictures of some kinds (`clmorph.images.kind.kind_of`)."""
     found = set(kinds)
     if found == {"sprite"}:
         return "pixel-art"
