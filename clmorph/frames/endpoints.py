@@ -52,17 +52,11 @@ def brief_share(t: float) -> float:
 
 
 class Lacking(NamedTuple):
-    """Image less frame at one end, for several kernel widths.
+    """Image less frame at one end, for several kernel widths."""
 
-    Attributes
-    ----------
-    widths : (L,) array
-        Ascending, in pixels.
-    missing : (L, H, W, 3) array
-        Image less frame, in the space of the path.
-    """
-
+    #: Ascending, in pixels: (L,) array.
     widths: Array
+    #: Image less frame, in the space of the path: (L, H, W, 3) array.
     missing: Array
 
     def at(self, width: float) -> Array:
@@ -84,18 +78,9 @@ def ladder(widths: Array) -> Array:
 class Details:
     """Image less frame at one end, as particles that travel with the pixels.
 
-    Parameters
-    ----------
-    operations : Operations
-    measure : Measure
-        The source, or the target.
-    missing : Lacking
-    destinations : (N, 2) array
-        Mean destination or mean origin of each pixel.
-    moving : (N,) array
-        Share of each pixel that moves; the rest stays.
-    backwards : bool
-        Whether the pixels arrive, as those of the target do.
+    `destinations`, (N, 2), is the mean destination or mean origin of each pixel, and `moving`,
+    (N,), the share of it that moves; the rest stays. `backwards` tells whether the pixels arrive,
+    as those of the target do.
     """
 
     def __init__(
@@ -127,12 +112,7 @@ class Details:
     def at(self, t: float, canvas: Canvas, width: float) -> Array | float:
         """Return the correction of a frame before it is faded: (H, W, 3) array.
 
-        Parameters
-        ----------
-        t : float
-        canvas : Canvas
-        width : float
-            The kernel's width at t.
+        `width` is that of the kernel at t, in pixels.
         """
         if not len(self._links):
             return 0.0
@@ -153,12 +133,8 @@ class Details:
 class EndCorrection:
     """The correction that brings both ends of a morph to its images.
 
-    Parameters
-    ----------
-    details : (source's, target's)
-        Corrections that travel; None for an end that needs no correction.
-    share : callable, optional
-        The strength of the correction at a time.
+    `details` travel; None is for an end that needs no correction. `share` is the strength of the
+    correction at a time.
     """
 
     def __init__(
@@ -209,15 +185,7 @@ def make_details(
 ) -> tuple[Details | None, Details | None]:
     """Return the corrections of both ends, which travel by the plan's mean displacements.
 
-    Parameters
-    ----------
-    operations : Operations
-    measures : (source, target)
-    plan : Plan or Barycentric
-    missing : two of Lacking
-        At t = 0 and at t = 1.
-    unmatched : {"fade", "grow", "drop"}
-        With "fade" alone detail stays in place, as the mass that dies or is born.
+    With `unmatched` "fade" alone detail stays in place, as the mass that dies or is born.
     """
     source, target = measures
     masses = plan.marginals

@@ -43,14 +43,7 @@ class _Side(NamedTuple):
 
 
 class Sprites:
-    """The parts of a morph between flat images.
-
-    Parameters
-    ----------
-    measures : (source, target)
-    particles : Particles
-    operations : Operations
-    """
+    """The parts of a morph between flat images."""
 
     def __init__(
         self,

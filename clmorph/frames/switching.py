@@ -38,15 +38,8 @@ def switching_times(
 ) -> Array:
     """Return the time, from 0 to 1, at which each place changes hands: (H, W) array.
 
-    Parameters
-    ----------
-    halves : two of (H, W, 3) arrays
-        Both pictures at t = 1/2 on the stage.
-    lightness : (3,) array
-        Weights of the coordinates of a color in its lightness.
-    stage : Canvas
-    operations : Operations
-    seed : int
+    `halves` are both pictures at t = 1/2 on the stage, (H, W, 3); `lightness`, (3,), are the
+    weights of the coordinates of a color in its lightness.
     """
     longest = max(stage.shape)
     first, second = (blurred(half, DETAIL * longest) for half in halves)
@@ -102,14 +95,8 @@ def switched(times: Array, agreement: Array, t: float) -> Array:
 def turns(times: Array, agreement: Array, shares: Sequence[float]) -> list[Array]:
     """Return the weight of each picture at each place: (H, W) arrays with the sum 1.
 
-    Parameters
-    ----------
-    times : (H, W) array
-        From 0 to 1: where it is large, an earlier one of the pictures is seen.
-    agreement : (H, W) array
-        Where all pictures agree, all are seen with their shares.
-    shares : sequence of float
-        With the sum 1.
+    Where `times`, from 0 to 1, is large, an earlier one of the pictures is seen; where all agree,
+    all are seen with their shares, whose sum is 1.
     """
     later = np.cumsum(np.asarray(shares, dtype=float)[::-1])[::-1]
     seen = [np.ones_like(times)]
