@@ -25,28 +25,9 @@ NUMBERS = "biuf"
 def as_array(name: str, value: Any, expected: str = "an array of numbers") -> AnyArray:
     """Return a value as an array of numbers, with its own dtype, in this machine's byte order.
 
-    Parameters
-    ----------
-    name : str
-        The name of the value in error messages.
-    value : array_like
-        A `pyopencl.array.Array` is read when the work that its ``events`` and its queue hold has
-        ended.
-    expected : str
-        The description of the expected value in error messages.
-
-    Returns
-    -------
-    array of bool, integers or floats
-        It can share memory with `value`. The memory of a device stays mapped until this array and
-        all its views are garbage.
-
-    Raises
-    ------
-    InputError
-        If the value is no array of real numbers, or one of its entries is masked.
-    DeviceError
-        If a device fails while its memory is mapped.
+    Errors call it `name`, and what should be there `expected`. The array can share memory with the
+    value. A `pyopencl.array.Array` is read when the work that its ``events`` and its queue hold has
+    ended, and the memory of a device stays mapped until this array and all its views are garbage.
     """
     value = _on_host(name, value, expected)
     if hasattr(value, "getbands") and getattr(value, "mode", "RGB") not in _PLAIN_MODES:
@@ -97,13 +78,7 @@ def is_of_pyopencl(value: Any) -> bool:
 
 @contextlib.contextmanager
 def pyopencl_needed(name: str) -> Iterator[None]:
-    """Raise an `InputError` if pyopencl, which is imported inside, cannot be imported.
-
-    Parameters
-    ----------
-    name : str
-        The argument that needs it.
-    """
+    """Raise an `InputError` if pyopencl, which the argument `name` needs, cannot be imported."""
     try:
         yield
     except ImportError as error:

@@ -17,11 +17,7 @@ class Cancelled(BaseException):
 class Cancellation:
     """A request to stop, which holds for the work inside `applies` in any thread.
 
-    Parameters
-    ----------
-    outer : Cancellation, optional
-        A request that stops this work too; by default the one of the thread that creates this
-        object.
+    The request `outer`, by default the one of the thread that creates this object, stops it too.
     """
 
     def __init__(self, outer: "Cancellation | None" = None) -> None:

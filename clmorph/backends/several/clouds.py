@@ -35,21 +35,11 @@ class Cloud(NamedTuple):
 def divide_rows(
     points: NDArray[np.float64], shares: Sequence[float]
 ) -> list[tuple[int, NDArray[np.intp]]]:
-    """Divide points among devices by their shares, so that the points of each are compact.
+    """Divide points (N, D) among devices by their shares, so that the points of each are compact.
 
     The order is that of tiles on a device (`tile_order`), and each device gets a run of it. So
-    tiles stay small, and near pairs are as few as on one device.
-
-    Parameters
-    ----------
-    points : (N, D) array
-    shares : (devices,) array
-        Their sum is 1.
-
-    Returns
-    -------
-    list of (device, indices)
-        Only devices that have rows are in it: a problem of a few tiles may leave some out.
+    tiles stay small, and near pairs are as few as on one device. The result has the indices of each
+    device that has rows: a problem of a few tiles may leave some out.
     """
     count = len(points)
     ends = UNIT * np.rint(np.cumsum(shares) * (count / UNIT)).astype(np.int64)

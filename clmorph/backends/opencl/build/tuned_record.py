@@ -35,15 +35,7 @@ def save_tuning(
 ) -> None:
     """Save the constants that tuning has changed, and the speed that it has reached.
 
-    Parameters
-    ----------
-    device : pyopencl.Device
-    best : BuildConstants
-        The fastest constants.
-    start : BuildConstants
-        The constants chosen for the kind of device.
-    pairs_per_second : float
-        The speed with the fastest constants, by which several devices share their work.
+    `start` are those chosen for the kind of device. By the speed several devices share their work.
     """
     entry = {
         name: getattr(best, name)

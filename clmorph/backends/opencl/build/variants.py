@@ -8,24 +8,12 @@ from clmorph.backends.opencl.build.kernel_files import KERNELS as KERNELS
 
 @dataclass(frozen=True)
 class Variant:
-    """A kernel file, and what its macros depend on beside the build constants.
-
-    Attributes
-    ----------
-    file : str
-        A file of `KERNELS`.
-    dimension : int
-        Dimension of the points, for the files that include the row loop; 0 for others.
-    precise, listed : bool
-        See `BuildConstants.row_macros`.
-    bounded : {0, 1, 2}
-        See `BuildConstants.row_macros`.
-    masked : bool
-        See `BuildConstants.row_macros`.
-    """
+    """A kernel file, and what its macros depend on beside the build constants."""
 
     file: str
+    #: Dimension of the points, for the files that include the row loop; 0 for others.
     dimension: int = 0
+    #: These and the following ones are explained in `BuildConstants.row_macros`.
     precise: bool = False
     listed: bool = False
     bounded: int = 0
@@ -78,10 +66,7 @@ class Variant:
 def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
     """Return the variants that a morph of two pictures with the default options uses.
 
-    Parameters
-    ----------
-    dimension : int
-        Dimension of the points; 5 if pictures have color and no opacity.
+    The dimension of the points is 5 if pictures have color and no opacity.
     """
     return (
         Variant("log_sum_exp.cl", dimension),

@@ -70,13 +70,7 @@ def _private_folder() -> Path | None:
 
 
 def read_cached(name: str) -> bytes:
-    """Return the content of a file in the cache; empty if the file is missing.
-
-    Parameters
-    ----------
-    name : str
-        Path inside the cache folder, such as "kernels/rows.bin".
-    """
+    """Return the content of a file in the cache, such as "kernels/rows.bin"; empty if missing."""
     folder = cache_folder()
     try:
         return (folder / name).read_bytes() if folder else b""
@@ -127,13 +121,7 @@ def _remove_parts(folder: Path) -> None:
 
 
 def load_record(name: str) -> dict[str, Any]:
-    """Read a JSON object from the cache; a missing or damaged one is empty.
-
-    Parameters
-    ----------
-    name : str
-        Path inside the cache folder without its ending, such as "devices/0123".
-    """
+    """Read a JSON object, such as "devices/0123", from the cache; a damaged one is empty."""
     try:
         record = json.loads(read_cached(f"{name}.json"))
     except (ValueError, RecursionError):

@@ -37,16 +37,7 @@ def advice(
 ) -> list[str]:
     """Return advice on what to do where no OpenCL device works, the easiest first.
 
-    Parameters
-    ----------
-    system : str
-        As `sys.platform`.
-    machine : str
-        As `platform.machine`.
-    family : str, optional
-        Linux family; read from the system if not given.
-    installed : bool, optional
-        Whether Intel's CPU runtime is installed; looked up if not given.
+    The Linux family, and whether Intel's CPU runtime is installed, are looked up by default.
     """
     lines = []
     if system == "linux":

@@ -25,13 +25,10 @@ _MANAGED_BY_LOADER = 0x4F50454E434C3331
 
 
 def intel_runtime() -> Path | None:
-    """Find the CPU runtime of the `intel-opencl-rt` wheel.
+    """Return the CPU runtime's library of the `intel-opencl-rt` wheel.
 
-    Returns
-    -------
-    Path or None
-        The shared library, or None if the wheel or the math library that its compiler
-        needs (`intel-cmplr-lib-rt`) is not installed for this interpreter.
+    It is None if the wheel or the math library that its compiler needs (`intel-cmplr-lib-rt`) is
+    not installed for this interpreter.
     """
     try:
         files = metadata.distribution("intel-opencl-rt").files or []
@@ -50,16 +47,6 @@ def list_platforms() -> list["cl.Platform"]:
     """List the loader's platforms, followed by those of pip's runtimes that it lacks.
 
     If the user has set ``OCL_ICD_VENDORS``, only the loader's platforms are listed.
-
-    Returns
-    -------
-    list of pyopencl.Platform
-        The platforms; empty if there are none.
-
-    Raises
-    ------
-    ImportError
-        If pyopencl is not installed or cannot be loaded.
     """
     with undisturbed():  # an exception from a signal handler during the call aborts the process
         import pyopencl as cl

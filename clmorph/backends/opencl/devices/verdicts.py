@@ -75,17 +75,9 @@ def _digest(*identity: str) -> str:
 
 
 def load_verdict(key: str) -> dict[str, Any] | None:
-    """Return the stored verdict on a device; None if it is missing or damaged.
+    """Return the stored verdict of a `verdict_key`; None if it is missing or damaged.
 
-    Parameters
-    ----------
-    key : str
-        See `verdict_key`.
-
-    Returns
-    -------
-    dict
-        The entries usable (bool), reason (str, empty if usable), pairs_per_second (float).
+    It has the entries usable (bool), reason (str, empty if usable), pairs_per_second (float).
     """
     if key in _refused:
         return _refused[key]
@@ -163,12 +155,7 @@ def load_program_verdict(key: str) -> str | None:
 def save_program_verdict(key: str, reason: str, lasting: bool = True) -> None:
     """Remember what is wrong with a program, '' if nothing is.
 
-    Parameters
-    ----------
-    key : str
-    reason : str
-    lasting : bool
-        Whether another check would return the same. If not, only this process remembers it.
+    If another check would not return the same (`lasting`), only this process remembers it.
     """
     _programs[key] = reason
     _momentary.discard(key)

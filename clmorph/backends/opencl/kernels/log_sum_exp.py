@@ -18,12 +18,7 @@ from clmorph.backends.records import Float64, NearPairs
 
 
 class LogSumExp:
-    """Log-sum-exp over the columns of every row.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    """
+    """Log-sum-exp over the columns of every row."""
 
     def __init__(self, loop: RowLoop) -> None:
         self._loop = loop

@@ -34,14 +34,7 @@ def column_tiles(constants: BuildConstants, dimension: int) -> int:
 
 
 def mean_rows(constants: BuildConstants, window: int) -> int:
-    """Return the rows of cells that a mean takes in one launch of ``edge_preserving_mean``.
-
-    Parameters
-    ----------
-    constants : BuildConstants
-    window : int
-        Cells of a row.
-    """
+    """Return the rows of `window` cells that one launch of ``edge_preserving_mean`` takes."""
     if not constants.longest_loop:
         return NO_LIMIT
     # For each vector of cells there are two loops over eight channels; lanes are added up at last.
@@ -57,14 +50,7 @@ def draws(constants: BuildConstants) -> int:
 
 
 def gathered_particles(constants: BuildConstants, bin_rows: int) -> int:
-    """Return the number of particles that a block of pixels may visit in a launch of ``splat``.
-
-    Parameters
-    ----------
-    constants : BuildConstants
-    bin_rows : int
-        Number of rows of bins.
-    """
+    """Return the number of particles that a block of pixels may visit in a launch of ``splat``."""
     if not constants.longest_loop:
         return NO_LIMIT
     width = constants.width
@@ -89,11 +75,7 @@ def stored_pairs(constants: BuildConstants) -> int:
 def tree_rounds(constants: BuildConstants, most: int) -> int:
     """Return how many nodes and seeds a work-item may look at in a launch of ``nearest_seeds``.
 
-    Parameters
-    ----------
-    constants : BuildConstants
-    most : int
-        The number without a limit of loops.
+    Without a limit of loops they are `most`.
     """
     if not constants.longest_loop:
         return most

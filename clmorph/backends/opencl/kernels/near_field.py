@@ -46,14 +46,7 @@ class _Kept(NamedTuple):
 
 
 class NearField:
-    """Finds the pairs that contribute to the rows' sums.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    log_sum_exp : LogSumExp
-        The object that sums the pairs.
-    """
+    """Finds the pairs that contribute to the rows' sums."""
 
     def __init__(self, loop: RowLoop, log_sum_exp: LogSumExp) -> None:
         self._loop, self._log_sum_exp = loop, log_sum_exp
@@ -141,16 +134,9 @@ class NearField:
     ) -> tuple[NDArray[np.uint64], NDArray[np.uint16]]:
         """Return the masks of the columns above a threshold, and the number of bits of each.
 
-        Both are for the pairs of a part's rows: see `TilePairs.masks`.
-
-        Parameters
-        ----------
-        clouds : _Clouds
-        pairs : TilePairs
-        part : range
-            Row tiles.
-        log2_threshold : (row tiles of the part,) array
-            Logarithm of the share of a row's sum, as far as the sum is known.
+        Both are for the pairs of a part's row tiles: see `TilePairs.masks`. The threshold, for each
+        row tile of the part, is the base-2 logarithm of the share of a row's sum, as far as the sum
+        is known.
         """
         (rows, columns, exponents, guess, slopes, boxes), loop = clouds, self._loop
         n = len(rows)
@@ -203,12 +189,7 @@ def _complete(
 def _largest_cost(distances: Float64, radii: Float64) -> float:
     """Return a bound of the costs between pairs of tiles.
 
-    Parameters
-    ----------
-    distances : array
-        Half the squared distances of their centers.
-    radii : array
-        The sum of the radii of both tiles.
+    `distances` are half the squared distances of their centers; `radii` the sums of both radii.
     """
     return 0.5 * float((np.sqrt(2 * distances) + radii).max()) ** 2
 

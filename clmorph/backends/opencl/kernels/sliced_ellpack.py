@@ -53,14 +53,7 @@ class Side(NamedTuple):
 
 
 class SlicedEllpack:
-    """Stores the pairs of a plan and sums over them.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    plan_rows : PlanRowReductions
-        The object that finds the pairs.
-    """
+    """Stores the pairs of a plan, which `plan_rows` finds, and sums over them."""
 
     def __init__(self, loop: RowLoop, plan_rows: PlanRowReductions) -> None:
         self._work, self._constants, self._plan_rows = loop.work, loop.constants, plan_rows
