@@ -51,45 +51,14 @@ def guided(
 ) -> Guided:
     """Return measures between which transport keeps landmarks together.
 
-    Parameters
-    ----------
-    source, target : Measure
-        Lifted images, as `clmorph.measures.lift_pair.lift_pair` returns them.
-    landmarks : sequence of ((x, y), (x', y'))
-        A point of the source and its partner in the target, in pixels: x to the right, y down, and
-        (0, 0) the center of the first pixel.
-    shapes : pair of (height, width), optional
-        Shapes of the images in whose pixels the landmarks are given; those of the measures if
-        missing.
+    A landmark is a point of the source and its partner in the target, ((x, y), (x', y')), in pixels
+    of images of `shapes` (height, width), or those of the measures: x to the right, y down, and (0,
+    0) the center of the first pixel. The result are copies with `warped` positions and masses of
+    the source, and `features` on both sides, whose total mass is unchanged; and how far the warp
+    misses the partner of each landmark, (n,), in pixels of the target's image as it was given.
 
-    Returns
-    -------
-    source, target : Measure
-        Copies with `warped` positions and masses of the source, and `features` on both sides. The
-        total of the masses is unchanged.
-    misses : (n,) array
-        How far the warp misses the partner of each landmark, in pixels of the target's image as it
-        was given.
-
-    Raises
-    ------
-    InputError
-        If a landmark is outside its image, two landmarks contradict each other, or the cost has no
-        room for features.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import clmorph
-    >>> from clmorph.measures.landmarks import guided
-    >>> flat = clmorph.lift(np.ones((33, 33)))
-    >>> source, target, misses = guided(flat, flat, [((16, 16), (18, 16))])
-    >>> (32 * source.warped[16 * 33 + 16]).round(6).tolist()
-    [18.0, 16.0]
-    >>> misses.round(6).tolist()
-    [0.0]
-    >>> source.points.shape, target.points.shape
-    ((1089, 6), (1089, 6))
+    A landmark outside its image, two that contradict each other, or a cost without room for
+    features are refused.
     """
     if not landmarks:
         return Guided(source, target, np.zeros(0))

@@ -62,21 +62,14 @@ REVERSED = -0.5
 
 
 class Warp(NamedTuple):
-    """A warp of the positions of a measure.
+    """A warp of the positions of a measure."""
 
-    Attributes
-    ----------
-    positions : (N, 2) array
-        The positions in the target's frame.
-    areas : (N,) array
-        The area of each pixel after the warp (its Jacobian determinant), in units of its area
-        after the base.
-    misses : (n,) array
-        The distance of each warped landmark from its partner, in sides of the image.
-    """
-
+    #: The positions in the target's frame: (N, 2) array.
     positions: Array
+    #: The area of each pixel after the warp (its Jacobian determinant), in units of its area after
+    #: the base: (N,) array.
     areas: Array
+    #: The distance of each warped landmark from its partner, in sides of the image: (n,) array.
     misses: Array
 
 
@@ -93,26 +86,8 @@ class _Base(NamedTuple):
 def warp(starts: Array, ends: Array, source: Measure, target: Measure) -> Warp:
     """Return a warp of the source's positions that moves landmarks to their partners.
 
-    Parameters
-    ----------
-    starts, ends : (n, 2) arrays
-        Landmarks, at least one, in the frames of source and target.
-    source, target : Measure
-
-    Raises
-    ------
-    InputError
-        If two landmarks contradict each other.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import clmorph
-    >>> from clmorph.measures.warp import warp
-    >>> flat = clmorph.lift(np.ones((5, 5)))
-    >>> found = warp(np.array([[0.5, 0.5]]), np.array([[0.6, 0.5]]), flat, flat)
-    >>> found.positions[0].round(6).tolist(), found.misses.round(6).tolist()
-    ([0.1, 0.0], [0.0])
+    The landmarks, (n, 2) with n >= 1, are in the frames of source and target; those that contradict
+    each other are refused.
     """
     frames = [corners(measure) for measure in (source, target)]
     _check_order(starts, ends)
@@ -207,17 +182,7 @@ def _check_order(starts: Array, ends: Array) -> None:
 def agreeing(starts: Array, ends: Array) -> BoolArray:
     """Return which landmarks can be kept so that no two of them contradict each other: (n,) array.
 
-    Parameters
-    ----------
-    starts, ends : (n, 2) arrays
-        Landmarks of both pictures, in units of their longer sides.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> starts = np.array([[0.1, 0.5], [0.3, 0.5], [0.5, 0.5], [0.9, 0.5], [0.9, 0.9]])
-    >>> int(agreeing(starts, starts[[0, 1, 3, 2, 4]]).sum())
-    4
+    They are (n, 2) arrays in units of the longer sides of both pictures.
     """
     kept = np.ones(len(starts), bool)
     while kept.sum() > 1:
