@@ -19,8 +19,7 @@ SIGNS_OF_WRONG_RESULTS = ArithmeticError, AssertionError, IndexError, ValueError
 def splat_tolerance(count: int, chunk: int = 1024) -> float:
     """Return the relative error that float32 sums of `count` splats may have.
 
-    The bound covers the additions of a chunk, the sum of the chunks, and a few roundings of an
-    exponent of up to 30.
+    It is that of the additions of a chunk and of chunks, and of an exponent of up to 30.
     """
     return UNIT * (chunk + count / chunk + 4 * 30)
 

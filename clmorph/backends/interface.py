@@ -1,8 +1,7 @@
-"""The few expensive operations that every backend implements.
+"""The few expensive operations that every backend implements, with these signatures.
 
-`clmorph.backends.numpy.NumPyOperations` and `clmorph.backends.opencl.backend.OpenCLOperations` have
-these methods with these signatures. All other mathematics of the package is written once and calls
-these methods, so a disagreement between two backends can be traced to one operation.
+All other mathematics of the package is written once and calls them, so a disagreement between two
+backends can be traced to one operation.
 """
 
 from collections.abc import Sequence
@@ -405,13 +404,14 @@ class Operations(Protocol):
         """Follow the place that each point of a grid shows, while a field moves it.
 
         At time t a point that stands at z on the field's grid shows what was at x = z - t v(x).
-        From x = z at t = 0, each of `steps` to the next time takes `rounds` of x <- (x + z - t
-        v(x)) / 2; so a point stays with its branch where the motion folds.
+        From x = z at t = 0, each of `steps` to the next time takes `rounds` of
 
-        The field v is (h, w, 2), in points of its grid (row, column), linear in between and
-        constant outside. `to_field` leads from points of the other grid, of `shape` (H, W), to
-        points of the field. The result, (steps + 1, H, W, 2), is x - z at the times 0, 1 / steps,
-        ..., 1.
+            x <- (x + z - t v(x)) / 2;
+
+        so a point stays with its branch where the motion folds. The field v, (h, w, 2), is in
+        points of its grid (row, column), linear in between and constant outside. `to_field` leads
+        from points of the other grid, of `shape` (H, W), to points of the field. The result, (steps
+        + 1, H, W, 2), is x - z at the times 0, 1 / steps, ..., 1.
         """
 
     def upload_spline(self, coefficients: NDArray[np.float32]) -> Any:
@@ -500,7 +500,7 @@ class Operations(Protocol):
 
         The index of the seed in a (height, width) array minimizes (x - x_k)^2 + (y - y_k)^2. A
         backend may round the four operations to float32; it takes the lowest index of the seeds
-        that are equally near then, as seeds in the same place always are. `seeds`, (K, 2) with K >=
-        1, are positions (x, y) in pixels, inside the canvas or outside of it, finite and at most
-        1e18.
+        that are equally near then, as seeds in the same place always are. There is at least one
+        seed; `seeds`, (K, 2), are positions (x, y) in pixels, inside the canvas or outside of it,
+        finite and at most 1e18.
         """

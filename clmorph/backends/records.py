@@ -23,10 +23,7 @@ TEAR = 3.0
 
 
 class Affine(NamedTuple):
-    """How one grid lies on another: a point (row, column) stands at origin + step * (row, column).
-
-    Both are in pixels of the other grid.
-    """
+    """A point (row, column) of one grid stands at origin + step * (row, column) of another one."""
 
     origin: tuple[float, float]
     step: tuple[float, float]

@@ -47,9 +47,7 @@ def read_in_place(name: str, value: Any, expected: str) -> NDArray[Any]:
 
     The elements are valid because this function waits for the array's pending events and for the
     work that was enqueued on the array's queue before. The buffer stays mapped until the returned
-    array and all its views are garbage. The array may have any shape, strides, offset and device,
-    but must have a queue that can map it. Errors call it `name`, and what should be there
-    `expected`.
+    array and all its views are garbage.
     """
     if not isinstance(value, cl_array.Array):
         raise InputError(
@@ -139,10 +137,7 @@ def to_device(
 
 
 def real_type(queue: cl.CommandQueue, dtype: Any) -> np.dtype[Any]:
-    """Return the dtype of real numbers on a device: float32 or float64, which it must have.
-
-    None is float64 where the device has it, and float32 elsewhere.
-    """
+    """Return a dtype of real numbers that the device has; None is float64, or else float32."""
     possible = has_float64(queue.device)
     if dtype is None:
         return np.dtype(np.float64 if possible else np.float32)

@@ -34,8 +34,8 @@ def variants(constants: BuildConstants, name: str, largest_group: int) -> Iterat
 def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants, float, float]:
     """Time constants on a device and keep the best in the user's cache folder.
 
-    `tell` is called with a line for every trial. The result are the constants, and the point pairs
-    per second through the log-sum-exp before and after.
+    The result is the constants, and the point pairs per second through the log-sum-exp before and
+    after; `tell` is called with a line for every trial.
     """
     largest = int(device.max_work_group_size)
     best = start = choose_constants(device)

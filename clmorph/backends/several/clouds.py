@@ -13,11 +13,7 @@ UNIT = 64
 
 
 class Part(NamedTuple):
-    """The rows of one device.
-
-    They may all be without mass, although the masses of a cloud have a positive sum: rows of
-    reductions need none.
-    """
+    """The rows of one device, which may all be without mass: rows of reductions need none."""
 
     member: int  #: number of the device
     rows: NDArray[np.intp]  #: (n,) indices of the points in the caller's arrays

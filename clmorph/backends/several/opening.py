@@ -19,8 +19,7 @@ _lock = threading.Lock()
 def open_several(members: Sequence[Operations], names: Sequence[Any]) -> Operations:
     """Return one backend that spreads work over others, the same object for the same members.
 
-    A single member is returned itself; two that are the same device are refused, and messages call
-    them what the user did.
+    A single member is returned itself. In errors members have the `names` that a user gave.
     """
     if not members:
         raise InputError("backend=[]: expected at least one device, such as ['0:0', '0:1']")

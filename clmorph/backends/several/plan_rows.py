@@ -115,10 +115,7 @@ class PlanRowsOfParts:
     def sum_stored(
         self, stored: StoredPairs, changes: Float64, by_column: bool, ordered: bool = False
     ) -> Float64:
-        """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row, or column.
-
-        A column's pairs are on several devices, whose sums are added on the host.
-        """
+        """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row, or column."""
         rows, pairs = stored.pairs
 
         def of_part(member: Operations, part: Part, place: int) -> Float64:

@@ -44,10 +44,7 @@ def _positive(value: object) -> float:
 
 
 def frame_turns(shares: Sequence[float], count: int) -> NDArray[np.int64]:
-    """Return the device of each frame: (count,) array of their numbers.
-
-    After any number of frames each device has had its share of them, to within one frame or two.
-    """
+    """Return the device of each frame, (count,): each has its share, to within a frame or two."""
     turns = np.empty(count, np.int64)
     owed = np.zeros(len(shares))
     for number in range(count):

@@ -36,9 +36,9 @@ class Workers:
     def run_at_once(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
         """Run tasks at the same time, the first of them in the calling thread, and return results.
 
-        There are at least one, and at most one more than threads. If one fails, or the user
-        interrupts the calling thread, the others stop at their next launch. All have ended when
-        this method returns, or raises what the first task that failed has raised.
+        If one fails, or the user interrupts the calling thread, the others stop at their next
+        launch. All have ended when this method returns, or raises what the first task that failed
+        has raised.
         """
         if len(tasks) == 1:
             return [tasks[0]()]
@@ -149,10 +149,9 @@ def results_in_order(
 ) -> Generator[T, None, None]:
     """Compute results in one thread a worker, and yield them in order.
 
-    A worker computes its results one after the other, and waits with a finished one while the one
-    before it has not been taken. So at most two results of each worker are in memory. `turns` is
-    the worker of each result, and `work` takes a worker and the number of a result. What a worker
-    has raised is raised after the others have ended.
+    `turns` is the worker of each result, and `work` takes a worker and the number of a result. A
+    worker waits with a finished result while the one before it has not been taken. So at most two
+    results of each worker are in memory.
     """
     stop, changed = Cancellation(), threading.Condition()
     done: dict[int, T] = {}

@@ -215,10 +215,7 @@ def _shift(
     softmin: Float64,
     epsilon: float,
 ) -> float:
-    """Return the s at which the dual no longer grows, by bisection.
-
-    There the plan has as much mass as the marginal of the potential that is shifted.
-    """
+    """Return the s at which the dual no longer grows, by bisection."""
     if np.isinf(rho[0]) and np.isinf(rho[1]):
         return 0.0
     damping, potential = other

@@ -40,8 +40,7 @@ class BuildConstants:
     unroll: int
     #: The function for powers of two. 1: the device's built-in exp2; 0: the polynomial.
     exp2_builtin: int
-    #: Arithmetic of precise exponents, see ``cl_kernels/exponents.cl``. 2: float64; 1: pairs of
-    #: float32.
+    #: Arithmetic of precise exponents (``exponents.cl``). 2: float64; 1: pairs of float32.
     precise: int
     #: Side of a bin of particles, in pixels.
     bin: int

@@ -164,10 +164,7 @@ def _build_key(device: cl.Device, name: str, options: list[str]) -> str:
 
 
 def _digest(file: str, binary: bytes) -> bytes:
-    """Return the digest of a file's name and content, with which a file in the cache begins.
-
-    A file under the name of another one thus counts as damaged too.
-    """
+    """Return the digest of a file's name and content, with which a file in the cache begins."""
     return hashlib.sha256(file.encode() + binary).digest()
 
 

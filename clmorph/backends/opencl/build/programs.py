@@ -124,8 +124,7 @@ class Programs:
 def program_key(device: cl.Device, variant: Variant, constants: BuildConstants) -> str:
     """Return the key of a program's verdict: of its binary, all constants and the package's code.
 
-    Not all constants are macros: by some of them the host chooses its launches. A part of a device
-    has the key of the whole.
+    Not all constants are macros: by some of them the host chooses its launches.
     """
     key = program.build_key(device, variant.file, variant.macros(constants))
     of_constants = hashlib.sha256(repr(constants).encode()).hexdigest()

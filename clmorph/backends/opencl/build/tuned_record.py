@@ -33,10 +33,7 @@ def is_possible(constants: BuildConstants, largest_group: int) -> bool:
 def save_tuning(
     device: cl.Device, best: BuildConstants, start: BuildConstants, pairs_per_second: float
 ) -> None:
-    """Save the constants that tuning has changed, and the speed that it has reached.
-
-    `start` are those chosen for the kind of device. By the speed several devices share their work.
-    """
+    """Save the constants that tuning has changed since `start`, and the speed it has reached."""
     entry = {
         name: getattr(best, name)
         for name in CANDIDATES

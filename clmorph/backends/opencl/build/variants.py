@@ -46,10 +46,7 @@ class Variant:
         )
 
     def suits(self, constants: BuildConstants) -> bool:
-        """Return whether a device with these constants has what the file needs.
-
-        Iterations on the device need float64 and long loops.
-        """
+        """Return whether a device has what the file needs: float64 and long loops to iterate."""
         return self.file not in ("half_steps.cl", "sparse_half_steps.cl") or (
             constants.precise == 2 and not constants.longest_loop
         )
@@ -64,10 +61,7 @@ class Variant:
 
 
 def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
-    """Return the variants that a morph of two pictures with the default options uses.
-
-    The dimension of the points is 5 if pictures have color and no opacity.
-    """
+    """Return the variants that a morph with default options uses; opaque pictures are in 5D."""
     return (
         Variant("log_sum_exp.cl", dimension),
         Variant("log_sum_exp.cl", dimension, precise=True, bounded=1),

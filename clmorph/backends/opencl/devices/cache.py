@@ -1,8 +1,7 @@
 """Small files in the user's cache folder, which can be made again at any time.
 
-No function in this module raises an error. A file that cannot be read counts as missing, and a file
-that cannot be written is not kept. Processes that write at the same time replace each other's files
-as a whole.
+No function here raises an error: a file that cannot be read counts as missing, and one that cannot
+be written is not kept. Processes replace each other's files as a whole.
 """
 
 import contextlib
@@ -24,9 +23,8 @@ _PART, _PART_SECONDS = ".part", 3600.0
 def cache_folder() -> Path | None:
     """Return the folder of the cache; None if no folder can be written to.
 
-    This is the user's cache folder. If that is not writable (for example in a read-only home), it
-    is a folder inside the temporary folder to which only its owner has access, because it holds
-    kernels that are executed.
+    If the user's cache folder is not writable (for example in a read-only home), it is a temporary
+    one to which only its owner has access, because it holds kernels that are executed.
     """
     for folder in _wanted_folders():
         # A relative path would be another folder after each change of directory.
@@ -132,7 +130,6 @@ def load_record(name: str) -> dict[str, Any]:
 def save_record(name: str, record: dict[str, Any]) -> None:
     """Write a JSON object to the cache, if that is possible; see `load_record`.
 
-    Each record has its own file, so that processes that write different records at the same time do
-    not overwrite each other's results.
+    Each record has its own file, so that processes do not overwrite each other's records.
     """
     write_cached(f"{name}.json", json.dumps(record, indent=1, sort_keys=True).encode())

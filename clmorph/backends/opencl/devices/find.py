@@ -107,10 +107,7 @@ def try_again(handle: "cl.Device") -> None:
 
 
 def index_of(handle: "cl.Device") -> str | None:
-    """Return the index of a device, or of the whole of a part; None if no listed one is the same.
-
-    Devices are the same if name and driver are.
-    """
+    """Return the index of a device, or of its whole; None if none has its name and driver."""
     identity = driver_identity(handle)
     same = [index for index, device in raw_devices() if driver_identity(device) == identity]
     return next(iter(same), None)

@@ -35,10 +35,7 @@ def advice(
     family: str | None = None,
     installed: bool | None = None,
 ) -> list[str]:
-    """Return advice on what to do where no OpenCL device works, the easiest first.
-
-    The Linux family, and whether Intel's CPU runtime is installed, are looked up by default.
-    """
+    """Return advice on what to do where no OpenCL device works, the easiest first."""
     lines = []
     if system == "linux":
         if machine == "x86_64":

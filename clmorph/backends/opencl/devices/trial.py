@@ -190,10 +190,7 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
 
 
 def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:
-    """Save the verdicts that a probe has printed; return key and name of the one that is missing.
-
-    The missing verdict is that of a program whose check has begun and not ended.
-    """
+    """Save the verdicts that a probe has printed; return key and name of the one not finished."""
     key = name = ""
     for line in lines:
         word, _, rest = line.partition(" ")

@@ -211,9 +211,8 @@ def kept_shares(
 ) -> tuple[NDArray[np.bool_], Float64]:
     """Choose the shares to keep so that the sum of the others does not exceed the budget.
 
-    Row k has the `shares` from `starts[k]` on, at least one. The result is a mask of the kept ones,
-    (n,), which always include each row's largest one, and the sum of those left out of each row,
-    (k,).
+    Those of each row begin at `starts`. The result is a mask of the kept ones, (n,), which always
+    include each row's largest one, and the sum of those left out of each row.
     """
     lengths = np.diff(starts)
     largest = np.maximum.reduceat(shares, starts[:-1])

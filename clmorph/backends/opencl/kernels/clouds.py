@@ -27,8 +27,7 @@ class Tiles:
 
     #: Tile centers, exact in float32: (tiles, D) array.
     centers: Float64
-    #: Points less their tile's center, (tiles, tile, D); the padding of the last tile repeats the
-    #: last point.
+    #: (tiles, tile, D) Points less their tile's center, padded by repeating the last point.
     shifts: NDArray[np.float32]
 
     @cached_property
@@ -52,13 +51,11 @@ class Cloud(Tiles):
     log2_weights: Float64
     #: Terms added to the costs of the sorted points: (N,) array.
     offsets: Float64
-    #: Half the squared distance of each sorted point to its tile's center, plus its offset: (N,)
-    #: array.
+    #: (N,) Half the squared distances of points to their tile's center, plus their offsets.
     own_costs: Float64
     #: N rounded up to whole tiles.
     stride: int
-    #: Points less their tile's center, and the rounding errors of these differences: (2, D, stride)
-    #: float32.
+    #: (2, D, stride) float32 points less their tile's center, and these differences' errors.
     shifts_buffer: cl.Buffer
     #: (tiles, D) float32.
     centers_buffer: cl.Buffer

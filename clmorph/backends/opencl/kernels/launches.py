@@ -27,10 +27,7 @@ Results = Sequence[tuple[NDArray[Any], cl.MemoryObject]]
 
 
 class LaunchBudget:
-    """The amount of work of one launch, learned from the launches before it.
-
-    The first launch has `first` point pairs; these are few, as the device is unknown.
-    """
+    """The point pairs of one launch, `first` at first, learned from the launches before it."""
 
     def __init__(self, first: int = 1 << 22) -> None:
         self._pairs = first

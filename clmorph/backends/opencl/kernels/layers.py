@@ -264,10 +264,7 @@ def _apart(places: Float64) -> Float32:
 
 
 def _between(places: Float64, side: int) -> Float32:
-    """Return the first of the two points around each place, and the other's weight: (2, N).
-
-    Places outside are moved to the border.
-    """
+    """Return the first of the two points around each place, and the other's weight: (2, N)."""
     places = np.clip(places, 0.0, side - 1)
     low = np.minimum(np.floor(places), max(side - 2, 0))
     return np.stack([low, places - low]).astype(np.float32)

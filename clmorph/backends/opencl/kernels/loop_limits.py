@@ -1,8 +1,8 @@
 """The amount of work of one launch on devices that end long loops: the quirk ``short_loops``.
 
-Such a device counts the rounds of all loops of a work-item, and a loop of n rounds takes n + 1. The
-functions here count every loop of the kernels as if the compiler unrolled none, and allow for
-work-items that run in step: each waits for the others. Where a device has no limit, there is none.
+Such a device counts the rounds of all loops of a work-item, and a loop of n rounds takes n + 1.
+Every loop of the kernels is counted as if the compiler unrolled none, and work-items may run in
+step: each waits for the others.
 """
 
 import sys
@@ -73,10 +73,7 @@ def stored_pairs(constants: BuildConstants) -> int:
 
 
 def tree_rounds(constants: BuildConstants, most: int) -> int:
-    """Return how many nodes and seeds a work-item may look at in a launch of ``nearest_seeds``.
-
-    Without a limit of loops they are `most`.
-    """
+    """Return how many nodes and seeds a work-item may look at in one launch: at most `most`."""
     if not constants.longest_loop:
         return most
     # A tree has at most 16 levels.

@@ -37,8 +37,7 @@ class SeedTree(NamedTuple):
     order: NDArray[np.int32]
     #: The first node of each level: (levels,) array.
     starts: NDArray[np.uint32]
-    #: Lowest x and y, highest x and y, (nodes, 4). Nodes without seeds complete a level; they are
-    #: infinitely far from everything.
+    #: (nodes, 4) Lowest and highest x and y; infinitely far for nodes that complete a level.
     boxes: Float32
     #: Lowest index of a seed: (nodes,) array.
     lowest: NDArray[np.int32]

@@ -55,10 +55,9 @@ class RowLoop:
         bounded: int = 0,
         masked: bool = False,
     ) -> cl.Kernel:
-        """Return a kernel for the dimension of some rows; its file is built at the first call.
+        """Return a kernel of `build.variants.KERNELS` for the dimension of some rows.
 
-        Files and kernels are those of `build.variants.KERNELS`; for the rest see
-        `BuildConstants.row_macros`.
+        Its file is built at the first call; for other arguments see `BuildConstants.row_macros`.
         """
         variant = Variant(file, rows.centers.shape[1], precise, listed, bounded, masked)
         if variant not in self._kernels:
@@ -97,8 +96,8 @@ class RowLoop:
     ) -> Exponents:
         """Return the terms of the rows' exponents, over all pairs of tiles or the listed ones.
 
-        Only the row tiles `within` are needed, or all. `precise` tells whether a kernel with
-        precise exponents may use them.
+        Only the row tiles `within` are needed. `precise` tells whether a kernel with precise
+        exponents may use them.
         """
         found = self.listed_exponents(rows, columns, potential, epsilon, precise)
         _, tile_max, row_level, k, _ = found
@@ -128,8 +127,8 @@ class RowLoop:
     def set_levels(self, exponents: Exponents, pairs: TilePairs, part: range) -> Float64:
         """Set the level of each row tile of a part to the largest level of its listed pairs.
 
-        The levels of the pairs, less those of their row tiles, are returned. A launch that is given
-        them forms none of its own: lists are long.
+        Returned are the levels of the pairs, less those of their row tiles, which spare a launch
+        forming them: lists are long.
         """
         starts, _, levels = pairs.levels(part, exponents.tile_max, exponents.k)
         own = np.maximum.reduceat(levels, starts[:-1])

@@ -144,10 +144,7 @@ class SlicedEllpack:
     def _changes(
         self, columns: Cloud, changes: Float64, ordered: bool
     ) -> tuple[cl.MemoryObject, float]:
-        """Return a buffer of the changes minus their midrange, and the midrange, in powers of two.
-
-        Around 0 the rounding errors of float32 are smallest.
-        """
+        """Return a buffer of changes less their midrange, and the midrange, in powers of two."""
         limits = -LARGEST_CHANGE, LARGEST_CHANGE
         ends = np.clip(np.array([changes.min(), changes.max()]) * LOG2_E, *limits)
         middle = float(ends.mean())

@@ -24,8 +24,7 @@ class TileLists(NamedTuple):
     first: int
     #: Numbers of column tiles, ascending in each list: (n,) array.
     numbers: NDArray[np.uint32]
-    #: The part of `numbers` that is the list of a block; later blocks do not begin earlier:
-    #: (blocks,) arrays.
+    #: (blocks,) The part of `numbers` that is a block's list; later ones do not begin earlier.
     begins: NDArray[np.int64]
     lengths: NDArray[np.int64]
 
@@ -41,8 +40,7 @@ class BoundTiles(NamedTuple):
     values: NDArray[np.float32]
     #: Numbers of column tiles: the lists of these row tiles.
     numbers: NDArray[np.uint32]
-    #: `starts` less the index in `numbers` at which the list of the row tile begins: (row tiles,)
-    #: array.
+    #: (row tiles,) `starts` less the index in `numbers` at which the row tile's list begins.
     list_offsets: NDArray[np.int64]
 
 

@@ -12,10 +12,7 @@ RIDGE = 1e-6
 
 
 class TileFits:
-    """Fits values over the points of each tile by linear functions.
-
-    `shifts`, (tiles, tile, D), are points less their tile's center.
-    """
+    """Fits values over the points of each tile, less its center, by linear functions."""
 
     def __init__(self, shifts: NDArray[np.float32]) -> None:
         self._shifts = shifts

@@ -44,8 +44,7 @@ class TilePairs(NamedTuple):
     #: buffer holds a (pairs, groups, words) array of uint64: one bit for each column. All columns
     #: are needed if not given.
     masks: list[tuple[range, cl.Buffer]] | None = None
-    #: For masks, the work of the row tiles before each one, and in all, in pairs of points: (row
-    #: tiles + 1,) array.
+    #: (row tiles + 1,) For masks, the work of the row tiles before each one, in pairs of points.
     work: NDArray[np.int64] | None = None
 
     def without_masks(self) -> "TilePairs":
@@ -82,7 +81,7 @@ class TileBounds(NamedTuple):
 def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False) -> TileBounds:
     """Return the terms of B from the columns' side, for the sum or for its largest term.
 
-    `values`, (N,), are c_j of the sorted points; SENTINEL where there is no mass.
+    The values are c_j of the sorted points; SENTINEL where there is no mass.
     """
     c = _padded(values, cloud)
     present = c > 0.5 * SENTINEL
@@ -99,7 +98,7 @@ def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False
 def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
     """Return the terms of B from the rows' side.
 
-    `values`, (N,), are R_i of the sorted points; -SENTINEL for rows whose sums are not needed.
+    The values are R_i of the sorted points; -SENTINEL for rows whose sums are not needed.
     """
     r = _padded(values, cloud)
     present = r < -0.5 * SENTINEL
