@@ -28,10 +28,7 @@ class Canvas:
         return Canvas((height, width), (self.scale[0] * x, self.scale[1] * y))
 
     def positions(self, first: int = 0, stop: int | None = None) -> NDArray[np.float64]:
-        """Return the positions (x, y) of pixels in the common frame: (H, W, 2) array.
-
-        The rows are those from `first` up to, but not including, `stop`; all by default.
-        """
+        """Return positions (x, y) of some rows' pixels in the common frame: (H, W, 2) array."""
         y, x = np.mgrid[first : self.shape[0] if stop is None else stop, : self.shape[1]]
         # Along a side of one pixel the scale may be 0.
         scale = np.maximum(self.scale, 1e-9)

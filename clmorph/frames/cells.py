@@ -3,9 +3,7 @@
 Seeds move in straight lines. A cell shows its part of a picture, which moves with it as a whole, so
 a frame has neither holes nor blends: first what is around the cell's start in picture A, and from
 the cell's switching time on what is around its end in picture B. Or it has one color, that changes.
-
-`cells_of_plan` pairs the blocks of two pictures one to one. Where seeds stand in the centers of a
-grid, cells are the blocks of this grid.
+`cells_of_plan` pairs the blocks of two pictures one to one.
 """
 
 from __future__ import annotations
@@ -226,9 +224,9 @@ def cells_of_plan(
 
 
 def block_grids(shapes: Sequence[tuple[int, int]], side: int) -> list[tuple[int, int]]:
-    """Return rows and columns of about square blocks, about as many in each picture.
+    """Return rows and columns of about square blocks, about `side` along the longer side.
 
-    About `side` blocks lie along the longer side.
+    There are about as many in each picture.
     """
     counts = [side**2 * min(shape) / max(shape) for shape in shapes]
     count = float(np.exp(np.mean(np.log(counts))))

@@ -1,12 +1,11 @@
 """The correction that makes the first and the last frame the images themselves.
 
-A frame at t = 0 is the source, smoothed by a kernel. The difference, source less frame, is the
-detail that the kernel removes. The correction adds this detail to the frames: it travels with the
-pixels, drawn with a narrow kernel, so that the first frames are as sharp as the source; likewise
-backwards from the target. The detail depends on the kernel's width at that time. The correction
-fades with `share`, which is 1 at both ends and 0 halfway, where a frame is Eq. 4 alone. A
-difference that remains at the ends even so (pixels from which nothing travels if unmatched mass
-is dropped, or rounding) fades at its place.
+A frame at t = 0 is the source, smoothed by a kernel. The correction adds what the kernel removes,
+source less frame: it travels with the pixels, drawn with a narrow kernel, so that the first frames
+are as sharp as the source; likewise backwards from the target. It depends on the kernel's width at
+that time, and fades with `share`, which is 1 at both ends and 0 halfway, where a frame is Eq. 4
+alone. A difference that remains at the ends even so (pixels from which nothing travels if unmatched
+mass is dropped, or rounding) fades at its place.
 """
 
 from collections.abc import Callable
@@ -110,10 +109,7 @@ class Details:
         return other
 
     def at(self, t: float, canvas: Canvas, width: float) -> Array | float:
-        """Return the correction of a frame before it is faded: (H, W, 3) array.
-
-        `width` is that of the kernel at t, in pixels.
-        """
+        """Return the correction, before it is faded, for a kernel's width in pixels: (H, W, 3)."""
         if not len(self._links):
             return 0.0
         colors = np.tile(self._missing.at(width).reshape(-1, 3), (2, 1))
@@ -131,10 +127,9 @@ class Details:
 
 
 class EndCorrection:
-    """The correction that brings both ends of a morph to its images.
+    """The correction, of a strength `share` at each time, that brings both ends to the images.
 
-    `details` travel; None is for an end that needs no correction. `share` is the strength of the
-    correction at a time.
+    An end whose details are None needs no correction.
     """
 
     def __init__(

@@ -40,8 +40,7 @@ LABEL_STEP = 3.0
 class Field(NamedTuple):
     """The motion of a picture."""
 
-    #: Displacement (x, y) from this end to the other one, in units of the common frame: (h, w, 2)
-    #: array.
+    #: (h, w, 2) Displacement (x, y) to the other end, in units of the common frame.
     move: Array
     #: Change of color, in the space of the path: (h, w, 3) array.
     change: Array
@@ -191,10 +190,7 @@ def _spread(values: Array, weights: Array) -> Array:
 
 
 def sampled(image: NDArray[np.floating], places: Array) -> Array:
-    """Interpolate an image (H, W, C) linearly at pixel coordinates (2, ...): (..., C) array.
-
-    Beyond its border the image is constant.
-    """
+    """Interpolate an image (H, W, C) linearly at pixels (2, ...), constant outside: (..., C)."""
     height, width, channels = image.shape
     flat = image.reshape(-1, channels)
     sides: list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] = []

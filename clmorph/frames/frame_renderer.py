@@ -112,9 +112,9 @@ class FrameRenderer:
         return picture
 
     def sums(self, t: float, widths: Widths | None = None, canvas: Canvas | None = None) -> Sums:
-        """Render colors, coverage and density at time t, without the correction of the ends.
+        """Render colors, coverage and density without the correction of the ends.
 
-        `widths` and `canvas` replace those of the morph.
+        `widths` and `canvas` replace those of the morph at time t.
         """
         canvas = canvas or self.canvas(t)
         widths = widths or self._kernel_width.widths(t, canvas)

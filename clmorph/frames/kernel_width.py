@@ -11,10 +11,7 @@ from clmorph.frames.render import Widths
 
 
 def effective_count(weights: NDArray[np.float64]) -> float:
-    """Return Kish's effective number (sum w)^2 / sum w^2 of particles (paper, Eq. 3).
-
-    The effective number of no particles is 1.
-    """
+    """Return Kish's effective number (sum w)^2 / sum w^2 of particles (Eq. 3); 1 for none."""
     largest = float(weights.max(initial=0.0))
     if largest == 0:
         return 1.0

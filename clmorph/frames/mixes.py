@@ -35,10 +35,7 @@ def mixed_canvas(pictures: Sequence[End], weights: Sequence[float]) -> Canvas:
 
 
 class MixRenderer:
-    """Draws mixtures of pictures, whose measures can have fewer pixels.
-
-    `layers` are those of the morph of each pair (i, j), i < j.
-    """
+    """Draws mixtures of pictures from the layers of the morph of each pair (i, j), i < j."""
 
     def __init__(
         self,

@@ -31,10 +31,7 @@ LARGEST_SPLAT, MOST_ROWS = 2**22, 2**12
 
 
 class Parts:
-    """Groups of a morph's particles, by their numbers.
-
-    `table`, (P, 6), has the ends of particles, in place of those of `particles`.
-    """
+    """Groups of a morph's particles, by their numbers, with ends in a `table` (P, 6)."""
 
     def __init__(
         self,
@@ -60,8 +57,7 @@ class Parts:
     def drawn(self, t: float, canvas: Canvas, sigma: float) -> _Drawn:
         """Yield each group's mean color, (H, W, 3), and density, (H, W), at time t.
 
-        The density is relative to an even spread of all mass; `sigma` is the kernel width in
-        pixels.
+        The density is relative to an even spread of all mass; `sigma` is in pixels.
         """
         even = np.dot((1 - t, t), self._mass) * kernel_sum(sigma) / np.prod(canvas.shape)
         for handle in self._uploaded:

@@ -55,8 +55,7 @@ class Sums(NamedTuple):
     #: Kernel mass of each pixel as a share of that of a uniform spread, before empty pixels are
     #: filled but after torn pixels are closed, if the widths request it: (H, W) array.
     coverage: NDArray[np.float64]
-    #: Kernel mass of each pixel after filling, divided by the kernel's sum: mass per pixel, (H, W)
-    #: array.
+    #: (H, W) Mass per pixel: kernel mass after filling, divided by the kernel's sum.
     density: NDArray[np.float64]
 
 

@@ -1,8 +1,8 @@
 """When each place of a film changes from the one picture to the other.
 
-Two pictures that are seen through each other are a double exposure, so each place shows one of
-them, and changes hands within a short part of the film: region by region, along the edges of
-both pictures, first where both are most alike.
+Two pictures that are seen through each other are a double exposure, so each place changes hands
+within a short part of the film: region by region, along the edges of both, first where both are
+most alike.
 """
 
 from __future__ import annotations
@@ -38,8 +38,7 @@ def switching_times(
 ) -> Array:
     """Return the time, from 0 to 1, at which each place changes hands: (H, W) array.
 
-    `halves` are both pictures at t = 1/2 on the stage, (H, W, 3); `lightness`, (3,), are the
-    weights of the coordinates of a color in its lightness.
+    The halves are both pictures at t = 1/2; `lightness`, (3,), weighs the coordinates of a color.
     """
     longest = max(stage.shape)
     first, second = (blurred(half, DETAIL * longest) for half in halves)
