@@ -139,8 +139,8 @@ def check_ways(
 ) -> None:
     """Check before the solve that the particles can be made in the requested form.
 
-    It cannot if there would be too many draws from a block, if not even the smallest form would fit
-    into `max_memory`, or if no pair could exceed `log_threshold`.
+    They cannot if there would be too many draws from a block, if not even the smallest form would
+    fit into `max_memory`, or if no pair could exceed `log_threshold`.
     """
     if log_threshold is not None:
         check_reachable(log_threshold, *as_pair(source.coarse, target.coarse))

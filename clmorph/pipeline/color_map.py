@@ -70,9 +70,12 @@ def color_map(
 
     The step of a color x is that of the Sinkhorn divergence, T(x) - T_own(x) (see
     `Potentials.map`), which vanishes between equal distributions. If `reach` is given it is
-    multiplied by the share of the mass at x that moves and is not destroyed, min(1, exp(-(f -
-    f_own)(x) / rho)), so that colors without a counterpart within reach stay. Blur and reach are in
-    the unit of the colors' coordinates.
+    multiplied by the share of the mass at x that moves and is not destroyed,
+
+        min(1, exp(-(f - f_own)(x) / rho)),
+
+    so that colors without a counterpart within reach stay. Blur and reach are in the unit of
+    colors.
     """
     a, b = (_clusters(measure, SIDE * blur) for measure in (source, target))
     cross = sinkhorn(

@@ -42,10 +42,7 @@ def guides(
     options: MorphOptions,
     maps: Maps = NO_MAPS,
 ) -> Guided:
-    """Return the landmarks of morphs between images, and find them if the option says so.
-
-    The images are as they were given; `pairs` has the numbers of both images of each morph.
-    """
+    """Return the landmarks of morphs between pairs of images, and find them if options say so."""
     given: Any = options.landmarks
     if given != AUTO:
         known: list[Landmarks] = list(given) if is_for_several(given) else [given or ()]

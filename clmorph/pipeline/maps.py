@@ -81,10 +81,7 @@ NO_MAPS = Maps()
 
 
 def read_maps(labels: Sequence[Path], features: Sequence[Path], max_pixels: int) -> Maps:
-    """Read the label images and the features of two pictures, where they are given.
-
-    They are two files each, or none; labels can also be `AUTO_LABELS`.
-    """
+    """Read label images and features of two pictures, if given; labels can be `AUTO_LABELS`."""
     found = tuple(labels) == AUTO_LABELS
     return Maps(
         labels=AUTO_LABELS[0].name

@@ -37,8 +37,7 @@ class MemoryModel:
     #: are computed at a time.
     tile: int = 32
     level_pairs: int = 1 << 22
-    #: Device memory for each coordinate of a point, for each point in addition, and for each
-    #: particle.
+    #: Device memory for each coordinate of a point, each point in addition, and each particle.
     coordinate: int = 8
     point: int = 16
     particle: int = 95
@@ -151,12 +150,12 @@ def affordable(
     dimension: int = 5,
     backend: Backend = "auto",
 ) -> dict[str, Any]:
-    """Choose the form of a morph that fits into a limit of memory, in bytes.
+    """Choose the form of a morph that fits into a limit of memory, in bytes, if there is one.
 
     The limit holds for host and device together if they share memory, else for each of them. The
-    result are options of `clmorph.morph`: ``{}`` if the kept pairs fit; else ``{"sample": k}`` with
-    the largest power of two that fits; ``{"barycentric": True}`` is preferred to k = 2 or 1. An
-    InputError tells that no form fits.
+    form is given by options of `clmorph.morph`: ``{}`` if the kept pairs fit; else ``{"sample":
+    k}`` with the largest power of two that fits; ``{"barycentric": True}`` is preferred to k = 2 or
+    1.
     """
     limit = check_number("max_memory", max_memory, 1.0, 1e18)
     operations = get_backend(backend)

@@ -103,10 +103,7 @@ DRAFT_TOL = 1e-2
 
 
 def drafted(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that a first look changes, with their values.
-
-    `options` are all that a preset sets, and others that were given.
-    """
+    """Return the options that a first look changes from the given ones, with their values."""
     found: dict[str, Any] = {}
     for name, most in DRAFT.items():
         value = options.get(name)

@@ -193,9 +193,8 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
 def picture_entries(images: Sequence[Path], folder: Path | None = None) -> list[dict[str, Any]]:
     """Return the entries of a recipe about its pictures.
 
-    The images' folders are written as paths relative to `folder`. These paths inform people; the
-    command line uses only the file names. Without `folder` no folders are written, which suits
-    files that are shared.
+    The images' folders, relative to `folder`, inform people; the command line uses only the file
+    names. Without `folder` none are written, which suits files that are shared.
     """
     return [
         {"file": path.name, "sha256": digest(path)}

@@ -58,11 +58,10 @@ def row_layout(weights: Array) -> Layout:
 def grid_layout(n_images: int, grid: Any = None) -> Layout:
     """Return the weights of a grid between two, three or four images, and its layout.
 
-    Two images stand at both ends of a row. Four stand in the corners of a rectangle (upper left,
-    upper right, lower left, lower right), and weights are bilinear between them. Three stand in the
-    corners of a triangle (top, lower left, lower right). `grid` is the number of mixes along a
-    side, at least 2, 5 by default, or (rows, columns): with three images one number, with two also
-    (1, n) or (n, 1).
+    Two images stand at both ends of a row, three in the corners of a triangle (top, lower left,
+    lower right), and four in those of a rectangle (upper left, upper right, lower left, lower
+    right), with bilinear weights. `grid` is the number of mixes along a side, 5 by default, or
+    (rows, columns).
     """
     if n_images not in (2, 3, 4):
         raise InputError(

@@ -50,10 +50,7 @@ def write_sheet(
     metadata: Mapping[str, Any],
     texts: Mapping[Path, str] | None = None,
 ) -> None:
-    """Write a sheet, (H, W, 3 or 4) uint8, to PNG files, and further texts: all whole, or none.
-
-    `check_outputs` has accepted the outputs; each text is keyed by the path of its file.
-    """
+    """Write a sheet, (H, W, 3 or 4) uint8, to checked PNG files, and texts: all whole, or none."""
     from PIL import Image
 
     def write(new: Path) -> None:
@@ -71,10 +68,9 @@ def write_film(
     texts: Mapping[Path, str] | None = None,
     progress: StageProgress | None = None,
 ) -> tuple[int, float]:
-    """Write the film of a path to files, and further texts: all of them whole, or none.
+    """Write the film of a path to checked files, and further texts: all of them whole, or none.
 
-    `check_outputs` has accepted the outputs; each text is keyed by the path of its file. The result
-    are the number of frames and the seconds that one round takes.
+    The result is the number of frames and the seconds that one round takes.
     """
     report = progress or (lambda stage, share: None)
     motion = motion_of(options, held_frames(len(legs) + 1, options.n_frames))
