@@ -25,15 +25,12 @@ class Clusters(NamedTuple):
     labels: NDArray[np.intp]
 
     def restrict(self, values: Array, weights: Array) -> Array:
-        """Return the mean of values over each cluster, by mass: (N,) arrays to (clusters,).
-
-        This is the restriction of multigrid methods.
-        """
+        """Return the mean of values (N,) over each cluster, by mass (multigrid's restriction)."""
         return _means(self.labels, len(self.measure), values[:, None], weights)[:, 0]
 
 
 def make_clusters(measure: AnyMeasure, side: float) -> Clusters:
-    """Join the points of a measure that lie in the same cube of a grid, of a side in their unit.
+    """Join the points of a measure that lie in the same cube of a grid, whose side is `side`.
 
     Every cluster has a small diameter, and sparse points each keep their own cluster. The leaves of
     a tree with equal numbers of points do not have this property.

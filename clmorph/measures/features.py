@@ -27,10 +27,7 @@ _EXPECTED = "numbers (H, W) or (H, W, K), one or K for each pixel"
 
 
 def as_features(name: str, value: Any, shape: tuple[int, int]) -> Array:
-    """Return features, (H, W) or (H, W, K), of an image as an (H, W, K) array of float64.
-
-    The shape is that of the picture as it is given; `name` is for error messages.
-    """
+    """Return features of an image of this shape, (H, W) or (H, W, K), as (H, W, K) float64."""
     if is_path(value):
         raise InputError(f"{name} is a path: expected an array {_EXPECTED}; read the file first")
     array = as_floats(name, value, _EXPECTED)

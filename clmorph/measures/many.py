@@ -22,10 +22,10 @@ class Checked(list[WeightedPoints]):
 
 
 def as_many(name: str, value: Any) -> list[Any]:
-    """Return measures, or what is given for each of them, which errors call `name`.
+    """Return measures, or what is given for each of them.
 
-    A tuple of two arrays, weights (B, N) and points (B, N, D) or (B, N), is stacked arrays, and
-    gives a `Checked` list. Of another iterable, the items are returned.
+    Stacked arrays, a tuple of weights (B, N) and points (B, N, D) or (B, N), become a `Checked`
+    list.
     """
     if isinstance(value, tuple) and len(value) == 2 and all(map(_is_array, value)):
         return _unstacked(name, *value)

@@ -20,8 +20,7 @@ class PixelBlocks:
     #: The blocks: each has the mass of its pixels, and their mean position and mean color, weighted
     #: by mass.
     coarse: Measure
-    #: Pixels along a block, a power of two; blocks at the right and the lower border can be
-    #: smaller.
+    #: Pixels along a block, a power of two; at the right and the lower border can be fewer.
     side: int
 
     @property
@@ -58,19 +57,14 @@ def block_side(shape: tuple[int, int], size: int | None) -> int:
 
 
 def solved_size(shape: tuple[int, int], size: int | None) -> int:
-    """Return the actual number of blocks along the longer side of an image.
-
-    The side of a block is a power of two of pixels, so the number can be as small as half of the
-    requested `size`.
-    """
+    """Return the actual number of blocks along the longer side, which can be half of `size`."""
     return -(-max(shape) // block_side(shape, size))
 
 
 def group_pixels(measure: Measure, size: int | None) -> PixelBlocks:
     """Gather a lifted image's pixels into square blocks, at most `size` along the longer side.
 
-    Blocks have one pixel each if the image is no larger, or the size is None. An image with a
-    metric of color for each pixel is refused.
+    Blocks have one pixel each if the image is no larger, or the size is None.
     """
     side = block_side(measure.shape, size)
     if side == 1:

@@ -136,11 +136,7 @@ def _bilinear(source: Measure, target: Measure) -> tuple[WeightedPoints, Weighte
 
 
 def as_measure(name: str, value: Any) -> AnyMeasure:
-    """Return a measure that the solver can take, from one or from (weights (N,), points (N, D)).
-
-    A measure of usable arrays is returned unchanged; points can also be (N,). Errors call it
-    `name`.
-    """
+    """Return a usable measure unchanged, or one of (weights (N,), points (N, D) or (N,))."""
     if isinstance(value, Measure):
         check_measure(name, value)
         return value
@@ -157,11 +153,7 @@ def as_measure(name: str, value: Any) -> AnyMeasure:
 
 
 def as_image_measure(name: str, value: Any, why: str, instead: str = "") -> Measure:
-    """Return a measure that must be a lifted image.
-
-    The error message has its `name`, the reason (`why`), and the remedy for plain points
-    (`instead`).
-    """
+    """Return a measure that must be a lifted image; `why` and `instead` explain it in errors."""
     if not isinstance(value, Measure):
         raise InputError(
             f"{name} is a {_kind(value)}: expected a Measure, as {why}; make one with "

@@ -2,22 +2,16 @@
 
 The warp is a base map followed by a flow. The base is the affine map of one picture's border onto
 the other's. Landmarks then move on straight lines from where the base puts them to their partners,
-and in each of several steps a thin-plate spline (Bookstein, 1989) through their velocities, which
-are zero at the border, moves all positions. Small steps do not fold, so neither does their
-composition, as long as the lines do not meet (Joshi and Miller, 2000). Where the flow still folds
-or squeezes too much, the base becomes the similarity that fits the landmarks best, so that the
-border is free, and then the splines are smoothed more and more, so that they miss landmarks. One
-landmark gives a shift, and two a similarity.
+and in each of several steps a thin-plate spline (F. L. Bookstein, "Principal warps", IEEE
+Transactions on Pattern Analysis and Machine Intelligence 11(6), 567-585, 1989) through their
+velocities, which are zero at the border, moves all positions. Small steps do not fold, so neither
+does their composition, as long as the lines do not meet (S. C. Joshi and M. I. Miller, "Landmark
+matching via large deformation diffeomorphisms", IEEE Transactions on Image Processing 9(8),
+1357-1370, 2000). Where the flow still folds or squeezes too much, the base becomes the similarity
+that fits the landmarks best, so that the border is free, and then the splines are smoothed more and
+more, so that they miss landmarks. One landmark gives a shift, and two a similarity.
 
 Landmarks contradict each other if their order is reversed from one picture to the other.
-
-References
-----------
-Bookstein (1989), "Principal warps: thin-plate splines and the decomposition of deformations", IEEE
-Transactions on Pattern Analysis and Machine Intelligence 11(6), 567-585.
-
-Joshi and Miller (2000), "Landmark matching via large deformation diffeomorphisms", IEEE
-Transactions on Image Processing 9(8), 1357-1370.
 """
 
 from __future__ import annotations
@@ -66,8 +60,7 @@ class Warp(NamedTuple):
 
     #: The positions in the target's frame: (N, 2) array.
     positions: Array
-    #: The area of each pixel after the warp (its Jacobian determinant), in units of its area after
-    #: the base: (N,) array.
+    #: (N,) Jacobian determinant of the warp at each pixel, relative to that of the base.
     areas: Array
     #: The distance of each warped landmark from its partner, in sides of the image: (n,) array.
     misses: Array
@@ -84,10 +77,9 @@ class _Base(NamedTuple):
 
 
 def warp(starts: Array, ends: Array, source: Measure, target: Measure) -> Warp:
-    """Return a warp of the source's positions that moves landmarks to their partners.
+    """Return a warp of the source's positions that moves landmarks, (n, 2), to their partners.
 
-    The landmarks, (n, 2) with n >= 1, are in the frames of source and target; those that contradict
-    each other are refused.
+    They are in the frames of source and target; those that contradict each other are refused.
     """
     frames = [corners(measure) for measure in (source, target)]
     _check_order(starts, ends)
@@ -180,10 +172,7 @@ def _check_order(starts: Array, ends: Array) -> None:
 
 
 def agreeing(starts: Array, ends: Array) -> BoolArray:
-    """Return which landmarks can be kept so that no two of them contradict each other: (n,) array.
-
-    They are (n, 2) arrays in units of the longer sides of both pictures.
-    """
+    """Return which landmarks can be kept so that no two of them contradict: (n,) array."""
     kept = np.ones(len(starts), bool)
     while kept.sum() > 1:
         votes = _contradictions(starts[kept], ends[kept], STRICT)
