@@ -46,10 +46,7 @@ FEWEST, LONGEST = 14, 2.0
 
 
 def check_plotting(path: str | PathLike[str] | None = None) -> None:
-    """Check that a picture can be drawn and written to a path, before the computation begins.
-
-    The path ends in .png, .svg or .pdf.
-    """
+    """Check, before the computation, that a .png, .svg or .pdf can be drawn and written."""
     # The first import on a machine builds a cache of fonts, and on a slow one says so on stderr.
     log = logging.getLogger("matplotlib.font_manager")
     level = log.level

@@ -38,8 +38,7 @@ class Marks(NamedTuple):
     pairs: Sequence[tuple[tuple[float, float], tuple[float, float]]] = ()
     #: Shapes (height, width) of these images.
     shapes: Sequence[tuple[int, int]] = ()
-    #: How far the warp misses the partner of each landmark, in pixels of the second image: (n,)
-    #: array.
+    #: (n,) How far the warp misses the partners of landmarks, in pixels of the second image.
     misses: NDArray[np.float64] = np.zeros(0)
     #: What ``landmarks="auto"`` has found; "" if it found nothing or was not asked.
     found: str = ""
