@@ -20,7 +20,7 @@ class PixelBlocks:
     #: The blocks: each has the mass of its pixels, and their mean position and mean color, weighted
     #: by mass.
     coarse: Measure
-    #: Pixels along a block, a power of two; at the right and the lower border can be fewer.
+    #: Pixels along a block, a power of two; there can be fewer at the right and lower border.
     side: int
 
     @property
