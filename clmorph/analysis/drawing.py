@@ -78,23 +78,9 @@ def draw_field(
 ) -> Any:
     """Draw the displacement of pixels over a pale image, as arrows of true length.
 
-    The color of an arrow shows its length.
-
-    Parameters
-    ----------
-    axes : matplotlib axes
-    image : (H, W, 3) array
-    moved : Displacement
-    longest : float
-        Length in pixels of an arrow with the last color.
-    count : int
-        The largest number of arrows along the longer side.
-    width : float
-        Width of a shaft, as a share of the width of the axes.
-
-    Returns
-    -------
-    The artist that a color bar needs.
+    The color of an arrow shows its length; `longest`, in pixels, has the last color. At most
+    `count` arrows lie along the longer side, and `width` is that of a shaft as a share of the width
+    of the axes. The result is the artist that a color bar needs.
     """
     show(axes, pale(image))
     step = step_of(moved.length.shape, count)

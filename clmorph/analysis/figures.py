@@ -46,18 +46,7 @@ FEWEST, LONGEST = 14, 2.0
 
 
 def check_plotting(path: str | PathLike[str] | None = None) -> None:
-    """Check that a picture can be drawn and written to a path, before the computation begins.
-
-    Parameters
-    ----------
-    path : path, optional
-        A path that ends in .png, .svg or .pdf.
-
-    Raises
-    ------
-    OutputError
-        If matplotlib is missing, the ending is another, or the path cannot be written to.
-    """
+    """Check, before the computation, that a .png, .svg or .pdf can be drawn and written."""
     # The first import on a machine builds a cache of fonts, and on a slow one says so on stderr.
     log = logging.getLogger("matplotlib.font_manager")
     level = log.level
@@ -80,22 +69,11 @@ def check_plotting(path: str | PathLike[str] | None = None) -> None:
 
 
 def draw_inspection(inspection: Inspection, path: str | PathLike[str]) -> None:
-    """Draw the figure of a transport.
+    """Draw the figure of a transport to a path, whose old file is replaced atomically.
 
     The panels show both images, the mean displacement of source pixels as arrows, the mass
     destroyed and created, the distances that mass travels, the residual over the iterations, and
     the main numbers.
-
-    Parameters
-    ----------
-    inspection : Inspection
-    path : path
-        A path that ends in .png, .svg or .pdf; an existing file is replaced atomically.
-
-    Raises
-    ------
-    OutputError
-        If matplotlib is missing or the file cannot be written.
     """
     check_plotting(path)
     import matplotlib

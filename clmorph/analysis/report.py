@@ -20,42 +20,27 @@ BYTES_PER_PARTICLE, BYTES_PER_END = 24, 48
 
 
 class Seconds(NamedTuple):
-    """Durations of the stages, measured or estimated.
+    """Durations of the stages in seconds, measured or estimated."""
 
-    Attributes
-    ----------
-    transport : float
-        Measured duration of the solver.
-    plan : float
-        Duration of counting and writing pairs; measured if there is a plan, else partly estimated.
-    frames : float
-        Estimated duration of making particles and all frames, without writing a file; see
-        `clmorph.analysis.timing.frame_seconds`.
-    """
-
+    #: Measured duration of the solver.
     transport: float
+    #: Duration of counting and writing pairs; measured if there is a plan, else partly estimated.
     plan: float
+    #: Estimated duration of making particles and all frames, without writing a file; see
+    #: `clmorph.analysis.timing.frame_seconds`.
     frames: float
 
 
 class Marks(NamedTuple):
-    """Landmarks of both images.
+    """Landmarks of both images."""
 
-    Attributes
-    ----------
-    pairs : sequence of ((x, y), (x', y'))
-        In pixels of the images as they were given.
-    shapes : two of (height, width)
-        Shapes of these images.
-    misses : (n,) array
-        How far the warp misses the partner of each landmark, in pixels of the second image.
-    found : str
-        What ``landmarks="auto"`` has found; "" if it found nothing or was not asked.
-    """
-
+    #: Pairs ((x, y), (x', y')) in pixels of the images as they were given.
     pairs: Sequence[tuple[tuple[float, float], tuple[float, float]]] = ()
+    #: Shapes (height, width) of these images.
     shapes: Sequence[tuple[int, int]] = ()
+    #: (n,) How far the warp misses the partners of landmarks, in pixels of the second image.
     misses: NDArray[np.float64] = np.zeros(0)
+    #: What ``landmarks="auto"`` has found; "" if it found nothing or was not asked.
     found: str = ""
 
     @property

@@ -43,30 +43,12 @@ def frame_seconds(
     detail: Detail = RenderOptions.detail,
     labels: Labels = None,
 ) -> float:
-    """Estimate how long a morph takes to make particles of a plan and to draw its frames.
+    """Estimate the seconds in which a morph makes particles of a plan and draws its frames.
 
-    Frames are drawn as by ``clmorph morph`` with this `detail`. If there are many particles, a
-    sample of them and a quarter of this sample are drawn instead, and the time is assumed to be
-    linear in the number of particles.
-
-    Parameters
-    ----------
-    source, target : Measure
-    potentials : Potentials
-    plan : Plan or Barycentric, optional
-        The plan; if None, pairs are drawn at random from its rows.
-    pairs : int
-        Number of pairs that the plan keeps; a plan of means has one per row.
-    n_frames : int
-    operations : Operations
-    detail : {"layers", "cells", "pixels", "particles"}
-    labels : pair of integer arrays, optional
-        See `clmorph.frames.particles.Particles`.
-
-    Returns
-    -------
-    float
-        Seconds, without those of writing a file.
+    Frames are drawn as by ``clmorph morph`` with this `detail`, and are not written. If there are
+    many particles, a sample of them and a quarter of this sample are drawn instead, and the time is
+    assumed to be linear in the number of particles. Without a plan, pairs are drawn at random from
+    its rows; `pairs` is the number that it keeps, one per row in a plan of means.
     """
     if plan is None:
         draws = max(1, min(4096, SAMPLED_PAIRS // len(source)))

@@ -1,10 +1,8 @@
 """Conversion of callers' arguments to arrays of numbers, in one way everywhere.
 
-Every value from which NumPy can make an array is accepted: lists, arrays of any order and byte
-order, read-only arrays, data frames, tensors on the host, and whatever else has ``__array__``,
-``__array_interface__`` or ``__dlpack__``. A `pyopencl.array.Array` is mapped and read in place.
-Values that NumPy could convert only with a loss (masked entries, imaginary parts, texts, sparse
-matrices) raise an error that names the remedy.
+Whatever NumPy can make an array from is accepted; a `pyopencl.array.Array` is mapped and read in
+place. Values that NumPy could convert only with a loss (masked entries, imaginary parts, texts,
+sparse matrices) raise an error that names the remedy.
 """
 
 import contextlib
@@ -25,28 +23,9 @@ NUMBERS = "biuf"
 def as_array(name: str, value: Any, expected: str = "an array of numbers") -> AnyArray:
     """Return a value as an array of numbers, with its own dtype, in this machine's byte order.
 
-    Parameters
-    ----------
-    name : str
-        The name of the value in error messages.
-    value : array_like
-        A `pyopencl.array.Array` is read when the work that its ``events`` and its queue hold has
-        ended.
-    expected : str
-        The description of the expected value in error messages.
-
-    Returns
-    -------
-    array of bool, integers or floats
-        It can share memory with `value`. The memory of a device stays mapped until this array and
-        all its views are garbage.
-
-    Raises
-    ------
-    InputError
-        If the value is no array of real numbers, or one of its entries is masked.
-    DeviceError
-        If a device fails while its memory is mapped.
+    It can share memory with the value. A `pyopencl.array.Array` is read when the work that its
+    ``events`` and its queue hold has ended, and its memory stays mapped until this array and all
+    its views are garbage.
     """
     value = _on_host(name, value, expected)
     if hasattr(value, "getbands") and getattr(value, "mode", "RGB") not in _PLAIN_MODES:
@@ -82,10 +61,7 @@ def as_array(name: str, value: Any, expected: str = "an array of numbers") -> An
 
 
 def as_floats(name: str, value: Any, expected: str = "an array of numbers") -> Array:
-    """Return a value as a new array of float64, in C order; see `as_array`.
-
-    Numbers beyond the range of float64 become infinite.
-    """
+    """Return a new float64 array in C order; numbers beyond its range become infinite."""
     with np.errstate(over="ignore"):
         return np.array(as_array(name, value, expected), dtype=np.float64, order="C", subok=False)
 
@@ -97,13 +73,7 @@ def is_of_pyopencl(value: Any) -> bool:
 
 @contextlib.contextmanager
 def pyopencl_needed(name: str) -> Iterator[None]:
-    """Raise an `InputError` if pyopencl, which is imported inside, cannot be imported.
-
-    Parameters
-    ----------
-    name : str
-        The argument that needs it.
-    """
+    """Raise an `InputError` if pyopencl, which the argument `name` needs, cannot be imported."""
     try:
         yield
     except ImportError as error:

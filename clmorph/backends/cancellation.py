@@ -1,7 +1,6 @@
-"""Stop the work of another thread at its next launch.
+"""Ctrl-C interrupts the main thread alone; this stops the work of other threads for it.
 
-Ctrl-C interrupts the main thread alone. Work that other threads do for it must end too, and
-soon: operations call `check_cancelled` between their launches.
+Operations call `check_cancelled` between their launches.
 """
 
 import contextlib
@@ -15,14 +14,7 @@ class Cancelled(BaseException):
 
 
 class Cancellation:
-    """A request to stop, which holds for the work inside `applies` in any thread.
-
-    Parameters
-    ----------
-    outer : Cancellation, optional
-        A request that stops this work too; by default the one of the thread that creates this
-        object.
-    """
+    """A request to stop the work inside `applies` in any thread, as the request `outer` does."""
 
     def __init__(self, outer: "Cancellation | None" = None) -> None:
         self._outer = outer or _current.get()

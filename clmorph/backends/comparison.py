@@ -19,8 +19,7 @@ SIGNS_OF_WRONG_RESULTS = ArithmeticError, AssertionError, IndexError, ValueError
 def splat_tolerance(count: int, chunk: int = 1024) -> float:
     """Return the relative error that float32 sums of `count` splats may have.
 
-    The bound covers the additions of a chunk, the sum of the chunks, and a few roundings of an
-    exponent of up to 30.
+    It is that of the additions of a chunk and of chunks, and of an exponent of up to 30.
     """
     return UNIT * (chunk + count / chunk + 4 * 30)
 
@@ -36,20 +35,9 @@ def splat_excess(
 ) -> float:
     """Return the largest distance of a splat's sums from their range, in units of the tolerance.
 
-    A kernel may be cut anywhere from `radius` to `radius` + `sigma`, which gives each sum a
-    range. The tolerance around the range is `relative` plus KERNEL_ERROR of every kernel.
-
-    Parameters
-    ----------
-    sums : numerator, denominator
-        The result of `splat` of the backend that is compared.
-    exact : Operations
-    splats
-        Splats of the exact operations, without colors below 0.
-    shape, sigma, radius
-        As given to `splat`.
-    relative : float
-        Relative rounding error, as returned by `splat_tolerance`.
+    A kernel may be cut anywhere from `radius` to `radius` + `sigma`, which gives each sum a range.
+    The tolerance around the range is `relative`, as of `splat_tolerance`, plus KERNEL_ERROR of
+    every kernel. The splats are those of the exact operations, without colors below 0.
     """
     near, far = (exact.splat(splats, shape, sigma, cut) for cut in (radius, radius + sigma))
     tolerance = relative * far[1] + np.finfo(float).tiny
@@ -67,27 +55,14 @@ def splat_excess(
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of one comparison with the NumPy twin.
+    """The result of one comparison with the NumPy twin."""
 
-    Attributes
-    ----------
-    name : str
-        The operation and its setting.
-    error, tolerance : float
-        The largest error, and the largest that is accepted, in `unit`.
-    unit : str
-        Empty if the comparison ended in an error, which the name tells.
-
-    Examples
-    --------
-    >>> from clmorph.backends.comparison import Finding
-    >>> Finding("softmin", error=1e-6, tolerance=1e-5, unit="nats").passed
-    True
-    """
-
+    #: The operation and its setting.
     name: str
+    #: The largest error, and the largest that is accepted, in `unit`.
     error: float
     tolerance: float
+    #: Empty if the comparison ended in an error, which the name tells.
     unit: str
 
     @property

@@ -23,13 +23,7 @@ TEAR = 3.0
 
 
 class Affine(NamedTuple):
-    """How one grid lies on another: a point (row, column) stands at origin + step * (row, column).
-
-    Attributes
-    ----------
-    origin, step : (row, column)
-        In pixels of the other grid.
-    """
+    """A point (row, column) of one grid stands at origin + step * (row, column) of another one."""
 
     origin: tuple[float, float]
     step: tuple[float, float]
@@ -49,32 +43,20 @@ class LayerView(NamedTuple):
     A pixel of the canvas stands at `to_paths` on the grid of the paths and at `to_field` on that of
     the field. It shows what is at the place x = `to_field` + path of the field's grid: the picture
     at `to_picture` applied to x, plus `way` times the change of color at x.
-
-    Attributes
-    ----------
-    picture
-        What `Operations.upload_spline` has returned.
-    layer
-        What `Operations.upload_layer` has returned.
-    way : float
-        Share of its way that the picture has gone, from 0 to 1.
-    to_paths, to_field : Affine
-        From pixels of the canvas.
-    to_picture : Affine
-        From points of the field.
-    weights : (h, w) array
-        Weight of the first three channels, on the grid of the paths.
-    share : float
-        Weight of the fourth channel.
     """
 
+    #: What `Operations.upload_spline` has returned.
     picture: Any
+    #: What `Operations.upload_layer` has returned.
     layer: Any
+    #: Share of its way that the picture has gone, from 0 to 1.
     way: float
     to_paths: Affine
     to_field: Affine
     to_picture: Affine
+    #: Weight of the first three channels, on the grid of the paths: (h, w) array.
     weights: Float32
+    #: Weight of the fourth channel.
     share: float
 
 

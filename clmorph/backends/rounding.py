@@ -10,28 +10,11 @@ def rounding_error(
 ) -> Any:
     """Return the rounding error that a log-sum-exp of `operations` may have, in nats.
 
-    The estimate adds a few roundings of each term (8 units, the exponential's error included),
-    the random walk of a sum of `n_columns` terms, and one rounding of an exponent of size
-    C / epsilon. An exponent is rounded several times, but tiles make the numbers smaller.
-
-    Parameters
-    ----------
-    operations : Operations
-    n_columns : int, or an array of them
-        Number of terms of each sum.
-    largest : float, or an array of them
-        The largest C / epsilon.
-    precise : bool
-        Whether exponents are formed in more than float32.
-    exact : bool
-        Whether powers and sums are, too, as in `Operations.bounded_softmin`.
-
-    Examples
-    --------
-    >>> from clmorph.backends.numpy import NumPyOperations
-    >>> from clmorph.backends.rounding import rounding_error
-    >>> rounding_error(NumPyOperations(), 100, 1000.0, precise=False) < 1e-12
-    True
+    The estimate adds a few roundings of each term (8 units, the exponential's error included), the
+    random walk of a sum of `n_columns` terms, and one rounding of an exponent of size C / epsilon,
+    at most `largest`. An exponent is rounded several times, but tiles make the numbers smaller.
+    With `precise`, exponents are formed in more than float32; with `exact`, powers and sums are,
+    too, as in `Operations.bounded_softmin`.
     """
     in_exponent = operations.exponent_roundoff
     if precise or exact:

@@ -8,36 +8,17 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class WidthLevels:
-    """Widths in a geometric sequence around a base width sigma.
+    """Widths in a geometric sequence around a base width sigma."""
 
-    Attributes
-    ----------
-    count : int
-        Number of levels, at most 256: devices keep a level in a byte.
-    base : int
-        The level whose width is sigma.
-    per_octave : int
-        Number of levels from a width to its double.
-    """
-
+    #: Number of levels, at most 256: devices keep a level in a byte.
     count: int
+    #: The level whose width is sigma.
     base: int
+    #: Number of levels from a width to its double.
     per_octave: int
 
     def factor(self, level: NDArray[np.integer] | int) -> NDArray[np.float64]:
-        """Return the width of a level, in units of sigma.
-
-        Parameters
-        ----------
-        level : int, or array of int
-            From 0 to `count` - 1.
-
-        Examples
-        --------
-        >>> from clmorph.backends.width_levels import WIDTH_LEVELS
-        >>> WIDTH_LEVELS.factor(WIDTH_LEVELS.base + WIDTH_LEVELS.per_octave).item()
-        2.0
-        """
+        """Return the width of a level, from 0 to `count` - 1, in units of sigma."""
         return np.asarray(2.0 ** ((np.asarray(level) - self.base) / self.per_octave))
 
 

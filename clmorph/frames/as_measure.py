@@ -24,39 +24,11 @@ MERGED_POINTS = 8192
 def frame_measure(
     morph: FrameSequence, t: float, *, weights: str = "kernel", sums: Sums | None = None
 ) -> WeightedPoints:
-    """Return a frame as a measure, lifted as the images were.
+    """Return a frame, or another rendering `sums`, as a measure, lifted as the images were.
 
-    Parameters
-    ----------
-    morph : Morph
-    t : float
-    weights : {"kernel", "uniform"}
-        The mass of a pixel. With "kernel" it is the mass that the particles' kernels give it, and
-        the sum is the particles' total mass. With "uniform" all pixels have the same mass, and the
-        sum is 1; this is the paper's rule, which does not detect holes.
-    sums : Sums, optional
-        The result of `morph.sums(t)` or of another rendering; the frame itself if not given.
-
-    Returns
-    -------
-    WeightedPoints
-
-    Raises
-    ------
-    InputError
-        If an option has another value.
-
-    Examples
-    --------
-    >>> import clmorph
-    >>> import numpy as np
-    >>> left, right = np.zeros((2, 6, 6, 3))
-    >>> left[:, :3] = right[:, 3:] = 1.0
-    >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-    >>> from clmorph.frames.as_measure import frame_measure
-    >>> frame = frame_measure(morph, 0.5)
-    >>> frame.points.shape, round(float(frame.weights.sum()), 6)
-    ((36, 5), 1.0)
+    With the weights "kernel" a pixel has the mass that the particles' kernels give it, and the sum
+    is the particles' total mass. With "uniform" all pixels have the same mass, and the sum is 1;
+    this is the paper's rule, which does not detect holes.
     """
     check_frame_sequence(morph)
     t = check_number("t", t, 0.0, 1.0)
@@ -79,34 +51,11 @@ def frame_measure(
 def particle_measure(
     morph: FrameSequence, t: float, *, max_points: int = MERGED_POINTS
 ) -> tuple[WeightedPoints, float]:
-    """Return the particles at time t as a measure, with close particles merged.
+    """Return the particles at time t as a measure, with close ones merged, and the spread.
 
-    Parameters
-    ----------
-    morph : Morph
-    t : float
-    max_points : int
-        The largest number of points. Particles are merged to their centers of mass in cells of
-        one size in position and color, the smallest size that leaves no more points.
-
-    Returns
-    -------
-    measure : WeightedPoints
-    spread : float
-        Root mean square distance of particles to the point they were merged to, in image sides;
-        0 if no particles were merged.
-
-    Examples
-    --------
-    >>> import clmorph
-    >>> import numpy as np
-    >>> left, right = np.zeros((2, 6, 6, 3))
-    >>> left[:, :3] = right[:, 3:] = 1.0
-    >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-    >>> from clmorph.frames.as_measure import particle_measure
-    >>> measure, spread = particle_measure(morph, 0.5, max_points=64)
-    >>> len(measure.weights) <= 64, 0.0 <= spread < 0.5
-    (True, True)
+    Particles are merged to their centers of mass in cells of one size in position and color, the
+    smallest size that leaves at most `max_points`. The spread is the root mean square distance of
+    particles to the point they were merged to, in image sides; 0 if none were merged.
     """
     check_frame_sequence(morph)
     t = check_number("t", t, 0.0, 1.0)

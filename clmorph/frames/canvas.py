@@ -8,16 +8,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Canvas:
-    """The pixels of one frame.
+    """The pixels of one frame."""
 
-    Attributes
-    ----------
-    shape : (height, width)
-    scale : (x, y)
-        Pixels per unit of the common frame.
-    """
-
+    #: Height and width.
     shape: tuple[int, int]
+    #: Pixels per unit of the common frame, along x and y.
     scale: tuple[float, float]
 
     @property
@@ -33,13 +28,7 @@ class Canvas:
         return Canvas((height, width), (self.scale[0] * x, self.scale[1] * y))
 
     def positions(self, first: int = 0, stop: int | None = None) -> NDArray[np.float64]:
-        """Return the positions (x, y) of pixels in the common frame: (H, W, 2) array.
-
-        Parameters
-        ----------
-        first, stop : int
-            The first row, and the one after the last; all rows by default.
-        """
+        """Return positions (x, y) of some rows' pixels in the common frame: (H, W, 2) array."""
         y, x = np.mgrid[first : self.shape[0] if stop is None else stop, : self.shape[1]]
         # Along a side of one pixel the scale may be 0.
         scale = np.maximum(self.scale, 1e-9)
@@ -57,14 +46,8 @@ def canvas_at(
     """Return the canvas at time t (paper, 3.3, "Dynamic Rasterization Grid").
 
     Sides are interpolated from those of the source to those of the target, and rounded down. At
-    both ends the common frame maps exactly onto the pixels of the image.
-
-    Parameters
-    ----------
-    t : float in [0, 1]
-    source_shape, target_shape : (height, width)
-    extent : {"true", "unit"}
-        The extent with which the measures were lifted.
+    both ends the common frame maps exactly onto the pixels of the image. `extent`, "true" or
+    "unit", is that with which the measures were lifted.
     """
     # The small number keeps rounding from turning an integer into the one below.
     height, width = (

@@ -3,9 +3,7 @@
 Seeds move in straight lines. A cell shows its part of a picture, which moves with it as a whole, so
 a frame has neither holes nor blends: first what is around the cell's start in picture A, and from
 the cell's switching time on what is around its end in picture B. Or it has one color, that changes.
-
-`cells_of_plan` pairs the blocks of two pictures one to one. Where seeds stand in the centers of a
-grid, cells are the blocks of this grid.
+`cells_of_plan` pairs the blocks of two pictures one to one.
 """
 
 from __future__ import annotations
@@ -42,49 +40,20 @@ SWITCHING = 0.25, 0.75
 
 
 class CellPaths(NamedTuple):
-    """Where cells go.
+    """Where cells go."""
 
-    Attributes
-    ----------
-    starts, ends : (K, 2) arrays
-        Positions (x, y) of the seeds at t = 0 and at t = 1, in the common frame.
-    switching : (K,) array
-        The time, from 0 to 1, at which each cell changes from picture A to picture B.
-    """
-
+    #: Positions (x, y) of the seeds at t = 0 and at t = 1, in the common frame: (K, 2) arrays.
     starts: Array
     ends: Array
+    #: The time, from 0 to 1, at which each cell changes from picture A to picture B: (K,) array.
     switching: Array
 
 
 class Cells:
-    """Moving cells between two pictures.
+    """Moving cells between two pictures, (H, W, 3 or 4) each, of any sizes.
 
-    Parameters
-    ----------
-    paths : CellPaths
-    pictures : two of (H, W, 3) or (H, W, 4) arrays
-        Picture A and picture B, of any sizes: colors in the space of the path and, if there is a
-        fourth channel, opacity.
-    canvases : two of Canvas
-        The canvas of each picture.
-    operations : Operations
-    texture : bool
-        Whether cells show their parts of the pictures, or one color each: the mean of their part.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clmorph.backends.numpy import NumPyOperations
-    >>> from clmorph.frames.canvas import Canvas
-    >>> left, right = np.zeros((2, 1, 4, 3))
-    >>> left[:, :2] = right[:, 2:] = 1.0
-    >>> centers = np.array([[1 / 6, 0.5], [5 / 6, 0.5]])
-    >>> paths = CellPaths(centers, centers[::-1], np.array([0.5, 0.5]))
-    >>> canvas = Canvas((1, 4), (3.0, 3.0))
-    >>> cells = Cells(paths, (left, right), (canvas, canvas), NumPyOperations())
-    >>> cells.frame(0.25, canvas)[0, :, 0].tolist()
-    [1.0, 1.0, 0.0, 0.0]
+    The pictures' colors are in the space of the path; a fourth channel is opacity. With `texture`
+    cells show their parts of the pictures, else one color each: the mean of their part.
     """
 
     def __init__(
@@ -117,11 +86,6 @@ class Cells:
         """Return the frame at time t: (H, W, 3) array or, with opacity, (H, W, 4).
 
         With texture the frames at both ends are the pictures, on canvases of their own.
-
-        Parameters
-        ----------
-        t : float in [0, 1]
-        canvas : Canvas
         """
         if not self._texture:
             colors = self._colors
@@ -141,15 +105,7 @@ class Cells:
     def _strip(self, t: float, canvas: Canvas, first: int, owners: Owners, later: Array) -> Array:
         """Return the pixels of rows from `first` on, colors multiplied by opacity: (N, C) array.
 
-        Parameters
-        ----------
-        t : float
-        canvas : Canvas
-        first : int
-        owners : (N,) array
-            Their cells.
-        later : (K,) array
-            The share of picture B in each cell.
+        `owners`, (N,), are their cells, and `later`, (K,), is the share of picture B in each cell.
         """
         stop = first + len(owners) // canvas.shape[1]
         positions = canvas.positions(first, stop).reshape(-1, 2)
@@ -207,13 +163,7 @@ def owners_at(
 ) -> Owners:
     """Return the nearest seed of each pixel of a canvas at time t: (H, W) array.
 
-    Parameters
-    ----------
-    starts, ends : (K, 2) arrays
-        Positions (x, y) of the seeds at t = 0 and at t = 1, in the common frame.
-    t : float in [0, 1]
-    canvas : Canvas
-    operations : Operations
+    Seeds go from `starts` to `ends`: (K, 2) arrays (x, y) in the common frame.
     """
     rows, columns = canvas.places((1 - t) * starts + t * ends)
     return operations.nearest_seeds(
@@ -222,14 +172,7 @@ def owners_at(
 
 
 def mirrored(places: NDArray[_Number], shape: tuple[int, int]) -> NDArray[_Number]:
-    """Return places that are mirrored into a picture, about the centers of its outermost pixels.
-
-    Parameters
-    ----------
-    places : (2, ...) array
-        Pixel coordinates (row, column).
-    shape : (height, width) of the picture
-    """
+    """Return places (2, ...) mirrored into a picture about the centers of its outermost pixels."""
     found = places.copy()
     for own, side in zip(found, shape, strict=True):
         outside = (own < 0) | (own > side - 1)
@@ -250,23 +193,10 @@ def cells_of_plan(
 ) -> CellPaths:
     """Pair the blocks of two pictures one to one, in position and color.
 
-    Both pictures are cut into about the same number of blocks, which are about square. Of the
-    picture that has fewer, some are paired twice: one of these two blocks shrinks to nothing. Pairs
-    whose colors are alike switch first.
-
-    Parameters
-    ----------
-    source, target : Measure
-    plan : Plan or Barycentric
-        Its mean destinations begin the search.
-    side : int
-        About how many blocks lie along the longer side of a picture.
-    seed : int
-        Seed of the search.
-
-    Returns
-    -------
-    CellPaths
+    Both pictures are cut into about the same number of blocks, which are about square, about `side`
+    of them along the longer side. Of the picture that has fewer, some are paired twice: one of
+    these two blocks shrinks to nothing. Pairs whose colors are alike switch first. The mean
+    destinations of the plan begin the search.
     """
     grids = block_grids((source.shape, target.shape), side)
     clear = source.alpha is not None or target.alpha is not None
@@ -294,19 +224,9 @@ def cells_of_plan(
 
 
 def block_grids(shapes: Sequence[tuple[int, int]], side: int) -> list[tuple[int, int]]:
-    """Return rows and columns of about square blocks, about as many in each picture.
+    """Return rows and columns of about square blocks, about `side` along the longer side.
 
-    Parameters
-    ----------
-    shapes : sequence of (height, width)
-        Shapes of the pictures.
-    side : int
-        About how many blocks lie along the longer side.
-
-    Examples
-    --------
-    >>> block_grids([(100, 200), (200, 200)], 12)
-    [(7, 15), (10, 10)]
+    There are about as many in each picture.
     """
     counts = [side**2 * min(shape) / max(shape) for shape in shapes]
     count = float(np.exp(np.mean(np.log(counts))))
@@ -332,14 +252,8 @@ def _compared(measures: tuple[Measure, Measure]) -> tuple[Array, Array]:
 class _Blocks:
     """The blocks of one picture.
 
-    Parameters
-    ----------
-    measure : Measure
-    points : (N, D) array
-        What is compared of its pixels, the position first.
-    grid : (rows, columns)
-    clear : bool
-        Whether opacity is compared.
+    `points`, (N, D), is what is compared of its pixels, the position first; `clear` tells whether
+    opacity is compared.
     """
 
     def __init__(self, measure: Measure, points: Array, grid: tuple[int, int], clear: bool) -> None:

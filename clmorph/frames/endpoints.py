@@ -1,12 +1,11 @@
 """The correction that makes the first and the last frame the images themselves.
 
-A frame at t = 0 is the source, smoothed by a kernel. The difference, source less frame, is the
-detail that the kernel removes. The correction adds this detail to the frames: it travels with the
-pixels, drawn with a narrow kernel, so that the first frames are as sharp as the source; likewise
-backwards from the target. The detail depends on the kernel's width at that time. The correction
-fades with `share`, which is 1 at both ends and 0 halfway, where a frame is Eq. 4 alone. A
-difference that remains at the ends even so (pixels from which nothing travels if unmatched mass
-is dropped, or rounding) fades at its place.
+A frame at t = 0 is the source, smoothed by a kernel. The correction adds what the kernel removes,
+source less frame: it travels with the pixels, drawn with a narrow kernel, so that the first frames
+are as sharp as the source; likewise backwards from the target. It depends on the kernel's width at
+that time, and fades with `share`, which is 1 at both ends and 0 halfway, where a frame is Eq. 4
+alone. A difference that remains at the ends even so (pixels from which nothing travels if unmatched
+mass is dropped, or rounding) fades at its place.
 """
 
 from collections.abc import Callable
@@ -52,17 +51,11 @@ def brief_share(t: float) -> float:
 
 
 class Lacking(NamedTuple):
-    """Image less frame at one end, for several kernel widths.
+    """Image less frame at one end, for several kernel widths."""
 
-    Attributes
-    ----------
-    widths : (L,) array
-        Ascending, in pixels.
-    missing : (L, H, W, 3) array
-        Image less frame, in the space of the path.
-    """
-
+    #: Ascending, in pixels: (L,) array.
     widths: Array
+    #: Image less frame, in the space of the path: (L, H, W, 3) array.
     missing: Array
 
     def at(self, width: float) -> Array:
@@ -84,18 +77,9 @@ def ladder(widths: Array) -> Array:
 class Details:
     """Image less frame at one end, as particles that travel with the pixels.
 
-    Parameters
-    ----------
-    operations : Operations
-    measure : Measure
-        The source, or the target.
-    missing : Lacking
-    destinations : (N, 2) array
-        Mean destination or mean origin of each pixel.
-    moving : (N,) array
-        Share of each pixel that moves; the rest stays.
-    backwards : bool
-        Whether the pixels arrive, as those of the target do.
+    `destinations`, (N, 2), is the mean destination or mean origin of each pixel, and `moving`,
+    (N,), the share of it that moves; the rest stays. `backwards` tells whether the pixels arrive,
+    as those of the target do.
     """
 
     def __init__(
@@ -125,15 +109,7 @@ class Details:
         return other
 
     def at(self, t: float, canvas: Canvas, width: float) -> Array | float:
-        """Return the correction of a frame before it is faded: (H, W, 3) array.
-
-        Parameters
-        ----------
-        t : float
-        canvas : Canvas
-        width : float
-            The kernel's width at t.
-        """
+        """Return the correction, before it is faded, for a kernel's width in pixels: (H, W, 3)."""
         if not len(self._links):
             return 0.0
         colors = np.tile(self._missing.at(width).reshape(-1, 3), (2, 1))
@@ -151,14 +127,9 @@ class Details:
 
 
 class EndCorrection:
-    """The correction that brings both ends of a morph to its images.
+    """The correction, of a strength `share` at each time, that brings both ends to the images.
 
-    Parameters
-    ----------
-    details : (source's, target's)
-        Corrections that travel; None for an end that needs no correction.
-    share : callable, optional
-        The strength of the correction at a time.
+    An end whose details are None needs no correction.
     """
 
     def __init__(
@@ -209,15 +180,7 @@ def make_details(
 ) -> tuple[Details | None, Details | None]:
     """Return the corrections of both ends, which travel by the plan's mean displacements.
 
-    Parameters
-    ----------
-    operations : Operations
-    measures : (source, target)
-    plan : Plan or Barycentric
-    missing : two of Lacking
-        At t = 0 and at t = 1.
-    unmatched : {"fade", "grow", "drop"}
-        With "fade" alone detail stays in place, as the mass that dies or is born.
+    With `unmatched` "fade" alone detail stays in place, as the mass that dies or is born.
     """
     source, target = measures
     masses = plan.marginals

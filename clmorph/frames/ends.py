@@ -15,20 +15,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """A picture that frames show at one end.
+    """A picture that frames show at one end."""
 
-    Attributes
-    ----------
-    colors : (H, W, 3) array
-        sRGB in [0, 1].
-    alpha : (H, W) array or None
-        Opacity; None if all pixels are opaque.
-    extent : str
-        How pixels map to positions, see `clmorph.lift`.
-    """
-
+    #: sRGB in [0, 1]: (H, W, 3) array.
     colors: Array
+    #: Opacity, (H, W); None if all pixels are opaque.
     alpha: Array | None
+    #: How pixels map to positions, see `clmorph.lift`.
     extent: str
 
     @property
@@ -46,14 +39,7 @@ class End:
 def ends_of(
     measures: tuple[Measure, Measure], pictures: Sequence[Array] | None = None
 ) -> tuple[End, End]:
-    """Return both ends.
-
-    Parameters
-    ----------
-    measures : (source, target)
-    pictures : pair of (H, W, 3) arrays, optional
-        Opaque pictures in place of those whose pixels the measures have.
-    """
+    """Return both ends; opaque pictures, (H, W, 3), can replace the pixels of the measures."""
     if pictures is None:
         return End.of(measures[0]), End.of(measures[1])
     first, second = (

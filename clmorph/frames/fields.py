@@ -38,20 +38,13 @@ LABEL_STEP = 3.0
 
 
 class Field(NamedTuple):
-    """The motion of a picture.
+    """The motion of a picture."""
 
-    Attributes
-    ----------
-    move : (h, w, 2) array
-        Displacement (x, y) from this end to the other one, in units of the common frame.
-    change : (h, w, 3) array
-        Change of color, in the space of the path.
-    canvas : Canvas
-        One pixel for each point, over the picture's extent.
-    """
-
+    #: (h, w, 2) Displacement (x, y) to the other end, in units of the common frame.
     move: Array
+    #: Change of color, in the space of the path: (h, w, 3) array.
     change: Array
+    #: One pixel for each point, over the picture's extent.
     canvas: Canvas
 
     def steps(self) -> NDArray[np.float32]:
@@ -119,24 +112,11 @@ def field_of(
     *,
     figure: bool = False,
 ) -> Field:
-    """Return the field of one picture.
+    """Return the field of one picture: the source's with `end` 0, the target's with 1.
 
-    Parameters
-    ----------
-    particles : Particles
-    end : {0, 1}
-        The source's picture, or the target's.
-    sizes : (int, int)
-        Numbers of points of source and target.
-    colors : two of (H, W, 3) arrays
-        Both pictures in the space of the path.
-    canvases : two of Canvas
-        Theirs.
-    operations : Operations
-    labels : (h, w) array of int, optional
-        Labels of this picture's pixels; no mean crosses their borders.
-    figure : bool
-        Whether only pixels with mass count, and the rest moves as the nearest of them.
+    `sizes` are the numbers of points of source and target, and `colors` both pictures, (H, W, 3),
+    in the space of the path. No mean crosses the borders of `labels`, (h, w), of this picture's
+    pixels. With `figure` only pixels with mass count, and the rest moves as the nearest of them.
     """
     picture, other = (np.asarray(colors[each], np.float32) for each in (end, 1 - end))
     canvas = canvases[end]
@@ -210,10 +190,7 @@ def _spread(values: Array, weights: Array) -> Array:
 
 
 def sampled(image: NDArray[np.floating], places: Array) -> Array:
-    """Interpolate an image (H, W, C) linearly at pixel coordinates (2, ...): (..., C) array.
-
-    Beyond its border the image is constant.
-    """
+    """Interpolate an image (H, W, C) linearly at pixels (2, ...), constant outside: (..., C)."""
     height, width, channels = image.shape
     flat = image.reshape(-1, channels)
     sides: list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] = []

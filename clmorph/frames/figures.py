@@ -25,29 +25,19 @@ OPAQUE, CLEAR, SOLID = 0.999, 0.05, 0.95
 
 
 class Figure(NamedTuple):
-    """What stands before the ground of a picture.
+    """What stands before the ground of a picture."""
 
-    Attributes
-    ----------
-    pure : (H, W) array of bool
-        Which pixels belong to it alone; those of the edge mix it with the ground.
-    distance : (H, W) array
-        Signed distance from the outline in pixels, positive inside.
-    alpha : (H, W) array
-        Opacity, continued beyond the outline.
-    softness : float
-        Width of the outline in pixels.
-    ground : (3,) array
-        The color of the ground, sRGB.
-    ground_alpha : float
-        Its opacity: 1, or 0 if it is transparent or there is none.
-    """
-
+    #: Which pixels belong to it alone, (H, W); those of the edge mix it with the ground.
     pure: _Bool
+    #: Signed distance from the outline in pixels, positive inside: (H, W) array.
     distance: Array
+    #: Opacity, continued beyond the outline: (H, W) array.
     alpha: Array
+    #: Width of the outline in pixels.
     softness: float
+    #: The color of the ground, sRGB: (3,) array.
     ground: Array
+    #: Its opacity: 1, or 0 if it is transparent or there is none.
     ground_alpha: float
 
     @property

@@ -25,24 +25,12 @@ class Filling:
 
     The shares depend continuously on the kernels' masses. So a pixel has the same color on both
     sides of a threshold that rounding, or a pair dropped from the plan, could make it cross.
+    `closed` fills pixels that are torn, but not empty, too; `where` masks the pixels that may be
+    filled.
 
-    Parameters
-    ----------
-    coverage : (H, W) array
-        Coverage by the frame's own kernel.
-    closed : bool
-        Whether pixels that are torn, but not empty, are filled too.
-    where : bool or (H, W) array of bool
-        Mask of the pixels that may be filled.
-
-    Attributes
-    ----------
-    wanted : (H, W) array
-        Share of a pixel's color that wider kernels are to supply.
-    given : (H, W) array
-        Share of a pixel's color that wider kernels have supplied so far.
-    coverage : (H, W) array
-        The frame's coverage, with that of the wider kernels in the pixels that they have filled.
+    All attributes are (H, W) arrays: `wanted` is the share of a pixel's color that wider kernels
+    are to supply, `given` what they have supplied so far, and `coverage` the frame's own, with that
+    of the wider kernels in the pixels that they have filled.
     """
 
     def __init__(
@@ -80,12 +68,8 @@ class Filling:
     ) -> NDArray[np.float64]:
         """Fill pixels that a wider kernel covers, and return its share of their colors: (H, W).
 
-        Parameters
-        ----------
-        share : (H, W) array
-            Coverage by that kernel.
-        whole : (H, W) array of bool, optional
-            Mask of the pixels to fill; others are not filled, even if they are torn.
+        `share`, (H, W), is the coverage by that kernel; `whole` masks the pixels to fill: others
+        are not filled, even if they are torn.
         """
         around = surroundings(share) if self._closed else share
         covers = 1.0 - self._openness(share, around) if whole is None else whole.astype(float)
@@ -114,10 +98,7 @@ class Filling:
 def is_torn(coverage: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which pixels are holes: far less covered than their surroundings, or empty.
 
-    Parameters
-    ----------
-    coverage : (H, W) array
-        Kernel mass as a share of that of a uniform spread.
+    Coverage, (H, W), is the kernel mass as a share of that of a uniform spread.
     """
     return (coverage < HOLE_SHARE * surroundings(coverage)) | (coverage < HOLE_COVERAGE)
 

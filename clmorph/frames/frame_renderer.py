@@ -39,23 +39,9 @@ UNSEEN = 1 / 1024
 class FrameRenderer:
     """Renders a morph at any time, and keeps the data that its frames share.
 
-    Particles are uploaded to the device, and the correction of the ends is computed, when the
-    first frame needs them.
-
-    Parameters
-    ----------
-    source, target : Measure
-    plan : Plan or Barycentric
-    particles : Particles
-        The particles of this plan.
-    kernel_width : KernelWidth
-    operations : Operations
-    endpoints : {"exact", "paper"}
-    unmatched : {"fade", "grow", "drop"}
-    detail : {"layers", "cells", "pixels", "particles"}
-    pictures : pair of (H, W, 3) arrays, optional
-        What frames show at both ends, if it has more pixels than the measures: opaque images,
-        for layers and cells alone.
+    Particles are uploaded to the device, and the correction of the ends is computed, when the first
+    frame needs them. `pictures`, (H, W, 3) each, are what frames show at both ends if it has more
+    pixels than the measures: opaque images, for layers and cells alone.
     """
 
     def __init__(
@@ -97,12 +83,7 @@ class FrameRenderer:
     def on(self, operations: Operations, like: "FrameRenderer | None" = None) -> "FrameRenderer":
         """Return a renderer of the same morph on another device.
 
-        Parameters
-        ----------
-        operations : Operations
-        like : FrameRenderer, optional
-            The renderer that computes the correction of the ends and the motion of the details; by
-            default the new one itself.
+        The correction of the ends and the motion of the details come from `like`, or from itself.
         """
         other = FrameRenderer(
             *self._measures, self._plan, self._given, self._kernel_width, operations,
@@ -131,15 +112,9 @@ class FrameRenderer:
         return picture
 
     def sums(self, t: float, widths: Widths | None = None, canvas: Canvas | None = None) -> Sums:
-        """Render colors, coverage and density at time t, without the correction of the ends.
+        """Render colors, coverage and density without the correction of the ends.
 
-        Parameters
-        ----------
-        t : float
-        widths : Widths, optional
-            Kernel widths in place of the morph's own.
-        canvas : Canvas, optional
-            A canvas in place of that at t.
+        `widths` and `canvas` replace those of the morph at time t.
         """
         canvas = canvas or self.canvas(t)
         widths = widths or self._kernel_width.widths(t, canvas)

@@ -22,17 +22,9 @@ TRAVELS = 0.5
 def mean_destinations(
     source: Measure, target: Measure, plan: Plan | Barycentric
 ) -> tuple[Array, Array]:
-    """Return the mean destinations of source pixels and the mean origins of target pixels.
+    """Return mean destinations of source pixels, (N, 2), and mean origins of target pixels, (M, 2).
 
-    Parameters
-    ----------
-    source, target : Measure
-    plan : Plan or Barycentric
-
-    Returns
-    -------
-    (N, 2) and (M, 2) arrays
-        Positions in the common frame.
+    They are positions in the common frame.
     """
     if isinstance(plan, Plan):
         return plan.mean_destinations(source.positions, target.positions)
@@ -43,16 +35,9 @@ def mean_destinations(
 def grown_ends(source: Measure, target: Measure, plan: Plan | Barycentric) -> tuple[Array, Array]:
     """Return where unmatched mass of source pixels ends, and where that of target pixels starts.
 
-    Parameters
-    ----------
-    source, target : Measure
-    plan : Plan or Barycentric
-        A `Barycentric` plan does not know where mass comes from, so births stay in place.
-
-    Returns
-    -------
-    (N, 2) and (M, 2) arrays
-        Positions in the common frame. They are those of the pixels themselves if nothing travels.
+    They are positions in the common frame, (N, 2) and (M, 2), and those of the pixels themselves if
+    nothing travels. A `Barycentric` plan does not know where mass comes from, so births stay in
+    place.
     """
     forth, back = mean_destinations(source, target, plan)
     sent, received = plan.marginals
@@ -62,13 +47,7 @@ def grown_ends(source: Measure, target: Measure, plan: Plan | Barycentric) -> tu
 def take_after(values: Array, links: NDArray[np.int64], known: int) -> None:
     """Give rows that `grown_ends` has added the values of their particles' other ends, in place.
 
-    Parameters
-    ----------
-    values : (P,) or (P, C) array
-        One row for each row of the particles' table.
-    links : (K, 2) array
-    known : int
-        Number of rows that were not added.
+    `values` have one row for each row of the particles' table, of which `known` were not added.
     """
     for own, added in ((0, 1), (1, 0)):
         grown = links[:, added] >= known

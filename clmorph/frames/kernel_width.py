@@ -11,10 +11,7 @@ from clmorph.frames.render import Widths
 
 
 def effective_count(weights: NDArray[np.float64]) -> float:
-    """Return Kish's effective number (sum w)^2 / sum w^2 of particles (paper, Eq. 3).
-
-    The effective number of no particles is 1.
-    """
+    """Return Kish's effective number (sum w)^2 / sum w^2 of particles (Eq. 3); 1 for none."""
     largest = float(weights.max(initial=0.0))
     if largest == 0:
         return 1.0
@@ -24,29 +21,20 @@ def effective_count(weights: NDArray[np.float64]) -> float:
 
 @dataclass(frozen=True)
 class KernelWidth:
-    """Kernel widths over time by Eq. 3 and 4, or by another curve.
+    """Kernel widths over time by Eq. 3 and 4, or by another curve."""
 
-    Attributes
-    ----------
-    sigma_start, sigma_end : float
-        Widths in pixels at t = 0 and t = 1.
-    gamma : float
-        Height of the bulge at t = 1/2, in pixels. "local" has no bulge, because it widens kernels
-        where particles are sparse.
-    n_start, n_end : float
-        Effective numbers of particles at both ends (N_eff of Eq. 3).
-    splatting : {"adaptive", "local", "fixed", "none"}
-    curve : (times, widths), optional
-        Times and widths in pixels between which sigma(t) is interpolated, in place of Eq. 4. Torn
-        pixels are then closed, as with "local", so that a narrow width does not cause holes.
-    """
-
+    #: Widths in pixels at t = 0 and t = 1.
     sigma_start: float
     sigma_end: float
+    #: Height of the bulge at t = 1/2, in pixels. "local" has no bulge, because it widens kernels
+    #: where particles are sparse.
     gamma: float
+    #: Effective numbers of particles at both ends (N_eff of Eq. 3).
     n_start: float
     n_end: float
     splatting: Splatting = "adaptive"
+    #: Times and widths in pixels between which sigma(t) is interpolated, in place of Eq. 4. Torn
+    #: pixels are then closed, as with "local", so that a narrow width does not cause holes.
     curve: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def __post_init__(self) -> None:

@@ -69,29 +69,14 @@ FAINT = 0.01
 
 
 class Layer(NamedTuple):
-    """What moves one picture.
-
-    Attributes
-    ----------
-    field : Field
-    handle
-        What `Operations.upload_layer` has returned.
-    """
+    """What moves one picture; the handle is that of `Operations.upload_layer`."""
 
     field: Field
     handle: Any
 
 
 class Channels:
-    """A picture of four channels, ready to be sampled at any scale.
-
-    Parameters
-    ----------
-    image : (H, W, 3) or (H, W, 4) array
-    canvas : Canvas
-        Its pixels.
-    operations : Operations
-    """
+    """A picture of three or four channels, (H, W, C), ready to be sampled at any scale."""
 
     def __init__(self, image: Array, canvas: Canvas, operations: Operations) -> None:
         self._image, self.canvas, self._operations = image, canvas, operations
@@ -172,17 +157,8 @@ def view(
 class Pictures:
     """The pictures of a film or of mixes: what layers sample, and how a frame is put together.
 
-    Parameters
-    ----------
-    ends : sequence of End
-        The pictures that frames show.
-    canvases : sequence of Canvas
-        Theirs.
-    figures : sequence of Figure, optional
-        What stands before their grounds; None if all pixels belong to the pictures.
-    space : str
-        The space of the path.
-    operations : Operations
+    `figures` stand before their grounds; None if all pixels belong to the pictures. `space` is that
+    of the path.
     """
 
     def __init__(
@@ -267,19 +243,10 @@ class Pictures:
     ) -> Array:
         """Return a frame: (H, W, 3) array of sRGB, or (H, W, 4) with opacity.
 
-        Parameters
-        ----------
-        layers : sequence of Layer
-            One for each picture.
-        ways : sequence of float
-            Share of its way that each of them has gone.
-        shares : sequence of float
-            Share of each picture in the frame, with the sum 1.
-        weights : sequence of (h, w) arrays
-            Which picture is seen at each place of the stage, with the sum 1.
-        agreement : (h, w) array
-            How far all pictures agree there, from 0 to 1.
-        canvas : Canvas
+        For each picture `layers` has its layer, `ways` the share of its way that it has gone,
+        `shares` its share in the frame, and `weights`, (h, w), how much of it is seen at each place
+        of the stage; shares and weights have the sum 1. `agreement`, (h, w), is how far all
+        pictures agree there, from 0 to 1.
         """
 
         def drawn(
@@ -398,26 +365,9 @@ class Pictures:
 class Layers:
     """Both layers of a morph.
 
-    Parameters
-    ----------
-    ends : (source, target)
-        The pictures that frames show at both ends.
-    measures : (source, target)
-    particles : Particles
-    canvases : two of Canvas
-        At t = 0 and t = 1.
-    operations : Operations
-
-    Attributes
-    ----------
-    fields : list of Field
-        How each picture moves to the other end.
-    stage : Canvas
-        The grid of `agreement` and `times`.
-    agreement : (h, w) array
-        How far both pictures agree at t = 1/2, from 0 to 1.
-    times : (h, w) array
-        When each place changes hands, see `clmorph.frames.switching`.
+    `fields` are how each picture moves to the other end. `stage` is the grid of two (h, w) arrays:
+    `agreement`, how far both pictures agree at t = 1/2, from 0 to 1, and `times`, when each place
+    changes hands (`clmorph.frames.switching`).
     """
 
     def __init__(

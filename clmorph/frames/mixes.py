@@ -35,19 +35,7 @@ def mixed_canvas(pictures: Sequence[End], weights: Sequence[float]) -> Canvas:
 
 
 class MixRenderer:
-    """Draws mixtures of pictures.
-
-    Parameters
-    ----------
-    ends : sequence of End
-        The pictures.
-    measures : sequence of Measure
-        Theirs, which can have fewer pixels.
-    layers : mapping of (i, j) to Layers
-        The layers of the morph of each pair, i < j.
-    path_space : str
-    operations : Operations
-    """
+    """Draws mixtures of pictures from the layers of the morph of each pair (i, j), i < j."""
 
     def __init__(
         self,
@@ -67,13 +55,7 @@ class MixRenderer:
         )
 
     def frame(self, weights: Sequence[float]) -> Array:
-        """Draw a mixture: (H, W, 3) array of sRGB, or (H, W, 4) with opacity.
-
-        Parameters
-        ----------
-        weights : sequence of float
-            The weight of each picture, with the sum 1.
-        """
+        """Draw a mixture by weights of sum 1: (H, W, 3) sRGB array, or (H, W, 4) with opacity."""
         stage = self._pictures.stage
         points = stage.positions()
         times, agreement, total = np.zeros(stage.shape), np.zeros(stage.shape), 0.0

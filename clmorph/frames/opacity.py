@@ -23,21 +23,10 @@ CRACK = 0.015
 def alpha_particles(
     source: Measure, target: Measure, plan: Plan | Barycentric, moving: Particles
 ) -> Particles | None:
-    """Return the area and the opacity of particles, as particles.
+    """Return area and opacity of the plan's particles, as particles; None if all is opaque.
 
-    Parameters
-    ----------
-    source, target : Measure
-    plan : Plan or Barycentric
-    moving : Particles
-        The particles of this plan.
-
-    Returns
-    -------
-    Particles or None
-        Particles on the same paths, and resting particles at opaque pixels without mass. Their
-        masses are areas, whose sum is at most 1 at both ends, and their first color is opacity.
-        None if both images are opaque everywhere.
+    They are particles on the same paths, and resting particles at opaque pixels without mass. Their
+    masses are areas, whose sum is at most 1 at both ends, and their first color is opacity.
     """
     if source.alpha is None and target.alpha is None:
         return None
@@ -80,13 +69,8 @@ def alpha_particles(
 def opacity(sums: Sums, area: float, t: float) -> Array:
     """Return the opacity of each pixel, with narrow cracks closed: (H, W) array.
 
-    Parameters
-    ----------
-    sums : Sums
-        Rendering of `alpha_particles`, without filled holes.
-    area : float
-        Total mass of `alpha_particles` at time t.
-    t : float
+    `sums` is a rendering of `alpha_particles` without filled holes, and `area` their total mass at
+    time t.
     """
     enough = 1.0 - 4 * t * (1 - t) * (1.0 - THINNEST)
     covered = np.clip(sums.coverage * area / enough, 0.0, 1.0)

@@ -241,12 +241,7 @@ def _shared_out(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Share out the mass that each point moves among its pairs, in proportion to their masses.
 
-    Returns
-    -------
-    (N,) array
-        `moved`, but 0 for a point without pairs.
-    (K,) array
-        Each pair's part of it.
+    The result is `moved`, (N,), but 0 for a point without pairs, and each pair's part of it, (K,).
     """
     kept = np.bincount(owners, mass, len(moved))
     moved = np.where(kept > 0, moved, 0.0)

@@ -31,17 +31,7 @@ LARGEST_SPLAT, MOST_ROWS = 2**22, 2**12
 
 
 class Parts:
-    """Groups of a morph's particles.
-
-    Parameters
-    ----------
-    operations : Operations
-    particles : Particles
-    table : (P, 6) array
-        The ends of particles, in place of those of `particles`.
-    groups : list of arrays of int
-        The numbers of each group's particles.
-    """
+    """Groups of a morph's particles, by their numbers, with ends in a `table` (P, 6)."""
 
     def __init__(
         self,
@@ -65,21 +55,9 @@ class Parts:
         return other
 
     def drawn(self, t: float, canvas: Canvas, sigma: float) -> _Drawn:
-        """Yield each group's mean color and density.
+        """Yield each group's mean color, (H, W, 3), and density, (H, W), at time t.
 
-        Parameters
-        ----------
-        t : float
-        canvas : Canvas
-            The canvas at t.
-        sigma : float
-            Kernel width in pixels.
-
-        Yields
-        ------
-        mean : (H, W, 3) array
-        density : (H, W) array
-            Relative to an even spread of all mass.
+        The density is relative to an even spread of all mass; `sigma` is in pixels.
         """
         even = np.dot((1 - t, t), self._mass) * kernel_sum(sigma) / np.prod(canvas.shape)
         for handle in self._uploaded:

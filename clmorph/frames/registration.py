@@ -88,21 +88,11 @@ class Shown(NamedTuple):
 class Scene:
     """Both pictures and their fields, which can be drawn at t = 1/2.
 
-    Parameters
-    ----------
-    fields : two of Field
-    colors : two of (h, w, 3) arrays
-        The pictures on the grids of the fields, in the space of the path.
-    continued : two of (h, w, 3) arrays
-        These, with the colors of figures continued over the ground.
-    outlines : two of (h, w) arrays, optional
-        Signed distance to the edge of each picture's figure, in the common frame; None if all
-        pixels belong to the pictures.
-    lightness : (3,) array
-        Weights of the coordinates of a color in its lightness.
-    stage : Canvas
-        The grid on which both are compared.
-    operations : Operations
+    `colors` are the pictures on the grids of the fields, (h, w, 3), in the space of the path;
+    `continued` are these, with the colors of figures continued over the ground. `outlines`, (h, w),
+    are the signed distance to the edge of each picture's figure, in the common frame; None if all
+    pixels belong to the pictures. `lightness`, (3,), are the weights of the coordinates of a color
+    in its lightness, and `stage` is the grid on which both are compared.
     """
 
     def __init__(
@@ -225,12 +215,8 @@ class Scene:
     def _set(self, way: Array, given: Sequence[Field] | None) -> None:
         """Give both fields the displacement, and the change of color, on the middle domain.
 
-        Parameters
-        ----------
-        way : (H, W, 2) array, or (H, W, 6)
-            Displacement; and change of color and how much of both counts.
-        given : two of Field, optional
-            What counts elsewhere.
+        `way` is the displacement, (H, W, 2), or with change of color and how much of both counts,
+        (H, W, 6). Elsewhere the fields `given` count.
         """
         for which, sign in enumerate((1.0, -1.0)):
             field = self.fields[which]

@@ -25,33 +25,20 @@ WIDENING = 2.0
 
 
 class Widths(NamedTuple):
-    """Kernel widths at one time.
+    """Kernel widths at one time."""
 
-    Attributes
-    ----------
-    sigma : float
-        Width in pixels; 0 gives each particle to its nearest pixel.
-    local : bool
-        Whether every particle has its own width: the larger of sigma times its spacing and half
-        the distance to its neighbors at its position (Eq. 3, applied locally).
-    closed : bool
-        Whether pixels that are torn in spite of these widths are filled by the narrowest kernel
-        that covers them.
-    """
-
+    #: Width in pixels; 0 gives each particle to its nearest pixel.
     sigma: float
+    #: Whether every particle has its own width: the larger of sigma times its spacing and half the
+    #: distance to its neighbors at its position (Eq. 3, applied locally).
     local: bool = False
+    #: Whether pixels that are torn in spite of these widths are filled by the narrowest kernel that
+    #: covers them.
     closed: bool = False
 
 
 def check_widths(widths: Widths | None) -> Widths | None:
-    """Return widths after checking them.
-
-    Raises
-    ------
-    InputError
-        If they are no `Widths`, or the width cannot be used.
-    """
+    """Return widths after checking them."""
     if widths is None:
         return None
     if not isinstance(widths, Widths):
@@ -61,21 +48,14 @@ def check_widths(widths: Widths | None) -> Widths | None:
 
 
 class Sums(NamedTuple):
-    """The sums of a frame from which its picture is computed.
+    """The sums of a frame from which its picture is computed."""
 
-    Attributes
-    ----------
-    colors : (H, W, 3) array
-        Colors in the space of the path, with holes filled.
-    coverage : (H, W) array
-        Kernel mass of each pixel as a share of that of a uniform spread, before empty pixels are
-        filled but after torn pixels are closed, if the widths request it.
-    density : (H, W) array
-        Kernel mass of each pixel after filling, divided by the kernel's sum: mass per pixel.
-    """
-
+    #: Colors in the space of the path, with holes filled: (H, W, 3) array.
     colors: NDArray[np.float64]
+    #: Kernel mass of each pixel as a share of that of a uniform spread, before empty pixels are
+    #: filled but after torn pixels are closed, if the widths request it: (H, W) array.
     coverage: NDArray[np.float64]
+    #: (H, W) Mass per pixel: kernel mass after filling, divided by the kernel's sum.
     density: NDArray[np.float64]
 
 
@@ -89,7 +69,7 @@ def render(
     *,
     fill: bool | NDArray[np.bool_] = True,
 ) -> Sums:
-    """Reconstruct one frame from particles (Nadaraya-Watson regression, 3.3).
+    """Reconstruct one frame from uploaded particles (Nadaraya-Watson regression, 3.3).
 
     A pixel whose coverage is at least `filling.HOLE_COVERAGE` has the kernel's mean as its color.
     If torn pixels are closed, its coverage must also be at least `CLOSED_SHARE` of the coverage
@@ -97,24 +77,8 @@ def render(
     color is a mixture of both. So neither rounding nor pairs that a plan has dropped can switch a
     pixel from one color to another.
 
-    Parameters
-    ----------
-    operations : Operations
-    particles
-        The handle that `operations.upload_particles` returned.
-    mass : float
-        The particles' total mass at time t.
-    t : float
-    canvas : Canvas
-    widths : Widths
-        Kernel widths. Without a kernel, pixels without a particle are 0; with a kernel, holes are
-        filled by wider kernels.
-    fill : bool or (H, W) array of bool
-        Whether holes are filled, or a mask of the pixels in which they are.
-
-    Returns
-    -------
-    Sums
+    `mass` is the particles' total at time t. Without a kernel, pixels without a particle are 0;
+    with a kernel, holes are filled by wider kernels, everywhere or where `fill` is true.
     """
     splats = operations.advect(particles, t, canvas.scale, canvas.center)
     sigma = widths.sigma
@@ -148,14 +112,9 @@ def render(
 def kernel_mean(
     numerator: NDArray[np.float64], denominator: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return numerator / denominator, and 0 where the denominator is 0.
+    """Return numerator, (H, W, 3), / denominator, (H, W), and 0 where the denominator is 0.
 
     The numerator need not be 0 there: each sum of float32 is rounded to 0 by itself.
-
-    Parameters
-    ----------
-    numerator : (H, W, 3) array
-    denominator : (H, W) array
     """
     there = denominator[..., None] > 0
     return np.divide(

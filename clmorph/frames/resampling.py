@@ -9,13 +9,7 @@ _Real = TypeVar("_Real", np.float32, np.float64)
 
 
 def reduced(image: NDArray[_Real], shape: tuple[int, ...]) -> NDArray[_Real]:
-    """Return an image with fewer pixels, each the mean of the area that it covers.
-
-    Parameters
-    ----------
-    image : (H, W, C) array
-    shape : (height, width)
-    """
+    """Return an image, (H, W, C), with fewer pixels, each the mean of the area that it covers."""
     if image.shape[:2] == shape:
         return image
     from skimage.transform import resize_local_mean

@@ -26,22 +26,6 @@ class FrameSequence(Sequence[Frame]):
 
     The object is a sequence: ``len(frames)``, ``frames[i]``, ``frames[i:j]`` and iteration refer to
     the frames at `times`. The method `frame` renders one at any time.
-
-    Attributes
-    ----------
-    source, target : Measure
-    potentials : Potentials
-    plan : Plan or Barycentric
-    particles : Particles
-    times : (n_frames,) array
-        Times of the frames, ascending from 0 to 1.
-    kernel_width : KernelWidth
-    endpoints : {"exact", "paper"}
-        Whether the first and the last frame are the images themselves.
-    unmatched : {"fade", "grow", "drop"}
-        Whether mass that does not travel is drawn.
-    options : Options
-        The options that the morph was made with, including those of playback and of files.
     """
 
     source: Measure
@@ -49,10 +33,14 @@ class FrameSequence(Sequence[Frame]):
     potentials: Potentials
     plan: Plan | Barycentric
     particles: Particles
+    #: Times of the frames, ascending from 0 to 1: (n_frames,) array.
     times: NDArray[np.float64]
     kernel_width: KernelWidth
+    #: "exact" if the first and the last frame are the images themselves, else "paper".
     endpoints: str
+    #: Whether mass that does not travel is drawn: "fade", "grow" or "drop".
     unmatched: str
+    #: The options of the morph, including those of playback and of files.
     options: Any
 
     #: What a page is called whose pictures have no names.

@@ -18,13 +18,6 @@ class SpreadRenderer:
     The number of a frame and the devices' shares of the work decide which device renders it, so
     that frames repeat to the bit. A frame at another time is rendered by the device with the
     largest share. That device also computes the correction of the ends, which all devices use.
-
-    Parameters
-    ----------
-    renderer : FrameRenderer
-        A renderer of the morph; its operations may be several devices.
-    times : (n_frames,) array
-        The times of the frames.
     """
 
     def __init__(self, renderer: FrameRenderer, times: NDArray[np.float64]) -> None:
@@ -75,14 +68,9 @@ class SpreadRenderer:
         return len(self._renderers) > 1
 
     def frames(self, first: int) -> Generator[NDArray[np.float32], None, None]:
-        """Render frames, as many at once as there are devices, and yield them in order.
+        """Render frames, as many at once as there are devices, and yield them from `first` on.
 
         At most two frames of each device are in memory, beside the one that the caller has.
-
-        Parameters
-        ----------
-        first : int
-            Number of the first frame.
         """
         # The correction of the ends is computed before the threads start, and so only once.
         self._first.prepare()

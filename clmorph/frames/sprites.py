@@ -1,10 +1,9 @@
 """Frames of sprites: whole pixels move, and what stands before a background keeps its outline.
 
-Pixels of the foreground are those with mass. Both images are divided into regions of one color,
-and the particles into parts, by the regions in which they start and end. A frame shows, in each
-pixel, the part that is densest there, and the background where all parts together are thin: the
-foreground's share of the canvas goes linearly from that of the source to that of the target. The
-background stays where it is and mixes the colors of both.
+Pixels with mass are the foreground. Particles are divided into parts by the regions of one color in
+which they start and end. A frame shows, in each pixel, the part that is densest there, and the
+background, which stays and mixes the colors of both, where all parts together are thin: the
+foreground's share of the canvas goes linearly from that of the source to that of the target.
 """
 
 from copy import copy
@@ -43,14 +42,7 @@ class _Side(NamedTuple):
 
 
 class Sprites:
-    """The parts of a morph between flat images.
-
-    Parameters
-    ----------
-    measures : (source, target)
-    particles : Particles
-    operations : Operations
-    """
+    """The parts of a morph between flat images."""
 
     def __init__(
         self,

@@ -1,8 +1,8 @@
 """When each place of a film changes from the one picture to the other.
 
-Two pictures that are seen through each other are a double exposure, so each place shows one of
-them, and changes hands within a short part of the film: region by region, along the edges of
-both pictures, first where both are most alike.
+Two pictures that are seen through each other are a double exposure, so each place changes hands
+within a short part of the film: region by region, along the edges of both, first where both are
+most alike.
 """
 
 from __future__ import annotations
@@ -38,15 +38,7 @@ def switching_times(
 ) -> Array:
     """Return the time, from 0 to 1, at which each place changes hands: (H, W) array.
 
-    Parameters
-    ----------
-    halves : two of (H, W, 3) arrays
-        Both pictures at t = 1/2 on the stage.
-    lightness : (3,) array
-        Weights of the coordinates of a color in its lightness.
-    stage : Canvas
-    operations : Operations
-    seed : int
+    The halves are both pictures at t = 1/2; `lightness`, (3,), weighs the coordinates of a color.
     """
     longest = max(stage.shape)
     first, second = (blurred(half, DETAIL * longest) for half in halves)
@@ -102,14 +94,8 @@ def switched(times: Array, agreement: Array, t: float) -> Array:
 def turns(times: Array, agreement: Array, shares: Sequence[float]) -> list[Array]:
     """Return the weight of each picture at each place: (H, W) arrays with the sum 1.
 
-    Parameters
-    ----------
-    times : (H, W) array
-        From 0 to 1: where it is large, an earlier one of the pictures is seen.
-    agreement : (H, W) array
-        Where all pictures agree, all are seen with their shares.
-    shares : sequence of float
-        With the sum 1.
+    Where `times`, from 0 to 1, is large, an earlier one of the pictures is seen; where all agree,
+    all are seen with their shares, whose sum is 1.
     """
     later = np.cumsum(np.asarray(shares, dtype=float)[::-1])[::-1]
     seen = [np.ones_like(times)]

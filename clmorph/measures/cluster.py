@@ -15,40 +15,25 @@ _LARGEST_KEY = 1 << 62
 
 
 class Clusters(NamedTuple):
-    """A coarser measure, and the index of the cluster to which each point belongs.
+    """A coarser measure, and the index of the cluster to which each point belongs."""
 
-    Attributes
-    ----------
-    measure : WeightedPoints
-        The masses of the clusters at their centers of mass. The spread of points inside a cluster
-        is not added to the cost. Mass is free to choose where in a cluster it goes, and where the
-        plan is as wide as the blur this balances the spread to the second order.
-    labels : (N,) array of int
-        Index of the cluster of each point.
-    """
-
+    #: The masses of the clusters at their centers of mass. The spread of points inside a cluster is
+    #: not added to the cost. Mass is free to choose where in a cluster it goes, and where the plan
+    #: is as wide as the blur this balances the spread to the second order.
     measure: WeightedPoints
+    #: Index of the cluster of each point: (N,) array.
     labels: NDArray[np.intp]
 
     def restrict(self, values: Array, weights: Array) -> Array:
-        """Return the mean of values over each cluster, by mass: (N,) arrays to (clusters,).
-
-        This is the restriction of multigrid methods.
-        """
+        """Return the mean of values (N,) over each cluster, by mass (multigrid's restriction)."""
         return _means(self.labels, len(self.measure), values[:, None], weights)[:, 0]
 
 
 def make_clusters(measure: AnyMeasure, side: float) -> Clusters:
-    """Join the points of a measure that lie in the same cube of a grid.
+    """Join the points of a measure that lie in the same cube of a grid, whose side is `side`.
 
     Every cluster has a small diameter, and sparse points each keep their own cluster. The leaves of
     a tree with equal numbers of points do not have this property.
-
-    Parameters
-    ----------
-    measure : Measure or WeightedPoints
-    side : float
-        Side of the cubes, in the unit of the points.
     """
     points = measure.points
     corner = np.floor((points - points.min(axis=0)) / side).astype(np.int64)

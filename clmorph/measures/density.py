@@ -47,13 +47,7 @@ def density(values: ArrayLike) -> WeightedPoints:
 
 
 def check_density(name: str, values: ArrayLike) -> Array:
-    """Return a density as an array of float64.
-
-    Raises
-    ------
-    InputError
-        If it is no two-dimensional array of masses.
-    """
+    """Return a density, two-dimensional masses, as an array of float64."""
     grid = as_floats(name, values, "masses (H, W)")
     if grid.ndim != 2 or not grid.size:
         raise InputError(f"{name} has shape {grid.shape}: expected masses (H, W) of a grid")

@@ -27,21 +27,7 @@ _EXPECTED = "numbers (H, W) or (H, W, K), one or K for each pixel"
 
 
 def as_features(name: str, value: Any, shape: tuple[int, int]) -> Array:
-    """Return features of an image as an (H, W, K) array of float64.
-
-    Parameters
-    ----------
-    name : str
-        The name of the features in error messages.
-    value : (H, W) or (H, W, K) array
-    shape : (height, width)
-        The shape of the picture as it is given.
-
-    Raises
-    ------
-    InputError
-        If it is no such array, or has NaN or infinity.
-    """
+    """Return features of an image of this shape, (H, W) or (H, W, K), as (H, W, K) float64."""
     if is_path(value):
         raise InputError(f"{name} is a path: expected an array {_EXPECTED}; read the file first")
     array = as_floats(name, value, _EXPECTED)
@@ -63,37 +49,12 @@ def with_features(
     features: Sequence[Array],
     weight: float | Sequence[float] = 1.0,
 ) -> tuple[Measure, Measure]:
-    """Return measures whose cost compares features, too.
+    """Return measures of lifted images whose cost compares features, too.
 
-    The cost of a pair grows by |w (F_i - G_j)|^2 / 2, as it does by positions and colors.
-
-    Parameters
-    ----------
-    measures : (source, target)
-        Lifted images.
-    features : (F, G)
-        (H, W, K) arrays of the size of their images, or larger ones, which are reduced by their
-        mean in each pixel.
-    weight : float or K of them
-        Image sides that a feature of 1 is worth.
-
-    Returns
-    -------
-    source, target : Measure
-
-    Raises
-    ------
-    InputError
-        If the numbers of coordinates differ, or are too many for the cost.
-
-    Examples
-    --------
-    >>> import clmorph
-    >>> flat = clmorph.lift(np.ones((2, 2)))
-    >>> depth = np.array([[[0.0], [1.0]], [[0.0], [1.0]]])
-    >>> source, target = with_features((flat, flat), (depth, depth), 0.5)
-    >>> source.points[:, 5].tolist()
-    [-0.25, 0.25, -0.25, 0.25]
+    The cost of a pair grows by |w (F_i - G_j)|^2 / 2, as it does by positions and colors. The
+    features F and G are (H, W, K) arrays of the size of their images, or larger ones, which are
+    reduced by their mean in each pixel. The weight w, one or K of them, is the image sides that a
+    feature of 1 is worth.
     """
     if any(measure.has_metric_map for measure in measures):
         raise InputError(
@@ -145,24 +106,10 @@ def with_features(
 
 
 def read_features(path: Path, *, max_pixels: int = MAX_PIXELS) -> Array:
-    """Read features from a ``.npy``, or from a picture, such as one of depth.
+    """Read features, (H, W, K), from a ``.npy``, or from a picture, such as one of depth.
 
-    Parameters
-    ----------
-    path : Path
-        A ``.npy`` (H, W) or (H, W, K) of numbers, or a picture: a gray one is one feature from 0
-        (black) to 1, and one in color is three.
-    max_pixels : int
-        Largest number of pixels.
-
-    Returns
-    -------
-    (H, W, K) array
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read, or is a picture that is partly transparent.
+    A ``.npy`` holds (H, W) or (H, W, K) numbers. A gray picture is one feature from 0 (black) to 1,
+    and one in color is three; a picture that is partly transparent is refused.
     """
     if path.suffix.lower() != ".npy":
         pixels = read_image(path, max_pixels=max_pixels)

@@ -33,22 +33,8 @@ _PLAINLY = "x,y:x',y' in pixels, such as 120,80:131,92, the name of a CSV file, 
 def check_guide(name: str, value: Any) -> Any:
     """Return the option of landmarks: "auto", pairs of points, or such pairs for several morphs.
 
-    Parameters
-    ----------
-    name : str
-    value : "auto", sequence of pairs, or sequence of sequences of pairs
-        Of a chain of images there is a sequence for each image and its successor, and of a mix one
-        for each two images in the order (1, 2), (1, 3), ..., (2, 3), ...
-
-    Raises
-    ------
-    InputError
-        If it is anything else.
-
-    Examples
-    --------
-    >>> check_guide("landmarks", [[[[1, 2], [3, 4]]], []])
-    ((((1.0, 2.0), (3.0, 4.0)),), ())
+    Of a chain of images there is a sequence for each image and its successor, and of a mix one for
+    each two images in the order (1, 2), (1, 3), ..., (2, 3), ...
     """
     if isinstance(value, str) and value == AUTO:
         return AUTO
@@ -66,13 +52,7 @@ def check_guide(name: str, value: Any) -> Any:
 
 
 def is_for_several(value: Any) -> bool:
-    """Return whether landmarks are those of several morphs: a sequence of sequences of pairs.
-
-    Examples
-    --------
-    >>> is_for_several([((1, 2), (3, 4))]), is_for_several([[((1, 2), (3, 4))], []])
-    (False, True)
-    """
+    """Return whether landmarks are those of several morphs: a sequence of sequences of pairs."""
     for row in _parts(value) or []:
         parts = _parts(row)
         if parts is None:
@@ -85,24 +65,7 @@ def is_for_several(value: Any) -> bool:
 
 
 def check_landmarks(name: str, value: Any) -> tuple[tuple[Point, Point], ...]:
-    """Return landmarks as tuples of numbers.
-
-    Parameters
-    ----------
-    name : str
-        The name of the landmarks in error messages.
-    value : sequence of ((x, y), (x', y')), or array (n, 2, 2)
-
-    Raises
-    ------
-    InputError
-        If it is anything else, or has a number that is not finite.
-
-    Examples
-    --------
-    >>> check_landmarks("landmarks", [[[1, 2], [3, 4]]])
-    (((1.0, 2.0), (3.0, 4.0)),)
-    """
+    """Return landmarks, pairs ((x, y), (x', y')), as tuples of finite numbers."""
     found = []
     rows = _parts(value)
     for k, row in enumerate(rows if rows is not None else [None]):
@@ -136,19 +99,8 @@ def read_landmarks(text: str) -> Any:
     """Return landmarks from a text: one or more x,y:x',y', the name of a CSV file, or "auto".
 
     A line of the file is ``x,y,x',y'``; empty lines, lines after ``#`` and a first line of names
-    are left out. Pairs in a text are separated by spaces or semicolons.
-
-    Raises
-    ------
-    ValueError
-        If the text is neither.
-    InputError
-        If the file cannot be read or has other lines.
-
-    Examples
-    --------
-    >>> read_landmarks("120,80:131,92")
-    (((120.0, 80.0), (131.0, 92.0)),)
+    are left out. Pairs in a text are separated by spaces or semicolons. A text that is neither
+    raises a ValueError; a file that cannot be read, or has other lines, an InputError.
     """
     if text == AUTO:
         return AUTO
@@ -212,18 +164,7 @@ MAX_WEIGHT, MAX_FEATURES = 1e6, 6
 
 
 def check_feature_weight(name: str, value: Any) -> float | tuple[float, ...]:
-    """Return the weight of features: one number of at least 0, or one for each.
-
-    Raises
-    ------
-    InputError
-        If it is anything else.
-
-    Examples
-    --------
-    >>> check_feature_weight("feature_weight", [1, 0.5])
-    (1.0, 0.5)
-    """
+    """Return the weight of features: one number of at least 0, or one for each."""
     rows = _parts(value)
     if rows is None:
         return check_number(name, value, 0.0, MAX_WEIGHT)

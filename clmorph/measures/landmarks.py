@@ -1,13 +1,16 @@
 """Landmarks: pairs of points that correspond in two images, and the cost that keeps them so.
 
 A warp of the source's positions alone does not hold landmarks: transport spreads mass evenly and so
-undoes the warp. Three things together hold them. The cost compares the target's positions with
-those of the source under a warp T (`clmorph.measures.warp`), which maps each landmark to its
-partner. The source's masses are multiplied by the Jacobian
-determinant of T, as the masses of a change of variables are, so that T itself transports them where
-both images have even masses. And both sides have bumps around the landmarks as further coordinates,
-phi(z) = (z, h exp(-|z - q|^2 / (2 r^2))), a function of the position z in the target's frame: it
-costs nothing along T and makes every other way past a landmark longer.
+undoes it. Three things together hold them. The cost compares the target's positions with those of
+the source under a warp T (`clmorph.measures.warp`), which maps each landmark to its partner. The
+source's masses are multiplied by the Jacobian determinant of T, so that T itself transports them
+where both images have even masses. And both sides have bumps around the landmarks as further
+coordinates,
+
+    phi(z) = (z, h exp(-|z - q|^2 / (2 r^2))),
+
+a function of the position z in the target's frame: it costs nothing along T and makes every other
+way past a landmark longer.
 """
 
 from __future__ import annotations
@@ -51,45 +54,11 @@ def guided(
 ) -> Guided:
     """Return measures between which transport keeps landmarks together.
 
-    Parameters
-    ----------
-    source, target : Measure
-        Lifted images, as `clmorph.measures.lift_pair.lift_pair` returns them.
-    landmarks : sequence of ((x, y), (x', y'))
-        A point of the source and its partner in the target, in pixels: x to the right, y down, and
-        (0, 0) the center of the first pixel.
-    shapes : pair of (height, width), optional
-        Shapes of the images in whose pixels the landmarks are given; those of the measures if
-        missing.
-
-    Returns
-    -------
-    source, target : Measure
-        Copies with `warped` positions and masses of the source, and `features` on both sides. The
-        total of the masses is unchanged.
-    misses : (n,) array
-        How far the warp misses the partner of each landmark, in pixels of the target's image as it
-        was given.
-
-    Raises
-    ------
-    InputError
-        If a landmark is outside its image, two landmarks contradict each other, or the cost has no
-        room for features.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import clmorph
-    >>> from clmorph.measures.landmarks import guided
-    >>> flat = clmorph.lift(np.ones((33, 33)))
-    >>> source, target, misses = guided(flat, flat, [((16, 16), (18, 16))])
-    >>> (32 * source.warped[16 * 33 + 16]).round(6).tolist()
-    [18.0, 16.0]
-    >>> misses.round(6).tolist()
-    [0.0]
-    >>> source.points.shape, target.points.shape
-    ((1089, 6), (1089, 6))
+    A landmark ((x, y), (x', y')) is a point of the source and its partner in the target, in pixels
+    of images of `shapes` (height, width), by default those of the measures: x to the right, y down,
+    from the center of the first pixel. The measures are copies with `warped` positions and masses
+    of the source, and `features` on both sides, whose total mass is unchanged. `misses`, (n,),
+    tells how far the warp misses each partner, in pixels of the target's image as it was given.
     """
     if not landmarks:
         return Guided(source, target, np.zeros(0))

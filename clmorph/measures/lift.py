@@ -23,24 +23,11 @@ class NoMassError(InputError):
 
 
 def pixel_positions(shape: tuple[int, int], extent: str = "true") -> Array:
-    """Return the positions x_i of the pixels of an image in the common frame (paper, 2.3).
+    """Return the positions (x, y) of the pixels of an image in the common frame (paper, 2.3).
 
-    Parameters
-    ----------
-    shape : (height, width)
-    extent : {"true", "unit"}
-        "true": the longer side spans [0, 1], and the shorter side is centered. "unit": both sides
-        span [0, 1], as in the paper. The coordinate along a side of one pixel is 1/2.
-
-    Returns
-    -------
-    (height * width, 2) array
-        Coordinates x and y of the pixels, row by row.
-
-    Examples
-    --------
-    >>> pixel_positions((1, 3)).tolist()
-    [[0.0, 0.5], [0.5, 0.5], [1.0, 0.5]]
+    They are (height * width, 2), row by row. With the extent "true" the longer side spans [0, 1],
+    and the shorter side is centered. With "unit" both sides span [0, 1], as in the paper. The
+    coordinate along a side of one pixel is 1/2.
     """
     height, width = shape
     longer = max(height, width)

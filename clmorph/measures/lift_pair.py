@@ -26,26 +26,9 @@ def lift_pair(
 ) -> tuple[Measure, Measure]:
     """Lift two images with the same options, as `clmorph.morph` does.
 
-    Parameters
-    ----------
-    images : (source, target)
-        See `clmorph.images.pixels.as_pixels`.
-    color_weight, mass, extent, color_space
-        See `clmorph.lift`.
-    weights : (map_a, map_b), optional
-        Maps (H, W) of mass, which are not normalized. If one of them is None, `mass` gives its
-        distribution, with the total of the other map.
-    color_metric : (3, 3), (H, W, 3, 3) or (H, W) array, optional
-        See `clmorph.lift`; a map belongs to the source alone.
-
-    Returns
-    -------
-    source, target : Measure
-
-    Raises
-    ------
-    InputError
-        If an argument cannot be used.
+    The maps (H, W) of mass in `weights` are not normalized. If one of them is None, `mass` gives
+    its distribution, with the total of the other map. A map as `color_metric` belongs to the source
+    alone. See `clmorph.lift` for the rest.
     """
     maps = _pair_of_weights(weights)
     found = []

@@ -24,22 +24,8 @@ class Checked(list[WeightedPoints]):
 def as_many(name: str, value: Any) -> list[Any]:
     """Return measures, or what is given for each of them.
 
-    Parameters
-    ----------
-    name : str
-        The name of the measures in error messages.
-    value : (weights (B, N), points (B, N, D) or (B, N)), or an iterable of measures
-        A tuple of two arrays is stacked arrays.
-
-    Returns
-    -------
-    list
-        Of stacked arrays, a `Checked` list. Of an iterable, its items.
-
-    Raises
-    ------
-    InputError
-        If the value is neither, or stacked arrays hold no measures.
+    Stacked arrays, a tuple of weights (B, N) and points (B, N, D) or (B, N), become a `Checked`
+    list.
     """
     if isinstance(value, tuple) and len(value) == 2 and all(map(_is_array, value)):
         return _unstacked(name, *value)

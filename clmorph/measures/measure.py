@@ -126,13 +126,7 @@ class Measure:
 
 
 def check_masses(name: str, masses: Array) -> None:
-    """Check masses of points.
-
-    Raises
-    ------
-    InputError
-        If a mass is negative or NaN, or the sum of the masses is out of range.
-    """
+    """Check masses of points: at least 0, with a sum in range."""
     with np.errstate(over="ignore"):
         total = masses.sum()
     if not (np.all(masses >= 0) and 1e-30 <= total <= 1e30):
@@ -143,13 +137,7 @@ def check_masses(name: str, masses: Array) -> None:
 
 
 def check_measure(name: str, measure: Measure) -> None:
-    """Check a lifted image, because a caller can have replaced its attributes.
-
-    Raises
-    ------
-    InputError
-        If an attribute does not meet the documentation of `Measure`.
-    """
+    """Check a lifted image, because a caller can have replaced its attributes."""
     remedy = "lift the image again with clmorph.lift, which checks what it is given"
     try:
         height, width = measure.shape

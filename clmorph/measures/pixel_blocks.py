@@ -13,22 +13,14 @@ from clmorph.measures.measure import Measure
 
 @dataclass(frozen=True, eq=False)
 class PixelBlocks:
-    """An image's pixels, gathered into square blocks.
+    """An image's pixels, gathered into square blocks."""
 
-    Attributes
-    ----------
-    fine : Measure
-        The pixels.
-    coarse : Measure
-        The blocks: each has the mass of its pixels, and their mean position and mean color,
-        weighted by mass.
-    side : int
-        Pixels along a block, a power of two; blocks at the right and the lower border can be
-        smaller.
-    """
-
+    #: The pixels.
     fine: Measure
+    #: The blocks: each has the mass of its pixels, and their mean position and mean color, weighted
+    #: by mass.
     coarse: Measure
+    #: Pixels along a block, a power of two; there can be fewer at the right and lower border.
     side: int
 
     @property
@@ -53,26 +45,10 @@ class PixelBlocks:
 
 
 def block_side(shape: tuple[int, int], size: int | None) -> int:
-    """Return the side of the blocks in which an image is solved.
+    """Return the side in pixels of the blocks in which an image is solved.
 
-    Parameters
-    ----------
-    shape : (height, width)
-        Shape of the image, in pixels.
-    size : int or None
-        Largest number of blocks along the longer side (`solve_size` of `clmorph.morph`); None
-        stands for blocks of one pixel.
-
-    Returns
-    -------
-    int
-        The side in pixels: the smallest power of two that gives at most `size` blocks along the
-        longer side; 1 if the image is no larger than `size`.
-
-    Examples
-    --------
-    >>> block_side((256, 192), 200)
-    2
+    It is the smallest power of two that gives at most `size` blocks along the longer side; 1 if the
+    image is no larger, or the size is None.
     """
     side = 1
     while size is not None and -(-max(shape) // side) > size:
@@ -81,44 +57,14 @@ def block_side(shape: tuple[int, int], size: int | None) -> int:
 
 
 def solved_size(shape: tuple[int, int], size: int | None) -> int:
-    """Return the actual number of blocks along the longer side of an image.
-
-    The side of a block is a power of two of pixels, so the number can be as small as half of the
-    requested `size`.
-
-    Parameters
-    ----------
-    shape, size
-        As in `block_side`.
-
-    Examples
-    --------
-    >>> solved_size((256, 192), 200), solved_size((256, 192), 128), solved_size((96, 96), 128)
-    (128, 128, 96)
-    """
+    """Return the actual number of blocks along the longer side, which can be half of `size`."""
     return -(-max(shape) // block_side(shape, size))
 
 
 def group_pixels(measure: Measure, size: int | None) -> PixelBlocks:
-    """Gather an image's pixels into square blocks.
+    """Gather a lifted image's pixels into square blocks, at most `size` along the longer side.
 
-    Parameters
-    ----------
-    measure : Measure
-        A lifted image.
-    size : int or None
-        Largest number of blocks along the longer side; `solved_size` returns the actual number.
-        None stands for blocks of one pixel.
-
-    Returns
-    -------
-    PixelBlocks
-        The blocks; they have one pixel each if the image is no larger than `size`.
-
-    Raises
-    ------
-    InputError
-        If each pixel has its own metric of color.
+    Blocks have one pixel each if the image is no larger, or the size is None.
     """
     side = block_side(measure.shape, size)
     if side == 1:

@@ -65,20 +65,8 @@ MeasureLike = AnyMeasure | tuple[ArrayLike, ArrayLike]
 def as_pair(source: Any, target: Any) -> tuple[AnyMeasure, AnyMeasure]:
     """Return two measures with points in one space.
 
-    Parameters
-    ----------
-    source, target : Measure, WeightedPoints, or (weights, points)
-
-    Returns
-    -------
-    two of Measure or WeightedPoints
-        Their cost is C_ij = |X_i - Y_j|^2 / 2 (paper, Eq. 1 with the factor 1/2), plus the offsets
-        r_i and s_j if the measures have offsets.
-
-    Raises
-    ------
-    InputError
-        If the arguments are no measures, or their points are not in one space.
+    Their cost is C_ij = |X_i - Y_j|^2 / 2 (paper, Eq. 1 with the factor 1/2), plus the offsets r_i
+    and s_j if the measures have offsets.
     """
     pair = as_measures(source, target)
     if isinstance(pair[0], Measure) and isinstance(pair[1], Measure) and pair[0].has_metric_map:
@@ -148,24 +136,7 @@ def _bilinear(source: Measure, target: Measure) -> tuple[WeightedPoints, Weighte
 
 
 def as_measure(name: str, value: Any) -> AnyMeasure:
-    """Return a measure that the solver can take.
-
-    Parameters
-    ----------
-    name : str
-        The name of the measure in error messages.
-    value : Measure, WeightedPoints, or (weights (N,), points (N, D) or (N,))
-
-    Returns
-    -------
-    Measure or WeightedPoints
-        A measure of usable arrays is returned unchanged.
-
-    Raises
-    ------
-    InputError
-        If the value is no measure, or its masses or points are out of range.
-    """
+    """Return a usable measure unchanged, or one of (weights (N,), points (N, D) or (N,))."""
     if isinstance(value, Measure):
         check_measure(name, value)
         return value
@@ -182,23 +153,7 @@ def as_measure(name: str, value: Any) -> AnyMeasure:
 
 
 def as_image_measure(name: str, value: Any, why: str, instead: str = "") -> Measure:
-    """Return a measure that must be a lifted image.
-
-    Parameters
-    ----------
-    name : str
-        The name of the measure in error messages.
-    value : Measure
-    why : str
-        The reason why the measure must be an image, for the error message.
-    instead : str
-        The remedy for plain points, for the error message.
-
-    Raises
-    ------
-    InputError
-        If the value is no lifted image.
-    """
+    """Return a measure that must be a lifted image; `why` and `instead` explain it in errors."""
     if not isinstance(value, Measure):
         raise InputError(
             f"{name} is a {_kind(value)}: expected a Measure, as {why}; make one with "

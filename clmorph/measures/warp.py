@@ -2,22 +2,16 @@
 
 The warp is a base map followed by a flow. The base is the affine map of one picture's border onto
 the other's. Landmarks then move on straight lines from where the base puts them to their partners,
-and in each of several steps a thin-plate spline (Bookstein, 1989) through their velocities, which
-are zero at the border, moves all positions. Small steps do not fold, so neither does their
-composition, as long as the lines do not meet (Joshi and Miller, 2000). Where the flow still folds
-or squeezes too much, the base becomes the similarity that fits the landmarks best, so that the
-border is free, and then the splines are smoothed more and more, so that they miss landmarks. One
-landmark gives a shift, and two a similarity.
+and in each of several steps a thin-plate spline (F. L. Bookstein, "Principal warps", IEEE
+Transactions on Pattern Analysis and Machine Intelligence 11(6), 567-585, 1989) through their
+velocities, which are zero at the border, moves all positions. Small steps do not fold, so neither
+does their composition, as long as the lines do not meet (S. C. Joshi and M. I. Miller, "Landmark
+matching via large deformation diffeomorphisms", IEEE Transactions on Image Processing 9(8),
+1357-1370, 2000). Where the flow still folds or squeezes too much, the base becomes the similarity
+that fits the landmarks best, so that the border is free, and then the splines are smoothed more and
+more, so that they miss landmarks. One landmark gives a shift, and two a similarity.
 
 Landmarks contradict each other if their order is reversed from one picture to the other.
-
-References
-----------
-Bookstein (1989), "Principal warps: thin-plate splines and the decomposition of deformations", IEEE
-Transactions on Pattern Analysis and Machine Intelligence 11(6), 567-585.
-
-Joshi and Miller (2000), "Landmark matching via large deformation diffeomorphisms", IEEE
-Transactions on Image Processing 9(8), 1357-1370.
 """
 
 from __future__ import annotations
@@ -62,21 +56,13 @@ REVERSED = -0.5
 
 
 class Warp(NamedTuple):
-    """A warp of the positions of a measure.
+    """A warp of the positions of a measure."""
 
-    Attributes
-    ----------
-    positions : (N, 2) array
-        The positions in the target's frame.
-    areas : (N,) array
-        The area of each pixel after the warp (its Jacobian determinant), in units of its area
-        after the base.
-    misses : (n,) array
-        The distance of each warped landmark from its partner, in sides of the image.
-    """
-
+    #: The positions in the target's frame: (N, 2) array.
     positions: Array
+    #: (N,) Jacobian determinant of the warp at each pixel, relative to that of the base.
     areas: Array
+    #: The distance of each warped landmark from its partner, in sides of the image: (n,) array.
     misses: Array
 
 
@@ -91,28 +77,9 @@ class _Base(NamedTuple):
 
 
 def warp(starts: Array, ends: Array, source: Measure, target: Measure) -> Warp:
-    """Return a warp of the source's positions that moves landmarks to their partners.
+    """Return a warp of the source's positions that moves landmarks, (n, 2), to their partners.
 
-    Parameters
-    ----------
-    starts, ends : (n, 2) arrays
-        Landmarks, at least one, in the frames of source and target.
-    source, target : Measure
-
-    Raises
-    ------
-    InputError
-        If two landmarks contradict each other.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import clmorph
-    >>> from clmorph.measures.warp import warp
-    >>> flat = clmorph.lift(np.ones((5, 5)))
-    >>> found = warp(np.array([[0.5, 0.5]]), np.array([[0.6, 0.5]]), flat, flat)
-    >>> found.positions[0].round(6).tolist(), found.misses.round(6).tolist()
-    ([0.1, 0.0], [0.0])
+    They are in the frames of source and target; those that contradict each other are refused.
     """
     frames = [corners(measure) for measure in (source, target)]
     _check_order(starts, ends)
@@ -205,20 +172,7 @@ def _check_order(starts: Array, ends: Array) -> None:
 
 
 def agreeing(starts: Array, ends: Array) -> BoolArray:
-    """Return which landmarks can be kept so that no two of them contradict each other: (n,) array.
-
-    Parameters
-    ----------
-    starts, ends : (n, 2) arrays
-        Landmarks of both pictures, in units of their longer sides.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> starts = np.array([[0.1, 0.5], [0.3, 0.5], [0.5, 0.5], [0.9, 0.5], [0.9, 0.9]])
-    >>> int(agreeing(starts, starts[[0, 1, 3, 2, 4]]).sum())
-    4
-    """
+    """Return which landmarks can be kept so that no two of them contradict: (n,) array."""
     kept = np.ones(len(starts), bool)
     while kept.sum() > 1:
         votes = _contradictions(starts[kept], ends[kept], STRICT)

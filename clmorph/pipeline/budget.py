@@ -50,35 +50,11 @@ def make_plan(
 ) -> Plan | Barycentric:
     """Return the plan between two images' pixels in the requested form, or in one that fits.
 
-    Parameters
-    ----------
-    parts : sequence of Subproblem
-        The problem between the blocks of both images, or those of its labels.
-    solved : sequence of Potentials
-        The potentials of each part.
-    operations : Operations
-    sample, barycentric, seed
-        See `clmorph.morph`. Without `sample` and `barycentric` all pairs are kept, if they fit.
-    max_particles : int, optional
-        If there are more pairs, about this number of them is drawn, but at least one for each
-        pixel of both images.
-    max_memory : float, optional
-        Bytes that the morph may take; None is `default_memory`.
-    log_threshold : float, optional
-        The threshold of kept pairs, see `clmorph.transport_plan`. It does not apply to draws and
-        means, which represent the whole plan.
-
-    Raises
-    ------
-    InputError
-        If no pair is above `log_threshold`.
-
-    Warns
-    -----
-    MemoryWarning
-        If not all pairs fit; the warning names the form that replaces them.
-    PruningWarning
-        If `log_threshold` drops much of the plan's mass.
+    `sample`, `barycentric`, `seed`, `max_particles` and `max_memory` are options of
+    `clmorph.morph`; a `max_memory` of None is `default_memory`. Where not all pairs fit, another
+    form replaces them, which a MemoryWarning names. `log_threshold` does not apply to draws and
+    means, which represent the whole plan; a PruningWarning tells where it drops much of the plan's
+    mass.
     """
     if sample is None and not barycentric:
         way = choose_way(
@@ -136,20 +112,7 @@ def _sampled(
 
 
 def warn_if_much_is_dropped(plan: Plan, log_threshold: float, stacklevel: int = 2) -> None:
-    """Warn if a threshold is too high for the number of points.
-
-    Parameters
-    ----------
-    plan : Plan
-    log_threshold : float
-        The threshold with which the plan was built.
-    stacklevel : int
-        As in a call of `warnings.warn` by the caller.
-
-    Warns
-    -----
-    PruningWarning
-    """
+    """Warn if the threshold of a plan was too high for the number of points."""
     if plan.dropped_mass > MUCH_DROPPED:
         warnings.warn(
             f"log_threshold={log_threshold:g} drops {100 * plan.dropped_mass:.0f} % of the plan's "
@@ -176,16 +139,8 @@ def check_ways(
 ) -> None:
     """Check before the solve that the particles can be made in the requested form.
 
-    Parameters
-    ----------
-    source, target, operations, sample, barycentric, max_memory, log_threshold
-        As in `make_plan`.
-
-    Raises
-    ------
-    InputError
-        If there would be too many draws from a block, or if not even the smallest form would fit
-        into `max_memory`, or if no pair could exceed `log_threshold`.
+    They cannot if there would be too many draws from a block, if not even the smallest form would
+    fit into `max_memory`, or if no pair could exceed `log_threshold`.
     """
     if log_threshold is not None:
         check_reachable(log_threshold, *as_pair(source.coarse, target.coarse))
@@ -243,22 +198,8 @@ def choose_way(
 ) -> dict[str, Any]:
     """Return options of `make_plan` that respect both limits; none if all pairs may be kept.
 
-    Parameters
-    ----------
-    parts, solved, operations, max_particles, max_memory, log_threshold
-        As in `make_plan`.
-    stacklevel : int
-        Stack level of the warning, as in a call of `warnings.warn` by the caller.
-
-    Returns
-    -------
-    dict
-        ``{}``, ``{"sample": k}`` or ``{"barycentric": True}``.
-
-    Warns
-    -----
-    MemoryWarning
-        If not all pairs fit into `max_memory`.
+    They are ``{}``, ``{"sample": k}`` or ``{"barycentric": True}``; the latter two come with a
+    MemoryWarning if it is `max_memory` that not all pairs fit into.
     """
     source, target = parts[0].blocks
     finest = finest_pixels(source, target)

@@ -35,20 +35,13 @@ TOLERANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class ColorMap:
-    """The step of each color, interpolated by cubic splines between the nodes of a lattice.
+    """The step of each color, interpolated by cubic splines between the nodes of a lattice."""
 
-    Attributes
-    ----------
-    origin : (3,) array
-        The first node, in coordinates of a color space.
-    step : float
-        Distance of neighboring nodes.
-    coefficients : (3, n, m, k) array
-        Coefficients of the splines of the three components.
-    """
-
+    #: The first node, in coordinates of a color space: (3,) array.
     origin: Array
+    #: Distance of neighboring nodes.
     step: float
+    #: Coefficients of the splines of the three components: (3, n, m, k) array.
     coefficients: Array
 
     def steps(self, colors: Array) -> Array:
@@ -78,17 +71,11 @@ def color_map(
     The step of a color x is that of the Sinkhorn divergence, T(x) - T_own(x) (see
     `Potentials.map`), which vanishes between equal distributions. If `reach` is given it is
     multiplied by the share of the mass at x that moves and is not destroyed,
-    min(1, exp(-(f - f_own)(x) / rho)), so that colors without a counterpart within reach stay.
 
-    Parameters
-    ----------
-    source, target : WeightedPoints
-        Colors (N, 3) in coordinates of a color space, of any masses.
-    blur, reach : float
-        In the unit of these coordinates; a reach of None is balanced.
-    operations : Operations
-    report : callable
-        Called with the share of the work that is done.
+        min(1, exp(-(f - f_own)(x) / rho)),
+
+    so that colors without a counterpart within reach stay. Blur and reach are in the unit of
+    colors.
     """
     a, b = (_clusters(measure, SIDE * blur) for measure in (source, target))
     cross = sinkhorn(

@@ -23,14 +23,8 @@ def documented(
 ) -> Callable[[Function], Function]:
     """Return a decorator that adds options to a function's docstring and signature.
 
-    Parameters
-    ----------
-    options : type
-        A class of options, which the function takes as ``**given``.
-    only : tuple of str, optional
-        The names of the options that the function accepts; all if None.
-    usual : Options, optional
-        Options whose values are the defaults, in place of the defaults of the class.
+    The function takes them as ``**given``: those named in `only`, or all, with the defaults of the
+    class or those of `usual`.
     """
 
     def default_of(each: Any) -> Any:

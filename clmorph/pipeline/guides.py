@@ -22,20 +22,11 @@ PLAIN = 5
 
 
 class Guided(NamedTuple):
-    """The landmarks of one or several morphs.
-
-    Attributes
-    ----------
-    options : MorphOptions
-        Options that name the landmarks.
-    each : list of sequences
-        The landmarks of each morph.
-    found : str
-        What was found, in a line; "" if nothing was sought or found.
-    """
+    """The landmarks of one or several morphs, and the options that name them."""
 
     options: MorphOptions
     each: list[Landmarks]
+    #: What was found, in a line; "" if nothing was sought or found.
     found: str
 
     def of(self, number: int) -> MorphOptions:
@@ -51,23 +42,7 @@ def guides(
     options: MorphOptions,
     maps: Maps = NO_MAPS,
 ) -> Guided:
-    """Return the landmarks of morphs between images, and find them if the option says so.
-
-    Parameters
-    ----------
-    images : sequence of (H, W, C) arrays
-        The images as they were given.
-    pairs : sequence of (int, int)
-        The numbers of both images of each morph.
-    options : MorphOptions
-    maps : Maps
-        Arrays beside two images.
-
-    Raises
-    ------
-    InputError
-        If landmarks are given for another number of morphs.
-    """
+    """Return the landmarks of morphs between pairs of images, and find them if options say so."""
     given: Any = options.landmarks
     if given != AUTO:
         known: list[Landmarks] = list(given) if is_for_several(given) else [given or ()]
@@ -94,19 +69,7 @@ def guides(
 
 
 def labeled(images: Sequence[Picture], maps: Maps) -> tuple[Maps, str]:
-    """Return maps whose labels are arrays, and what was found if they were "auto".
-
-    Parameters
-    ----------
-    images : (image_a, image_b)
-        The images as they were given.
-    maps : Maps
-
-    Raises
-    ------
-    InputError
-        If a person is to be sought, and the extra ``faces`` is missing.
-    """
+    """Return maps whose labels are arrays, and what was found if they were "auto"."""
     if not (isinstance(maps.labels, str) and maps.labels == AUTO):
         return maps, ""
     found = figures(images)

@@ -19,13 +19,7 @@ Shape = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class Maps:
-    """Arrays beside two images, as `clmorph.morph` takes them; None where there are none.
-
-    Attributes
-    ----------
-    weights, color_metric, labels, features
-        See `clmorph.morph`.
-    """
+    """Arrays beside two images, as `clmorph.morph` takes them; None where there are none."""
 
     weights: Any = None
     color_metric: Any = None
@@ -38,18 +32,7 @@ class Maps:
         return tuple(each.name for each in fields(self) if getattr(self, each.name) is not None)
 
     def checked_labels(self, shapes: Sequence[Shape]) -> tuple[IntArray, IntArray] | None:
-        """Return the labels of the pictures as they are given, (H, W) each.
-
-        Parameters
-        ----------
-        shapes : pair of (height, width)
-            Shapes of the pictures as they are given.
-
-        Raises
-        ------
-        InputError
-            If they cannot be used.
-        """
+        """Return the labels of pictures of these shapes, (H, W) each, if they can be used."""
         if self.labels is None:
             return None
         pair = _pair("labels", self.labels, "label images (H, W) of integers")
@@ -60,10 +43,7 @@ class Maps:
         return first, second
 
     def checked_features(self, shapes: Sequence[Shape]) -> tuple[Array, Array] | None:
-        """Return the features of the pictures as they are given, (H, W, K) each.
-
-        Parameters and errors are those of `checked_labels`.
-        """
+        """Return the features of pictures of these shapes, (H, W, K) each, if they can be used."""
         if self.features is None:
             return None
         pair = _pair("features", self.features, "arrays (H, W) or (H, W, K)")
@@ -76,13 +56,7 @@ class Maps:
     def labels_of(
         self, measures: tuple[Measure, Measure], shapes: Sequence[Shape]
     ) -> tuple[IntArray, IntArray] | None:
-        """Return the labels of the pixels of two measures; None if there are none.
-
-        Raises
-        ------
-        InputError
-            If they cannot be used.
-        """
+        """Return the labels of the pixels of two measures; None if there are none."""
         whole = self.checked_labels(shapes)
         if whole is None:
             return None
@@ -95,13 +69,7 @@ class Maps:
     def added(
         self, measures: tuple[Measure, Measure], shapes: Sequence[Shape], weight: Any
     ) -> tuple[Measure, Measure]:
-        """Return measures with the features, if there are any.
-
-        Raises
-        ------
-        InputError
-            If they cannot be used.
-        """
+        """Return measures with the features, if there are any."""
         whole = self.checked_features(shapes)
         return measures if whole is None else with_features(measures, whole, weight)
 
@@ -113,20 +81,7 @@ NO_MAPS = Maps()
 
 
 def read_maps(labels: Sequence[Path], features: Sequence[Path], max_pixels: int) -> Maps:
-    """Read the label images and the features of two pictures, where they are given.
-
-    Parameters
-    ----------
-    labels, features : sequences of Path
-        Two files each, or none; labels can be `AUTO_LABELS`.
-    max_pixels : int
-        Largest number of pixels of a file.
-
-    Raises
-    ------
-    FileError
-        If a file cannot be read.
-    """
+    """Read label images and features of two pictures, if given; labels can be `AUTO_LABELS`."""
     found = tuple(labels) == AUTO_LABELS
     return Maps(
         labels=AUTO_LABELS[0].name

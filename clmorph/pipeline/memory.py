@@ -20,55 +20,39 @@ FEWEST_DRAWS = 4
 
 @dataclass(frozen=True)
 class MemoryModel:
-    """Measured constants of the estimate, in bytes unless another unit is named.
+    """Measured constants of the estimate, in bytes unless another unit is named."""
 
-    Attributes
-    ----------
-    base : int
-        Host memory that does not depend on the size.
-    solver_point : int
-        Host memory for each point while potentials are computed.
-    morph_point, morph_pair : int
-        Host memory for each point and for each pair while a morph is made and drawn.
-    alpha_pair : int
-        Host memory for each pair of images with opacity, whose particles are stored twice.
-    barycentric_point : int
-        Host memory for each source point whose mean destination is computed.
-    tile, level_pairs : int
-        Number of points of a tile, and number of pairs of tiles whose levels (three times 8 bytes)
-        are computed at a time.
-    coordinate, point, particle : int
-        Device memory for each coordinate of a point, for each point in addition, and for each
-        particle.
-    held_particle, held_pixel, most_held : int
-        Released buffers that a device keeps for reuse: bytes for each particle, bytes for each
-        pixel, and the largest total.
-    block, blocks : int
-        Number of entries of a block of the NumPy backend, 8 bytes each, and number of blocks that
-        it holds at a time.
-    numpy_particle : int
-        Memory of the NumPy backend for each particle that it moves.
-    carried_pixel : int
-        Host memory for each pixel of pictures that are larger than what is lifted.
-    """
-
+    #: Host memory that does not depend on the size.
     base: int = 500_000
+    #: Host memory for each point while potentials are computed.
     solver_point: int = 380
+    #: Host memory for each point, and for each pair, while a morph is made and drawn.
     morph_point: int = 300
     morph_pair: int = 92
+    #: Host memory for each pair of images with opacity, whose particles are stored twice.
     alpha_pair: int = 120
+    #: Host memory for each source point whose mean destination is computed.
     barycentric_point: int = 400
+    #: Number of points of a tile, and number of pairs of tiles whose levels (three times 8 bytes)
+    #: are computed at a time.
     tile: int = 32
     level_pairs: int = 1 << 22
+    #: Device memory for each coordinate of a point, each point in addition, and each particle.
     coordinate: int = 8
     point: int = 16
     particle: int = 95
+    #: Released buffers that a device keeps for reuse: bytes for each particle, bytes for each
+    #: pixel, and the largest total.
     held_particle: int = 40
     held_pixel: int = 5000
     most_held: int = 1 << 28
+    #: Number of entries of a block of the NumPy backend, 8 bytes each, and number of blocks that it
+    #: holds at a time.
     block: int = 1 << 24
     blocks: int = 4
+    #: Memory of the NumPy backend for each particle that it moves.
     numpy_particle: int = 280
+    #: Host memory for each pixel of pictures that are larger than what is lifted.
     carried_pixel: int = 150
 
 
@@ -76,20 +60,13 @@ MODEL = MemoryModel()
 
 
 class Memory(NamedTuple):
-    """The estimated peak memory of a morph.
+    """The estimated peak memory of a morph, in bytes."""
 
-    Attributes
-    ----------
-    host : int
-        Bytes of arrays on the host, without Python and its libraries (about 150 MB).
-    device : int
-        Bytes of buffers on the device.
-    shared : bool
-        Whether the device uses the host's memory, as CPUs do.
-    """
-
+    #: Arrays on the host, without Python and its libraries (about 150 MB).
     host: int
+    #: Buffers on the device.
     device: int
+    #: Whether the device uses the host's memory, as CPUs do.
     shared: bool
 
     @property
@@ -122,37 +99,12 @@ def estimate(
     of near pairs. These take 12 bytes for each pair of tiles on the host and, on a CPU, 32 bytes on
     the device, which is 0.7 GB for each side at 1024 x 1024 pixels and a blur of 0.05.
 
-    Parameters
-    ----------
-    source_shape, target_shape : (height, width)
-    pairs : float, optional
-        Number of kept pairs of the plan, counted or predicted (`clmorph.pipeline.pair_count`).
-        None estimates the computation of the potentials alone.
-    sample : int, optional
-        Number of draws for each pixel, which replace the kept pairs, see `clmorph.sample_plan`;
-        `pairs` may then be None.
-    barycentric : bool
-        Whether one particle for each source pixel replaces the kept pairs.
-    alpha : bool
-        Whether one of the images is not opaque.
-    dimension : int
-        Dimension of the lifted points: 5, or 11 with a color metric for each source pixel.
-    backend : str, object of pyopencl, or Operations
-        See `clmorph.get_backend`.
-    carried_pixels : int
-        Number of pixels of both pictures, if frames carry the detail of pictures with more pixels
-        than those that are lifted (`clmorph.pipeline.prepare.small_copies`).
-
-    Returns
-    -------
-    Memory
-
-    Raises
-    ------
-    InputError
-        If an argument cannot be used.
-    DeviceError
-        If there is no such device.
+    Shapes are (height, width). `pairs` are the kept pairs of the plan, counted or predicted
+    (`clmorph.pipeline.pair_count`); None estimates the computation of the potentials alone.
+    `sample` draws for each pixel, or one particle for each source pixel (`barycentric`), replace
+    them. `dimension` is that of the lifted points: 5, or 11 with a color metric for each source
+    pixel. `carried_pixels` counts those of both pictures if frames carry the detail of pictures
+    with more pixels than are lifted (`clmorph.pipeline.prepare.small_copies`).
     """
     n, m = (_points(name, s) for name, s in (("source", source_shape), ("target", target_shape)))
     operations = get_backend(backend)
@@ -198,25 +150,12 @@ def affordable(
     dimension: int = 5,
     backend: Backend = "auto",
 ) -> dict[str, Any]:
-    """Choose the form of a morph that fits into a limit of memory.
+    """Choose the form of a morph that fits into a limit of memory, in bytes, if there is one.
 
-    Parameters
-    ----------
-    max_memory : float
-        Limit in bytes for host and device together if they share memory, else for each of them.
-    source_shape, target_shape, pairs, alpha, dimension, backend
-        As in `estimate`.
-
-    Returns
-    -------
-    dict
-        Options of `clmorph.morph`: ``{}`` if the kept pairs fit; else ``{"sample": k}`` with the
-        largest power of two that fits; ``{"barycentric": True}`` is preferred to k = 2 or 1.
-
-    Raises
-    ------
-    InputError
-        If no form fits.
+    The limit holds for host and device together if they share memory, else for each of them. The
+    form is given by options of `clmorph.morph`: ``{}`` if the kept pairs fit; else ``{"sample":
+    k}`` with the largest power of two that fits; ``{"barycentric": True}`` is preferred to k = 2 or
+    1.
     """
     limit = check_number("max_memory", max_memory, 1.0, 1e18)
     operations = get_backend(backend)

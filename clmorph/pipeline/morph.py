@@ -143,26 +143,15 @@ def morph(
 
 @dataclass(frozen=True)
 class ImagePair:
-    """Two images at the size at which they are drawn, and the options of their morph.
-
-    Attributes
-    ----------
-    images : (image_a, image_b)
-        Images that `fitted` has returned.
-    options : MorphOptions
-    shapes : pair of (height, width), optional
-        Shapes of the images as they were given, in whose pixels landmarks are, and which labels
-        and features have; those of `images` if missing.
-    maps : Maps
-        Arrays beside the images.
-    found : str
-        What landmarks were found, in a line (`clmorph.pipeline.guides`).
-    """
+    """Two images at the size at which they are drawn (`fitted`), and the options of their morph."""
 
     images: Sequence[Picture]
     options: MorphOptions
+    #: Shapes (height, width) of the images as they were given, in whose pixels landmarks are, and
+    #: which labels and features have; those of `images` if missing.
     shapes: Sequence[tuple[int, int]] | None = None
     maps: Maps = NO_MAPS
+    #: What landmarks were found, in a line (`clmorph.pipeline.guides`).
     found: str = ""
 
     @property
@@ -210,23 +199,7 @@ class ImagePair:
         operations: Operations,
         report: Progress,
     ) -> tuple[list[Potentials], Potentials]:
-        """Return the potentials of each part, and those of all together.
-
-        Parameters
-        ----------
-        parts : sequence of Subproblem
-            What `parts` has returned.
-        masses : (float, float)
-            Masses of both images.
-        operations : Operations
-        report : callable
-            Called with the share of the work that is done.
-
-        Warns
-        -----
-        ConvergenceWarning
-            If the solver stops before `tol`.
-        """
+        """Return the potentials of each part that `parts` returned, and those of all together."""
         options = self.options
         if parts[0].points is None:
             found = sinkhorn(

@@ -38,24 +38,11 @@ POINTS = 4096
 def optimal_curve(
     morph: Morph, *, progress: Callable[[float], None] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the kernel widths whose frames are nearest to the particles.
+    """Return the kernel widths whose frames are nearest to the particles: times and pixels.
 
-    Parameters
-    ----------
-    morph : Morph
-        The morph; its kernel widths are ignored.
-    progress : callable, optional
-        A function that is called with the share that is done.
-
-    Returns
-    -------
-    times, widths : arrays
-        Arguments of `clmorph.frames.kernel_width.KernelWidth.curve`; the widths are in pixels.
-
-    Raises
-    ------
-    InputError
-        If the morph has no divergence because its reach is a pair or its metric of color is a map.
+    They are the arguments of `clmorph.frames.kernel_width.KernelWidth.curve`. The morph's own
+    kernel widths are ignored. A morph whose reach is a pair, or whose metric of color is a map, has
+    no divergence and is refused.
     """
     report = check_progress(progress)
     check_frame_sequence(morph)

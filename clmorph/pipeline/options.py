@@ -160,19 +160,10 @@ class MorphOptions(
 
     @classmethod
     def layered(cls, layers: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-        """Merge several layers of options into one; later layers win.
+        """Merge several layers of options, by their names in Python, into one; later layers win.
 
-        An option also removes its alternatives (`ALTERNATIVES`) from earlier layers.
-
-        Parameters
-        ----------
-        layers : iterable of mappings
-            Options by their names in Python.
-
-        Raises
-        ------
-        InputError
-            If one layer contradicts itself.
+        An option also removes its alternatives (`ALTERNATIVES`) from earlier layers. A layer that
+        contradicts itself is refused.
         """
         known = specifications(cls)
         settings: dict[str, Any] = {}
@@ -265,20 +256,7 @@ class MorphOptions(
         return type(self)(**MorphOptions.layered((self.as_dict(), given)))
 
     def chosen(self, names: Iterable[str], given: Mapping[str, Any]) -> Self:
-        """Return a copy with the given options replaced, if they are among the allowed names.
-
-        Parameters
-        ----------
-        names : iterable of str
-            The options that may be given.
-        given : mapping
-            The new values, by the names of the options.
-
-        Raises
-        ------
-        InputError
-            If another option is given, or a value is invalid.
-        """
+        """Return a copy with the given options replaced, if they are among the allowed names."""
         allowed = dict.fromkeys(names)
         for name in given:
             if name not in allowed:
@@ -286,29 +264,12 @@ class MorphOptions(
         return self.replace(**given)
 
     def of(self, stage: type[Options]) -> dict[str, Any]:
-        """Return the options of one stage, by their names.
-
-        Parameters
-        ----------
-        stage : type
-            A class of options that this one joins.
-        """
+        """Return the options of one stage, a class that this one joins, by their names."""
         return {name: getattr(self, name) for name in specifications(stage)}
 
 
 def preset_options(name: str | None) -> dict[str, Any]:
-    """Return all options that any preset sets, with their values in one preset.
-
-    Parameters
-    ----------
-    name : str, optional
-        A name of `PRESETS`; "photo" if None.
-
-    Raises
-    ------
-    InputError
-        If there is no such preset.
-    """
+    """Return all options that any preset sets, with their values in one ("photo" if None)."""
     if isinstance(name, str) and name == AUTO:
         raise InputError(
             "preset='auto' is chosen by the pictures: give it to clmorph.morph(a, b), or choose "

@@ -31,31 +31,10 @@ def predict_pairs(
 ) -> int:
     """Predict how many pairs `clmorph.transport_plan` will keep, from a sample, in O(N + M).
 
-    A pair is kept for its row or for its column. A sample of rows gives the number of pairs kept
-    for rows, a sample of columns the number kept for columns, and the intersections of both samples
-    the number kept for both. With `log_threshold` a sample of rows is enough. The result is exact
-    if the sample contains all rows and columns.
-
-    Parameters
-    ----------
-    source, target : Measure, WeightedPoints, or (weights, points)
-    potentials : Potentials
-    relative, log_threshold
-        As in `clmorph.transport_plan`.
-    rows : int
-        Number of random rows, and of random columns, in the sample.
-    seed : int
-    backend : str, object of pyopencl, or Operations
-        See `clmorph.get_backend`.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    InputError
-        If an argument cannot be used.
+    A pair is kept for its row or for its column. A sample of `rows` rows gives the number of pairs
+    kept for rows, a sample of as many columns the number kept for columns, and the intersections of
+    both samples the number kept for both. With `log_threshold` a sample of rows is enough. The
+    result is exact if the sample contains all rows and columns.
     """
     source, target = as_pair(source, target)
     relative = PruningOptions.checked("relative", relative)

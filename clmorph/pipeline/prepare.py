@@ -27,29 +27,13 @@ MOST_CARRIED = 512
 
 
 def as_images(images: Sequence[ArrayLike]) -> list[AnyArray]:
-    """Return images as `clmorph.images.pixels.as_samples` does, named in its error messages.
-
-    Parameters
-    ----------
-    images : sequence of arrays
-
-    Raises
-    ------
-    InputError
-        If an image cannot be used.
-    """
+    """Return images as `clmorph.images.pixels.as_samples` does, named in its error messages."""
     names = [f"image_{letter}" for letter in "ab"] if len(images) == 2 else [""] * len(images)
     return [as_samples(image, name) for image, name in zip(images, names, strict=True)]
 
 
 def recognized(images: Iterable[AnyArray]) -> PresetName:
-    """Return the preset for what images show (`clmorph.pipeline.presets.preset_for`).
-
-    Parameters
-    ----------
-    images : iterable of (H, W, C) arrays
-        Images that `as_images` has returned, as large as they were given.
-    """
+    """Return the preset for what images show, at the size at which they were given."""
     return preset_for(kind_of(image) for image in images)
 
 
@@ -63,21 +47,7 @@ def as_options(
 ) -> MorphOptions:
     """Return the options of a call, from an options object, a preset and options by name.
 
-    Parameters
-    ----------
-    options : MorphOptions or None
-    preset : str or None
-    given : mapping
-        Options by name.
-    images : iterable of (H, W, C) arrays
-        The images, which choose the preset "auto".
-    draft : bool
-        See `MorphOptions`.
-
-    Raises
-    ------
-    InputError
-        If `options` has another type, or is given together with `preset` or `draft`.
+    The images choose the preset "auto". An object together with `preset` or `draft` is refused.
     """
     if options is None:
         if preset is None or (isinstance(preset, str) and preset == AUTO):
@@ -102,21 +72,10 @@ def fitted(
     options: MorphOptions,
     beside: Maps = NO_MAPS,
 ) -> list[Picture]:
-    """Return images downscaled to the size at which they are drawn.
+    """Return images of `as_images` downscaled to the size at which they are drawn.
 
-    Parameters
-    ----------
-    images : sequence of (H, W, C) arrays
-        Images that `as_images` has returned.
-    options : MorphOptions
-    beside : Maps
-        A map of weights or metrics must have the shape of its image, so the image must not be
-        reduced. Labels and features are reduced with it.
-
-    Raises
-    ------
-    InputError
-        If an image with a map would be reduced.
+    A map of weights or metrics must have the shape of its image, so an image that has one must not
+    be reduced. Labels and features are reduced with it.
     """
     weights, color_metric = beside.weights, beside.color_metric
     maps = weights if isinstance(weights, tuple | list) else (None, None)
@@ -141,20 +100,11 @@ def fitted(
 def small_copies(
     images: Sequence[Picture], options: MorphOptions, beside: Maps = NO_MAPS
 ) -> list[Picture] | None:
-    """Return smaller copies of images, whose pixels become particles in place of those of images.
+    """Return smaller copies of fitted images, whose pixels become particles in place of theirs.
 
-    Parameters
-    ----------
-    images : (image_a, image_b)
-        Images that `fitted` has returned.
-    options : MorphOptions
-    beside : Maps
-
-    Returns
-    -------
-    list of (H, W, 3) arrays, or None
-        None if particles draw detail, if the transport is solved between pixels or more blocks than
-        copies have pixels, or if images are small, have opacity, or come with maps of their pixels.
+    The result is None if particles draw detail, if the transport is solved between pixels or more
+    blocks than copies have pixels, or if images are small, have opacity, or come with maps of their
+    pixels.
     """
     if not takes_copies([image.shape for image in images], options, beside):
         return None

@@ -23,15 +23,7 @@ AUTO_HELP = (
 
 
 class Preset(NamedTuple):
-    """A preset.
-
-    Attributes
-    ----------
-    help : str
-        A description in one line.
-    options : dict
-        The options that differ from the defaults, by their names in Python.
-    """
+    """The options that differ from the defaults, by their names in Python, with a line of help."""
 
     help: str
     options: Mapping[str, Any]
@@ -111,18 +103,7 @@ DRAFT_TOL = 1e-2
 
 
 def drafted(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that a first look changes, with their values.
-
-    Parameters
-    ----------
-    options : mapping
-        All options that a preset sets, and others that were given.
-
-    Examples
-    --------
-    >>> drafted({"size": 48, "n_frames": 60})["size"], drafted({"size": None})["n_frames"]
-    (48, 12)
-    """
+    """Return the options that a first look changes from the given ones, with their values."""
     found: dict[str, Any] = {}
     for name, most in DRAFT.items():
         value = options.get(name)
@@ -134,20 +115,7 @@ def drafted(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def preset_for(kinds: Iterable[Kind]) -> PresetName:
-    """Return the preset for pictures of some kinds.
-
-    Parameters
-    ----------
-    kinds : iterable of {"sprite", "drawing", "photograph"}
-        See `clmorph.images.kind.kind_of`.
-
-    Examples
-    --------
-    >>> preset_for(["sprite", "sprite"]), preset_for(["sprite", "drawing"])
-    ('pixel-art', 'logo')
-    >>> preset_for(["drawing", "photograph"])
-    'photo'
-    """
+    """Return the preset for pictures of some kinds (`clmorph.images.kind.kind_of`)."""
     found = set(kinds)
     if found == {"sprite"}:
         return "pixel-art"

@@ -62,21 +62,10 @@ def recipe(
 ) -> dict[str, Any]:
     """Return the recipe of a file, which suffices to make the file again.
 
-    Parameters
-    ----------
-    options : MorphOptions, RearrangeOptions or RecolorOptions
-    images : sequence of mappings
-        The pictures: name and digest of each file, if they are files.
-    device : str
-        A description of the device.
-    arrays : sequence of str
-        Names of further input arrays ("weights", "color_metric"; "labels" and "features" if they
-        are no files), which a recipe does not contain.
-    beside : mapping, optional
-        Files beside the pictures by what they are (`BESIDE`): name and digest of each, or the word
-        "auto" for labels that are found.
-    mixes : mapping, optional
-        What mixes show: one of `SHOWN` and its value.
+    `images` has name and digest of each picture that is a file, and `beside` those of the files
+    beside the pictures by what they are (`BESIDE`), or the word "auto" for labels that are found.
+    `arrays` names further input arrays, which a recipe does not contain. `mixes` is what mixes
+    show: one of `SHOWN` and its value.
     """
     found: dict[str, Any] = {"clmorph": __version__, "options": options.outside()}
     command = next((name for name, kind in COMMANDS.items() if isinstance(options, kind)), "morph")
@@ -94,19 +83,8 @@ def options_of(
 ) -> dict[str, Any]:
     """Return the options of a file by their names in Python, with the preset if it names one.
 
-    Parameters
-    ----------
-    settings : mapping
-        Options by their names outside, with dashes or underscores.
-    where : str
-        The name of the file in error messages.
-    options : type
-        The class of the options; only those of a morph have presets.
-
-    Raises
-    ------
-    InputError
-        If an option is unknown, or its value has the wrong kind.
+    `settings` has their names outside, with dashes or underscores; `where` is the name of the file
+    in error messages. Only options of a morph have presets.
     """
     known = {
         outside_name(name, each): (name, each) for name, each in specifications(options).items()
@@ -130,13 +108,7 @@ def options_of(
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a file of settings in TOML.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
+    """Read a file of settings in TOML."""
     import tomllib
 
     try:
@@ -152,16 +124,9 @@ def read_toml(path: Path) -> dict[str, Any]:
 def read_recipe(path: Path) -> dict[str, Any]:
     """Read the recipe in a file that clmorph has written.
 
-    Returns
-    -------
-    dict
-        The key ``options``, with names outside, and optionally ``images``, ``labels``,
-        ``features``, ``mask``, ``arrays``, ``command`` and ``device``.
-
-    Raises
-    ------
-    InputError
-        If the file has no recipe, or its recipe belongs to several morphs with different options.
+    It has the key ``options``, with names outside, and optionally ``images``, ``labels``,
+    ``features``, ``mask``, ``arrays``, ``command`` and ``device``. A recipe of several morphs with
+    different options is refused.
     """
     found = read_parameters(path)
     if not isinstance(found.get("options"), dict):
@@ -228,13 +193,8 @@ def load_options(path: str | PathLike[str]) -> dict[str, Any]:
 def picture_entries(images: Sequence[Path], folder: Path | None = None) -> list[dict[str, Any]]:
     """Return the entries of a recipe about its pictures.
 
-    Parameters
-    ----------
-    images : sequence of Path
-    folder : Path, optional
-        The folder to which the images' folders are written as relative paths. These paths inform
-        people; the command line uses only the file names. Without `folder` no folders are written,
-        which suits files that are shared.
+    The images' folders, relative to `folder`, inform people; the command line uses only the file
+    names. Without `folder` none are written, which suits files that are shared.
     """
     return [
         {"file": path.name, "sha256": digest(path)}

@@ -106,16 +106,7 @@ def recolored(
     backend: Backend,
     report: StageProgress,
 ) -> Array:
-    """Recolor a picture; the parameters are checked ones of `recolor`.
-
-    Parameters
-    ----------
-    pixels, like : (H, W, 3) or (H, W, 4) arrays
-    options : RecolorOptions
-    mask : (H, W) array in [0, 1], optional
-    backend : str or Operations
-    report : callable
-    """
+    """Recolor a picture, (H, W, 3 or 4); the parameters are checked ones of `recolor`."""
     operations = get_backend(backend)
     visible = np.ones(like.shape[:2]) if like.shape[2] == 3 else like[..., 3]
     if not visible.any():
@@ -141,13 +132,7 @@ def recolored(
 
 
 def as_mask(mask: Any, shape: tuple[int, int]) -> Array:
-    """Return a mask as an (H, W) array in [0, 1].
-
-    Raises
-    ------
-    InputError
-        If it is no mask for an image of this shape.
-    """
+    """Return a mask for an image of this shape as an (H, W) array in [0, 1]."""
     expected = f"an array (H, W) = {shape} as the image has, with values in [0, 1]"
     values = as_array("mask", mask, expected)
     if values.shape != shape:

@@ -430,22 +430,7 @@ class Morph(FrameSequence):
 def keep_frames(morph: Morph, progress: StageProgress | None = None) -> None:
     """Render and cache all frames of a morph, so that files written later need not do so.
 
-    Parameters
-    ----------
-    morph : Morph
-    progress : callable, optional
-        Called with the stage "frames" and the share of it that is done.
-
-    Examples
-    --------
-    >>> import clmorph
-    >>> import numpy as np
-    >>> left, right = np.zeros((2, 6, 6, 3))
-    >>> left[:, :3] = right[:, 3:] = 1.0
-    >>> morph = clmorph.morph(left, right, n_frames=5, backend="numpy")
-    >>> keep_frames(morph)
-    >>> morph[2] is morph.frames[2]
-    True
+    The stage "frames" is reported with the share of it that is done.
     """
     report = check_progress(progress)
     if morph._kept:

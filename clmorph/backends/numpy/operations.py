@@ -29,18 +29,7 @@ from clmorph.backends.width_levels import WIDTH_LEVELS
 
 
 class NumPyOperations:
-    """The operations of `clmorph.backends.interface.Operations`, simple rather than fast.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clmorph.backends.numpy import NumPyOperations
-    >>> operations = NumPyOperations()
-    >>> points = np.array([[0.0, 0.0], [1.0, 0.0]])
-    >>> cloud = operations.upload(points, np.array([0.5, 0.5]))
-    >>> operations.softmin(cloud, cloud, np.zeros(2), epsilon=0.1).round(4).tolist()
-    [0.0686, 0.0686]
-    """
+    """The operations of `clmorph.backends.interface.Operations`, simple rather than fast."""
 
     description = "NumPy float64"
     bin_size = 8

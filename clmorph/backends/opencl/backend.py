@@ -40,24 +40,10 @@ class OpenCLOperations:
     """Operations on one device; safe to share between threads, which take turns.
 
     Its attributes are the operations of `clmorph.backends.interface.Operations`. Each is a method
-    of one of the objects that `_bind` creates, and its signature stands in the class there.
-
-    Parameters
-    ----------
-    device : pyopencl.Device
-    constants : BuildConstants, optional
-        Build constants; if not given, the tuned ones, else those for the kind of device.
-    verify : bool
-        Whether each program is verified against NumPy before its first use, see
-        `clmorph.backends.opencl.build.programs.Programs`.
-    queue : pyopencl.CommandQueue, optional
-        The queue of a host program on this device, in which all work runs; a queue in a context of
-        its own if not given.
-
-    Raises
-    ------
-    DeviceError
-        If the device cannot be opened.
+    of one of the objects that `_bind` creates, and its signature stands in the class there. Build
+    constants are the tuned ones by default, else those for the kind of device. `verify` has each
+    program verified against NumPy before its first use (`Programs`). All work runs in `queue`, that
+    of a host program, or in a context of its own.
     """
 
     def __init__(

@@ -23,14 +23,7 @@ _OUT_OF_ORDER = cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE
 
 
 class _Mapping:
-    """Mapped bytes of a buffer, which are unmapped when no array refers to them any more.
-
-    Parameters
-    ----------
-    queue : pyopencl.CommandQueue
-    data : (n,) uint8 array
-        What `pyopencl.enqueue_map_buffer` has returned.
-    """
+    """Mapped bytes of a buffer, which are unmapped when no array refers to them any more."""
 
     def __init__(self, queue: cl.CommandQueue, data: NDArray[np.uint8]) -> None:
         self._queue, self._data, self._process = queue, data, os.getpid()
@@ -50,32 +43,11 @@ class _Mapping:
 
 
 def read_in_place(name: str, value: Any, expected: str) -> NDArray[Any]:
-    """Map an array of a host program, and return its elements in place.
+    """Map a `pyopencl.array.Array` of a host program, and return its elements in place, read-only.
 
     The elements are valid because this function waits for the array's pending events and for the
     work that was enqueued on the array's queue before. The buffer stays mapped until the returned
     array and all its views are garbage.
-
-    Parameters
-    ----------
-    name : str
-        The name of the array in error messages.
-    value : pyopencl.array.Array
-        Of any shape, strides and offset. Its device may be any one.
-    expected : str
-        The description of the expected value in error messages.
-
-    Returns
-    -------
-    array
-        Read-only, with the shape, strides and dtype of `value`.
-
-    Raises
-    ------
-    InputError
-        If the value is not such an array, has no queue, or cannot be mapped by its queue.
-    DeviceError
-        If the device fails.
     """
     if not isinstance(value, cl_array.Array):
         raise InputError(
@@ -124,18 +96,7 @@ def _mapped(array: cl_array.Array) -> NDArray[Any]:
 
 
 def as_queue(value: Any) -> cl.CommandQueue:
-    """Return the queue on which arrays are wanted.
-
-    Parameters
-    ----------
-    value : pyopencl.CommandQueue or Operations
-        A queue, or the operations of one OpenCL device.
-
-    Raises
-    ------
-    InputError
-        If it is neither.
-    """
+    """Return the queue on which arrays are wanted: itself, or that of operations on a device."""
     queue = value if isinstance(value, cl.CommandQueue) else getattr(value, "queue", None)
     if not isinstance(queue, cl.CommandQueue):
         raise InputError(
@@ -148,25 +109,9 @@ def as_queue(value: Any) -> cl.CommandQueue:
 def to_device(
     queue: cl.CommandQueue, values: NDArray[Any], dtype: DTypeLike | None = None
 ) -> cl_array.Array:
-    """Return a new array on a device, in C order.
+    """Return a new array on a device, in C order, rounded to `dtype` if one is given.
 
-    Parameters
-    ----------
-    queue : pyopencl.CommandQueue
-        The queue of the new array.
-    values : array
-    dtype : dtype, optional
-        The dtype of the new array, to which values are rounded; theirs if not given.
-
-    Returns
-    -------
-    pyopencl.array.Array
-        Its ``events`` hold the end of the writing, which is ordered on `queue` itself.
-
-    Raises
-    ------
-    DeviceError
-        If the device's memory cannot be allocated or mapped.
+    Its ``events`` hold the end of the writing, which is ordered on `queue` itself.
     """
     claim_opencl()
     dtype = np.dtype(values.dtype if dtype is None else dtype)
@@ -192,19 +137,7 @@ def to_device(
 
 
 def real_type(queue: cl.CommandQueue, dtype: Any) -> np.dtype[Any]:
-    """Return the dtype of real numbers on a device.
-
-    Parameters
-    ----------
-    queue : pyopencl.CommandQueue
-    dtype : dtype or None
-        float32 or float64; None is float64 where the device has it, and float32 elsewhere.
-
-    Raises
-    ------
-    InputError
-        If it is another one, or the device has no float64.
-    """
+    """Return a dtype of real numbers that the device has; None is float64, or else float32."""
     possible = has_float64(queue.device)
     if dtype is None:
         return np.dtype(np.float64 if possible else np.float32)

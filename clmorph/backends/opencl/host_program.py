@@ -17,12 +17,7 @@ from clmorph.errors import DeviceError, InputError
 
 @Once
 def opened(device: cl.Device) -> OpenCLOperations:
-    """Return the operations on a device of a platform, in a context of their own, always the same.
-
-    Parameters
-    ----------
-    device : pyopencl.Device
-    """
+    """Return the operations on a device, in a context of their own, always the same."""
     return OpenCLOperations(device)
 
 
@@ -30,18 +25,7 @@ def operations_in(given: Any) -> OpenCLOperations:
     """Return the operations in a context or queue of a host program, or on a device.
 
     The operations of one object are always the same, as long as the program keeps the object; they
-    do not keep it alive, nor its context.
-
-    Parameters
-    ----------
-    given : pyopencl.Device, pyopencl.Context or pyopencl.CommandQueue
-
-    Raises
-    ------
-    InputError
-        If it is another object, a context of several devices, or a queue on a device.
-    DeviceError
-        If the device does not work.
+    do not keep it alive, nor its context. A context must have one device.
     """
     claim_opencl()
     if not isinstance(given, cl.Device | cl.Context | cl.CommandQueue):

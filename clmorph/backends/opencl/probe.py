@@ -1,9 +1,8 @@
 """Verify programs of a device: ``python -m clmorph.backends.opencl.probe INDEX [REQUEST]``.
 
-The programs are those of the request (see `clmorph.backends.opencl.build.programs.make_request`),
-those that most morphs use, or with the request "further" those that they use beside these. Before
-and after the check of each, a line is printed; see `opencl.devices.trial`. No program that this
-process builds is verified in a further process.
+The programs are those of the request (`build.programs.make_request`), those that most morphs use,
+or with "further" those that they use beside these. A line is printed before and after the check of
+each (`devices.trial`). No program that this process builds is verified in a further process.
 """
 
 import contextlib

@@ -34,17 +34,8 @@ def variants(constants: BuildConstants, name: str, largest_group: int) -> Iterat
 def tune(device: cl.Device, tell: Callable[[str], None]) -> tuple[BuildConstants, float, float]:
     """Time constants on a device and keep the best in the user's cache folder.
 
-    Parameters
-    ----------
-    device : pyopencl.Device
-    tell : callable
-        Called with a line for every trial.
-
-    Returns
-    -------
-    constants : BuildConstants
-    before, after : float
-        Point pairs per second through the log-sum-exp.
+    The result is the constants, and the point pairs per second through the log-sum-exp before and
+    after; `tell` is called with a line for every trial.
     """
     largest = int(device.max_work_group_size)
     best = start = choose_constants(device)

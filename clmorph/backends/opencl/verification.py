@@ -66,15 +66,7 @@ LONG_VECTOR = 5003
 def check_program(operations: Adjustable, variant: Variant) -> Iterator[Finding]:
     """Compare the operations that use a program with NumPy.
 
-    Parameters
-    ----------
-    operations : Adjustable
-        Operations that nothing else uses: methods are forced here that would be chosen by size.
-    variant : Variant
-
-    Yields
-    ------
-    Finding
+    Nothing else uses these operations: methods are forced here that would be chosen by size.
     """
     yield from _CHECKS[variant.file](operations, variant)
 

@@ -13,11 +13,7 @@ UNIT = 64
 
 
 class Part(NamedTuple):
-    """The rows of one device.
-
-    They may all be without mass, although the masses of a cloud have a positive sum: rows of
-    reductions need none.
-    """
+    """The rows of one device, which may all be without mass: rows of reductions need none."""
 
     member: int  #: number of the device
     rows: NDArray[np.intp]  #: (n,) indices of the points in the caller's arrays
@@ -35,21 +31,11 @@ class Cloud(NamedTuple):
 def divide_rows(
     points: NDArray[np.float64], shares: Sequence[float]
 ) -> list[tuple[int, NDArray[np.intp]]]:
-    """Divide points among devices by their shares, so that the points of each are compact.
+    """Divide points (N, D) among devices by their shares, so that the points of each are compact.
 
     The order is that of tiles on a device (`tile_order`), and each device gets a run of it. So
-    tiles stay small, and near pairs are as few as on one device.
-
-    Parameters
-    ----------
-    points : (N, D) array
-    shares : (devices,) array
-        Their sum is 1.
-
-    Returns
-    -------
-    list of (device, indices)
-        Only devices that have rows are in it: a problem of a few tiles may leave some out.
+    tiles stay small, and near pairs are as few as on one device. The result has the indices of each
+    device that has rows: a problem of a few tiles may leave some out.
     """
     count = len(points)
     ends = UNIT * np.rint(np.cumsum(shares) * (count / UNIT)).astype(np.int64)

@@ -19,21 +19,7 @@ _lock = threading.Lock()
 def open_several(members: Sequence[Operations], names: Sequence[Any]) -> Operations:
     """Return one backend that spreads work over others, the same object for the same members.
 
-    Parameters
-    ----------
-    members : sequence of Operations
-    names : sequence
-        What the user gave for each member, for messages.
-
-    Returns
-    -------
-    Operations
-        The member itself, if there is only one.
-
-    Raises
-    ------
-    InputError
-        If there is no member, if one consists of several devices, or if two are the same device.
+    A single member is returned itself. In errors members have the `names` that a user gave.
     """
     if not members:
         raise InputError("backend=[]: expected at least one device, such as ['0:0', '0:1']")
@@ -66,20 +52,7 @@ def _same_device(one: Operations, other: Operations) -> bool:
 
 
 def members_of(operations: Operations) -> list[tuple[Operations, float]]:
-    """Return the devices of a backend and their shares of the work; a device is its own member.
-
-    Parameters
-    ----------
-    operations : Operations
-
-    Examples
-    --------
-    >>> import clmorph
-    >>> from clmorph.backends.several import members_of
-    >>> operations = clmorph.get_backend("numpy")
-    >>> members_of(operations) == [(operations, 1.0)]
-    True
-    """
+    """Return the devices of a backend and their shares of the work; a device is its own member."""
     if isinstance(operations, SeveralDevices):
         return list(zip(operations.members, operations.shares, strict=True))
     return [(operations, 1.0)]

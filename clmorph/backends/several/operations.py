@@ -25,40 +25,9 @@ class SeveralDevices:
     `clmorph.frames.spread` gives whole frames to devices. So are batches of clouds, whose problems
     are small.
 
-    Parameters
-    ----------
-    members : sequence of Operations
-        Backends of single devices.
-    shares : sequence of float, optional
-        The share of the rows, and of the frames, of each device, above 0; equal if not given. They
-        decide how results are rounded.
-
-    Attributes
-    ----------
-    members : list of Operations
-    shares : list of float
-        Their sum is 1.
-    memory_bytes : int or None
-        The least memory of a device, because each device holds the whole problem. Devices in the
-        host's memory have equal parts of what each of them reports.
-
-    Raises
-    ------
-    InputError
-        If `members` is empty or `shares` do not suit.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from clmorph.backends.numpy import NumPyOperations
-    >>> from clmorph.backends.several import SeveralDevices
-    >>> both = SeveralDevices([NumPyOperations(), NumPyOperations()], [0.75, 0.25])
-    >>> points = np.linspace(0.0, 1.0, 300)[:, None]
-    >>> cloud = both.upload(points, np.full(300, 1 / 300))
-    >>> [len(part.rows) for part in cloud.parts]
-    [256, 44]
-    >>> both.softmin(cloud, cloud, np.zeros(300), epsilon=0.01).shape
-    (300,)
+    The shares of the rows, and of the frames, are above 0, and equal if not given; they decide how
+    results are rounded. `memory_bytes` is the least memory of a device, because each device holds
+    the whole problem; devices in the host's memory have equal parts of what each of them reports.
     """
 
     def __init__(

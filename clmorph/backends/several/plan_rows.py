@@ -23,12 +23,7 @@ class _Stored(NamedTuple):
 
 
 class PlanRowsOfParts:
-    """Finds the kept pairs of a plan, each device those of its rows.
-
-    Parameters
-    ----------
-    team : Team
-    """
+    """Finds the kept pairs of a plan, each device those of its rows."""
 
     def __init__(self, team: Team) -> None:
         self._team = team
@@ -120,10 +115,7 @@ class PlanRowsOfParts:
     def sum_stored(
         self, stored: StoredPairs, changes: Float64, by_column: bool, ordered: bool = False
     ) -> Float64:
-        """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row, or column.
-
-        A column's pairs are on several devices, whose sums are added on the host.
-        """
+        """Return log sum_j pi_ij exp(changes_j) over the stored pairs of every row, or column."""
         rows, pairs = stored.pairs
 
         def of_part(member: Operations, part: Part, place: int) -> Float64:
@@ -137,15 +129,7 @@ class PlanRowsOfParts:
 
 
 def _joined_rows(count: int, parts: Sequence[tuple[NDArray[np.intp], PlanRows]]) -> PlanRows:
-    """Return plan rows in the caller's order.
-
-    Parameters
-    ----------
-    count : int
-        Number of rows.
-    parts : sequence of (rows, pairs)
-        The numbers of some rows, and their pairs; each row is in one part.
-    """
+    """Return plan rows in the caller's order; each of `count` rows is in one part."""
     lengths = np.zeros(count, np.int64)
     for rows, pairs in parts:
         lengths[rows] = np.diff(pairs.indptr)

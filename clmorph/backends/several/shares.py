@@ -17,19 +17,10 @@ from clmorph.backends.opencl.devices.throughput import throughput
 
 
 def recorded_shares(members: Sequence[Operations]) -> list[float]:
-    """Return the share of each device, in proportion to its recorded speed.
+    """Return the share of each device, in proportion to its recorded speed; the sum is 1.
 
     A device without a record is measured, which takes about a second. Where no record can be kept,
     all shares are equal.
-
-    Parameters
-    ----------
-    members : sequence of Operations
-
-    Returns
-    -------
-    list of float
-        The sum is 1.
     """
     speeds = [_recorded_speed(member) for member in members]
     if not all(speeds):
@@ -53,24 +44,7 @@ def _positive(value: object) -> float:
 
 
 def frame_turns(shares: Sequence[float], count: int) -> NDArray[np.int64]:
-    """Return the device of each frame: (count,) array of their numbers.
-
-    After any number of frames each device has had its share of them, to within one frame or two.
-
-    Parameters
-    ----------
-    shares : (devices,) array
-        Their sum is 1.
-    count : int
-
-    Examples
-    --------
-    >>> from clmorph.backends.several import frame_turns
-    >>> frame_turns([0.5, 0.5], 5).tolist()
-    [0, 1, 0, 1, 0]
-    >>> frame_turns([0.75, 0.25], 8).tolist()
-    [0, 0, 1, 0, 0, 0, 1, 0]
-    """
+    """Return the device of each frame, (count,): each has its share, to within a frame or two."""
     turns = np.empty(count, np.int64)
     owed = np.zeros(len(shares))
     for number in range(count):

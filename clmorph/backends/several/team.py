@@ -16,12 +16,7 @@ T = TypeVar("T")
 
 
 class Team:
-    """Devices, and a thread for each of them but one, whose work the caller's thread does.
-
-    Parameters
-    ----------
-    members : sequence of Operations
-    """
+    """Devices, and a thread for each of them but one, whose work the caller's thread does."""
 
     def __init__(self, members: Sequence[Operations]) -> None:
         self.members = list(members)

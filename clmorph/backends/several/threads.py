@@ -23,12 +23,9 @@ PATIENCE = 0.2
 class Workers:
     """Threads that wait for work, because to start one takes as long as a small operation.
 
-    Parameters
-    ----------
-    count : int
-        Number of threads. They are started when they are first needed, and end with this object.
-        They are daemons, like all threads of this module: a thread that waits must not keep the
-        interpreter from its end. `opencl.devices.process` keeps daemons out of drivers then.
+    They are started when they are first needed, and end with this object. They are daemons, like
+    all threads of this module: a thread that waits must not keep the interpreter from its end.
+    `opencl.devices.process` keeps daemons out of drivers then.
     """
 
     def __init__(self, count: int) -> None:
@@ -37,25 +34,11 @@ class Workers:
         self._team: tuple[int, Queue] | None = None
 
     def run_at_once(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
-        """Run tasks at the same time, the first of them in the calling thread.
+        """Run tasks at the same time, the first of them in the calling thread, and return results.
 
         If one fails, or the user interrupts the calling thread, the others stop at their next
-        launch. All have ended when this method returns or raises.
-
-        Parameters
-        ----------
-        tasks : sequence of callables
-            At least one, and at most one more than there are threads.
-
-        Returns
-        -------
-        list
-            The result of each task.
-
-        Raises
-        ------
-        BaseException
-            What the first task that failed has raised.
+        launch. All have ended when this method returns, or raises what the first task that failed
+        has raised.
         """
         if len(tasks) == 1:
             return [tasks[0]()]
@@ -166,24 +149,9 @@ def results_in_order(
 ) -> Generator[T, None, None]:
     """Compute results in one thread a worker, and yield them in order.
 
-    A worker computes its results one after the other, and waits with a finished one while the one
-    before it has not been taken. So at most two results of each worker are in memory.
-
-    Parameters
-    ----------
-    turns : sequence of int
-        The worker that computes each result.
-    work : callable
-        Takes a worker and the number of a result, and returns the result.
-
-    Yields
-    ------
-    The results.
-
-    Raises
-    ------
-    BaseException
-        What a worker has raised, after the others have ended.
+    `turns` is the worker of each result, and `work` takes a worker and the number of a result. A
+    worker waits with a finished result while the one before it has not been taken. So at most two
+    results of each worker are in memory.
     """
     stop, changed = Cancellation(), threading.Condition()
     done: dict[int, T] = {}

@@ -24,15 +24,7 @@ def check_softmin_batch(
     precise: bool = False,
     bounded: bool = False,
 ) -> Iterator[Finding]:
-    """Compare soft minima of a batch, and of a part of it, with those of single problems.
-
-    Parameters
-    ----------
-    operations, exact : Operations
-    dimension : int
-    precise, bounded : bool
-        Which soft minima.
-    """
+    """Compare soft minima of a batch, and of a part of it, with those of single problems."""
     pairs = [
         (clustered(dimension, n, 3 * number), clustered(dimension, m, 3 * number + 1))
         for number, (n, m) in enumerate(SIZES)

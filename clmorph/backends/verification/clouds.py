@@ -22,15 +22,7 @@ LONG_ROW = 20_011
 def log_sum_exp_tolerance(
     operations: Operations, rows: Cloud, columns: Cloud, epsilon: float, precise: bool = False
 ) -> float:
-    """Return the tolerated error, in nats, of a log-sum-exp of `operations`.
-
-    Parameters
-    ----------
-    operations : Operations
-    rows, columns : (points (N, D), weights (N,))
-    epsilon : float
-    precise : bool
-    """
+    """Return the tolerated error, in nats, of a log-sum-exp of `operations`."""
     points = np.concatenate((rows[0], columns[0]))
     largest = 0.5 * float(np.sum(np.ptp(points, axis=0) ** 2))
     return rounding_error(operations, len(columns[1]), largest / epsilon, precise)
@@ -38,23 +30,14 @@ def log_sum_exp_tolerance(
 
 @dataclass(frozen=True)
 class CloudCase:
-    """Two clouds, on a backend and in NumPy, with potentials.
-
-    Attributes
-    ----------
-    operations, exact : Operations
-        The backend that is checked, and NumPy's.
-    rows, columns : (points (N, D), weights (N,))
-    epsilon : float
-    name : str
-        Name of the case; empty, or with a comma before it.
-    """
+    """Two clouds, on a backend and in NumPy (`exact`), with potentials."""
 
     operations: Operations
     exact: Operations
     rows: Cloud
     columns: Cloud
     epsilon: float
+    #: Name of the case; empty, or with a comma before it.
     name: str = ""
 
     @cached_property
@@ -149,15 +132,7 @@ def few_rows(
 
 @dataclass(frozen=True)
 class SplatCase:
-    """Splats at rest, on a backend and in NumPy.
-
-    Attributes
-    ----------
-    operations, exact : Operations
-    positions, colors, weights, spacings : arrays
-        As in `Operations.upload_splats`.
-    shape : (height, width) of the canvas, in pixels
-    """
+    """Splats at rest (`Operations.upload_splats`), on a backend and in NumPy (`exact`)."""
 
     operations: Operations
     exact: Operations

@@ -59,19 +59,9 @@ class _Step(NamedTuple):
 def check_iteration(case: CloudCase, balanced: int, over_stored: bool = False) -> Iterator[Finding]:
     """Compare iterations with their definitions, extrapolated and taken back.
 
-    Nothing is compared where the host iterates, whose arithmetic is NumPy's.
-
-    Parameters
-    ----------
-    case : CloudCase
-    balanced : int
-        1 if the source is balanced, plus 2 if the target is.
-    over_stored : bool
-        Whether it iterates over stored pairs, with corrections of the softmins.
-
-    Yields
-    ------
-    Finding
+    `balanced` is 1 if the source is balanced, plus 2 if the target is. Nothing is compared where
+    the host iterates, whose arithmetic is NumPy's. With `over_stored` it iterates over stored
+    pairs, with corrections of the softmins.
     """
     epsilon = case.epsilon
     rho = [
@@ -225,10 +215,7 @@ def _shift(
     softmin: Float64,
     epsilon: float,
 ) -> float:
-    """Return the s at which the dual no longer grows, by bisection.
-
-    There the plan has as much mass as the marginal of the potential that is shifted.
-    """
+    """Return the s at which the dual no longer grows, by bisection."""
     if np.isinf(rho[0]) and np.isinf(rho[1]):
         return 0.0
     damping, potential = other

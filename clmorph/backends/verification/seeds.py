@@ -47,14 +47,7 @@ def check_nearest_seeds(
 
 
 def seed_excess(seeds: Float32, got: np.ndarray, want: np.ndarray) -> float:
-    """Return how much farther seeds are than the nearest ones: the largest share of a square.
-
-    Parameters
-    ----------
-    seeds : (K, 2) array
-    got, want : (H, W) arrays
-        Indices of seeds.
-    """
+    """Return how much farther seeds `got` are than `want`: the largest share of a square."""
     if not (got.min() >= 0 and got.max() < len(seeds)):
         return float("inf")
     y, x = np.mgrid[: want.shape[0], : want.shape[1]]

@@ -100,13 +100,7 @@ def mix(
 
 
 def check_images(images: Any) -> list[Picture]:
-    """Return the images of a mix.
-
-    Raises
-    ------
-    InputError
-        If their number or one of them cannot be used.
-    """
+    """Return the images of a mix, if their number and each of them can be used."""
     known = isinstance(images, list | tuple)
     if not known and not (isinstance(images, np.ndarray) and images.ndim == 4):
         raise InputError(f"images={shown(images)}: expected a list of two or more images")

@@ -36,13 +36,7 @@ from clmorph.pipeline.result import Morph
 
 
 def pairs_of(count: int) -> list[tuple[int, int]]:
-    """Return the pairs of images between which mixes are solved, in the order of landmarks.
-
-    Examples
-    --------
-    >>> pairs_of(3)
-    [(0, 1), (0, 2), (1, 2)]
-    """
+    """Return the pairs of images between which mixes are solved, in the order of landmarks."""
     return list(itertools.combinations(range(count), 2))
 
 

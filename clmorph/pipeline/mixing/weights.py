@@ -21,31 +21,18 @@ MOST_IMAGES = 8
 
 
 class Layout(NamedTuple):
-    """Weights of mixes and their places on a sheet.
+    """Weights of mixes and their places on a sheet."""
 
-    Attributes
-    ----------
-    weights : (n, K) array
-        Weights of each mix, with the sum 1.
-    places : (n, 2) array
-        Left and top of each mix on the sheet, in units of its cells.
-    size : (columns, rows)
-        Size of the sheet in units of its cells.
-    """
-
+    #: Weights of each mix, with the sum 1: (n, K) array.
     weights: Array
+    #: Left and top of each mix on the sheet, in units of its cells: (n, 2) array.
     places: Array
+    #: Columns and rows of the sheet.
     size: tuple[int, int]
 
 
 def check_mix_weights(weights: Any, n_images: int) -> Array:
-    """Return the weights of one or several mixes, scaled to the sum 1: (n, K) array.
-
-    Raises
-    ------
-    InputError
-        If they are not one row of K weights, at least 0 and of positive sum, for each mix.
-    """
+    """Return the weights of one or several mixes, scaled to the sum 1: (n, K) array."""
     found = np.atleast_2d(as_floats("weights", weights, "a weight for each image"))
     if found.ndim != 2 or found.shape[1] != n_images or not len(found):
         raise InputError(
@@ -71,21 +58,10 @@ def row_layout(weights: Array) -> Layout:
 def grid_layout(n_images: int, grid: Any = None) -> Layout:
     """Return the weights of a grid between two, three or four images, and its layout.
 
-    Two images stand at both ends of a row. Four stand in the corners of a rectangle (upper left,
-    upper right, lower left, lower right), and weights are bilinear between them. Three stand in
-    the corners of a triangle (top, lower left, lower right).
-
-    Parameters
-    ----------
-    n_images : int
-    grid : int or (rows, columns), optional
-        Number of mixes along a side, at least 2; 5 by default. With two or three images one
-        number, and with two also (1, n) or (n, 1).
-
-    Raises
-    ------
-    InputError
-        If the grid does not suit the number of images.
+    Two images stand at both ends of a row, three in the corners of a triangle (top, lower left,
+    lower right), and four in those of a rectangle (upper left, upper right, lower left, lower
+    right), with bilinear weights. `grid` is the number of mixes along a side, 5 by default, or
+    (rows, columns).
     """
     if n_images not in (2, 3, 4):
         raise InputError(
@@ -128,24 +104,7 @@ def grid_layout(n_images: int, grid: Any = None) -> Layout:
 
 
 def grid_sides(name: str, text: Any) -> int | tuple[int, ...]:
-    """Return the sides of a grid from a text such as 5x5 or 7.
-
-    Parameters
-    ----------
-    name : str
-        What the text is called in an error.
-    text : object
-
-    Raises
-    ------
-    InputError
-        If it is no such text.
-
-    Examples
-    --------
-    >>> grid_sides("grid", "3x5"), grid_sides("grid", "7")
-    ((3, 5), 7)
-    """
+    """Return the sides of a grid from a text such as 5x5 or 7, which errors call `name`."""
     try:
         sides = tuple(int(part) for part in str(text).lower().split("x"))
     except ValueError:
@@ -158,17 +117,8 @@ def grid_sides(name: str, text: Any) -> int | tuple[int, ...]:
 def path_weights(path: Any, n_images: int) -> Array:
     """Return the weights at the stops of a path through mixes: (n, K) array.
 
-    Parameters
-    ----------
-    path : str or sequence of weights
-        Letters of images, a for the first one, and "+" for the even mix of all, such as "abdca";
-        or the weights at each stop.
-    n_images : int
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two stops, or one of them cannot be used.
+    The path has letters of images, a for the first one, and "+" for the even mix of all, such as
+    "abdca"; or the weights at each stop.
     """
     if isinstance(path, str):
         last = chr(ord("a") + n_images - 1)

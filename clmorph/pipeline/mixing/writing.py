@@ -25,19 +25,7 @@ SHEET = ".png"
 def check_outputs(outputs: Sequence[Output], n_stops: int, options: MorphOptions) -> None:
     """Check that files can hold a sheet, or a film with some stops, before any computation.
 
-    Parameters
-    ----------
-    outputs : sequence of Output
-    n_stops : int
-        Number of stops of the path; 0 for a sheet.
-    options : MorphOptions
-
-    Raises
-    ------
-    OutputError
-        If a file cannot hold it.
-    InputError
-        If the options of playback contradict one another, or do not suit a format.
+    The number of stops is 0 for a sheet.
     """
     for output in outputs:
         if not n_stops and output.name != "sheet":
@@ -62,22 +50,7 @@ def write_sheet(
     metadata: Mapping[str, Any],
     texts: Mapping[Path, str] | None = None,
 ) -> None:
-    """Write a sheet to PNG files: all of them whole, or none.
-
-    Parameters
-    ----------
-    outputs : sequence of Output
-        Outputs that `check_outputs` has accepted.
-    sheet : (H, W, 3) or (H, W, 4) uint8 array
-    metadata : mapping
-    texts : mapping, optional
-        Further texts to be written, each by the path of its file.
-
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
-    """
+    """Write a sheet, (H, W, 3 or 4) uint8, to checked PNG files, and texts: all whole, or none."""
     from PIL import Image
 
     def write(new: Path) -> None:
@@ -95,30 +68,9 @@ def write_film(
     texts: Mapping[Path, str] | None = None,
     progress: StageProgress | None = None,
 ) -> tuple[int, float]:
-    """Write the film of a path to files: all of them whole, or none.
+    """Write the film of a path to checked files, and further texts: all of them whole, or none.
 
-    Parameters
-    ----------
-    outputs : sequence of Output
-        Outputs that `check_outputs` has accepted.
-    legs : sequence of Leg
-    options : MorphOptions
-    pixelated : bool
-    metadata : mapping
-    texts : mapping, optional
-        Further texts to be written, each by the path of its file.
-    progress : callable, optional
-
-    Returns
-    -------
-    frames : int
-    seconds : float
-        Duration of one round.
-
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
+    The result is the number of frames and the seconds that one round takes.
     """
     report = progress or (lambda stage, share: None)
     motion = motion_of(options, held_frames(len(legs) + 1, options.n_frames))

@@ -28,46 +28,30 @@ SEED_LEAF, SEED_WAYS = 8, 4
 
 @dataclass(frozen=True)
 class BuildConstants:
-    """Constants that affect speed and rounding only; see the headers of ``cl_kernels/*.cl``.
+    """Constants that affect speed and rounding only; see the headers of ``cl_kernels/*.cl``."""
 
-    Attributes
-    ----------
-    width : int
-        Lanes of one work-item.
-    tile : int
-        Points of one tile of a cloud.
-    group : int
-        Work-items of a work-group in the row reductions.
-    unroll : int
-        Columns handled together in the log-sum-exp.
-    exp2_builtin : int
-        The function for powers of two. 1: the device's built-in exp2; 0: the polynomial.
-    precise : int
-        Arithmetic of precise exponents, see ``cl_kernels/exponents.cl``. 2: float64;
-        1: pairs of float32.
-    bin : int
-        Side of a bin of particles, in pixels.
-    chunk : int
-        Particles that are summed before they are added to the total.
-    tile_group : int
-        Work-items along each side of a splatting work-group.
-    slices_per_unit : int
-        Slices of the particle list that are sorted at once, per compute unit.
-    longest_loop : int
-        The number of rounds that all loops of a work-item may take together; 0: any number. Only
-        on some devices it is limited, see the quirk ``short_loops``.
-    """
-
+    #: Lanes of one work-item.
     width: int
+    #: Points of one tile of a cloud.
     tile: int
+    #: Work-items of a work-group in the row reductions.
     group: int
+    #: Columns handled together in the log-sum-exp.
     unroll: int
+    #: The function for powers of two. 1: the device's built-in exp2; 0: the polynomial.
     exp2_builtin: int
+    #: Arithmetic of precise exponents (``exponents.cl``). 2: float64; 1: pairs of float32.
     precise: int
+    #: Side of a bin of particles, in pixels.
     bin: int
+    #: Particles that are summed before they are added to the total.
     chunk: int
+    #: Work-items along each side of a splatting work-group.
     tile_group: int
+    #: Slices of the particle list that are sorted at once, per compute unit.
     slices_per_unit: int
+    #: The number of rounds that all loops of a work-item may take together; 0: any number. Only on
+    #: some devices it is limited, see the quirk ``short_loops``.
     longest_loop: int = 0
 
     @property
@@ -103,24 +87,13 @@ class BuildConstants:
         masked: bool = False,
         in_blocks: bool = False,
     ) -> dict[str, int | float]:
-        """Return the macros of ``row_loop.cl`` and ``sums.cl``.
+        """Return the macros of ``row_loop.cl`` and ``sums.cl`` for points of some dimension.
 
-        Parameters
-        ----------
-        dimension : int
-            Dimension of the points.
-        precise : bool
-            Whether exponents are formed in more than float32.
-        listed : bool
-            Whether the loop covers listed column tiles only.
-        bounded : {0, 1, 2}
-            Whether sums have a proven error bound, which needs precise exponents, and how: as
-            exact as the exponents (1), or with powers in float32, and with exponents in float32
-            between chosen pairs of tiles (2). Without float64, 2 is 1.
-        masked : bool
-            Whether the loop covers those columns of the listed tiles that masks choose.
-        in_blocks : bool
-            Whether work-items take `blocks` groups of rows.
+        With `listed` the loop covers listed column tiles only, and with `masked` those of their
+        columns that masks choose. `bounded` sums have a proven error bound, which needs precise
+        exponents: as exact as the exponents (1), or with powers in float32, and with exponents in
+        float32 between chosen pairs of tiles (2). Without float64, 2 is 1. With `in_blocks`
+        work-items take `blocks` groups of rows.
         """
         bounded = min(int(bounded), self.precise)
         unroll = min(self.unroll, PRECISE_UNROLL) if precise else self.unroll
@@ -218,14 +191,7 @@ class BuildConstants:
 
 
 def choose_constants(device: cl.Device, quirks: frozenset[str] | None = None) -> BuildConstants:
-    """Return constants for a device, chosen by its type, limits and quirks.
-
-    Parameters
-    ----------
-    device : pyopencl.Device
-    quirks : set of str, optional
-        Names from `clmorph.backends.opencl.devices.quirks.QUIRKS`; detected if not given.
-    """
+    """Return constants for a device, by its type, limits and quirks, which are found by default."""
     if quirks is None:
         quirks = find_quirks(device)
     if device.type & cl.device_type.CPU:

@@ -22,15 +22,10 @@ _INCLUDE = re.compile(r'^#include "([a-z_]+\.cl)"$', re.MULTILINE)
 
 @functools.cache
 def source(name: str) -> str:
-    """Return a kernel file with its includes expanded.
+    """Return a file of ``cl_kernels/`` with its includes expanded.
 
     Drivers cache builds by the text that they receive, and do not notice changes of included files.
     Therefore they receive the complete text; ``#line`` makes their messages refer to the files.
-
-    Parameters
-    ----------
-    name : str
-        File name inside ``cl_kernels/``.
     """
     text = (resources.files("clmorph.cl_kernels") / name).read_text(encoding="utf-8")
 
@@ -47,25 +42,11 @@ def build(
     constants: dict[str, int | float],
     device: cl.Device | None = None,
 ) -> cl.Program:
-    """Build a kernel file for one device of a context.
+    """Build a file of ``cl_kernels/`` for one device of a context, by default the first one.
 
-    The binary is kept in the user's cache folder, under a key of source, options, device and
-    driver.
-
-    Parameters
-    ----------
-    context : pyopencl.Context
-    name : str
-        File name inside ``cl_kernels/``.
-    constants : dict
-        Macros defined with ``-D``; a float becomes a float32 literal.
-    device : pyopencl.Device, optional
-        The device; the first one of the context if not given.
-
-    Raises
-    ------
-    DeviceError
-        If the device's compiler rejects the source; the message contains its first error.
+    `constants` are macros, defined with ``-D``; a float becomes a float32 literal. The binary is
+    kept in the user's cache folder, under a key of source, options, device and driver. If the
+    compiler rejects the source, a DeviceError has its first error.
     """
     options = build_options(constants)
     device = device or context.devices[0]
@@ -78,15 +59,7 @@ def build(
 
 
 def build_key(device: cl.Device, name: str, constants: dict[str, int | float]) -> str:
-    """Return the key of a build: a digest of source, options, device, driver and processor.
-
-    Parameters
-    ----------
-    device : pyopencl.Device
-        A device, or a part of one.
-    name, constants
-        As in `build`.
-    """
+    """Return the key of a build: a digest of source, options, device, driver and processor."""
     return _build_key(device, name, build_options(constants))
 
 
@@ -104,12 +77,6 @@ def kernel(program: cl.Program, name: str) -> cl.Kernel:
 
     pyopencl generates some Python for each kernel and keeps it in a database of its own. It fails
     if the database cannot be written or is damaged; this function then disables that cache.
-
-    Parameters
-    ----------
-    program : pyopencl.Program
-        A built program.
-    name : str
     """
     _check_pyopencl_cache()
     try:
@@ -197,10 +164,7 @@ def _build_key(device: cl.Device, name: str, options: list[str]) -> str:
 
 
 def _digest(file: str, binary: bytes) -> bytes:
-    """Return the digest of a file's name and content, with which a file in the cache begins.
-
-    A file under the name of another one thus counts as damaged too.
-    """
+    """Return the digest of a file's name and content, with which a file in the cache begins."""
     return hashlib.sha256(file.encode() + binary).digest()
 
 

@@ -29,21 +29,12 @@ class Programs:
 
     A program is verified against NumPy when it is built for the first time, in a process of its
     own, because a driver may crash or hang; see `opencl.probe`. Its verdict is kept under
-    `program_key`.
+    `program_key`. `check_here` checks a variant in this process, where no other can be started;
+    without it programs are not verified at all: so it is in the process that verifies them.
 
-    Parameters
-    ----------
-    context : pyopencl.Context
-    device : pyopencl.Device
-        The device of the context for which programs are built.
-    constants : BuildConstants
-    check_here : callable, optional
-        Checks a variant in this process, where no other can be started. If not given, programs
-        are not verified at all: so it is in the process that verifies them.
-    chosen : bool
-        Whether the constants are those that clmorph chooses for the device. Then a program that
-        computes wrongly or crashes makes the device unusable; one that the compiler refuses is
-        only not used. Tuned constants of a program that fails are forgotten instead.
+    With `chosen`, constants are those that clmorph chooses for the device. Then a program that
+    computes wrongly or crashes makes the device unusable; one that the compiler refuses is only not
+    used. Tuned constants of a program that fails are forgotten instead.
     """
 
     def __init__(
@@ -58,13 +49,7 @@ class Programs:
         self._check_here, self._chosen = check_here, chosen
 
     def kernels(self, variant: Variant) -> dict[str, cl.Kernel]:
-        """Return the kernels of a file by name; the file is built, and verified if it is new.
-
-        Raises
-        ------
-        DeviceError
-            If the device cannot build the file, or computes wrong results with it.
-        """
+        """Return the kernels of a file by name; the file is built, and verified if it is new."""
         if self._check_here is not None:
             self.verify(variant)
         macros = variant.macros(self._constants)
@@ -72,15 +57,9 @@ class Programs:
         return {name: program.kernel(built, name) for name in KERNELS[variant.file]}
 
     def verify(self, variant: Variant) -> None:
-        """Verify a program, unless its verdict is known.
+        """Verify a program, unless its verdict is known; a wrong, crashing or slow one is refused.
 
         Of the programs that one morph uses, all whose verdicts are unknown are verified together.
-
-        Raises
-        ------
-        DeviceError
-            If the program computes wrong results, or if its check ends in a crash or takes too
-            long.
         """
         key = self._key(variant)
         reason = verdicts.load_program_verdict(key)
@@ -146,13 +125,6 @@ def program_key(device: cl.Device, variant: Variant, constants: BuildConstants) 
     """Return the key of a program's verdict: of its binary, all constants and the package's code.
 
     Not all constants are macros: by some of them the host chooses its launches.
-
-    Parameters
-    ----------
-    device : pyopencl.Device
-        A device, or a part of one, which has the same key.
-    variant : Variant
-    constants : BuildConstants
     """
     key = program.build_key(device, variant.file, variant.macros(constants))
     of_constants = hashlib.sha256(repr(constants).encode()).hexdigest()

@@ -33,18 +33,7 @@ def is_possible(constants: BuildConstants, largest_group: int) -> bool:
 def save_tuning(
     device: cl.Device, best: BuildConstants, start: BuildConstants, pairs_per_second: float
 ) -> None:
-    """Save the constants that tuning has changed, and the speed that it has reached.
-
-    Parameters
-    ----------
-    device : pyopencl.Device
-    best : BuildConstants
-        The fastest constants.
-    start : BuildConstants
-        The constants chosen for the kind of device.
-    pairs_per_second : float
-        The speed with the fastest constants, by which several devices share their work.
-    """
+    """Save the constants that tuning has changed since `start`, and the speed it has reached."""
     entry = {
         name: getattr(best, name)
         for name in CANDIDATES

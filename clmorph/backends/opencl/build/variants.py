@@ -8,24 +8,12 @@ from clmorph.backends.opencl.build.kernel_files import KERNELS as KERNELS
 
 @dataclass(frozen=True)
 class Variant:
-    """A kernel file, and what its macros depend on beside the build constants.
-
-    Attributes
-    ----------
-    file : str
-        A file of `KERNELS`.
-    dimension : int
-        Dimension of the points, for the files that include the row loop; 0 for others.
-    precise, listed : bool
-        See `BuildConstants.row_macros`.
-    bounded : {0, 1, 2}
-        See `BuildConstants.row_macros`.
-    masked : bool
-        See `BuildConstants.row_macros`.
-    """
+    """A kernel file, and what its macros depend on beside the build constants."""
 
     file: str
+    #: Dimension of the points, for the files that include the row loop; 0 for others.
     dimension: int = 0
+    #: These and the following ones are explained in `BuildConstants.row_macros`.
     precise: bool = False
     listed: bool = False
     bounded: int = 0
@@ -58,10 +46,7 @@ class Variant:
         )
 
     def suits(self, constants: BuildConstants) -> bool:
-        """Return whether a device with these constants has what the file needs.
-
-        Iterations on the device need float64 and long loops.
-        """
+        """Return whether a device has what the file needs: float64 and long loops to iterate."""
         return self.file not in ("half_steps.cl", "sparse_half_steps.cl") or (
             constants.precise == 2 and not constants.longest_loop
         )
@@ -76,13 +61,7 @@ class Variant:
 
 
 def usual_variants(dimension: int = 5) -> tuple[Variant, ...]:
-    """Return the variants that a morph of two pictures with the default options uses.
-
-    Parameters
-    ----------
-    dimension : int
-        Dimension of the points; 5 if pictures have color and no opacity.
-    """
+    """Return the variants that a morph with default options uses; opaque pictures are in 5D."""
     return (
         Variant("log_sum_exp.cl", dimension),
         Variant("log_sum_exp.cl", dimension, precise=True, bounded=1),

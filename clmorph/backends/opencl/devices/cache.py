@@ -1,8 +1,7 @@
 """Small files in the user's cache folder, which can be made again at any time.
 
-No function in this module raises an error. A file that cannot be read counts as missing, and a file
-that cannot be written is not kept. Processes that write at the same time replace each other's files
-as a whole.
+No function here raises an error: a file that cannot be read counts as missing, and one that cannot
+be written is not kept. Processes replace each other's files as a whole.
 """
 
 import contextlib
@@ -24,9 +23,8 @@ _PART, _PART_SECONDS = ".part", 3600.0
 def cache_folder() -> Path | None:
     """Return the folder of the cache; None if no folder can be written to.
 
-    This is the user's cache folder. If that is not writable (for example in a read-only home), it
-    is a folder inside the temporary folder to which only its owner has access, because it holds
-    kernels that are executed.
+    If the user's cache folder is not writable (for example in a read-only home), it is a temporary
+    one to which only its owner has access, because it holds kernels that are executed.
     """
     for folder in _wanted_folders():
         # A relative path would be another folder after each change of directory.
@@ -70,13 +68,7 @@ def _private_folder() -> Path | None:
 
 
 def read_cached(name: str) -> bytes:
-    """Return the content of a file in the cache; empty if the file is missing.
-
-    Parameters
-    ----------
-    name : str
-        Path inside the cache folder, such as "kernels/rows.bin".
-    """
+    """Return the content of a file in the cache, such as "kernels/rows.bin"; empty if missing."""
     folder = cache_folder()
     try:
         return (folder / name).read_bytes() if folder else b""
@@ -127,13 +119,7 @@ def _remove_parts(folder: Path) -> None:
 
 
 def load_record(name: str) -> dict[str, Any]:
-    """Read a JSON object from the cache; a missing or damaged one is empty.
-
-    Parameters
-    ----------
-    name : str
-        Path inside the cache folder without its ending, such as "devices/0123".
-    """
+    """Read a JSON object, such as "devices/0123", from the cache; a damaged one is empty."""
     try:
         record = json.loads(read_cached(f"{name}.json"))
     except (ValueError, RecursionError):
@@ -144,7 +130,6 @@ def load_record(name: str) -> dict[str, Any]:
 def save_record(name: str, record: dict[str, Any]) -> None:
     """Write a JSON object to the cache, if that is possible; see `load_record`.
 
-    Each record has its own file, so that processes that write different records at the same time do
-    not overwrite each other's results.
+    Each record has its own file, so that processes do not overwrite each other's records.
     """
     write_cached(f"{name}.json", json.dumps(record, indent=1, sort_keys=True).encode())

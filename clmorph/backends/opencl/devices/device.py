@@ -16,36 +16,24 @@ _SLOW_CPU_PLATFORMS = ("rusticl",)
 
 @dataclass(frozen=True)
 class Device:
-    """An OpenCL device, its properties, and whether it works.
+    """An OpenCL device, its properties, and whether it works."""
 
-    Attributes
-    ----------
-    index : str
-        Index "platform:device", as counted in this process.
-    name, platform, version, driver : str
-    kind : {"GPU", "CPU", "accelerator"}
-    compute_units : int
-    memory : int
-        Bytes of global memory.
-    usable : bool
-        Whether the project's kernels were built on it and computed what NumPy does.
-    reason : str
-        The reason why the device is not usable; empty if it is.
-    pairs_per_second : float
-        Point pairs per second in the log-sum-exp, as measured by the probe; 0 if unknown.
-    handle : pyopencl.Device
-    """
-
+    #: Index "platform:device", as counted in this process.
     index: str
     name: str
     platform: str
     version: str
     driver: str
+    #: "GPU", "CPU" or "accelerator".
     kind: str
     compute_units: int
+    #: Bytes of global memory.
     memory: int
+    #: Whether the project's kernels were built on it and computed what NumPy does.
     usable: bool
+    #: The reason why the device is not usable; empty if it is.
     reason: str
+    #: Point pairs per second in the log-sum-exp, as measured by the probe; 0 if unknown.
     pairs_per_second: float
     handle: "cl.Device"
 

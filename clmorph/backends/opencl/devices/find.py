@@ -46,17 +46,12 @@ def raw_devices() -> tuple[tuple[str, "cl.Device"], ...]:
 
 @Once
 def tried(index: str) -> Device:
-    """Return a device with its verdict; if that is unknown, the device is tried.
+    """Return a device of `raw_devices` with its verdict; if that is unknown, the device is tried.
 
     The verdict is stored under a key of driver, platform, processor and kernel sources; the first
     trial of a device takes some seconds. Meanwhile another process builds and verifies further
     programs, whose verdicts count where they are used. A trial that ran out of time or memory is no
     evidence about the device, and the next process repeats it.
-
-    Parameters
-    ----------
-    index : str
-        The device, as counted by `raw_devices`.
     """
     handle = dict(raw_devices())[index]
     key = verdict_key(handle)
@@ -73,14 +68,7 @@ def tried(index: str) -> Device:
 
 @Once
 def find_devices() -> tuple[Device, ...]:
-    """List every OpenCL device, usable or not; all whose verdicts are unknown are tried.
-
-    Raises
-    ------
-    InputError
-        If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600, or if ``CLMORPH_QUIRKS`` names
-        a quirk that does not exist.
-    """
+    """List every OpenCL device, usable or not; all whose verdicts are unknown are tried."""
     _check_variables()
     return tuple(tried(index) for index, _ in raw_devices())
 
@@ -107,14 +95,7 @@ def forget_verdicts() -> None:
 
 
 def mark_unusable(handle: "cl.Device", reason: str) -> None:
-    """Remember that a device is unusable, which was found after its trial.
-
-    Parameters
-    ----------
-    handle : pyopencl.Device
-        A device, or a part of one.
-    reason : str
-    """
+    """Remember that a device, or a part of one, is unusable, which was found after its trial."""
     refuse(verdict_key(handle), reason)
     _forget_found()
 
@@ -126,17 +107,7 @@ def try_again(handle: "cl.Device") -> None:
 
 
 def index_of(handle: "cl.Device") -> str | None:
-    """Return the index of a device; of a part of a device, the index of the whole.
-
-    Parameters
-    ----------
-    handle : pyopencl.Device
-
-    Returns
-    -------
-    str or None
-        None if no listed device has its name and driver.
-    """
+    """Return the index of a device, or of its whole; None if none has its name and driver."""
     identity = driver_identity(handle)
     same = [index for index, device in raw_devices() if driver_identity(device) == identity]
     return next(iter(same), None)
@@ -146,23 +117,9 @@ def choose_device(spec: str = "auto", even_wrong: bool = False) -> Device:
     """Choose the device that a user specifies: the first usable one of those that are meant.
 
     The devices that are meant are tried in the order of `preference`, and none after the first
-    usable one.
-
-    Parameters
-    ----------
-    spec : str
-        "auto" (or "opencl") means the devices that ``PYOPENCL_CTX`` names, if it is set, and else
-        all. Another text is an index such as "0:1", or part of a device's or platform's name.
-    even_wrong : bool
-        Whether a device that computes wrong results is chosen if no usable one is meant.
-
-    Raises
-    ------
-    DeviceError
-        If there is no such device, or none that works; the message contains advice.
-    InputError
-        If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600, or if ``CLMORPH_QUIRKS`` names
-        a quirk that does not exist.
+    usable one. "auto" (or "opencl") means the devices that ``PYOPENCL_CTX`` names, if it is set,
+    and else all. Another text is an index such as "0:1", or part of a device's or platform's name.
+    With `even_wrong` a device that computes wrong results is chosen if no usable one is meant.
     """
     listed = raw_devices()
     if not listed:

@@ -35,19 +35,7 @@ def advice(
     family: str | None = None,
     installed: bool | None = None,
 ) -> list[str]:
-    """Return advice on what to do where no OpenCL device works, the easiest first.
-
-    Parameters
-    ----------
-    system : str
-        As `sys.platform`.
-    machine : str
-        As `platform.machine`.
-    family : str, optional
-        Linux family; read from the system if not given.
-    installed : bool, optional
-        Whether Intel's CPU runtime is installed; looked up if not given.
-    """
+    """Return advice on what to do where no OpenCL device works, the easiest first."""
     lines = []
     if system == "linux":
         if machine == "x86_64":

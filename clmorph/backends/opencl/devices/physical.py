@@ -34,12 +34,7 @@ def physical_devices() -> tuple[Device, ...]:
 def hardware_of(handle: "cl.Device", name: str, number: int) -> tuple[Any, ...]:
     """Return a key that is the same for all drivers of a piece of hardware.
 
-    Parameters
-    ----------
-    handle : pyopencl.Device
-    name : str
-    number : int
-        The number of the device among those of its platform with this name.
+    `number` counts the devices of its platform with this name.
     """
     import pyopencl as cl
 

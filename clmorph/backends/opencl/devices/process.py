@@ -22,17 +22,12 @@ _PATIENCE = 10.0
 
 
 def claim_opencl() -> None:
-    """Record that this process uses OpenCL; the call is cheap enough for every operation.
+    """Record that this process uses OpenCL, or refuse it after a fork; cheap for every operation.
 
-    A driver's threads and locks do not survive ``fork``: in the child PoCL waits forever, and
-    other drivers may, even if the parent has only listed its platforms. This function must be
-    called before any lock of this package is taken, because a child also inherits locks that
-    another thread of its parent held.
-
-    Raises
-    ------
-    DeviceError
-        If a parent of this process used OpenCL before the fork.
+    A driver's threads and locks do not survive ``fork``: in the child PoCL waits forever, and other
+    drivers may, even if the parent has only listed its platforms. This function must be called
+    before any lock of this package is taken, because a child also inherits locks that another
+    thread of its parent held.
     """
     global _owner
     process = os.getpid()
@@ -71,11 +66,6 @@ class Once(Generic[P, T]):
 
     Threads that call it at the same time wait for the result of the first one instead of computing
     it too. Errors are not cached.
-
-    Parameters
-    ----------
-    function : callable
-        A function with hashable arguments.
     """
 
     def __init__(self, function: Callable[P, T]) -> None:

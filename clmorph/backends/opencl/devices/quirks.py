@@ -30,13 +30,7 @@ SHORT_LOOPS = ("llvmpipe",)
 
 
 def find_quirks(device: cl.Device) -> frozenset[str]:
-    """Return the names of a device's quirks, those forced by ``CLMORPH_QUIRKS`` included.
-
-    Raises
-    ------
-    InputError
-        If the variable names a quirk that does not exist.
-    """
+    """Return the names of a device's quirks, those forced by ``CLMORPH_QUIRKS`` included."""
     found = forced_quirks()
     if device.max_work_group_size < 64:
         found |= {"small_groups"}

@@ -1,10 +1,9 @@
 """OpenCL platforms: the loader's, and those of runtimes that were installed with pip.
 
-Intel's wheel leaves a placeholder path in its registration file, so no loader detects the
-runtime. Loaders accept further entries only from environment variables, which they read once in a
-process and which every thread and every child would see. This module therefore queries the runtime
-for its platforms as a loader does (extension cl_khr_icd). Any loader forwards calls by a table in
-the objects themselves, and needs no list of them.
+Intel's wheel leaves a placeholder path in its registration file, so no loader detects the runtime,
+and loaders take further entries only from environment variables, which every thread and child would
+see. So this module queries the runtime for its platforms as a loader does (extension cl_khr_icd).
+Any loader forwards calls by a table in the objects themselves, and needs no list of them.
 """
 
 import ctypes
@@ -25,14 +24,7 @@ _MANAGED_BY_LOADER = 0x4F50454E434C3331
 
 
 def intel_runtime() -> Path | None:
-    """Find the CPU runtime of the `intel-opencl-rt` wheel.
-
-    Returns
-    -------
-    Path or None
-        The shared library, or None if the wheel or the math library that its compiler
-        needs (`intel-cmplr-lib-rt`) is not installed for this interpreter.
-    """
+    """Return the library of the wheel `intel-opencl-rt`; None without it or its math library."""
     try:
         files = metadata.distribution("intel-opencl-rt").files or []
     except metadata.PackageNotFoundError:
@@ -50,16 +42,6 @@ def list_platforms() -> list["cl.Platform"]:
     """List the loader's platforms, followed by those of pip's runtimes that it lacks.
 
     If the user has set ``OCL_ICD_VENDORS``, only the loader's platforms are listed.
-
-    Returns
-    -------
-    list of pyopencl.Platform
-        The platforms; empty if there are none.
-
-    Raises
-    ------
-    ImportError
-        If pyopencl is not installed or cannot be loaded.
     """
     with undisturbed():  # an exception from a signal handler during the call aborts the process
         import pyopencl as cl

@@ -15,7 +15,7 @@ FOLDER, ENTRY = "speeds", "pairs_per_second"
 def record_key(device: "cl.Device") -> str:
     """Return the name of a device's record: its verdict's, and how many compute units it has.
 
-    A part of a device, by `pyopencl.Device.create_sub_devices`, has the name of the whole.
+    A part of a device has the verdict of the whole.
     """
     return f"{verdict_key(device)}-{device.max_compute_units}"
 

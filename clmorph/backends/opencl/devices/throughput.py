@@ -15,19 +15,9 @@ LONGEST_RUN = 5.0
 
 
 def throughput(operations: Operations, points: int = 4096) -> float:
-    """Return the highest rate of a few runs of the log-sum-exp.
+    """Return the highest rate of a few runs of the log-sum-exp, in point pairs per second.
 
-    Parameters
-    ----------
-    operations : Operations
-    points : int
-        Number of points of the cloud, whose rows and columns are the same points. On a very slow
-        device, such as a simulator, they are fewer.
-
-    Returns
-    -------
-    float
-        Point pairs per second.
+    On a very slow device, such as a simulator, there are fewer points.
     """
     short = _rate(operations, min(points, FEW_POINTS), 0.0)
     if points * points > LONGEST_RUN * short:

@@ -45,13 +45,7 @@ _UNWANTED = ("PYTHONINSPECT", "PYTHONIOENCODING", "PYTHONWARNINGS")
 
 
 def probe_seconds() -> float:
-    """Return the time limit of the check of a program, in seconds.
-
-    Raises
-    ------
-    InputError
-        If ``CLMORPH_PROBE_SECONDS`` is not a number from 1 to 3600.
-    """
+    """Return the time limit of the check of a program, in seconds."""
     text = os.environ.get(PROBE_SECONDS_VARIABLE, "").strip()
     if not text:
         return PROBE_SECONDS
@@ -65,26 +59,16 @@ def probe_seconds() -> float:
 def run_probe(
     index: str, seconds: float | None = None, request: str | None = None
 ) -> dict[str, Any]:
-    """Build and verify kernels on a device, in a separate process.
+    """Build and verify kernels on a device of `raw_devices`, in a separate process.
 
-    The verdicts on the programs that were checked are saved, even if the process then fails.
+    `request` names the programs to verify (`programs.make_request`, or `FURTHER`); by default they
+    are those that most morphs use, and the speed is measured. Each may take `seconds`, by default
+    `probe_seconds`. The verdicts on the programs that were checked are saved, even if the process
+    then fails.
 
-    Parameters
-    ----------
-    index : str
-        The device, as counted by `clmorph.backends.opencl.devices.find.raw_devices`.
-    seconds : float, optional
-        Time limit for each program; if not given, `probe_seconds`.
-    request : str, optional
-        The programs to verify, see `clmorph.backends.opencl.build.programs.make_request`, or
-        `FURTHER`. If not given, those that most morphs use, and the speed is measured.
-
-    Returns
-    -------
-    dict
-        The entries usable (bool), reason (str), pairs_per_second (float), lasting (bool), which
-        states whether another probe would return the same verdict, and if it ran out of time,
-        timed_out (True).
+    The result has the entries usable (bool), reason (str), pairs_per_second (float), lasting
+    (bool), which states whether another probe would return the same verdict, and if it ran out of
+    time, timed_out (True).
     """
     seconds = probe_seconds() if seconds is None else seconds
     python = _interpreter()
@@ -206,10 +190,7 @@ def _judge(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
 
 
 def _keep_program_verdicts(lines: list[str]) -> tuple[str, str]:
-    """Save the verdicts that a probe has printed; return key and name of the one that is missing.
-
-    The missing verdict is that of a program whose check has begun and not ended.
-    """
+    """Save the verdicts that a probe has printed; return key and name of the one not finished."""
     key = name = ""
     for line in lines:
         word, _, rest = line.partition(" ")

@@ -75,17 +75,9 @@ def _digest(*identity: str) -> str:
 
 
 def load_verdict(key: str) -> dict[str, Any] | None:
-    """Return the stored verdict on a device; None if it is missing or damaged.
+    """Return the stored verdict of a `verdict_key`; None if it is missing or damaged.
 
-    Parameters
-    ----------
-    key : str
-        See `verdict_key`.
-
-    Returns
-    -------
-    dict
-        The entries usable (bool), reason (str, empty if usable), pairs_per_second (float).
+    It has the entries usable (bool), reason (str, empty if usable), pairs_per_second (float).
     """
     if key in _refused:
         return _refused[key]
@@ -110,10 +102,7 @@ def save_verdict(key: str, verdict: dict[str, Any]) -> None:
 
 
 def refuse(key: str, reason: str) -> None:
-    """Remember that a device is unusable, which was found after its trial.
-
-    This process remembers it even if nothing can be stored.
-    """
+    """Remember that a device is unusable, in this process even if nothing can be stored."""
     _refused[key] = {"usable": False, "reason": reason, "pairs_per_second": 0.0}
     save_verdict(key, _refused[key])
 
@@ -147,10 +136,7 @@ _momentary: set[str] = set()
 
 
 def load_program_verdict(key: str) -> str | None:
-    """Return what is wrong with a program, '' if nothing is; None if it must be verified.
-
-    A damaged record counts as none.
-    """
+    """Return what is wrong with a program, '' if nothing is; None if it must be verified."""
     if key not in _programs:
         record = load_record(f"{_PROGRAMS}/{key}")
         passed, reason = record.get("passed"), record.get("reason")
@@ -163,12 +149,7 @@ def load_program_verdict(key: str) -> str | None:
 def save_program_verdict(key: str, reason: str, lasting: bool = True) -> None:
     """Remember what is wrong with a program, '' if nothing is.
 
-    Parameters
-    ----------
-    key : str
-    reason : str
-    lasting : bool
-        Whether another check would return the same. If not, only this process remembers it.
+    If another check might find otherwise (not `lasting`), only this process remembers it.
     """
     _programs[key] = reason
     _momentary.discard(key)
@@ -181,8 +162,7 @@ def save_program_verdict(key: str, reason: str, lasting: bool = True) -> None:
 def condemns(reason: str) -> bool:
     """Return whether the device that a program was refused for does not work at all.
 
-    A compiler that refuses a program, such as one for points of many dimensions, says nothing of
-    the others.
+    A compiler that refuses a program says nothing of the others.
     """
     return reason.startswith((WRONG, CRASHED))
 

@@ -8,12 +8,7 @@ from clmorph.backends.records import Float64, NearPairs
 
 
 class BarycentricProjection:
-    """The log-sum-exp over the columns of every row, with the mean of the columns.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    """
+    """The log-sum-exp over the columns of every row, with the mean of the columns."""
 
     def __init__(self, loop: RowLoop) -> None:
         self._loop = loop

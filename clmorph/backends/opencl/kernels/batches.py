@@ -26,27 +26,18 @@ from clmorph.backends.records import Float64
 
 
 class Batch(NamedTuple):
-    """The clouds of many problems on the device.
+    """The clouds of many problems on the device."""
 
-    Attributes
-    ----------
-    cloud : Cloud
-        All points, with the last tile of each problem padded to a whole one: `order` repeats the
-        problem's last point there, and it has no mass.
-    counts : (B,) array
-        Number of points of each problem.
-    tiles : (B,) array
-        Number of tiles of each problem.
-    boxes : (B, 2, D) array
-        Smallest and largest coordinates of each problem.
-    paired : dict
-        The lists of tiles for the columns with which these rows have been summed.
-    """
-
+    #: All points, with the last tile of each problem padded to a whole one: `order` repeats the
+    #: problem's last point there, and it has no mass.
     cloud: Cloud
+    #: Number of points of each problem: (B,) array.
     counts: NDArray[np.int64]
+    #: Number of tiles of each problem: (B,) array.
     tiles: NDArray[np.int64]
+    #: Smallest and largest coordinates of each problem: (B, 2, D) array.
     boxes: Float64
+    #: The lists of tiles for the columns with which these rows have been summed.
     paired: dict[int, tuple[weakref.ref[Cloud], TilePairs]]
 
     @property
@@ -73,13 +64,7 @@ def runs(firsts: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.in
 
 
 class BatchLogSumExp:
-    """Soft minima between the clouds of batches.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    log_sum_exp : LogSumExp
-    """
+    """Soft minima between the clouds of batches."""
 
     def __init__(self, loop: RowLoop, log_sum_exp: LogSumExp) -> None:
         self._loop, self._log_sum_exp = loop, log_sum_exp

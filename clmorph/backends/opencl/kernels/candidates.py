@@ -53,19 +53,9 @@ def candidates(
 ) -> Iterator[Candidates]:
     """Yield the pairs of tiles that bounds do not exclude, in parts of the row tiles.
 
-    The device computes bounds while threads choose tiles by the bounds of earlier parts.
-
-    Parameters
-    ----------
-    kernel : TileBoundKernel
-    rows, columns : Cloud
-    bounds : TileBounds
-        Those of the rows: `row_bounds` of `of_rows`.
-    of_rows, of_columns : arrays
-        Values of the sorted points, the arguments of `row_bounds` and `column_bounds`.
-    k : float
-    budget : float
-        The share of any row's sum that the excluded pairs may hold.
+    The device computes bounds while threads choose tiles by the bounds of earlier parts. `bounds`
+    are the `row_bounds` of `of_rows`; values of sorted points are the arguments of `row_bounds` and
+    `column_bounds`. The excluded pairs hold at most the share `budget` of any row's sum.
     """
     n_columns = len(columns.centers)
     sides = [(bounds, column_bounds(columns, of_columns, k))]
@@ -99,15 +89,8 @@ def possible_pairs(
 ) -> Iterator[tuple[range, TilePairs]]:
     """Yield pairs of tiles for which one of several bounds is not below 0, in parts.
 
-    Each row tile keeps at least one column tile, because reductions need one.
-
-    Parameters
-    ----------
-    kernel : TileBoundKernel
-    rows, columns : Cloud
-    values : list of (rows', columns') arrays
-        Arguments of `row_bounds` and of `column_bounds` (for the largest term).
-    k : float
+    Each row tile keeps at least one column tile, because reductions need one. `values` are
+    arguments of `row_bounds` and of `column_bounds` (for the largest term).
     """
 
     def bounds_of(one: Tiles, other: Tiles) -> list[_Sides]:
@@ -177,19 +160,11 @@ def _lists(
 def _above(
     bound: BoundTiles, limit: float
 ) -> tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.float32]]:
-    """Return the column tiles whose bound is not below a limit.
+    """Return the column tiles whose bound is not below a limit: starts, numbers, bounds.
 
-    A row tile without any keeps the one with the largest bound. A bound that overflows is no
-    number, and is not below a limit.
-
-    Returns
-    -------
-    starts : (row tiles + 1,) array
-        Index at which the column tiles of each row tile begin.
-    tiles : array
-        Numbers of the column tiles.
-    values : array
-        Their bounds.
+    `starts`, (row tiles + 1,), is the index at which those of each row tile begin. A row tile
+    without any keeps the one with the largest bound. A bound that overflows is no number, and is
+    not below a limit.
     """
     values, starts = bound.values, bound.starts
     above = ~(values < limit)
@@ -236,19 +211,8 @@ def kept_shares(
 ) -> tuple[NDArray[np.bool_], Float64]:
     """Choose the shares to keep so that the sum of the others does not exceed the budget.
 
-    Parameters
-    ----------
-    starts : (k + 1,) array
-        Index at which each row's shares begin; every row has at least one.
-    shares : (n,) array
-    budget : float
-
-    Returns
-    -------
-    keep : (n,) array of bool
-        Mask of the kept shares, which always include each row's largest one.
-    left : (k,) array
-        Sum of the shares left out of each row.
+    Those of each row begin at `starts`. The result is a mask of the kept ones, (n,), which always
+    include each row's largest one, and the sum of those left out of each row.
     """
     lengths = np.diff(starts)
     largest = np.maximum.reduceat(shares, starts[:-1])

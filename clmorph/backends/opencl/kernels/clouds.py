@@ -23,17 +23,11 @@ WIDTH_OF_GROUPS = 8
 
 @dataclass(frozen=True)
 class Tiles:
-    """Points in tiles, or in groups of tiles, each of which is a tile of its own.
+    """Points in tiles, or in groups of tiles, each of which is a tile of its own."""
 
-    Attributes
-    ----------
-    centers : (tiles, D) array
-        Tile centers; exact in float32.
-    shifts : (tiles, tile, D) float32 array
-        Points less their tile's center; the padding of the last tile repeats the last point.
-    """
-
+    #: Tile centers, exact in float32: (tiles, D) array.
     centers: Float64
+    #: (tiles, tile, D) Points less their tile's center, padded by repeating the last point.
     shifts: NDArray[np.float32]
 
     @cached_property
@@ -49,39 +43,25 @@ class Tiles:
 
 @dataclass(frozen=True, kw_only=True)
 class Cloud(Tiles):
-    """A cloud on the device, sorted into tiles and padded to whole ones.
+    """A cloud on the device, sorted into tiles and padded to whole ones."""
 
-    Attributes
-    ----------
-    centers, shifts
-        See `Tiles`.
-    order : (N,) array
-        Index of each sorted point in the caller's arrays.
-    log2_weights : (N,) array
-        Logarithms of the masses of the sorted points; SENTINEL for zero mass.
-    offsets : (N,) array
-        Terms added to the costs of the sorted points.
-    own_costs : (N,) array
-        Half the squared distance of each sorted point to its tile's center, plus its offset.
-    stride : int
-        N rounded up to whole tiles.
-    shifts_buffer : (2, D, stride) float32
-        Points less their tile's center, and the rounding errors of these differences.
-    centers_buffer : (tiles, D) float32
-    box : (2, D) array
-        Smallest and largest coordinates.
-    planes : (2, D, stride) float32 array, or None
-        The content of `shifts_buffer`, where it is kept.
-    """
-
+    #: Index of each sorted point in the caller's arrays: (N,) array.
     order: NDArray[np.intp]
+    #: Logarithms of the masses of the sorted points; SENTINEL for zero mass: (N,) array.
     log2_weights: Float64
+    #: Terms added to the costs of the sorted points: (N,) array.
     offsets: Float64
+    #: (N,) Half the squared distances of points to their tile's center, plus their offsets.
     own_costs: Float64
+    #: N rounded up to whole tiles.
     stride: int
+    #: (2, D, stride) float32 points less their tile's center, and these differences' errors.
     shifts_buffer: cl.Buffer
+    #: (tiles, D) float32.
     centers_buffer: cl.Buffer
+    #: Smallest and largest coordinates: (2, D) array.
     box: Float64
+    #: The content of `shifts_buffer`, where it is kept.
     planes: NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
@@ -106,13 +86,7 @@ class Cloud(Tiles):
 
 
 class CloudStore:
-    """Uploads clouds to the device.
-
-    Parameters
-    ----------
-    work : Workspace
-    constants : BuildConstants
-    """
+    """Uploads clouds to the device."""
 
     def __init__(self, work: Workspace, constants: BuildConstants) -> None:
         self._work, self._tile, self._part = work, constants.tile, constants.group_rows
@@ -130,22 +104,10 @@ def make_cloud(
     weights: Float64,
     offsets: Float64 | None = None,
 ) -> Cloud:
-    """Sort a weighted cloud into tiles and upload it to the device.
+    """Sort a weighted cloud, (N, D) points and (N,) weights, into tiles and upload it.
 
-    Parameters
-    ----------
-    work : Workspace
-    tile, part : int
-        Points of one tile, and of its parts, which are made compact, too.
-    points : (N, D) array
-    weights : (N,) array
-    offsets : (N,) array, optional
-        Terms added to the cost of each point.
-
-    Raises
-    ------
-    DeviceError
-        If there are more points than kernels can count.
+    `tile` and `part` are points of one tile, and of its parts, which are made compact, too.
+    `offsets`, (N,), are terms added to the cost of each point.
     """
     points = np.asarray(points, float)
     n, dimension = points.shape

@@ -30,15 +30,8 @@ def column_boxes(
 ) -> ColumnBoxes:
     """Divide the columns of each tile into boxes.
 
-    Parameters
-    ----------
-    loop : RowLoop
-    columns : Cloud
-    values : (M,) array
-        k g_j + log2 b_j of the sorted columns; SENTINEL where there is no mass.
-    tile_max : (tiles,) array
-        The largest of them in each tile, which logits on the device leave out.
-    k : float
+    `values`, (M,), are k g_j + log2 b_j of the sorted columns, SENTINEL where there is no mass;
+    `tile_max`, (tiles,), is the largest of them in each tile, which logits on the device leave out.
     """
     work, constants = loop.work, loop.constants
     if not constants.bounds_first:

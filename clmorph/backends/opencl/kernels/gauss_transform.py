@@ -39,21 +39,15 @@ NODES = 32
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of one size, and the expansion of the Gaussian over them.
+    """Cells of one size, and the expansion of the Gaussian over them."""
 
-    Attributes
-    ----------
-    side : float
-        Side of a cell in pixels, a power of two.
-    reach : int
-        Number of cells by which the kernel extends before the cell in which pixel 0 begins.
-    coefficients : (phases, taps, ORDERS) array
-        Chebyshev coefficients of the kernel over a cell, by the position of a pixel in the coarser
-        of both grids, and by cell; 0 for cells without a point within the radius of the kernel.
-    """
-
+    #: Side of a cell in pixels, a power of two.
     side: float
+    #: Number of cells by which the kernel extends before the cell in which pixel 0 begins.
     reach: int
+    #: Chebyshev coefficients of the kernel over a cell, by the position of a pixel in the coarser
+    #: of both grids, and by cell; 0 for cells without a point within the radius of the kernel:
+    #: (phases, taps, ORDERS) array.
     coefficients: NDArray[np.float64]
 
 
@@ -88,16 +82,8 @@ def moments_pay(
     """Return whether moments of cells suit a kernel and probably take less time than the gather.
 
     The costs are in nanoseconds, fitted to measurements on a CPU with two cores of 16 lanes. On
-    other devices both are faster or slower.
-
-    Parameters
-    ----------
-    count : int
-        Number of particles.
-    shape : (height, width) of the canvas
-    sigma, radius : float
-    block : int
-        Side of the blocks of pixels for each of which the gather visits a particle.
+    other devices both are faster or slower. The canvas has `shape` (height, width) and `count`
+    particles; the gather visits a particle for each block of pixels of side `block`.
     """
     side = cell_side(sigma, radius)
     if side is None:
@@ -115,16 +101,8 @@ def moments_pay(
 def particles_of_bin(longest_loop: int, scalar: bool, group: int, cells: int) -> int:
     """Return the number of particles of a bin in one launch of ``sum_moments``.
 
-    Parameters
-    ----------
-    longest_loop : int
-        See `BuildConstants`.
-    scalar : bool
-        Whether the kernels are built with scalars.
-    group : int
-        ``MOMENT_GROUP``, work-items of a bin.
-    cells : int
-        Cells along each side of a bin.
+    `scalar` tells whether the kernels are built with scalars, `group` is ``MOMENT_GROUP``,
+    work-items of a bin, and `cells` the number along each side of a bin.
     """
     if not longest_loop:
         return loop_limits.NO_LIMIT
@@ -143,14 +121,7 @@ def particles_of_bin(longest_loop: int, scalar: bool, group: int, cells: int) ->
 
 
 class Moments:
-    """Adds many splats to the sums of a canvas by moments of cells.
-
-    Parameters
-    ----------
-    work : Workspace
-    constants : BuildConstants
-    programs : Programs
-    """
+    """Adds many splats to the sums of a canvas by moments of cells."""
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work, self._constants = work, constants
@@ -171,19 +142,11 @@ class Moments:
         plane: int,
         sums: cl.Buffer,
     ) -> None:
-        """Add the splats of one width level to the sums.
+        """Add the splats of one width level to the sums, a buffer of float32.
 
-        Parameters
-        ----------
-        bins : SortedSplats
-            Sorted splats with a margin of at least the kernel's radius.
-        starts : (bins + 1,) array
-            Starts of the bins of the width level.
-        cells : Cells
-        shape : (height, width) of the canvas
-        stride, plane : int
-            Distance from one row, and from one channel, of the sums to the next.
-        sums : buffer of float32
+        The splats are sorted with a margin of at least the kernel's radius; `starts`, (bins + 1,),
+        are those of the bins of the width level. `stride` and `plane` are the distances from one
+        row, and from one channel, of the sums to the next.
         """
         per_bin = round(bins.side / cells.side)
         bins_y, bins_x = bins.shape

@@ -27,13 +27,7 @@ Results = Sequence[tuple[NDArray[Any], cl.MemoryObject]]
 
 
 class LaunchBudget:
-    """The amount of work of one launch, learned from the launches before it.
-
-    Parameters
-    ----------
-    first : int
-        Work of the first launch, in point pairs; small, as the device is unknown.
-    """
+    """The point pairs of one launch, `first` at first, learned from the launches before it."""
 
     def __init__(self, first: int = 1 << 22) -> None:
         self._pairs = first
@@ -72,12 +66,7 @@ class LaunchBudget:
 class Workspace:
     """The context, the queue and the buffers of the kernels on one device.
 
-    Parameters
-    ----------
-    context : pyopencl.Context
-        The context may have further devices.
-    queue : pyopencl.CommandQueue
-        The queue may run commands out of order: every launch is awaited before the next command.
+    The queue may run commands out of order: every launch is awaited before the next command.
     """
 
     def __init__(self, context: cl.Context, queue: cl.CommandQueue) -> None:
@@ -111,20 +100,12 @@ class Workspace:
     ) -> None:
         """Run a kernel, read its results, and wait once for all of this.
 
-        Arguments are NumPy scalars and buffers. This function keeps references to the buffers until
-        the launch has ended, because a kernel does not. Arguments are set one by one, because
-        pyopencl's `set_args` generates code for each kernel, which takes more time than it saves.
-
-        Parameters
-        ----------
-        kernel : pyopencl.Kernel
-            Nothing else sets its arguments.
-        size, group : tuple of int
-            Global and local size.
-        *arguments : NumPy scalars and buffers
-        results : sequence of (array, buffer), optional
-            Contiguous arrays, and the buffers that they are read from after the launch. On a CPU a
-            wait takes longer than a short kernel.
+        Arguments are NumPy scalars and buffers, and nothing else sets them. This function keeps
+        references to the buffers until the launch has ended, because a kernel does not. Arguments
+        are set one by one, because pyopencl's `set_args` generates code for each kernel, which
+        takes more time than it saves. `size` and `group` are global and local. `results` are
+        contiguous arrays, and the buffers that they are read from after the launch: on a CPU a wait
+        takes longer than a short kernel.
         """
         check_cancelled()
         known = self._scalars.setdefault(kernel, {})

@@ -43,14 +43,7 @@ class Layer(NamedTuple):
 
 
 class Layers:
-    """Averages fields, follows paths along them, and draws layers.
-
-    Parameters
-    ----------
-    work : Workspace
-    constants : BuildConstants
-    programs : Programs
-    """
+    """Averages fields, follows paths along them, and draws layers."""
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work, self._constants, self._programs = work, constants, programs
@@ -220,16 +213,10 @@ class Layers:
 class _Window:
     """The cells around each point along one axis.
 
-    Attributes
-    ----------
-    radius : int
-        Cells on each side of the nearest one; those that no point has are left out.
-    cells : int
-        Number of cells, rounded up to a multiple of the lanes.
-    firsts : (points,) array
-        The first cell around each point, below 0 outside the grid.
-    weights : (points, cells) array
-        Gaussians of the distances; 0 for cells that fill up the lanes.
+    `radius` is the number of cells on each side of the nearest one, without those that no point
+    has, and `cells` all of them, rounded up to a multiple of the lanes. `firsts`, (points,), is the
+    first cell around each point, below 0 outside the grid; `weights`, (points, cells), are
+    Gaussians of the distances, 0 for cells that fill up the lanes.
     """
 
     def __init__(self, few: int, many: int, sigma: float, lanes: int) -> None:
@@ -277,10 +264,7 @@ def _apart(places: Float64) -> Float32:
 
 
 def _between(places: Float64, side: int) -> Float32:
-    """Return the first of the two points around each place, and the other's weight: (2, N).
-
-    Places outside are moved to the border.
-    """
+    """Return the first of the two points around each place, and the other's weight: (2, N)."""
     places = np.clip(places, 0.0, side - 1)
     low = np.minimum(np.floor(places), max(side - 2, 0))
     return np.stack([low, places - low]).astype(np.float32)

@@ -18,12 +18,7 @@ from clmorph.backends.records import Float64, NearPairs
 
 
 class LogSumExp:
-    """Log-sum-exp over the columns of every row.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    """
+    """Log-sum-exp over the columns of every row."""
 
     def __init__(self, loop: RowLoop) -> None:
         self._loop = loop
@@ -54,8 +49,7 @@ class LogSumExp:
     ) -> tuple[Float64, float]:
         """Return T(g) with a proven bound of its rounding error, in nats.
 
-        Over near pairs powers are float32 if that is enough, and so are the exponents between tiles
-        where that is enough, too.
+        Over near pairs powers, and exponents between tiles, are float32 where that is enough.
         """
         constants, k = self._loop.constants, LOG2_E / epsilon
         pairs, float32 = None if near is None else near.pairs, None

@@ -1,8 +1,8 @@
 """The amount of work of one launch on devices that end long loops: the quirk ``short_loops``.
 
-Such a device counts the rounds of all loops of a work-item, and a loop of n rounds takes n + 1. The
-functions here count every loop of the kernels as if the compiler unrolled none, and allow for
-work-items that run in step: each waits for the others. Where a device has no limit, there is none.
+Such a device counts the rounds of all loops of a work-item, and a loop of n rounds takes n + 1.
+Every loop of the kernels is counted as if the compiler unrolled none, and work-items may run in
+step: each waits for the others.
 """
 
 import sys
@@ -34,14 +34,7 @@ def column_tiles(constants: BuildConstants, dimension: int) -> int:
 
 
 def mean_rows(constants: BuildConstants, window: int) -> int:
-    """Return the rows of cells that a mean takes in one launch of ``edge_preserving_mean``.
-
-    Parameters
-    ----------
-    constants : BuildConstants
-    window : int
-        Cells of a row.
-    """
+    """Return the rows of `window` cells that one launch of ``edge_preserving_mean`` takes."""
     if not constants.longest_loop:
         return NO_LIMIT
     # For each vector of cells there are two loops over eight channels; lanes are added up at last.
@@ -57,14 +50,7 @@ def draws(constants: BuildConstants) -> int:
 
 
 def gathered_particles(constants: BuildConstants, bin_rows: int) -> int:
-    """Return the number of particles that a block of pixels may visit in a launch of ``splat``.
-
-    Parameters
-    ----------
-    constants : BuildConstants
-    bin_rows : int
-        Number of rows of bins.
-    """
+    """Return the number of particles that a block of pixels may visit in a launch of ``splat``."""
     if not constants.longest_loop:
         return NO_LIMIT
     width = constants.width
@@ -87,14 +73,7 @@ def stored_pairs(constants: BuildConstants) -> int:
 
 
 def tree_rounds(constants: BuildConstants, most: int) -> int:
-    """Return how many nodes and seeds a work-item may look at in a launch of ``nearest_seeds``.
-
-    Parameters
-    ----------
-    constants : BuildConstants
-    most : int
-        The number without a limit of loops.
-    """
+    """Return how many nodes and seeds a work-item may look at in one launch: at most `most`."""
     if not constants.longest_loop:
         return most
     # A tree has at most 16 levels.

@@ -46,14 +46,7 @@ class _Kept(NamedTuple):
 
 
 class NearField:
-    """Finds the pairs that contribute to the rows' sums.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    log_sum_exp : LogSumExp
-        The object that sums the pairs.
-    """
+    """Finds the pairs that contribute to the rows' sums."""
 
     def __init__(self, loop: RowLoop, log_sum_exp: LogSumExp) -> None:
         self._loop, self._log_sum_exp = loop, log_sum_exp
@@ -141,16 +134,8 @@ class NearField:
     ) -> tuple[NDArray[np.uint64], NDArray[np.uint16]]:
         """Return the masks of the columns above a threshold, and the number of bits of each.
 
-        Both are for the pairs of a part's rows: see `TilePairs.masks`.
-
-        Parameters
-        ----------
-        clouds : _Clouds
-        pairs : TilePairs
-        part : range
-            Row tiles.
-        log2_threshold : (row tiles of the part,) array
-            Logarithm of the share of a row's sum, as far as the sum is known.
+        Both are for the pairs of a part's row tiles: see `TilePairs.masks`. Each row tile has a
+        threshold: the base-2 logarithm of the share of a row's sum, as far as the sum is known.
         """
         (rows, columns, exponents, guess, slopes, boxes), loop = clouds, self._loop
         n = len(rows)
@@ -188,10 +173,9 @@ def _complete(
     distances: Float64,
     tile: int,
 ) -> None:
-    """Give the groups of rows without any column all columns of the nearest tile.
+    """Give groups of rows without any column all columns of the nearest tile.
 
-    The estimates of their sums are then far too large, and the sums of these columns are better
-    ones.
+    The estimates of their sums were far too large; the sums of these columns are better ones.
     """
     for row_tile, group in np.argwhere(of_groups == 0):
         own = slice(starts[row_tile], starts[row_tile + 1])
@@ -201,15 +185,7 @@ def _complete(
 
 
 def _largest_cost(distances: Float64, radii: Float64) -> float:
-    """Return a bound of the costs between pairs of tiles.
-
-    Parameters
-    ----------
-    distances : array
-        Half the squared distances of their centers.
-    radii : array
-        The sum of the radii of both tiles.
-    """
+    """Return a bound of the costs between tiles, from half squared distances and sums of radii."""
     return 0.5 * float((np.sqrt(2 * distances) + radii).max()) ** 2
 
 

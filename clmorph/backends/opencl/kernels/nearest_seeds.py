@@ -29,39 +29,22 @@ NONE = np.iinfo(np.int32).max
 
 
 class SeedTree(NamedTuple):
-    """Seeds in the leaves of a tree, and the boxes of its nodes, level by level from the leaves.
+    """Seeds in the leaves of a tree, and the boxes of its nodes, level by level from the leaves."""
 
-    Attributes
-    ----------
-    seeds : (leaves * SEED_LEAF, 2) array
-        Positions; the last one is repeated until the last leaf is complete.
-    order : (leaves * SEED_LEAF,) array
-        Index of each seed.
-    starts : (levels,) array
-        The first node of each level.
-    boxes : (nodes, 4) array
-        Lowest x and y, highest x and y. Nodes without seeds complete a level; they are infinitely
-        far from everything.
-    lowest : (nodes,) array
-        Lowest index of a seed.
-    """
-
+    #: Positions, (leaves * SEED_LEAF, 2); the last one is repeated until the last leaf is complete.
     seeds: Float32
+    #: Index of each seed: (leaves * SEED_LEAF,) array.
     order: NDArray[np.int32]
+    #: The first node of each level: (levels,) array.
     starts: NDArray[np.uint32]
+    #: (nodes, 4) Lowest and highest x and y; infinitely far for nodes that complete a level.
     boxes: Float32
+    #: Lowest index of a seed: (nodes,) array.
     lowest: NDArray[np.int32]
 
 
 class NearestSeeds:
-    """Finds nearest seeds.
-
-    Parameters
-    ----------
-    work : Workspace
-    constants : BuildConstants
-    programs : Programs
-    """
+    """Finds nearest seeds."""
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work, self._constants, self._programs = work, constants, programs
@@ -112,13 +95,9 @@ class NearestSeeds:
 
 
 def plant(seeds: Float32) -> SeedTree:
-    """Sort seeds into a tree: along a Hilbert curve through the ranks of x and of y.
+    """Sort seeds, (K, 2), into a tree: along a Hilbert curve through the ranks of x and of y.
 
     Ranks suit seeds of any distribution. What is found does not depend on the tree.
-
-    Parameters
-    ----------
-    seeds : (K, 2) array
     """
     x, y = (np.ascontiguousarray(seeds[:, axis]) for axis in range(2))
     sorted_ = _in_order(_along_curve(_ranks(x), _ranks(y)))

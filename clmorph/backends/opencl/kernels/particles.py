@@ -64,18 +64,8 @@ def sort_splats(
 ) -> SortedSplats:
     """Sort splats into bins without atomics: count in each slice, add the counts up, fill the bins.
 
-    Parameters
-    ----------
-    work : Workspace
-    kernels : dict
-        "count_bins" and "fill_bins" of ``cl_kernels/particles.cl``.
-    constants : BuildConstants
-    splats : Splats
-    shape : (height, width) of the canvas, in pixels
-    margin : int
-        Number of bins added on every side.
-    side : float
-        Side of a bin in pixels, a power of two.
+    `kernels` has "count_bins" and "fill_bins" of ``cl_kernels/particles.cl``. `margin` bins are
+    added on every side of the canvas; `side`, in pixels, is a power of two.
     """
     n = splats.count
     grid = bin_grid(shape, margin, side)

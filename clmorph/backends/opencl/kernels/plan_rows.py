@@ -42,12 +42,7 @@ class Section(NamedTuple):
 
 
 class PlanRowReductions:
-    """Counts and writes the kept pairs of a plan.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    """
+    """Counts and writes the kept pairs of a plan."""
 
     def __init__(self, loop: RowLoop) -> None:
         self._loop, self.tile_bounds = loop, TileBoundKernel(loop)
@@ -73,14 +68,8 @@ class PlanRowReductions:
     def count(self, plan: Plan, precise: bool = False, most: float = np.inf) -> NDArray[np.int64]:
         """Return how many pairs of each row of a plan are kept: (N,) array.
 
-        Parameters
-        ----------
-        plan : Plan
-        precise : bool
-            As in `softmin`.
-        most : float
-            Where more pairs than this are kept in all, counting ends early: some counts are too
-            small then, but their sum is above `most`.
+        Where more than `most` are kept in all, counting ends early: some counts are too small then,
+        but their sum is above `most`.
         """
         rows, tile = plan.rows, self._loop.constants.tile
         counts, total = np.zeros(rows.stride, np.int32), 0
@@ -108,20 +97,10 @@ class PlanRowReductions:
         buffers: tuple[cl.MemoryObject, cl.MemoryObject],
         precise: bool = False,
     ) -> None:
-        """Write columns and log2 masses of the kept pairs of some row tiles.
+        """Write columns and log2 masses of the kept pairs of some row tiles to two buffers.
 
-        Parameters
-        ----------
-        plan : Plan
-        section : Section
-        part : range
-            A part that `fill_parts` yields.
-        starts : (rows of the part,) array
-            Index of the first pair of each row in the buffers.
-        step : int
-            Distance from one pair of a row to the next in the buffers.
-        buffers : (columns, log2 masses)
-        precise : bool
+        `part` is one that `fill_parts` yields. `starts` is the index of the first pair of each of
+        its rows in the buffers, and `step` the distance from one pair of a row to the next.
         """
         kernel = self._kernel("fill_plan_rows", plan, section, precise)
         first = self._loop.work.buffer(starts, np.uint32)

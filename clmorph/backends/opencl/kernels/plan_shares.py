@@ -15,12 +15,7 @@ LARGEST_THRESHOLD = 1.0 - 1e-5
 
 
 class PlanShares:
-    """Reductions over the shares pi_ij / (pi 1)_i of each plan row, which sum to 1.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    """
+    """Reductions over the shares pi_ij / (pi 1)_i of each plan row, which sum to 1."""
 
     def __init__(self, loop: RowLoop) -> None:
         self._loop = loop

@@ -41,21 +41,10 @@ def rounding_bound(
     """Return a bound of a log-sum-exp in nats, with every rounding error at its largest.
 
     An exponent is a sum of products no larger than `size`, formed in 3 D + 6 operations from
-    numbers that pairs of float32 hold to 2^-49. The constant of a row is at most `of_row`
-    and is formed in float64. See ``cl_kernels/sums.cl`` for powers and additions.
-
-    Parameters
-    ----------
-    constants : BuildConstants
-    dimension : int
-        Dimension of the points.
-    costs : float, or an array of them
-        k times the largest cost.
-    spread, largest : float
-        Range of k g_j + log2 b_j over the columns with mass, and their largest absolute value, with
-        the rows' offsets added.
-    n_tiles : int
-        Number of column tiles.
+    numbers that pairs of float32 hold to 2^-49. The constant of a row is at most `of_row` and is
+    formed in float64. See ``cl_kernels/sums.cl`` for powers and additions. `costs` is k times the
+    largest cost; `spread` and `largest` are the range of k g_j + log2 b_j over the columns with
+    mass, and their largest absolute value, with the rows' offsets added.
     """
     operation, power = (2.0**-53, 2.0**-44) if constants.precise == 2 else PAIRS_ERRORS
     size, of_row = 8 * costs + 2 * spread, costs + largest
@@ -68,17 +57,9 @@ def float32_powers_bound(n_columns: int, smallest: float, n_added: int) -> float
     """Return what float32 powers add to the bound of a log-sum-exp, in nats.
 
     The distances x_j <= 0 of exponents from their reference are rounded to float32. This changes
-    the logarithm of the sum S = sum_j 2^x_j by at most ln 2 times the relative error of float32
-    times sum_j w_j |x_j|, where w_j = 2^x_j / S. The latter sum is the entropy of w less log2 S.
-
-    Parameters
-    ----------
-    n_columns : int
-        Number of terms of a sum.
-    smallest : float
-        The smallest sum of a row.
-    n_added : int
-        Number of powers that are added in float32.
+    the logarithm of the sum S = sum_j 2^x_j, which is at least `smallest`, by at most ln 2 times
+    the relative error of float32 times sum_j w_j |x_j|, where w_j = 2^x_j / S. The latter sum is
+    the entropy of w less log2 S. `n_added` powers are added in float32.
     """
     operation, power = FLOAT32_ERRORS
     distances = np.log2(n_columns) - min(0.0, np.log2(smallest)) + 1.0
@@ -96,20 +77,8 @@ class Float32Pairs:
     of products, c, and the last sum are rounded; see ``add_tile_in_float32`` in
     ``cl_kernels/sums.cl``.
 
-    Parameters
-    ----------
-    rows, columns : Cloud
-    pairs : TilePairs
-    values : (M,) array
-        k g_j + log2 b_j of the sorted columns.
-    k : float
-    limit : float
-        The error, in nats, that exponents may have.
-
-    Attributes
-    ----------
-    largest : float
-        The largest bound of a chosen pair, in nats.
+    `values`, (M,), are k g_j + log2 b_j of the sorted columns, and exponents may be off by `limit`
+    nats; `largest` is the largest bound of a chosen pair, in nats.
     """
 
     def __init__(
@@ -128,11 +97,7 @@ class Float32Pairs:
     def chosen(self, part: range, levels: Float64) -> NDArray[np.uint8]:
         """Return for each listed pair of some row tiles whether it is chosen.
 
-        Parameters
-        ----------
-        part : range
-        levels : (pairs of the part,) array
-            See `clmorph.backends.opencl.kernels.row_loop.RowLoop.set_levels`.
+        The levels of these pairs are those of `row_loop.RowLoop.set_levels`.
         """
         lengths = np.diff(self._pairs.starts[part.start : part.stop + 1])
         own = np.repeat(self._rows.radii[part.start : part.stop], lengths)

@@ -37,14 +37,7 @@ class Exponents(NamedTuple):
 
 
 class RowLoop:
-    """Runs kernels that loop over the columns of every row, in launches of a bounded duration.
-
-    Parameters
-    ----------
-    work : Workspace
-    constants : BuildConstants
-    programs : Programs
-    """
+    """Runs kernels that loop over the columns of every row, in launches of a bounded duration."""
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self.work, self.constants, self.programs = work, constants, programs
@@ -62,19 +55,9 @@ class RowLoop:
         bounded: int = 0,
         masked: bool = False,
     ) -> cl.Kernel:
-        """Return a kernel for the dimension of some rows; its file is built at the first call.
+        """Return a kernel of `build.variants.KERNELS` for the dimension of some rows.
 
-        Parameters
-        ----------
-        file, name : str
-            A file and a kernel of `clmorph.backends.opencl.build.variants.KERNELS`.
-        rows : Cloud
-        precise, listed : bool
-            See `BuildConstants.row_macros`.
-        bounded : {0, 1, 2}
-            See `BuildConstants.row_macros`.
-        masked : bool
-            See `BuildConstants.row_macros`.
+        Its file is built at the first call; for other arguments see `BuildConstants.row_macros`.
         """
         variant = Variant(file, rows.centers.shape[1], precise, listed, bounded, masked)
         if variant not in self._kernels:
@@ -113,16 +96,8 @@ class RowLoop:
     ) -> Exponents:
         """Return the terms of the rows' exponents, over all pairs of tiles or the listed ones.
 
-        Parameters
-        ----------
-        rows, columns : Cloud
-        potential : (M,) array, cost units
-        epsilon : float, cost units
-        pairs : TilePairs, optional
-        within : range, optional
-            The row tiles that are needed; all if not given.
-        precise : bool
-            Whether a kernel with precise exponents may use them.
+        Only the row tiles `within` are needed. `precise` tells whether a kernel with precise
+        exponents may use them.
         """
         found = self.listed_exponents(rows, columns, potential, epsilon, precise)
         _, tile_max, row_level, k, _ = found
@@ -144,10 +119,7 @@ class RowLoop:
     def listed_exponents(
         self, rows: Cloud, columns: Cloud, potential: Float64, epsilon: float, precise: bool = True
     ) -> Exponents:
-        """Return the terms of the rows' exponents without levels, which `set_levels` sets.
-
-        The parameters are those of `exponents`.
-        """
+        """Return the terms of the rows' exponents without levels, which `set_levels` sets."""
         k = LOG2_E / epsilon
         logits, tile_max = self.column_logits(columns, potential, k, precise)
         return Exponents(logits, tile_max, np.zeros(len(rows.centers)), k)
@@ -155,11 +127,8 @@ class RowLoop:
     def set_levels(self, exponents: Exponents, pairs: TilePairs, part: range) -> Float64:
         """Set the level of each row tile of a part to the largest level of its listed pairs.
 
-        Returns
-        -------
-        (pairs of the part,) array
-            The levels of the pairs, less those of their row tiles. A launch that is given them
-            forms none of its own: lists are long.
+        Returned are the levels of the pairs, less those of their row tiles, which spare a launch
+        forming them: lists are long.
         """
         starts, _, levels = pairs.levels(part, exponents.tile_max, exponents.k)
         own = np.maximum.reduceat(levels, starts[:-1])
@@ -203,18 +172,9 @@ class RowLoop:
     ) -> Iterator[range]:
         """Split the row tiles so that no launch takes too long or writes too many pairs.
 
-        Parameters
-        ----------
-        kernel : pyopencl.Kernel
-        rows, columns : Cloud
-        counts : (stride,) array, optional
-            Pairs that the kernel writes for each row; see `FILL_PAIRS`.
-        pairs : TilePairs, optional
-            The pairs of tiles that the kernel visits; all if not given.
-        within : range, optional
-            The row tiles to split; all if not given.
-        shares : int, optional
-            As in `launch`.
+        The tiles are those `within`, or all. `counts`, (stride,), are the pairs that the kernel
+        writes for each row (`FILL_PAIRS`); `pairs` are the pairs of tiles that it visits, or all;
+        `shares` is as in `launch`.
         """
         n_tiles, tile = len(rows.centers), self.constants.tile
         first, end = (0, n_tiles) if within is None else (within.start, within.stop)
@@ -273,25 +233,10 @@ class RowLoop:
     ) -> None:
         """Run a kernel over some row tiles, read its results, and wait for both.
 
-        Parameters
-        ----------
-        kernel : pyopencl.Kernel
-        rows, columns : Cloud
-        exponents : Exponents
-        part : range
-            The row tiles.
-        *arguments
-            The kernel's own arguments, which follow those of the row loop.
-        shares : int, optional
-            Number of work-groups along the columns, of a kernel that has such; see `column_shares`.
-        precise : bool
-            Whether the kernel was built with precise exponents.
-        pairs : TilePairs, optional
-            The pairs of tiles to visit, for a kernel that was built with lists.
-        levels : (pairs of the part,) array, optional
-            What `set_levels` has returned for the part.
-        results : sequence of (array, buffer), optional
-            See `Workspace.launch`.
+        The kernel's own arguments follow those of the row loop. `shares` is the number of
+        work-groups along the columns, of a kernel that has such (`column_shares`); a kernel built
+        with lists visits `pairs`, at the `levels` that `set_levels` has returned for the part. See
+        `Workspace.launch` for the results.
         """
         _, tile_max, row_level, k, known = exponents
         section = slice(part.start, part.stop)

@@ -53,14 +53,7 @@ class Side(NamedTuple):
 
 
 class SlicedEllpack:
-    """Stores the pairs of a plan and sums over them.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    plan_rows : PlanRowReductions
-        The object that finds the pairs.
-    """
+    """Stores the pairs of a plan, which `plan_rows` finds, and sums over them."""
 
     def __init__(self, loop: RowLoop, plan_rows: PlanRowReductions) -> None:
         self._work, self._constants, self._plan_rows = loop.work, loop.constants, plan_rows
@@ -151,10 +144,7 @@ class SlicedEllpack:
     def _changes(
         self, columns: Cloud, changes: Float64, ordered: bool
     ) -> tuple[cl.MemoryObject, float]:
-        """Return a buffer of the changes minus their midrange, and the midrange, in powers of two.
-
-        Around 0 the rounding errors of float32 are smallest.
-        """
+        """Return a buffer of changes less their midrange, and the midrange, in powers of two."""
         limits = -LARGEST_CHANGE, LARGEST_CHANGE
         ends = np.clip(np.array([changes.min(), changes.max()]) * LOG2_E, *limits)
         middle = float(ends.mean())

@@ -33,14 +33,7 @@ WIDEST = 2
 
 
 class Splatting:
-    """Operations on particles: move, sort, choose widths, splat.
-
-    Parameters
-    ----------
-    work : Workspace
-    constants : BuildConstants
-    programs : Programs
-    """
+    """Operations on particles: move, sort, choose widths, splat."""
 
     def __init__(self, work: Workspace, constants: BuildConstants, programs: Programs) -> None:
         self._work, self._constants, self._programs = work, constants, programs

@@ -18,45 +18,29 @@ ENTRIES = 32
 
 
 class TileLists(NamedTuple):
-    """The column tiles to bound for consecutive blocks of `WIDTH_OF_GROUPS` row tiles.
+    """The column tiles to bound for consecutive blocks of `WIDTH_OF_GROUPS` row tiles."""
 
-    Attributes
-    ----------
-    first : int
-        The number of the first block.
-    numbers : (n,) array
-        Numbers of column tiles, ascending in each list.
-    begins, lengths : (blocks,) arrays
-        The part of `numbers` that is the list of a block; later blocks do not begin earlier.
-    """
-
+    #: The number of the first block.
     first: int
+    #: Numbers of column tiles, ascending in each list: (n,) array.
     numbers: NDArray[np.uint32]
+    #: (blocks,) The part of `numbers` that is a block's list; later ones do not begin earlier.
     begins: NDArray[np.int64]
     lengths: NDArray[np.int64]
 
 
 class BoundTiles(NamedTuple):
-    """Bounds of consecutive row tiles.
+    """Bounds of consecutive row tiles."""
 
-    Attributes
-    ----------
-    part : range
-        The row tiles.
-    starts : (row tiles + 1,) array
-        Index at which the bounds of each row tile begin.
-    values : (n,) array
-        Base-2 logarithms, rounded up.
-    numbers : array
-        Numbers of column tiles: the lists of these row tiles.
-    list_offsets : (row tiles,) array
-        `starts` less the index in `numbers` at which the list of the row tile begins.
-    """
-
+    #: The row tiles.
     part: range
+    #: Index at which the bounds of each row tile begin: (row tiles + 1,) array.
     starts: NDArray[np.int64]
+    #: Base-2 logarithms, rounded up: (n,) array.
     values: NDArray[np.float32]
+    #: Numbers of column tiles: the lists of these row tiles.
     numbers: NDArray[np.uint32]
+    #: (row tiles,) `starts` less the index in `numbers` at which the row tile's list begins.
     list_offsets: NDArray[np.int64]
 
 
@@ -72,12 +56,7 @@ def all_tiles(n_rows: int, n_columns: int) -> TileLists:
 
 
 class TileBoundKernel:
-    """Computes the bounds B of `clmorph.backends.opencl.kernels.tile_pairs` on the device.
-
-    Parameters
-    ----------
-    loop : RowLoop
-    """
+    """Computes the bounds B of `clmorph.backends.opencl.kernels.tile_pairs` on the device."""
 
     def __init__(self, loop: RowLoop) -> None:
         self._loop = loop
@@ -91,14 +70,8 @@ class TileBoundKernel:
     ) -> Iterator[BoundTiles]:
         """Yield the bounds of listed pairs of tiles, in parts of the row tiles.
 
-        Parameters
-        ----------
-        cloud : Cloud
-            Any cloud of the dimension.
-        sides : list of (rows' terms, columns' terms)
-            The largest of several bounds is taken.
-        k : float
-        lists : iterable of TileLists
+        Each side has terms of rows and of columns; the largest of their bounds is taken. The cloud
+        may be any one of the dimension.
         """
         n_rows, n_columns = (len(terms.level) for terms in sides[0])
         kernel = self._loop.kernel("near_field.cl", "bound_tiles", cloud, listed=True)
@@ -152,22 +125,10 @@ class TileBoundKernel:
         numbers: NDArray[np.uint32],
         count: int,
     ) -> NDArray[np.float32]:
-        """Return the bounds of some blocks of row tiles.
+        """Return the bounds of some blocks of row tiles, from the block `first` on.
 
-        Parameters
-        ----------
-        kernel : pyopencl.Kernel
-        shape : (row tiles, column tiles)
-        first : int
-            The first block.
-        k : float
-        sides : list of (rows' terms, columns' terms)
-        table : (blocks, 3) array
-            Begin and length of each list, and the place of its first bound.
-        numbers : array
-            The lists.
-        count : int
-            The number of bounds.
+        `shape` is (row tiles, column tiles). `table`, (blocks, 3), has begin and length of each
+        list in `numbers`, and the place of its first bound; there are `count` bounds.
         """
         work, width = self._loop.work, self._loop.constants.width
         # Whole numbers of work-groups: the kernel leaves out what is beyond a list.

@@ -12,13 +12,7 @@ RIDGE = 1e-6
 
 
 class TileFits:
-    """Fits values over the points of each tile by linear functions.
-
-    Parameters
-    ----------
-    shifts : (tiles, tile, D) float32 array
-        Points less their tile's center.
-    """
+    """Fits values over the points of each tile, less its center, by linear functions."""
 
     def __init__(self, shifts: NDArray[np.float32]) -> None:
         self._shifts = shifts
@@ -36,12 +30,9 @@ class TileFits:
         return np.linalg.solve(normal, np.swapaxes(u, 1, 2)).astype(np.float32)
 
     def slopes(self, values: Float64, present: NDArray[np.bool_]) -> Float64:
-        """Return the least-squares slopes of values: (tiles, D) array, exact in float32.
+        """Return the least-squares slopes of values over present points: (tiles, D) array.
 
-        Parameters
-        ----------
-        values, present : (tiles, tile) arrays
-            Only the points that are present count.
+        They are exact in float32; `values` and `present` are (tiles, tile) arrays.
         """
         centered = (values - values.mean(axis=1, keepdims=True)).astype(np.float32)
         slopes = np.einsum("ndt,nt->nd", self._of_values, centered)

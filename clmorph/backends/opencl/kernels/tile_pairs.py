@@ -32,27 +32,19 @@ from clmorph.backends.records import Float64
 
 
 class TilePairs(NamedTuple):
-    """Column tiles of every row tile, and perhaps some columns of each.
+    """Column tiles of every row tile, and perhaps some columns of each."""
 
-    Attributes
-    ----------
-    starts : (row tiles + 1,) array
-    tiles : (pairs,) array
-        Ascending for each row tile.
-    distances : (pairs,) array
-        Half the squared distance of the tiles' centers.
-    masks : list of (range, buffer), optional
-        The columns that each group of rows needs, for consecutive ranges of the row tiles. Each
-        buffer holds a (pairs, groups, words) array of uint64: one bit for each column. All columns
-        are needed if not given.
-    work : (row tiles + 1,) array, optional
-        For masks, the work of the row tiles before each one, and in all, in pairs of points.
-    """
-
+    #: (row tiles + 1,) array.
     starts: NDArray[np.int64]
+    #: Ascending for each row tile: (pairs,) array.
     tiles: NDArray[np.uint32]
+    #: Half the squared distance of the tiles' centers: (pairs,) array.
     distances: Float64
+    #: The columns that each group of rows needs, for consecutive ranges of the row tiles. Each
+    #: buffer holds a (pairs, groups, words) array of uint64: one bit for each column. All columns
+    #: are needed if not given.
     masks: list[tuple[range, cl.Buffer]] | None = None
+    #: (row tiles + 1,) For masks, the work of the row tiles before each one, in pairs of points.
     work: NDArray[np.int64] | None = None
 
     def without_masks(self) -> "TilePairs":
@@ -87,16 +79,9 @@ class TileBounds(NamedTuple):
 
 
 def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False) -> TileBounds:
-    """Return the terms of B from the columns' side.
+    """Return the terms of B from the columns' side, for the sum or for its largest term.
 
-    Parameters
-    ----------
-    cloud : Cloud or Tiles
-    values : (N,) array
-        c_j of the sorted points; SENTINEL where there is no mass.
-    k : float
-    largest : bool
-        Whether the bound applies to the largest term in place of the sum.
+    The values are c_j of the sorted points; SENTINEL where there is no mass.
     """
     c = _padded(values, cloud)
     present = c > 0.5 * SENTINEL
@@ -113,12 +98,7 @@ def column_bounds(cloud: Tiles, values: Float64, k: float, largest: bool = False
 def row_bounds(cloud: Tiles, values: Float64, k: float) -> TileBounds:
     """Return the terms of B from the rows' side.
 
-    Parameters
-    ----------
-    cloud : Cloud or Tiles
-    values : (N,) array
-        R_i of the sorted points; -SENTINEL for rows whose sums are not needed.
-    k : float
+    The values are R_i of the sorted points; -SENTINEL for rows whose sums are not needed.
     """
     r = _padded(values, cloud)
     present = r < -0.5 * SENTINEL

@@ -17,27 +17,13 @@ def tile_order(
     counts: NDArray[np.int64] | None = None,
     part: int | None = None,
 ) -> NDArray[np.intp]:
-    """Sort points so that each run of `size` consecutive ones is compact.
+    """Return the order, (N,), in which each run of `size` consecutive points is compact.
 
-    Segments are halved along their longest side, at a multiple of `size` so that only
-    the last tile can be partly filled.
-
-    Parameters
-    ----------
-    points : (N, D) array
-        Coordinates of at most 2^24 points.
-    size : int
-        Points of one tile.
-    counts : (B,) array, optional
-        Numbers of points of clouds that stand one after the other, at least 1 each and at most
-        2^18 clouds. They are sorted one by one, and each begins a tile.
-    part : int, optional
-        Points of a part of a tile, a divisor of `size`: parts are made compact, too.
-
-    Returns
-    -------
-    (N,) array of int
-        A permutation. Ties keep their order, so equal input gives equal output.
+    Segments are halved along their longest side, at a multiple of `size` so that only the last tile
+    can be partly filled. Ties keep their order, so equal input gives equal output. There are at
+    most 2^24 points. `counts`, (B,), are the numbers of points of clouds that stand one after the
+    other, at least 1 each and at most 2^18 clouds: they are sorted one by one, and each begins a
+    tile. Parts of a tile, of `part` points, a divisor of `size`, are made compact, too.
     """
     count = len(points)
     everyone = np.arange(count)
