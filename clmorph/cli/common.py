@@ -101,7 +101,7 @@ def found_guides(
     pictures: Sequence[Any], pairs: Sequence[tuple[int, int]], options: MorphOptions, maps: Maps
 ) -> Guided:
     """Return the landmarks of morphs between pictures, and print what was found."""
-    with quiet_libraries(), NOTES.status("looking for faces and for what both pictures show"):
+    with quiet_libraries():
         guide = guides(pictures, pairs, options, maps)
     if guide.found:
         say(f"landmarks: {guide.found}")
