@@ -5,12 +5,13 @@ of a coarse image in a fine one.
 """
 
 import argparse
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from evaluate_splatting import picture
 from PIL import Image, ImageDraw, ImageFont
 from plain_options import PLAIN
+from skimage import data
 
 import clmorph
 from clmorph.images.pixels import to_bytes
@@ -19,6 +20,17 @@ SIDE, GAP, LABEL = 240, 10, 24
 #: What both sides of a row share beside what they differ in.
 PAPER = {**PLAIN, "endpoints": "paper", "unmatched": "drop"}
 OURS = {**PLAIN, "splatting": "local", "sigma_start": "auto", "sigma_end": "auto"}
+
+
+def picture(name: str, size: int) -> np.ndarray:
+    """Return the middle square of a photograph, reduced, or the bundled cat."""
+    if name == "cat":
+        with resources.as_file(resources.files("clmorph.cli.samples") / "cat.png") as file:
+            return clmorph.fit(clmorph.read_image(file), size)
+    pixels = getattr(data, name)() / 255.0
+    side = min(pixels.shape[:2])
+    top, left = ((length - side) // 2 for length in pixels.shape[:2])
+    return clmorph.fit(pixels[top : top + side, left : left + side], size)
 
 
 def stripes(colors: list[tuple[float, float, float]], size: int) -> np.ndarray:
