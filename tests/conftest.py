@@ -46,7 +46,6 @@ SLOW_STEP = 3
 LONGEST = (
     "backends/test_operations.py",
     "backends/test_verification.py",
-    "project/test_reproduce.py",
     "pipeline/test_morph.py",
     "cli/test_check.py",
     "frames/test_widths.py",

@@ -48,10 +48,6 @@ LIMITS = {"size": 48, "solve_size": 24, "max_particles": 12_000}
 ELSEWHERE = {
     r"python3 -m venv .* && \.venv/bin/clmorph demo": (".ci/run", "readme_command 1"),
     r"python3 -m venv .* && \.venv/bin/pytest": (".ci/run", "readme_command 2"),
-    r"python tools/reproduce_paper\.py (--source a\.png --target b\.jpg )?--out reproduction": (
-        "tests/project/test_reproduce.py",
-        "reproduce_paper",
-    ),
     r"ruff (check|format) \.": (".ci/run", "ruff format --check ."),
     r"lint-imports": (".ci/run", "bin/lint-imports"),
     r"mypy": (".ci/run", "bin/mypy"),
