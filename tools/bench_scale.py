@@ -1,7 +1,6 @@
 r"""Time whole morphs from thousands of points to a million.
 
-    pip install -e ".[cpu,bench]" pykeops
-    python tools/bench_scale.py --sides 128 256 512 1024 --odd --geomloss
+    python tools/bench_scale.py --sides 128 256 512 1024 --odd
 
 Two photographs, enlarged where need be, reach 0.3, residual 10^-3 epsilon; blur 0.05 at color
 weights 2 and 0.5, and a blur of 2 pixels at color weight 2; `--settings` names these and blurs of
@@ -11,9 +10,7 @@ softmins summed, "work" all pairs that were summed in the whole solve, in units 
 iteration without truncation takes 2. "Plan" is what frames are made of: all kept pairs if they are
 few, else about 1.5 million draws, at least one a pixel (the command line's default); and the time
 that this takes. A frame is that at t = 0.5, after another one; memory is the largest over all of
-this. GeomLoss (online, KeOps, scaling 0.9) is timed where it has fewer points than `--patience`,
-and is else extrapolated as N^2, marked "~". `--verify` takes the residual over all pairs too, which
-takes two sums over N M.
+this.
 
 `--drawn` times morphs of large pictures with the default options in place of all that: up to the
 plan, the first frame, which divides and registers the images, and the least of two more.
@@ -22,20 +19,25 @@ plan, the first frame, which divides and registers the images, and the least of 
 import argparse
 import contextlib
 import json
-import subprocess
-import sys
 import time
 import warnings
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
+from benching import (
+    CountedBuffer,
+    begin_memory,
+    in_own_process,
+    line,
+    photographs,
+    print_head,
+    resident_bytes,
+)
 
 import clmorph
 from clmorph.backends.opencl.backend import OpenCLOperations
 from clmorph.backends.opencl.kernels.launches import LaunchBudget
-from clmorph.transport._solver.problem import Problem
 from clmorph.transport.plan import Plan
 
 REACH = 0.3
@@ -50,21 +52,6 @@ USUAL = ["0.05", "0.05, photo", "2 px"]
 PARTICLES = 1_500_000
 #: Sizes that divide nothing evenly, beside the squares: 48,896 and 157,000 points.
 ODD_SHAPES = ((191, 256), (314, 500))
-
-
-def photographs(shape: tuple[int, int]) -> list[Any]:
-    """Return two photographs."""
-    from skimage import data
-    from skimage.transform import resize
-
-    images = data.astronaut()[50:450, 50:450], data.chelsea()[:, 75:375]
-    return [resize(image / 255, shape, anti_aliasing=True) for image in images]
-
-
-def resident_bytes(which: str) -> int:
-    """Return the resident size of this process, now ("VmRSS") or at its largest ("VmHWM")."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return 1024 * int(next(row.split()[1] for row in lines if row.startswith(which)))
 
 
 class Counter:
@@ -93,20 +80,7 @@ class Counter:
         work.launch = timed  # type: ignore[method-assign]
 
 
-class CountedBuffer(cl.Buffer):
-    """A buffer that counts the bytes of all buffers of its class."""
-
-    now = 0
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        CountedBuffer.now += self.size
-
-    def __del__(self) -> None:
-        CountedBuffer.now -= self.size
-
-
-def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> None:
+def morph(device: str, setting: str, shape: tuple[int, int]) -> None:
     """Morph once and print what it took, as JSON."""
     cl.Buffer = CountedBuffer  # type: ignore[misc]
     operations = clmorph.get_backend(device)
@@ -121,8 +95,7 @@ def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> No
         )  # fmt: skip
     images = photographs(shape)
     counter = Counter(operations)
-    Path("/proc/self/clear_refs").write_text("5")  # the largest size so far is forgotten
-    before = resident_bytes("VmRSS")
+    before = begin_memory()
     marks: dict[str, tuple[float, int]] = {}
 
     def mark(stage: str, share: float) -> None:
@@ -152,14 +125,6 @@ def morph(device: str, setting: str, shape: tuple[int, int], verify: bool) -> No
         "plan": f"{len(result.plan) / 1e6:.2g} M {kind}",
         "planned": planned - solved, "frame": frame,
     }  # fmt: skip
-    if verify:
-        problem = Problem.between(operations, result.source, result.target, (REACH**2,) * 2)
-        epsilon = found.epsilon
-        softmins = [
-            softmin(potential, epsilon, True)
-            for softmin, potential in ((problem.to_rows, found.g), (problem.to_columns, found.f))
-        ]
-        record["verified"] = problem.residual(found.f, found.g, *softmins, epsilon)
     print(json.dumps(record))
 
 
@@ -179,8 +144,7 @@ def drawn(device: str, side: int) -> None:
     operations = clmorph.get_backend(device)
     clmorph.morph(*photographs((64, 64)), backend=operations).frame(0.5)  # kernels are built
     images = photographs((side, side))
-    Path("/proc/self/clear_refs").write_text("5")
-    before = resident_bytes("VmRSS")
+    before = begin_memory()
     began = time.perf_counter()
     result = clmorph.morph(*images, size=None, n_frames=3, backend=operations)
     seconds = [time.perf_counter() - began]
@@ -193,45 +157,6 @@ def drawn(device: str, side: int) -> None:
         "host": resident_bytes("VmHWM") - before,
     }  # fmt: skip
     print(json.dumps(record))
-
-
-def geomloss(setting: str, shape: tuple[int, int]) -> None:
-    """Time GeomLoss once and print it, as JSON."""
-    import torch
-    from geomloss import SamplesLoss
-
-    blur, color_weight = SETTINGS[setting]
-    length = float(blur) / max(shape) if isinstance(blur, str) else blur
-    loss = SamplesLoss(
-        "sinkhorn", p=2, blur=length, reach=REACH, scaling=0.9, debias=False, potentials=True,
-        backend="online",
-    )  # fmt: skip
-    for size in ((16, 16), shape):  # the first compiles
-        arrays = [
-            torch.tensor(array, dtype=torch.float32)
-            for measure in (clmorph.lift(image, color_weight) for image in photographs(size))
-            for array in (measure.weights, measure.points)
-        ]
-        began = time.perf_counter()
-        loss(*arrays)
-        seconds = time.perf_counter() - began
-    print(json.dumps({"seconds": seconds}))
-
-
-def in_own_process(*arguments: str) -> dict[str, Any] | None:
-    """Run this tool for one case."""
-    done = subprocess.run(
-        [sys.executable, __file__, *arguments], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        print(done.stderr.strip().splitlines()[-1], file=sys.stderr)
-        return None
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
-
-
-def line(*cells: object) -> str:
-    return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 
 def growth(records: list[dict[str, Any]]) -> str:
@@ -247,9 +172,6 @@ def main() -> int:
     parser.add_argument("--odd", action="store_true", help="48,896 and 157,000 points too")
     parser.add_argument("--settings", nargs="*", default=USUAL, choices=SETTINGS)
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--verify", action="store_true", help="residual over all pairs too")
-    parser.add_argument("--geomloss", action="store_true", help="time GeomLoss beside")
-    parser.add_argument("--patience", type=int, default=17_000, help="most points for GeomLoss")
     parser.add_argument("--drawn", type=int, nargs="*", default=[], metavar="SIDE")
     parser.add_argument("--one", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -257,40 +179,36 @@ def main() -> int:
         kind, setting, height, width = options.one
         if setting == "drawn":
             drawn(kind, int(height))
-        elif kind == "geomloss":
-            geomloss(setting, (int(height), int(width)))
         else:
-            morph(kind, setting, (int(height), int(width)), options.verify)
+            morph(kind, setting, (int(height), int(width)))
         return 0
     shapes = [(side, side) for side in options.sides]
     shapes += ODD_SHAPES if options.odd else ()
     print(f"{clmorph.get_backend(options.device).description}\n")
     if options.drawn:
-        print(line("pixels", "solve and plan, s", "first frame, s", "frame, s", "host, MB"))
-        print(line(*["---"] * 5))
+        print_head("pixels", "solve and plan, s", "first frame, s", "frame, s", "host, MB")
         for side in options.drawn:
-            record = in_own_process("--one", options.device, "drawn", str(side), str(side))
-            if record is not None:
+            record = in_own_process(
+                __file__, "--one", options.device, "drawn", str(side), str(side)
+            )
+            if "failed" in record:
+                print(line(f"{side} x {side}", record["failed"]))
+            else:
                 cells = (f"{record[name]:.2g}" for name in ("solved", "first", "frame"))
                 print(line(f"{side} x {side}", *cells, f"{record['host'] / 1e6:.0f}"), flush=True)
         return 0
-    heads = [
+    print_head(
         "blur", "points", "solve, s", "iterations", "residual, eps", "pairs", "work, N M",
         "truncation error", "plan", "plan, s", "frame, s", "host, MB", "device, MB",
         "longest launch, ms",
-    ]  # fmt: skip
-    heads += ["residual over all pairs"] if options.verify else []
-    heads += ["GeomLoss online, s"] if options.geomloss else []
-    print(line(*heads))
-    print(line(*["---"] * len(heads)))
+    )  # fmt: skip
     for setting in options.settings:
         records: list[dict[str, Any]] = []
-        peer: tuple[int, float] | None = None
         for shape in sorted(shapes, key=lambda shape: shape[0] * shape[1]):
-            case = [setting, str(shape[0]), str(shape[1])]
-            flags = ["--verify"] if options.verify else []
-            record = in_own_process("--one", options.device, *case, *flags)
-            if record is None:
+            case = ("--one", options.device, setting, str(shape[0]), str(shape[1]))
+            record = in_own_process(__file__, *case)
+            if "failed" in record:
+                print(line(setting, shape[0] * shape[1], record["failed"]), flush=True)
                 continue
             records.append(record)
             cells = [
@@ -301,16 +219,6 @@ def main() -> int:
                 f"{record['host'] / 1e6:.0f}", f"{record['device'] / 1e6:.0f}",
                 f"{1e3 * record['longest'][0]:.0f} ({record['longest'][1]})",
             ]  # fmt: skip
-            if options.verify:
-                cells.append(f"{record['verified']:.1e}")
-            if options.geomloss:
-                if record["points"] <= options.patience:
-                    timed = in_own_process("--one", "geomloss", *case)
-                    if timed is not None:
-                        peer = record["points"], timed["seconds"]
-                        cells.append(f"{timed['seconds']:.3g}")
-                elif peer is not None:
-                    cells.append(f"~{peer[1] * (record['points'] / peer[0]) ** 2:.2g}")
             if record["status"] != "converged":
                 cells[3] = f"{cells[3]} ({record['status']})"
             print(line(*cells), flush=True)
