@@ -34,11 +34,12 @@ def test_runs_that_are_interrupted(capsys):
 
 def test_a_fault_is_found(capsys):
     """A tool that finds nothing must be able to."""
+    import disturbed_runs
     import faults
 
     runs = faults.Runs("numpy", faults.Findings(["--device", "numpy"]))
-    runs.references["gif"] = faults.Reference(1.0, "another output", frozenset())
-    ended = faults.Ended(1, ["Traceback (most recent call last):"], [".clmorph-x"], "")
+    runs.references["gif"] = disturbed_runs.Reference(1.0, "another output", frozenset())
+    ended = disturbed_runs.Ended(1, ["Traceback (most recent call last):"], [".clmorph-x"], "")
     runs._same("cache", "garbage:kernels", ended)
     assert runs.findings.end() == 1
     out = capsys.readouterr().out
@@ -58,10 +59,11 @@ def test_morphs_in_threads_are_those_in_a_row(capsys):
 
 def test_an_empty_line_is_one_too_many(tmp_path):
     """Only what an undisturbed run says as well is left out."""
+    import disturbed_runs
     import faults
 
     runs = faults.Runs("numpy", faults.Findings([]))
-    runs.references["gif"] = faults.Reference(1.0, "", frozenset({"device: NumPy", ""}))
+    runs.references["gif"] = disturbed_runs.Reference(1.0, "", frozenset({"device: NumPy", ""}))
     (tmp_path / "tmp").mkdir()
     (tmp_path / "tmp" / "errors").write_text("device: NumPy\n\nclmorph: interrupted\n")
     with subprocess.Popen([sys.executable, "-c", ""], start_new_session=True) as process:
