@@ -15,7 +15,7 @@ test ends as one of:
     not exercised    the test passed without a call of clmorph: it says nothing
 
 A solver that is replaced has no way back to the library's own. The interpreter that runs this
-needs clmorph, pytest, hypothesis and the libraries: `pip install -e .[peers]`, best in an
+needs clmorph, pytest and the libraries: `pip install -e .[peers]`, best in an
 environment of its own. Exit codes: 0 nothing failed; 1 a test failed, or none of a suite called
 clmorph; 2 a mistake in the command line, or no sdist to be had.
 """
@@ -23,7 +23,6 @@ clmorph; 2 a mistake in the command line, or no sdist to be had.
 import argparse
 import importlib.util
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -38,8 +37,6 @@ INTERFACE_TESTS = (
     "test_solve_sample", "test_solve_sample_lazy", "test_solve_sample_debias",
     "test_solve_sample_NotImplemented",
 )  # fmt: skip
-#: What stands for the modules that GeomLoss's sdist leaves out.
-STAND_IN = "from peers.geomloss_cases import *\n"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -69,7 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as work:
         try:
             for library in libraries:
-                suites = make_suites(library, given.cache, Path(work), extra.get(library))
+                suites = make_suites(library, given.cache, extra.get(library))
                 for name, adapter, fixtures, root, files in suites:
                     found[name] = run(
                         (library, adapter, fixtures), given.device, root, files,
@@ -89,18 +86,14 @@ def main(arguments: list[str] | None = None) -> int:
 Suite = tuple[str, str, str, Path, list[Path]]
 
 
-def make_suites(library: str, cache: Path, work: Path, extra: Path | None) -> list[Suite]:
+def make_suites(library: str, cache: Path, extra: Path | None) -> list[Suite]:
     """Return name, adapter, fixtures, root and files of each suite of a library."""
-    fixtures = {"pot": "pot_fixtures", "geomloss": "geomloss_fixtures"}.get(library, "")
+    fixtures = "pot_fixtures" if library == "pot" else ""
     suites: list[Suite] = []
     for sdist in sources.SDISTS[library]:
         root = sources.fetch(sdist, cache)
-        if library == "geomloss":
-            root = _with_stand_ins(root, work / "geomloss")
         files = [root / test for test in sdist.tests]
-        ours = ", on problems of ours" if library == "geomloss" else ""
-        name = f"{sdist.package} {sdist.version}{ours}"
-        suites.append((name, library, fixtures, root, files))
+        suites.append((f"{sdist.package} {sdist.version}", library, fixtures, root, files))
     cases = TOOLS / "peers"
     if library == "pot":
         # Both sides of each comparison are called by name: nothing is replaced.
@@ -113,13 +106,10 @@ def make_suites(library: str, cache: Path, work: Path, extra: Path | None) -> li
         ]  # fmt: skip
     if library == "ott":
         # It puts the adapter in place itself, to have OTT's own answers as well.
-        name = "OTT-JAX: problems of ours"
-        suites.append((name, "", "", cases, [cases / "ott_cases.py"]))
-    else:
-        name = f"{library}: examples in docstrings"
-        suites.append((name, library, fixtures, cases, [cases / "docstring_cases.py"]))
-    if library == "geomloss" and importlib.util.find_spec("ot") is not None:
-        # POT's tests of GeomLoss: its own solver against `SamplesLoss`.
+        suites.append(("OTT-JAX: problems of ours", "", "", cases, [cases / "ott_cases.py"]))
+    if library == "geomloss":
+        # Its own sdist holds tests without their problems. POT's tests of it compare
+        # `SamplesLoss` with POT's own solver.
         pot = sources.SDISTS["pot"][-1]
         root = sources.fetch(pot, cache)
         files = [root / "test" / "test_bregman.py"]
@@ -127,16 +117,6 @@ def make_suites(library: str, cache: Path, work: Path, extra: Path | None) -> li
     if extra is not None:
         suites.append((f"{library}: a checkout", library, fixtures, extra, [extra]))
     return suites
-
-
-def _with_stand_ins(root: Path, folder: Path) -> Path:
-    """Return a copy of GeomLoss's tests with our problems in place of those left out."""
-    shutil.copytree(root / "tests", folder / "tests")
-    (folder / "tests" / "generators").mkdir()
-    (folder / "tests" / "__init__.py").touch()
-    for name in ("generators/__init__.py", "generators/common.py", "check_ot_result.py"):
-        (folder / "tests" / name).write_text(STAND_IN)
-    return folder
 
 
 def run(
@@ -162,7 +142,7 @@ def run(
         "-c", os.devnull, "--rootdir", str(root), "-W", "ignore", "--tb", "short",
         "-k", select, *map(str, files),
     ]  # fmt: skip
-    if library == "geomloss" and fixtures == "pot_fixtures":
+    if library == "geomloss":
         command[command.index("-k") + 1] = "geomloss"
     done = subprocess.run(
         command, cwd=report.parent, env=environment, check=False, text=True,

@@ -21,56 +21,10 @@ from ot.bregman._empirical import get_sinkhorn_lazytensor
 from ot.unbalanced import _sinkhorn as unbalanced_module
 
 from peers.bridge import TOLERANCE, Answer, Array, Declined, solve_matrix
+from peers.pot_values import costs, histograms, log_of, numbers, strengths
 
 #: The module whose functions are replaced.
 PACKAGE = "ot"
-
-
-def numbers(*arrays: Any) -> tuple[Any, list[Any]]:
-    """Return POT's backend of some arrays, and them as NumPy's.
-
-    Raises
-    ------
-    Declined
-        If a gradient is asked of one, or its value is not known yet.
-    """
-    # Of a single array it makes no list.
-    found = ot.utils.list_to_array(*arrays)
-    arrays = tuple(found) if len(arrays) > 1 else (found,)
-    nx = ot.backend.get_backend(*arrays)
-    for array in arrays:
-        if getattr(array, "requires_grad", False):
-            raise Declined("gradients through autograd")
-        if "Tracer" in type(array).__name__:
-            raise Declined("gradients or jit of jax")
-    return nx, [nx.to_numpy(array) for array in arrays]
-
-
-def strengths(reg: Any, reg_m: Any = np.inf) -> tuple[float, tuple[float, float]]:
-    """Return reg and the pair of reg_m as numbers, whatever library's they are."""
-    pair = ot.utils.get_parameter_pair(reg_m)
-    source, target = (_plain(value) for value in pair)
-    return float(_plain(reg)), (float(source), float(target))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, int | float | np.generic | np.ndarray):
-        return np.asarray(value).item()
-    return numbers(value)[1][0].item()
-
-
-def _histograms(a: Array, b: Array, M: Array) -> tuple[Array, Array]:
-    """Return weights, uniform ones where none are given."""
-    if len(a) == 0:
-        a = np.full(M.shape[0], 1.0 / M.shape[0])
-    if len(b) == 0:
-        b = np.full(M.shape[1], 1.0 / M.shape[1])
-    return a, b
-
-
-def _log(weights: Array) -> Array:
-    with np.errstate(divide="ignore"):
-        return np.log(weights)
 
 
 def _options(numItermax: int, stopThr: float, at_least: int = 1) -> dict[str, Any]:
@@ -80,10 +34,30 @@ def _options(numItermax: int, stopThr: float, at_least: int = 1) -> dict[str, An
     }
 
 
-def _tell(answer: Answer, warn: bool = True) -> None:
-    """Warn as POT does."""
-    if warn and answer.potentials.status == "max_iter":
-        warnings.warn(f"Sinkhorn did not converge: {answer.potentials.message}", stacklevel=3)
+def _solved(
+    cost: Array, a: Array, b: Array, reg: float, rho: tuple[float, float], shift: bool,
+    warn: bool = True, **options: Any,
+) -> tuple[list[Answer], Array, Array, Array]:  # fmt: skip
+    """Solve for each column of b; return POT's result and logarithms, and warn as POT does.
+
+    The result is the plan, or the costs of the plans if b has several columns. With `shift` log u
+    is f / epsilon + log a.
+    """
+    answers, logarithms = [], []
+    for weights in b.reshape(len(b), -1).T:
+        answer = solve_matrix(cost, a, weights, reg, rho, **options)
+        if warn and answer.potentials.status == "max_iter":
+            words = f"Sinkhorn did not converge: {answer.potentials.message}"
+            warnings.warn(words, stacklevel=3)
+        answers.append(answer)
+        more = (log_of(a), log_of(weights)) if shift else (0, 0)
+        logarithms.append(
+            [p / reg + log for p, log in zip((answer.f, answer.g), more, strict=True)]
+        )
+    logu, logv = (np.stack(side, axis=-1) for side in zip(*logarithms, strict=True))
+    if b.ndim > 1:
+        return answers, np.array([np.sum(each.plan * cost) for each in answers]), logu, logv
+    return answers, answers[0].plan, logu[:, 0], logv[:, 0]
 
 
 def sinkhorn(
@@ -94,22 +68,10 @@ def sinkhorn(
     """Stand for POT's balanced solvers; the way there is clmorph's own."""
     _, _, M = ot.utils.list_to_array(a, b, M)
     nx, (a, b, cost) = numbers(a, b, M)
-    a, b = _histograms(a, b, cost)
+    a, b = histograms(a, b, cost)
     reg, _ = strengths(reg)
-    answers = []
-    for weights in b.reshape(len(b), -1).T:
-        options = _options(numItermax, stopThr)
-        answers.append(solve_matrix(cost, a, weights, reg, (np.inf, np.inf), **options))
-        _tell(answers[-1], warn)
-    logu = np.stack([each.f / reg + _log(a) for each in answers], axis=-1)
-    logv = np.stack(
-        [each.g / reg + _log(w) for each, w in zip(answers, b.reshape(len(b), -1).T, strict=True)],
-        axis=-1,
-    )
-    if b.ndim > 1:
-        result = np.array([np.sum(each.plan * cost) for each in answers])
-    else:
-        result, logu, logv = answers[0].plan, logu[:, 0], logv[:, 0]
+    options = _options(numItermax, stopThr)
+    answers, result, logu, logv = _solved(cost, a, b, reg, (np.inf, np.inf), True, warn, **options)
     result = nx.from_numpy(result, type_as=M)
     if not log:
         return result
@@ -138,7 +100,7 @@ def sinkhorn_unbalanced(
     """Stand for POT's unbalanced solvers of all three kinds."""
     _, _, M = ot.utils.list_to_array(a, b, M)
     nx, (a, b, cost) = numbers(a, b, M)
-    a, b = _histograms(a, b, cost)
+    a, b = histograms(a, b, cost)
     reg, rho = strengths(reg, reg_m)
     if reg_type.lower() == "entropy":
         warnings.warn("reg_type = entropy: the matrix c is overwritten by ones", stacklevel=2)
@@ -148,17 +110,8 @@ def sinkhorn_unbalanced(
         reference = np.ones(cost.shape)
     else:
         reference = None if c is None else numbers(c)[1][0]
-    answers = []
-    for weights in b.reshape(len(b), -1).T:
-        options = _options(numItermax, stopThr)
-        answers.append(solve_matrix(cost, a, weights, reg, rho, **options, reference=reference))
-        _tell(answers[-1])
-    logu = np.stack([each.f / reg for each in answers], axis=-1)
-    logv = np.stack([each.g / reg for each in answers], axis=-1)
-    if many:
-        result = np.array([np.sum(each.plan * cost) for each in answers])
-    else:
-        result, logu, logv = answers[0].plan, logu[:, 0], logv[:, 0]
+    options = _options(numItermax, stopThr) | {"reference": reference}
+    answers, result, logu, logv = _solved(cost, a, b, reg, rho, False, **options)
     values = {"logu": logu, "logv": logv}
     if not many:
         values |= costs(result, cost, a, b, reg, rho, reference, mass=False)
@@ -170,43 +123,13 @@ def sinkhorn_unbalanced(
     return result, told
 
 
-def kl(p: Array, q: Array, mass: bool) -> float:
-    """Return sum p log(p / q), and with the masses sum p log(p / q) - p + q."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        terms = np.where(p > 0, p * np.log(np.where(p > 0, p, 1.0) / q), 0.0)
-    return float(np.sum(terms - p + q) if mass else np.sum(terms))
-
-
-def costs(
-    plan: Array, M: Array, a: Array, b: Array, reg: float, rho: tuple[float, float],
-    c: Array | None, mass: bool,
-) -> dict[str, float]:  # fmt: skip
-    """Return POT's linear and total cost of a plan.
-
-    The total cost of POT's Sinkhorn solvers has no terms of masses, that of its others has them.
-    """
-    linear = float(np.sum(plan * M))
-    total = linear + reg * kl(plan, a[:, None] * b if c is None else c, mass)
-    for strength, marginal, weights in ((rho[0], plan.sum(1), a), (rho[1], plan.sum(0), b)):
-        if np.isfinite(strength):
-            total += strength * kl(marginal, weights, mass)
-    return {"cost": linear, "total_cost": total}
-
-
 def _generic(
-    a: Any,
-    b: Any,
-    M: Any,
-    reg: float,
-    reg_m: Any,
-    c: Any,
-    entropy: bool,
-    log: bool,
+    a: Any, b: Any, M: Any, reg: float, reg_m: Any, c: Any, entropy: bool, log: bool,
     numItermax: int,
-) -> Any:
+) -> Any:  # fmt: skip
     _, _, M = ot.utils.list_to_array(a, b, M)
     nx, (a, b, cost) = numbers(a, b, M)
-    a, b = _histograms(a, b, cost)
+    a, b = histograms(a, b, cost)
     reg, rho = strengths(reg, reg_m)
     if reg == 0:
         raise Declined("no entropic regularization")
@@ -283,21 +206,13 @@ def make_empirical(original: Callable[..., Any]) -> Callable[..., Any]:
 def replacements() -> dict[Any, Any]:
     """Return what stands for each of POT's solvers."""
     bregman, unbalanced = ot.bregman, ot.unbalanced
-    found = {
-        getattr(bregman, name): sinkhorn
-        for name in (
-            "sinkhorn_knopp", "sinkhorn_log", "sinkhorn_stabilized", "sinkhorn_epsilon_scaling",
-        )
-    }  # fmt: skip
-    found |= {
-        getattr(unbalanced_module, name): sinkhorn_unbalanced
-        for name in (
-            "sinkhorn_knopp_unbalanced", "sinkhorn_stabilized_unbalanced",
-            "sinkhorn_unbalanced_translation_invariant",
-        )
-    }  # fmt: skip
-    found[bregman.greenkhorn] = greenkhorn
-    found[unbalanced.lbfgsb_unbalanced] = lbfgsb_unbalanced
-    found[unbalanced.mm_unbalanced] = mm_unbalanced
-    found[bregman.empirical_sinkhorn] = make_empirical(bregman.empirical_sinkhorn)
-    return found
+    kinds = ("knopp", "log", "stabilized", "epsilon_scaling")
+    found = {getattr(bregman, f"sinkhorn_{kind}"): sinkhorn for kind in kinds}
+    kinds = ("knopp_unbalanced", "stabilized_unbalanced", "unbalanced_translation_invariant")
+    found |= {getattr(unbalanced_module, f"sinkhorn_{kind}"): sinkhorn_unbalanced for kind in kinds}
+    return found | {
+        bregman.greenkhorn: greenkhorn,
+        unbalanced.lbfgsb_unbalanced: lbfgsb_unbalanced,
+        unbalanced.mm_unbalanced: mm_unbalanced,
+        bregman.empirical_sinkhorn: make_empirical(bregman.empirical_sinkhorn),
+    }

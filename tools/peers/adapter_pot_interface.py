@@ -7,7 +7,7 @@ import ot.solvers
 
 import clmorph
 import clmorph.pot
-from peers.adapter_pot import numbers
+from peers.pot_values import numbers
 from peers.bridge import TALLY, Declined, backend
 
 #: The module whose functions are replaced.

@@ -47,16 +47,7 @@ class Declined(pytest.skip.Exception):
 
 @dataclass(frozen=True)
 class Answer:
-    """One solve.
-
-    Attributes
-    ----------
-    f, g : (N,) and (M,) arrays
-        Potentials in the unit of the cost.
-    plan : (N, M) array
-        exp((f + g - C) / epsilon) a b, as `clmorph.transport_plan` built it.
-    potentials : clmorph.Potentials
-    """
+    """Potentials in the unit of the cost, and the plan exp((f + g - C) / epsilon) a b."""
 
     f: Array
     g: Array
@@ -65,15 +56,7 @@ class Answer:
 
 
 class Tally:
-    """What was solved since `reset`.
-
-    Attributes
-    ----------
-    calls : int
-        Solves by clmorph.
-    declined : str or None
-        Why a solve was declined where no exception could be raised.
-    """
+    """Solves since `reset`, and why one was declined where no exception could be raised."""
 
     def __init__(self) -> None:
         self.reset()
@@ -93,17 +76,9 @@ def backend() -> str:
 
 
 def solve_matrix(
-    cost: Any,
-    a: Any,
-    b: Any,
-    epsilon: float,
-    rho: tuple[float, float],
-    max_iter: int = 10000,
-    tol: float = TOLERANCE,
-    *,
-    counting: bool = False,
-    reference: Array | None = None,
-) -> Answer:
+    cost: Any, a: Any, b: Any, epsilon: float, rho: tuple[float, float], max_iter: int = 10000,
+    tol: float = TOLERANCE, *, counting: bool = False, reference: Array | None = None,
+) -> Answer:  # fmt: skip
     """Minimize <C, pi> + rho_1 KL(pi 1|a) + rho_2 KL(pi^T 1|b) + epsilon KL(pi|a x b).
 
     With another reference c, -epsilon log(c / (a x b)) is added to the cost; the plan is then
@@ -153,15 +128,9 @@ def solve_matrix(
 
 
 def solve_points(
-    x: Any,
-    y: Any,
-    a: Any,
-    b: Any,
-    epsilon: float,
-    rho: tuple[float, float],
-    max_iter: int = 10000,
-    tol: float = TOLERANCE,
-) -> Answer:
+    x: Any, y: Any, a: Any, b: Any, epsilon: float, rho: tuple[float, float],
+    max_iter: int = 10000, tol: float = TOLERANCE,
+) -> Answer:  # fmt: skip
     """Do as `solve_matrix` for C_ij = |x_i - y_j|^2 / 2, with points (N, D) and (M, D)."""
     x, y = (np.asarray(points, float) for points in (x, y))
     check_strengths(epsilon, rho)
