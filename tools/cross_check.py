@@ -1,7 +1,7 @@
 """Compare the errors that `clmorph.sinkhorn` reports with those of an independent judge.
 
     python tools/cross_check.py --count 500
-    python tools/cross_check.py --count 500 --device 0:0 --device numpy --markdown
+    python tools/cross_check.py --count 500 --device 0:0 --device numpy
     python tools/cross_check.py --seed 0 --only 17 --device 0:0     the one problem again
 
 Each problem is made from the seed and its number alone, and solved on every usable OpenCL device
@@ -15,20 +15,20 @@ was; 2 a mistake in the command line.
 """
 
 import argparse
-import sys
-import time
+import signal
+import threading
 import warnings
-from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from crosscheck.claims import CHECKS, Outcome, Told, check, widening_of_the_value
-from crosscheck.exact import EXTENDED, NUMBER, Dense, evaluate
+from crosscheck.exact import Dense, evaluate
 from crosscheck.judge import Optimum, solve
-from crosscheck.patience import OutOfTimeError, limited
-from crosscheck.problems import SMALL, Problem, make, parts
+from crosscheck.numbers import NUMBER
+from crosscheck.problems import SMALL, Problem, make
 from findings import Findings
 
 import clmorph
@@ -37,35 +37,36 @@ from clmorph.backends.opencl.devices.find import find_devices
 #: More pairs than this are left out in NumPy, which would take minutes for each.
 MOST_IN_NUMPY = 1 << 20
 #: Seconds of work in which a solve must end, and more of them for each pair of points: 300 s for
-#: 2^27 pairs.
-PATIENCE, PATIENCE_PER_PAIR = 60.0, 300.0 / (1 << 27)
+#: 2^27 pairs; and seconds of the clock for each, as other programs may be running.
+PATIENCE, PATIENCE_PER_PAIR, CLOCK = 60.0, 300.0 / (1 << 27), 20.0
 #: Problems with more pairs than this are judged by sums alone.
 MOST_SOLVED = SMALL * SMALL
 
 
-@dataclass
-class Tally:
-    """What one backend told, over all problems."""
+class OutOfTimeError(BaseException):
+    """A call took too long. The class is one that no library code catches as its own error."""
 
-    cases: dict[str, int] = field(default_factory=lambda: defaultdict(int))
-    broken: dict[str, int] = field(default_factory=lambda: defaultdict(int))
-    worst: dict[str, float] = field(default_factory=lambda: defaultdict(lambda: -np.inf))
-    where: dict[str, int] = field(default_factory=dict)
-    problems: int = 0
-    violated: int = 0
-    unsettled: int = 0
-    unsolved: int = 0
-    left_out: int = 0
-    widening_of_value: float = -np.inf
-    seconds: float = 0.0
 
-    def add(self, number: int, outcome: Outcome) -> None:
-        """Count an outcome."""
-        self.cases[outcome.check] += 1
-        self.broken[outcome.check] += outcome.broken
-        if outcome.worst > self.worst[outcome.check]:
-            self.worst[outcome.check] = outcome.worst
-            self.where[outcome.check] = number
+@contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """Raise `OutOfTimeError` after so much work of all threads; not on Windows."""
+    if not hasattr(signal, "setitimer") or threading.current_thread() != threading.main_thread():
+        yield
+        return
+
+    def end(number: int, frame: Any) -> None:
+        raise OutOfTimeError(f"no answer after {seconds:g} s of work")
+
+    timers = {signal.SIGPROF: signal.ITIMER_PROF, signal.SIGALRM: signal.ITIMER_REAL}
+    before = {number: signal.signal(number, end) for number in timers}
+    try:
+        signal.setitimer(signal.ITIMER_PROF, seconds)
+        signal.setitimer(signal.ITIMER_REAL, CLOCK * seconds)
+        yield
+    finally:
+        for number, timer in timers.items():
+            signal.setitimer(timer, 0.0)
+            signal.signal(number, before[number])
 
 
 class Judge:
@@ -85,19 +86,14 @@ class Judge:
     def optimum(self, number: int) -> tuple[Dense, Optimum | None]:
         """Return what is judged, and its optimum; None if it is too large to solve."""
         if self._solved is None or self._solved[0] != number:
-            problem = self.problem(number)
-            dense, found = problem.dense(), None
-            if not problem.refused and dense.pairs <= MOST_SOLVED:
-                found = solve(dense)
+            dense = self.problem(number).dense()
+            found = solve(dense) if dense.pairs <= MOST_SOLVED else None
             self._solved = number, dense, found
         return self._solved[1:]
 
     def _answer(self, problem: Problem, backend: Any) -> Any:
-        """Call the solver."""
-        with (
-            limited(self._patience + PATIENCE_PER_PAIR * problem.pairs),
-            warnings.catch_warnings(),
-        ):
+        seconds = self._patience + PATIENCE_PER_PAIR * problem.pairs
+        with limited(seconds), warnings.catch_warnings():
             # NumPy's warnings of overflow and the like are findings.
             warnings.simplefilter("error")
             warnings.simplefilter("ignore", clmorph.ConvergenceWarning)
@@ -107,14 +103,7 @@ class Judge:
             )  # fmt: skip
 
     def compare(self, number: int, backend: Any) -> tuple[list[Outcome], Told | None]:
-        """Solve a problem on a backend, and compare the reported errors with the true ones.
-
-        Returns
-        -------
-        list of Outcome
-        Told or None
-            The result with the truth, if there is a result.
-        """
+        """Solve a problem; return the claims held against the truth, and the result if any."""
         problem = self.problem(number)
         try:
             try:
@@ -141,107 +130,64 @@ class Judge:
 
 
 def run(
-    backends: Sequence[str],
-    seed: int,
-    numbers: Sequence[int],
-    findings: Findings,
-    largest: int | None = None,
-    patience: float = PATIENCE,
-) -> dict[str, Tally]:
-    """Hold problems against the truth on some backends.
+    backends: Sequence[str], seed: int, numbers: Sequence[int], findings: Findings,
+    largest: int | None = None, patience: float = PATIENCE,
+) -> list[str]:  # fmt: skip
+    """Hold problems against the truth on some backends, and return lines that sum it up.
 
-    Parameters
-    ----------
-    backends : sequence of str
-        As `clmorph.get_backend` takes them.
-    seed : int
-    numbers : sequence of int
-        Of the problems.
-    findings : Findings
-    largest : int, optional
-        Leave out problems with more pairs of points.
-    patience : float
-        Seconds of work for a solve, but for what large problems take.
-
-    Returns
-    -------
-    dict of str to Tally
-        By backend.
+    Problems with more than `largest` pairs of points are left out; `patience` is in seconds of
+    work for a solve, but for what large problems take.
     """
-    judge, tallies = Judge(seed, patience), {name: Tally() for name in backends}
+    judge = Judge(seed, patience)
+    counts: dict[str, Counter[str]] = {name: Counter() for name in backends}
+    worst: dict[str, dict[str, tuple[float, int]]] = {name: {} for name in backends}
+    widened: dict[str, float] = defaultdict(float)
     for number in numbers:
         problem = judge.problem(number)
-        for name, tally in tallies.items():
+        for name, count in counts.items():
             most = MOST_IN_NUMPY if name == "numpy" and largest is None else largest
             if most is not None and problem.pairs > most:
-                tally.left_out += 1
+                count["too large and left out"] += 1
                 continue
-            began = time.perf_counter()
             outcomes, told = judge.compare(number, name)
-            tally.seconds += time.perf_counter() - began
-            tally.problems += 1
+            count["problems"] += 1
+            if told is not None and told.optimum is None:
+                count["judged by sums alone"] += 1
+            elif told is not None and not told.optimum.settled:
+                count["not settled by the judge"] += 1
             if told is not None:
-                tally.unsolved += told.optimum is None
-                tally.unsettled += told.optimum is not None and not told.optimum.settled
-                share = widening_of_the_value(told)
-                if share is not None:
-                    tally.widening_of_value = max(tally.widening_of_value, share)
+                widened[name] = max(widened[name], widening_of_the_value(told) or 0.0)
             findings.trial(name)
-            tally.violated += any(outcome.broken for outcome in outcomes)
             for outcome in outcomes:
-                tally.add(number, outcome)
+                count[outcome.check] += 1
+                worst[name][outcome.check] = max(
+                    worst[name].get(outcome.check, (-np.inf, 0)), (outcome.worst, number)
+                )
                 if outcome.broken:
                     what = f"{number}, {outcome.check}: {outcome.words} ({problem.words})"
                     findings.add(name, what, ["--only", str(number), "--device", name])
-    return tallies
-
-
-def table(tallies: dict[str, Tally], names: dict[str, str], markdown: bool) -> list[str]:
-    """Return the lines that sum up what was found."""
-    header = ["backend", "claim", "cases", "broken", "worst", "problem"]
-    rows = []
-    for backend, tally in tallies.items():
-        for name in CHECKS:
-            if tally.cases[name]:
-                rows.append([
-                    backend, name, str(tally.cases[name]), str(tally.broken[name]),
-                    f"{tally.worst[name]:.2g}", str(tally.where.get(name, "")),
-                ])  # fmt: skip
-    widths = [max(len(row[k]) for row in [header, *rows]) for k in range(len(header))]
-    if markdown:
-        lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-        lines += ["| " + " | ".join(row).replace("<=", "≤") + " |" for row in rows]
-        lines.append("")
-    else:
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in [header, *rows]
-        ]
-    for backend, tally in tallies.items():
-        lines.append(
-            f"{'- ' if markdown else ''}{backend} ({names[backend]}): {tally.problems} problems, "
-            f"{tally.violated} with a claim broken, {tally.unsettled} not settled by the judge, "
-            f"{tally.unsolved} judged by sums alone, {tally.left_out} too large and left out, "
-            f"{tally.seconds:.0f} s; the interval is wider than it need be by up to "
-            f"{tally.widening_of_value:.2g} of the value itself"
-        )
+    lines = []
+    for name, count in counts.items():
+        told_of = ", ".join(f"{count[key]} {key}" for key in count if key not in CHECKS)
+        lines.append(f"{name}: {told_of}; intervals are wider by up to {widened[name]:.2g}")
+        for claim in CHECKS:
+            if claim in worst[name]:
+                size, number = worst[name][claim]
+                lines.append(f"  {claim}: {count[claim]} cases, worst {size:.2g} ({number})")
     return lines
 
 
-def _devices(given: list[str] | None) -> dict[str, str]:
-    """Return names of backends, with what they are."""
+def _devices(given: list[str] | None) -> list[str]:
+    """Return names of backends."""
     usable = [device for device in find_devices() if device.usable]
     if given is None:
-        return {device.index: str(device) for device in usable} | {"numpy": "NumPy, float64"}
-    found = {}
+        return [*(device.index for device in usable), "numpy"]
+    found = []
     for name in given:
-        if name == "numpy":
-            found[name] = "NumPy, float64"
-            continue
-        matching = [device for device in usable if device.matches(name)]
-        if not matching:
+        matching = [device.index for device in usable if device.matches(name)]
+        if name != "numpy" and not matching:
             raise ValueError(f"no usable OpenCL device matches {name!r}")
-        found[matching[0].index] = str(matching[0])
+        found.append(name if name == "numpy" else matching[0])
     return found
 
 
@@ -253,12 +199,6 @@ def main(given: list[str] | None = None) -> int:
                         help="index or part of the name of a device, or 'numpy'; may be given "
                              "several times [default: all, and numpy]")  # fmt: skip
     parser.add_argument("--only", type=int, metavar="NUMBER", help="this one problem")
-    parser.add_argument("--largest", type=int, metavar="PAIRS",
-                        help="leave out problems with more pairs of points [default: none, in "
-                             f"NumPy more than {MOST_IN_NUMPY}]")  # fmt: skip
-    parser.add_argument("--patience", type=float, default=PATIENCE, metavar="SECONDS",
-                        help=f"of work for a small problem [default: {PATIENCE:g}]")  # fmt: skip
-    parser.add_argument("--markdown", action="store_true", help="print the table for the docs")
     arguments = parser.parse_args(given)
     if arguments.count < 1 or arguments.seed < 0 or (arguments.only or 0) < 0:
         parser.error("--count: expected at least 1; --seed and --only: at least 0")
@@ -266,25 +206,14 @@ def main(given: list[str] | None = None) -> int:
         names = _devices(arguments.device)
     except ValueError as error:
         parser.error(str(error))
-    bits = np.finfo(NUMBER).nmant + 1
-    print(f"the judge computes with {bits} bits", file=sys.stderr)
-    if not EXTENDED:
-        print("long double is float64 here: the judge settles less, and allows more for itself",
-              file=sys.stderr)  # fmt: skip
-    numbers = range(arguments.count) if arguments.only is None else [arguments.only]
+    print(f"the judge computes with {np.finfo(NUMBER).nmant + 1} bits")
+    numbers, largest = range(arguments.count), None
     if arguments.only is not None:
         problem = make(arguments.seed, arguments.only)
-        n, m = len(parts(problem.source)[0]), len(parts(problem.target)[0])
-        print(
-            f"{arguments.only}: {problem.words}"
-            + (f"; to be refused: {problem.refused}" if problem.refused else "")
-        )
-        arguments.largest = arguments.largest or n * m
+        numbers, largest = [arguments.only], problem.pairs
+        print(f"{arguments.only}: {problem.words}; to be refused: {problem.refused or 'no'}")
     findings = Findings(["--seed", str(arguments.seed)])
-    tallies = run(
-        list(names), arguments.seed, numbers, findings, arguments.largest, arguments.patience
-    )
-    print("\n".join(table(tallies, names, arguments.markdown)))
+    print("\n".join(run(names, arguments.seed, numbers, findings, largest)))
     return findings.end()
 
 

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.exact import NUMBER, Dense, Interval, Truth, Vector
+from crosscheck.exact import Dense, Truth
 from crosscheck.judge import Optimum
+from crosscheck.numbers import NUMBER, Interval, Vector
 
 #: By how much rounding may widen the interval, as a share of the value.
 WIDENING = 2e-6
@@ -51,19 +52,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Told:
-    """A result, with what is true of it.
-
-    Attributes
-    ----------
-    result : Potentials
-        Or what has the attributes.
-    problem : Dense
-    truth : Truth
-        About its potentials.
-    optimum : Optimum or None
-        None where the judge did not solve.
-    tol : float
-    """
+    """A result, what is true of its potentials, and the optimum if the judge solved for it."""
 
     result: Any
     problem: Dense
@@ -136,15 +125,11 @@ def check(told: Told) -> Iterator[Outcome]:
 
 def _finite(told: Told) -> Outcome:
     result = told.result
-    numbers = {
-        "f": result.f, "g": result.g, "dual": result.dual, "residual": result.residual,
-        "row_mass": result.row_mass, "column_mass": result.column_mass,
-        "marginal_error": result.marginal_error, "truncation_error": result.truncation_error,
-        "transported_mass": result.transported_mass,
-    }  # fmt: skip
-    numbers |= {
-        name: value for name in ("primal", "gap") if (value := getattr(result, name)) is not None
-    }
+    names = (
+        "f", "g", "dual", "residual", "row_mass", "column_mass", "marginal_error",
+        "truncation_error", "transported_mass", "primal", "gap",
+    )  # fmt: skip
+    numbers = {name: value for name in names if (value := getattr(result, name)) is not None}
     wrong = [name for name, value in numbers.items() if not np.all(np.isfinite(value))]
     for name, side in (("row_mass", told.problem.source), ("column_mass", told.problem.target)):
         empty = np.delete(np.asarray(numbers[name]), side.places)

@@ -19,58 +19,20 @@ from typing import Any
 
 import numpy as np
 
-#: 64 bits of mantissa on x86; on Windows and on most ARM systems it is float64 under another name.
-NUMBER = np.longdouble
-#: Whether long double is more than float64.
-EXTENDED = bool(np.finfo(NUMBER).eps < np.finfo(np.float64).eps)
+from crosscheck.numbers import NUMBER, Interval, Vector, kl_terms, unit_of
+
 #: Pairs in one block.
 BLOCK = 1 << 19
 #: More pairs than this are summed in float64, with the bounds that follow from that.
 MOST_EXTENDED = 1 << 20
 
-#: (k - 1) / k! for k from 7 down to 2: the series of x e^x - e^x + 1, divided by x^2.
-SERIES = [NUMBER(1) / n for n in (840, 144, 30, 8, 3, 2)]
-
-Vector = np.ndarray[Any, Any]
-
-
-def unit_of(number: Any) -> Any:
-    """Return the unit roundoff of a type, in long double."""
-    return NUMBER(np.finfo(number).eps) / 2
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A number and a bound of its error."""
-
-    value: Any
-    error: Any
-
-    @property
-    def low(self) -> Any:
-        """What it is at least."""
-        return self.value - self.error
-
-    @property
-    def high(self) -> Any:
-        """What it is at most."""
-        return self.value + self.error
-
 
 @dataclass(frozen=True)
 class Side:
-    """The points of positive mass of one measure.
+    """The points of positive mass of one measure; `places` is where they stand among all.
 
-    Attributes
-    ----------
-    places : (n,) array of int
-        Where they stand among all points.
-    points : (n, D) float64 array
-    mass, logarithm : (n,) arrays of long double
-    offsets : (n,) float64 array
-        Added to the cost.
-    rho : long double
-        Infinite where balanced.
+    Points and offsets (added to the cost) are float64, the rest is long double; rho is infinite
+    where the side is balanced.
     """
 
     places: Vector
@@ -185,20 +147,9 @@ class Dense:
 class Truth:
     """What is true of given potentials.
 
-    Attributes
-    ----------
-    rows, columns : (n,) arrays
-        Logarithms of the plan's marginals, over points of positive mass.
-    rows_slack, columns_slack : (n,) arrays
-        By how many nats they may be off.
-    residual : Interval
-        As `clmorph.Potentials.residual`, without truncation.
-    marginal_error : Interval
-    mass : Interval
-        Of the plan.
-    dual : Interval
-    gap : Interval or None
-        None with a balanced side.
+    `rows` and `columns` are logarithms of the plan's marginals, over points of positive mass, and
+    the slacks by how many nats these may be off. The residual is without truncation, the gap None
+    with a balanced side.
     """
 
     rows: Vector
@@ -212,37 +163,17 @@ class Truth:
     gap: Interval | None
 
 
-def kl_terms(excess: Vector) -> Vector:
-    """Return x e^x - e^x + 1, which is at least 0."""
-    small = np.abs(excess) < 1e-3
-    with np.errstate(over="ignore", invalid="ignore"):
-        large = np.where(small, 0, excess)
-        direct = large * np.exp(large) - np.expm1(large)
-    series = np.zeros_like(excess)
-    for coefficient in SERIES:
-        series = series * excess + coefficient
-    return np.where(small, excess**2 * series, direct)
-
-
 def evaluate(problem: Dense, f: Vector, g: Vector, number: Any = None) -> Truth:
     """Return the truth about potentials (of points with mass), by sums over all pairs.
 
-    Parameters
-    ----------
-    problem : Dense
-    f, g : (n,), (m,) arrays
-    number : type, optional
-        In which exponents are formed and summed; by default long double for few pairs, float64
-        for many.
+    Exponents are formed and summed as `number`: by default long double for few pairs, float64 for
+    many.
     """
     if number is None:
         number = NUMBER if problem.pairs <= MOST_EXTENDED else np.float64
     f, g = f.astype(NUMBER), g.astype(NUMBER)
     unit, epsilon = unit_of(NUMBER), problem.epsilon
-    sums = (
-        problem.row_logarithms(f, g, number),
-        problem.swapped.row_logarithms(g, f, number),
-    )
+    sums = problem.row_logarithms(f, g, number), problem.swapped.row_logarithms(g, f, number)
     residual, masses, marginal_error = [], [], Interval(NUMBER(0), NUMBER(0))
     dual, dual_error = problem.constant, problem.constant * 4 * unit
     gap, gap_error, marginals = NUMBER(0), NUMBER(0), []

@@ -18,7 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.exact import NUMBER, Dense, Vector, evaluate, kl_terms, unit_of
+from crosscheck.exact import Dense, evaluate
+from crosscheck.feasible import feasible, hessian, solve_laplacian
+from crosscheck.numbers import NUMBER, Vector, kl_terms, unit_of
 
 #: Gap at which a problem is settled, as a share of its value.
 SETTLED = max(1e-15, 1e4 * float(np.finfo(NUMBER).eps))
@@ -26,26 +28,16 @@ SETTLED = max(1e-15, 1e4 * float(np.finfo(NUMBER).eps))
 ANNEALING = 0.25
 #: Steps at most, on each level and on the last.
 STEPS, LAST_STEPS = 30, 200
-#: Largest correction of a plan that shall meet its marginals, in nats.
-CORRECTION = 1e-6
 #: Largest relative error of a marginal at which a level is left.
 LEVEL_TOLERANCE = 0.05
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where the optimum lies.
+    """Proven bounds of the optimum, and potentials of points with mass.
 
-    Attributes
-    ----------
-    low, high : long double
-        Proven bounds.
-    scale : long double
-        What a gap is compared with: the value, or epsilon times the mass of the plan if that is
-        more.
-    f, g : arrays
-        Potentials, of points with mass.
-    steps : int
+    A gap is compared with `scale`: the value, or epsilon times the mass of the plan if that is
+    more.
     """
 
     low: Any
@@ -53,7 +45,6 @@ class Optimum:
     scale: Any
     f: Vector
     g: Vector
-    steps: int
 
     @property
     def settled(self) -> bool:
@@ -86,7 +77,6 @@ class _Newton:
     def __init__(self, problem: Dense, cost: Vector) -> None:
         self.source, self.target, self.cost = problem.source, problem.target, cost
         self.f = np.zeros(len(cost), NUMBER)
-        self.steps = 0
 
     def damping(self) -> tuple[Any, Any]:
         """Return Delta of both sides."""
@@ -94,17 +84,13 @@ class _Newton:
 
     def best_g(self, f: Vector) -> Vector:
         """Delta_2 T(f)."""
-        return -self.damping()[1] * self.epsilon * _log_sums(
-            (f[:, None] - self.cost) / self.epsilon + self.source.logarithm[:, None], 0
-        )  # fmt: skip
+        z = (f[:, None] - self.cost) / self.epsilon + self.source.logarithm[:, None]
+        return -self.damping()[1] * self.epsilon * _log_sums(z, 0)
 
     def best_f(self, g: Vector) -> Vector:
         """Delta_1 T(g)."""
-        return (
-            -self.damping()[0]
-            * self.epsilon
-            * _log_sums((g - self.cost) / self.epsilon + self.target.logarithm, 1)
-        )
+        z = (g - self.cost) / self.epsilon + self.target.logarithm
+        return -self.damping()[0] * self.epsilon * _log_sums(z, 1)
 
     def shifted(self, f: Vector, g: Vector) -> Vector:
         """Return f + s for the best s of (f + s, g - s)."""
@@ -132,10 +118,9 @@ class _Newton:
         f = self.best_f(self.best_g(self.f))
         best, idle = NUMBER(np.inf), 0
         for _ in range(steps):
-            self.steps += 1
             f = self.best_f(self.best_g(self.shifted(f, self.best_g(f))))
             g = self.best_g(f)
-            plan = self.plan(f, g)
+            plan = np.exp(self.exponents(f, g))
             rows, limit = plan.sum(axis=1), self.source.limit(f)
             held = (rows > 0) & (limit > 0)  # float64 may have neither
             error = np.abs(np.log(rows[held] / limit[held])).max(initial=0)
@@ -149,10 +134,6 @@ class _Newton:
         else:
             self.f = f
 
-    def plan(self, f: Vector, g: Vector) -> Vector:
-        """Return the plan of (f, g)."""
-        return np.exp(self.exponents(f, g))
-
     def exponents(self, f: Vector, g: Vector) -> Vector:
         """Return the logarithms of the plan of (f, g)."""
         z = (f[:, None] + g - self.cost) / self.epsilon
@@ -164,7 +145,7 @@ class _Newton:
         """Return the next f, and the Levenberg-Marquardt factor for the next step."""
         before = self.value(f, g)
         noise = 1e3 * unit_of(NUMBER) * abs(before)
-        weights, excess, diagonal = self.hessian(f, plan)
+        weights, excess, diagonal = hessian(self.source, self.target, self.epsilon, f, plan)
         for _ in range(30):
             direction = self.epsilon * solve_laplacian(
                 weights, excess + damping * diagonal, gradient
@@ -175,47 +156,6 @@ class _Newton:
                 return f + direction, damping / 16 if damping > 1e-12 else NUMBER(0)
             damping = max(8 * damping, NUMBER(1e-6))
         return f, damping
-
-    def hessian(self, f: Vector, plan: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return -epsilon times the semi-dual's Hessian: off-diagonal weights, row sums, scale."""
-        columns, rows = plan.sum(axis=0), plan.sum(axis=1)
-        grown = 1 + self.epsilon * self.target.rate
-        safe = np.where(columns > 0, columns, 1)
-        weights = (plan / (safe * grown)) @ plan.T
-        excess = self.source.limit(f) * self.epsilon * self.source.rate
-        excess = excess + rows * (self.epsilon * self.target.rate / grown)
-        return weights, excess, rows
-
-
-def solve_laplacian(weights: Vector, excess: Vector, right: Vector) -> Vector:
-    """Solve (diag(excess + sum_j w_ij) - w) x = right without a subtraction in the factors.
-
-    Parameters
-    ----------
-    weights : (n, n) symmetric array
-        Entries at least 0; the diagonal is ignored.
-    excess : (n,) array
-        At least 0; where it is 0 for a whole component, one x of it is 0.
-    right : (n,) array
-    """
-    w, e, b = weights.copy(), excess.copy(), right.copy()
-    n = len(e)
-    shares, pivots = np.zeros_like(w), np.zeros_like(e)
-    for k in range(n - 1, -1, -1):
-        row = w[k, :k].copy()
-        pivots[k] = e[k] + row.sum()
-        if pivots[k] == 0:
-            continue
-        share = row / pivots[k]
-        w[:k, :k] += share[:, None] * row
-        e[:k] += share * e[k]
-        b[:k] += share * b[k]
-        shares[k, :k] = share
-    x = np.zeros_like(b)
-    for k in range(n):
-        if pivots[k] > 0:
-            x[k] = b[k] / pivots[k] + shares[k, :k] @ x[:k]
-    return x
 
 
 def _log_sums(values: Vector, axis: int) -> Any:
@@ -240,7 +180,7 @@ def _certified(problem: Dense, cost: Vector, ascent: _Newton) -> Optimum:
     else:
         logarithms = ascent.exponents(f, g)
         plan = np.exp(logarithms)
-        ratio, plan = _feasible(plan, logarithms, source, target, ascent)
+        ratio, plan = feasible(plan, logarithms, source, target, epsilon, f)
         # An exponent's own error is a change of the ratio.
         both = f[:, None] + g
         size = np.abs(both) + np.abs(cost)
@@ -265,56 +205,4 @@ def _certified(problem: Dense, cost: Vector, ascent: _Newton) -> Optimum:
                 gap_error += side.rho * (marginal * change * (np.abs(excess) + change)).sum()
     value = truth.dual.value
     scale = max(abs(value), epsilon * truth.mass.value)
-    return Optimum(
-        value - error, value + gap + error + gap_error, scale, f, g, ascent.steps
-    )  # fmt: skip
-
-
-def _feasible(
-    plan: Vector, logarithms: Vector, source: Any, target: Any, ascent: _Newton
-) -> tuple[Vector, Vector]:
-    """Return a plan that has the marginals prescribed, near a given one, and log of their ratio."""
-    ratio = np.zeros_like(plan)
-    if source.balanced and target.balanced:
-        for _ in range(4):
-            ratio -= np.log(plan.sum(axis=0) / target.mass)
-            plan = np.exp(logarithms + ratio)
-            weights, _, _ = ascent.hessian(ascent.f, plan)
-            ratio += _correction(weights, plan.sum(axis=1), source.mass)[:, None]
-            plan = np.exp(logarithms + ratio)
-        ratio -= np.log(plan.sum(axis=0) / target.mass)
-        plan = np.exp(logarithms + ratio)
-        ratio -= np.log(np.maximum(plan.sum(axis=1) / source.mass, 1))[:, None]
-        plan = np.exp(logarithms + ratio)
-        ratio -= np.log(np.maximum(plan.sum(axis=0) / target.mass, 1))
-        plan = np.exp(logarithms + ratio)
-        missing = np.maximum(source.mass - plan.sum(axis=1), 0)
-        other = np.maximum(target.mass - plan.sum(axis=0), 0)
-        if other.sum() > 0 and missing.sum() > 0:
-            more = missing[:, None] * (other / other.sum())
-            with np.errstate(divide="ignore"):
-                ratio = np.logaddexp(ratio, np.log(more) - logarithms)
-            plan = plan + more
-    elif source.balanced:
-        ratio -= np.log(plan.sum(axis=1) / source.mass)[:, None]
-        plan = np.exp(logarithms + ratio)
-    else:
-        ratio -= np.log(plan.sum(axis=0) / target.mass)
-        plan = np.exp(logarithms + ratio)
-    return ratio, plan
-
-
-def _correction(weights: Vector, rows: Vector, wanted: Vector) -> Vector:
-    """Return by how many nats to raise rows, so that they have the masses wanted.
-
-    Between clusters that hardly exchange mass a rounding of their masses would call for a large
-    step. What remains there is left to the part of rank one.
-    """
-    damping = NUMBER(0)
-    while True:
-        step = solve_laplacian(weights, damping * rows, wanted - rows)
-        if np.abs(step).max() <= CORRECTION:
-            return step
-        damping = max(damping * 100, NUMBER(1e-24))
-        if damping > 1e12:
-            return np.zeros_like(step)
+    return Optimum(value - error, value + gap + error + gap_error, scale, f, g)

@@ -7,7 +7,8 @@ import numpy as np
 
 import clmorph
 from clmorph.measures.points import WeightedPoints
-from crosscheck.exact import NUMBER, Dense, make_side
+from crosscheck.exact import Dense, make_side
+from crosscheck.numbers import NUMBER
 
 #: Points a side of most problems, of some, and of few; at most so many pairs of the last.
 SMALL, MIDDLE, LARGE, PAIRS = 60, 1500, 16384, 1 << 27
@@ -24,21 +25,7 @@ Array = np.ndarray[Any, Any]
 
 @dataclass(frozen=True)
 class Problem:
-    """One call of `clmorph.sinkhorn`.
-
-    Attributes
-    ----------
-    number : int
-    source, target : Measure, WeightedPoints or (weights, points)
-    blur : float
-    reach : (float or None, float or None)
-    options : dict
-        What else `clmorph.sinkhorn` is called with.
-    words : str
-        What a line says about it.
-    refused : str
-        Why it is meant to be refused, if it is.
-    """
+    """One call of `clmorph.sinkhorn`, what a line says of it, and why it is to be refused if so."""
 
     number: int
     source: Any
@@ -83,11 +70,8 @@ def make(seed: int, number: int) -> Problem:
     # float32 numbers: their squares are exact in float64.
     blur = _log_uniform(rng, 0.003 if most == SMALL else 0.01, 1.0)
     reaches = [_log_uniform(rng, 0.01, 30.0) for _ in range(2)]
-    kind = str(
-        rng.choice(
-            ["one", "pair", "source", "target", "balanced"], p=[0.3, 0.2] + [0.1] * 2 + [0.3]
-        )
-    )
+    kinds = ["one", "pair", "source", "target", "balanced"]
+    kind = str(rng.choice(kinds, p=[0.3, 0.2, 0.1, 0.1, 0.3]))
     reach = {
         "one": (reaches[0], reaches[0]), "pair": (reaches[0], reaches[1]),
         "source": (None, reaches[1]), "target": (reaches[0], None), "balanced": (None, None),
@@ -95,23 +79,14 @@ def make(seed: int, number: int) -> Problem:
     source, target, told = _measures(rng, cloud, n, m, kind == "balanced")
     options, refused = _options(rng, most)
     if kind == "balanced" and rng.random() < REFUSED_MASSES / 0.3:
-        source, refused = _heavier(source), "different masses"
-    sizes = [len(parts(measure)[0]) for measure in (source, target)]
+        weights, points, offsets = parts(source)
+        source, refused = WeightedPoints(points, 1.5 * weights, offsets), "different masses"
+    n, m = (len(parts(measure)[0]) for measure in (source, target))
     words = (
-        f"{sizes[0]} x {sizes[1]} points in {parts(source)[1].shape[1]}D, "
-        f"{cloud}, {told}, blur {blur:.4g}, reach {_reach_words(reach)}, "
-        + ", ".join(f"{name} {_short(value)}" for name, value in options.items())
+        f"{n} x {m} points in {parts(source)[1].shape[1]}D, {cloud}, {told}, blur {blur:.4g}, "
+        f"reach {reach}, {options}"
     )
     return Problem(number, source, target, blur, reach, options, words, refused)
-
-
-def _reach_words(reach: tuple[float | None, float | None]) -> str:
-    halves = ["None" if half is None else f"{half:.4g}" for half in reach]
-    return halves[0] if halves[0] == halves[1] else " and ".join(halves)
-
-
-def _short(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -119,7 +94,6 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _sizes(rng: np.random.Generator, most: int) -> tuple[int, int]:
-    """Draw numbers of points; the large ones have many pairs, but no more than `PAIRS`."""
     if most == SMALL:
         n, m = np.minimum(np.exp(rng.uniform(0, np.log(most + 1), 2)), most)
     elif most == MIDDLE:
@@ -179,7 +153,7 @@ def _measures(
     else:
         a, b = _weights(rng, kind, n), _weights(rng, kind, m)
         if balanced:
-            a, b = _equal(a, b)
+            a, b = a / a.sum(), b / b.sum()  # of one mass, up to the rounding of float64
     totals = _totals(rng, balanced)
     a, b = a * totals[0], b * totals[1]
     told = f"{kind} weights of {float(a.sum()):.3g} and {float(b.sum()):.3g}"
@@ -205,8 +179,7 @@ def _clouds(rng: np.random.Generator, cloud: str, n: int, m: int) -> tuple[Array
             middles[rng.integers(2, size=count)] + 0.1 * rng.random((count, d)) for count in (n, m)
         )
     elif cloud == "clusters":
-        middles = rng.random((int(rng.integers(2, 12)), d))
-        spread = 10 ** rng.uniform(-3, -1)
+        middles, spread = rng.random((int(rng.integers(2, 12)), d)), 10 ** rng.uniform(-3, -1)
         x, y = (
             middles[rng.integers(len(middles), size=count)] + spread * rng.normal(size=(count, d))
             for count in (n, m)
@@ -220,7 +193,6 @@ def _clouds(rng: np.random.Generator, cloud: str, n: int, m: int) -> tuple[Array
 
 
 def _weights(rng: np.random.Generator, kind: str, n: int) -> Array:
-    """Draw weights; the tiny ones are about 1e-30 beside 1."""
     if kind == "uniform":
         return np.full(n, 1.0 / n)
     if kind == "spread":
@@ -229,15 +201,10 @@ def _weights(rng: np.random.Generator, kind: str, n: int) -> Array:
     if kind == "zeros":
         weights[rng.random(n) < 0.4] = 0.0
     if kind == "tiny":
-        weights[rng.random(n) < 0.5] *= 2.0**-100
+        weights[rng.random(n) < 0.5] *= 2.0**-100  # about 1e-30 beside 1
     if not weights.max() > 2.0**-30:
         weights[rng.integers(n)] = 0.5
     return weights
-
-
-def _equal(a: Array, b: Array) -> tuple[Array, Array]:
-    """Scale to one mass, up to the rounding of float64."""
-    return a / a.sum(), b / b.sum()
 
 
 def _split(rng: np.random.Generator, weights: Array, n: int, m: int) -> tuple[Array, Array]:
@@ -280,8 +247,3 @@ def _pictures(rng: np.random.Generator, n: int, m: int, balanced: bool) -> tuple
         weights = rng.random((height, width)) if maps else None
         measures.append(clmorph.lift(image, color_weight, weights=weights))
     return measures[0], measures[1], "weights of a map" if maps else "uniform weights"
-
-
-def _heavier(measure: Any) -> Any:
-    weights, points, offsets = parts(measure)
-    return WeightedPoints(points, 1.5 * weights, offsets)

@@ -7,8 +7,8 @@ import ot.solvers
 
 import clmorph
 import clmorph.pot
-from peers.pot_values import numbers
 from peers.bridge import TALLY, Declined, backend
+from peers.pot_values import numbers
 
 #: The module whose functions are replaced.
 PACKAGE = "ot"
